@@ -13,7 +13,7 @@ from edoras_tools.diagnosis.evidence.clocks.alignment import align, boot_offsets
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.merge import follow_streams, merge_sources, recorded_faults
+from edoras_tools.io.formats.merge import MergedSource, follow_streams, merge_sources, recorded_faults
 from edoras_tools.io.formats.open import is_cfe_file, open_file
 from edoras_tools.units import SECOND
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Source
     from edoras_tools.links.framing import Framing
-    from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
+    from edoras_tools.model import HostCounters, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.run import Progress
     from edoras_tools.sessions.faults.fault import Fault
@@ -83,7 +83,7 @@ class Aligned:
         self._source.close()
 
 
-class OneByOne:
+class OneByOne(MergedSource):
     """Sources with clocks that cannot be aligned, read one after the other.
 
     The order of events between two of them is not known: each must be judged on its own.
@@ -95,28 +95,11 @@ class OneByOne:
         part: index of the source of the last batch.
     """
 
-    def __init__(self, sources: Sequence[Source]) -> None:
-        self._sources = list(sources)
-        self._together = merge_sources(sources)
-        self.part = 0
+    part = 0
 
-    @property
-    def info(self) -> SourceInfo:
-        """Information on all sources together."""
-        return self._together.info
-
-    @property
-    def statistics(self) -> SourceStatistics:
-        """The sums of their statistics."""
-        return self._together.statistics
-
-    def faults(self) -> list[Fault]:
-        """Return the faults that were injected."""
-        return recorded_faults(self._together)
-
-    def follow(self, framings: Mapping[int, Framing]) -> None:
-        """Let all of them read the TCP streams of these ports."""
-        follow_streams(self._together, framings)
+    def host(self) -> list[HostCounters]:
+        """Return none: they are of one clock."""
+        return []
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams of the first, then those of the second, and so on, numbered from 1."""
@@ -126,10 +109,6 @@ class OneByOne:
             for batch in source.batches():
                 yield replace(batch, number=np.arange(number, number + len(batch)))
                 number += len(batch)
-
-    def close(self) -> None:
-        """Close all of them."""
-        self._together.close()
 
 
 def open_aligned(

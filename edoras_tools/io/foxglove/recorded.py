@@ -18,15 +18,39 @@ if TYPE_CHECKING:
     """What recordings are played to: with datagrams, and without."""
 
 
-class RecordedSink:
-    """Serves messages over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
-
-    Args:
-        types: provides the schemas that the recording does not hold.
-        info: of the source; gives the server its name.
+class ServedSink:
+    """The common part of the sinks that serve messages over the Foxglove WebSocket protocol.
 
     Attributes:
         server: the server; it listens from construction on.
+    """
+
+    server: FoxgloveServer
+
+    def show_time(self, time_ns: int) -> None:
+        """Send a time for the clients' clocks, ns since 1970."""
+        self.server.tell_time(time_ns)
+
+    def restart(self) -> None:
+        """Reset the statistics, if there are any, because the following messages have other times."""
+
+    def flush(self) -> None:
+        """Do nothing: there is no buffer."""
+
+    def close(self, statistics: SourceStatistics) -> None:  # noqa: ARG002  required by Sink
+        """Close all clients."""
+        self.server.close()
+
+    def summary(self) -> dict[str, Any]:
+        """Return counts of the messages; see ``FoxgloveServer.summary``."""
+        return self.server.summary()
+
+
+class RecordedSink(ServedSink):
+    """Serves the messages of a recording: a ``Sink`` that clients cannot delay.
+
+    Args:
+        types: provides the schemas that the recording does not hold.
 
     Raises:
         CaptureError: the address cannot be used.
@@ -43,21 +67,3 @@ class RecordedSink:
             prepared = self._streams.prepare(batch, columns)
             self.server.publish(lay_out(self._streams.made(batch, columns, prepared), len(batch)))
             self.show_time(int(batch.time_ns[-1]))
-
-    def show_time(self, time_ns: int) -> None:
-        """Send a time for the clients' clocks, ns since 1970."""
-        self.server.tell_time(time_ns)
-
-    def restart(self) -> None:
-        """Do nothing: there are no statistics to reset."""
-
-    def flush(self) -> None:
-        """Do nothing: there is no buffer."""
-
-    def close(self, statistics: SourceStatistics) -> None:  # noqa: ARG002  required by Sink
-        """Close all clients."""
-        self.server.close()
-
-    def summary(self) -> dict[str, Any]:
-        """Return counts of the messages; see ``FoxgloveServer.summary``."""
-        return self.server.summary()

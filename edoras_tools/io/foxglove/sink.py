@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from edoras_tools.io.foxglove.diagnostics import DIAGNOSTICS, Diagnostics
 from edoras_tools.io.foxglove.link_state import LinkState
+from edoras_tools.io.foxglove.recorded import ServedSink
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.rows import lay_out
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from edoras_tools.structs import Structs
 
 
-class FoxgloveSink:
+class FoxgloveSink(ServedSink):
     """Serves batches over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
 
     Topics, types and messages are those of a recording, plus ``/diagnostics`` and ``/tf``. All are
@@ -36,9 +37,6 @@ class FoxgloveSink:
         statistics: the source's, for losses of the capture itself.
         structs: C structs in packets; None: only cFE's own.
         endpoints: of DDS, as the decoder learns them; None: their samples are not sent.
-
-    Attributes:
-        server: the server; it listens from construction on.
 
     Raises:
         CaptureError: the address cannot be used.
@@ -108,24 +106,9 @@ class FoxgloveSink:
         if self.server.clients:
             self.server.publish(lay_out([fault_messages(faults, self._places[FAULTS.name])], len(faults)))
 
-    def show_time(self, time_ns: int) -> None:
-        """Send a time for the clients' clocks, ns since 1970."""
-        self.server.tell_time(time_ns)
-
     def restart(self) -> None:
         """Reset the statistics, because the following messages have other times."""
         self._begin()
-
-    def flush(self) -> None:
-        """Do nothing: there is no buffer."""
-
-    def close(self, statistics: SourceStatistics) -> None:  # noqa: ARG002  required by Sink
-        """Close all clients."""
-        self.server.close()
-
-    def summary(self) -> dict[str, Any]:
-        """Return counts of the messages; see ``FoxgloveServer.summary``."""
-        return self.server.summary()
 
     def _offer(self, topic: Topic) -> int:
         """Return the place of a topic; of one that only the content names, after it is offered to clients."""

@@ -208,6 +208,9 @@ class McapSink:
 
     def abandon(self) -> None:
         """Close the file in its present state; nothing more is written."""
+        self._fail()
+
+    def _fail(self) -> None:
         self._state = "failed"
         self._end_workers()
         self.files[-1].abandon()
@@ -376,5 +379,5 @@ class McapSink:
         try:
             yield
         except CaptureError:
-            self.abandon()
+            self._fail()
             raise

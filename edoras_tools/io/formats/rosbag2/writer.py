@@ -19,13 +19,9 @@ from edoras_tools.ros.type_hash import type_hash
 from edoras_tools.ros.types.standard import distros
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from edoras_tools.io.formats.mcap.file import McapFile
-    from edoras_tools.io.outputs import OutputFile
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
-    from edoras_tools.sessions.faults.fault import Fault
+    from edoras_tools.model import HostCounters, SourceInfo, SourceStatistics
 
 _VERSIONS: Final = {"iron": 8, "jazzy": 9}
 """Version of the metadata format since a distribution; older ones read at most ``_OLDEST``."""
@@ -56,16 +52,10 @@ _POLICIES: Final = {
 """Policies by their number in ``rmw/types.h``."""
 
 
-class Rosbag2Sink:
+class Rosbag2Sink(McapSink):
     """Writes batches to ``NAME/NAME_0.mcap`` and so on, and ``NAME/metadata.yaml`` when closed.
 
-    Args:
-        path: the directory; it is created, and must be empty.
-        mission: see ``McapSink``.
-        types: see ``McapSink``.
-        info: see ``McapSink``.
-        options: see ``McapSink``.
-        statistics: see ``McapSink``.
+    Arguments are those of ``McapSink``; ``path`` is the directory: it is created, and must be empty.
 
     Raises:
         CaptureError: from every method: the directory or a file in it cannot be written.
@@ -81,79 +71,46 @@ class Rosbag2Sink:
         *,
         statistics: SourceStatistics | None = None,
     ) -> None:
-        self._path, self._types = Path(path), types
+        self._folder = Path(path)
         try:
-            check_links(self._path)
-            self._path.mkdir(parents=True, exist_ok=True)
-            occupied = any(self._path.iterdir())
+            check_links(self._folder)
+            self._folder.mkdir(parents=True, exist_ok=True)
+            occupied = any(self._folder.iterdir())
         except OSError as error:
             raise CaptureError(f"{path}: cannot be made a directory: {error.strerror or error}") from error
         if occupied:
             raise CaptureError(f"{path}: is not empty; name a new directory")
         # rosbag2 numbers its files even if there is only one.
         suffix = "" if options.splits else "_0"
-        self._sink = McapSink(
-            self._path / f"{self._path.name}{suffix}.mcap",
-            mission,
-            types,
-            info,
-            replace(options, offered=_text(_offered(_version(types.distro)))),
-            statistics=statistics,
-        )
-        self._closed = False
+        file = self._folder / f"{self._folder.name}{suffix}.mcap"
+        options = replace(options, offered=_text(_offered(_version(types.distro))))
+        super().__init__(file, mission, types, info, options, statistics=statistics)
+        self._ended = False
 
     @property
     def paths(self) -> list[Path]:
         """The directory written."""
-        return [self._path]
+        return [self._folder]
 
-    @property
-    def output(self) -> OutputFile:
-        """The file being written."""
-        return self._sink.output
-
-    @property
-    def datagrams(self) -> int:
-        """Number of datagrams in that file."""
-        return self._sink.datagrams
-
-    @property
-    def complete(self) -> list[tuple[OutputFile, int]]:
-        """The complete files, with the number of datagrams in each."""
-        return self._sink.complete
-
-    def forget(self, output: OutputFile) -> None:
-        """Leave a complete file out of ``complete`` and of ``metadata.yaml``."""
-        self._sink.forget(output)
+    def write_host(self, host: HostCounters) -> None:
+        """Do nothing: these recordings do not hold the counters of the host."""
 
     def abandon(self) -> None:
         """Close the file in its present state; nothing more is written."""
-        self._closed = True
-        self._sink.abandon()
-
-    def write(self, batch: PacketBatch, columns: Columns) -> None:
-        """Write a batch and its columns."""
-        self._sink.write(batch, columns)
-
-    def write_faults(self, faults: Sequence[Fault]) -> None:
-        """Write injected faults; see ``McapSink``."""
-        self._sink.write_faults(faults)
-
-    def flush(self) -> None:
-        """Write everything received so far to the file."""
-        self._sink.flush()
+        self._ended = True
+        super().abandon()
 
     def close(self, statistics: SourceStatistics) -> None:
         """Complete the storage, and write ``metadata.yaml``."""
-        if self._closed:
+        if self._ended:
             return
-        self._closed = True
-        place = self._sink.output.place  # somewhere else, if it was moved
-        self._sink.close(statistics)
+        self._ended = True
+        place = self.output.place  # somewhere else, if it was moved
+        super().close(statistics)
 
-        target = (place.parent if place else self._path) / "metadata.yaml"
+        target = (place.parent if place else self._folder) / "metadata.yaml"
         text = StringIO()
-        _yaml(_metadata(self._sink.files, self._types), text)
+        _yaml(_metadata(self.files, self._types), text)
         write_bytes(target, text.getvalue().encode())
 
 
