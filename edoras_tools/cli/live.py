@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.capture.device import DeviceSource
     from edoras_tools.io.foxglove.origins import OriginCheck
     from edoras_tools.io.foxglove.playback import PlaybackState
-    from edoras_tools.io.foxglove.recorded import PlayedSink
+    from edoras_tools.io.foxglove.recorded import ServedSink
     from edoras_tools.io.foxglove.sink import FoxgloveSink
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.capture.record import CaptureReport, Target
@@ -289,7 +289,7 @@ def _play(
     files: Sequence[Path],
     settings: Settings,
     selection: Selection,
-    serve: Callable[..., PlayedSink],
+    serve: Callable[..., ServedSink],
     playback: PlaybackOptions,
     limits: Limits,
     *,
@@ -324,7 +324,7 @@ def _play(
 
 @contextmanager
 def _keyboard(
-    player: RecordingPlayer, sink: PlayedSink, *, quiet: bool
+    player: RecordingPlayer, sink: ServedSink, *, quiet: bool
 ) -> Iterator[tuple[Callable[[], str], Callable[[PlaybackState], None]]]:
     """Give the functions that read keys and show the state; they do nothing where there is no terminal."""
     here = sys.stdin.isatty() and sys.stderr.isatty()
@@ -411,7 +411,7 @@ def _write(line: str) -> None:
     sys.stderr.flush()
 
 
-def _say(name: str, sink: PlayedSink, publishes: Sequence[str] = ()) -> None:
+def _say(name: str, sink: ServedSink, publishes: Sequence[str] = ()) -> None:
     """Print the address first, because scripts wait for this line; then our own page, and who may connect."""
     server, may = sink.server, "watch"
     if publishes:

@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.recorded import RecordedStreams
 from edoras_tools.io.topics.rows import lay_out
 
 if TYPE_CHECKING:
-    from edoras_tools.io.foxglove.sink import FoxgloveSink
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.ros import TypeStore
 
-    PlayedSink: TypeAlias = FoxgloveSink | "RecordedSink"
-    """What recordings are played to: with datagrams, and without."""
-
 
 class ServedSink:
-    """The common part of the sinks that serve messages over the Foxglove WebSocket protocol.
+    """What is shown, or played, over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
 
     Attributes:
         server: the server; it listens from construction on.
     """
 
     server: FoxgloveServer
+
+    def write(self, batch: PacketBatch, columns: Columns) -> None:
+        """Send a batch to clients."""
+        raise NotImplementedError
 
     def show_time(self, time_ns: int) -> None:
         """Send a time for the clients' clocks, ns since 1970."""
@@ -47,7 +47,7 @@ class ServedSink:
 
 
 class RecordedSink(ServedSink):
-    """Serves the messages of a recording: a ``Sink`` that clients cannot delay.
+    """Serves the messages of a recording.
 
     Args:
         types: provides the schemas that the recording does not hold.

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
     from edoras_tools.io.foxglove.playback import PlaybackRequest
-    from edoras_tools.io.foxglove.recorded import PlayedSink
+    from edoras_tools.io.foxglove.recorded import ServedSink
     from edoras_tools.model import Columns, PacketBatch, SourceInfo
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.run import Progress
@@ -180,7 +180,7 @@ class RecordingPlayer:
 
     def run(
         self,
-        sink: PlayedSink,
+        sink: ServedSink,
         *,
         duration_ns: int = 0,
         keys: Callable[[], str] = str,
@@ -227,7 +227,7 @@ class RecordingPlayer:
             sink.server.close()
         return asked.is_set()
 
-    def _press(self, key: str, sink: PlayedSink) -> None:
+    def _press(self, key: str, sink: ServedSink) -> None:
         """Do what a key asks for, and tell the clients."""
         request = request_of(key, self.state, self.range_ns[0])
         if request is not None:
@@ -236,7 +236,7 @@ class RecordingPlayer:
             self.stop()
 
     def _play(
-        self, sink: PlayedSink, pieces: Generator[_Piece], piece: _Piece | None, position: int
+        self, sink: ServedSink, pieces: Generator[_Piece], piece: _Piece | None, position: int
     ) -> _Piece | None:
         """Write what is due to the sink; return what comes next, None at the end."""
         piece = piece or next(pieces, None)
@@ -250,7 +250,7 @@ class RecordingPlayer:
             piece = next(pieces, None)
         return piece
 
-    def _tell(self, sink: PlayedSink, position: int, *, over: bool) -> None:
+    def _tell(self, sink: ServedSink, position: int, *, over: bool) -> None:
         with self._lock:
             playback = self._playback
             ends = over and playback.seek_ns is None and position >= self.range_ns[1] and not playback.ended
@@ -309,7 +309,7 @@ class RecordingPlayer:
         rows = np.flatnonzero(self._period.holds(batch.time_ns - self._begin_ns))
         return batch.take(rows), columns.take(rows)
 
-    def _read(self, start_ns: int, sink: PlayedSink) -> Generator[_Piece]:
+    def _read(self, start_ns: int, sink: ServedSink) -> Generator[_Piece]:
         """Yield what was captured from a time on; first show the last earlier message of each topic."""
         source = self._reopen()
         follow_streams(source, self._bench.columns.context.framings)
@@ -336,7 +336,7 @@ class RecordingPlayer:
             source.close()
 
 
-def _show(latest: dict[int, _Piece], sink: PlayedSink) -> None:
+def _show(latest: dict[int, _Piece], sink: ServedSink) -> None:
     for batch, columns in sorted(latest.values(), key=lambda piece: int(piece[0].time_ns[0])):
         sink.write(batch, columns)
     if latest:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.io.foxglove.playback import Player
     from edoras_tools.io.foxglove.publishing import Publisher
-    from edoras_tools.io.foxglove.recorded import PlayedSink
+    from edoras_tools.io.foxglove.recorded import ServedSink
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.capture.record import CaptureReport, Target
     from edoras_tools.pipelines.selection import Selection
@@ -79,7 +79,7 @@ def attach_player(
     listen: Endpoint = HERE,
     origins: OriginCheck = OriginCheck(),  # noqa: B008  frozen
     token: str = "",
-) -> PlayedSink:
+) -> ServedSink:
     """Start a server for a recording that is played; see ``attach``.
 
     Raises:
