@@ -199,7 +199,11 @@ def _opened(given: LiveOptions, bench: Workbench, *, every_port: bool) -> Source
         context = bench.columns.context
         ports = () if every_port else context.capture_ports()
         ready = partial(_ready, interface)
-        return open_live(interface, ports, streams=context.framings, ready=ready, told=_tell, wait=waits)
+        begins = () if every_port else context.capture_begins()
+        streams = context.framings
+        return open_live(
+            interface, ports, streams=streams, begins=begins, ready=ready, told=_tell, wait=waits
+        )
     from edoras_tools.cli.listening import tell_reach
     from edoras_tools.io.net.address import parse_endpoint
     from edoras_tools.io.net.receive import UdpSource

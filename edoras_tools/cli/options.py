@@ -218,8 +218,10 @@ def where(text: str) -> str:
 
 
 def link_port(text: str) -> tuple[Link, int]:
-    """Read ``LINK:PORT``, e.g. ``ci:5010``."""
+    """Read ``LINK:PORT``, e.g. ``ci:5010``; 0 for ``rtps:any``."""
     name, _, port = text.partition(":")
+    if port == "any" and name == "rtps":
+        return link(name), 0
     if not port.isdecimal() or not 0 < int(port) < 65536 or name == "other":
         raise typer.BadParameter(f"{text!r} is not LINK:PORT; write ci:5010, to:5011 or sbn:5012")
     return link(name), int(port)
@@ -425,7 +427,7 @@ class DecodingOptions(NamedTuple):
             "--port",
             metavar="LINK:PORT",
             parser=link_port,
-            help=f"Another port of {', '.join(ROWS)} or an installed link; repeatable.",
+            help=f"Another port of {', '.join(ROWS)} or an installed link; rtps:any: DDS, live; repeatable.",
         ),
     ] = None
     envelope: Annotated[

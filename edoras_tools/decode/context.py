@@ -46,7 +46,7 @@ class Options:
         msg_id_version: how MsgIds are built: 1, or 2, which needs the extended header; None is 1.
         envelope: format of every route that names none: ``8/8`` and the like, ``auto`` where each packet may
             have its own; None to detect it from the first packets of each route.
-        ports: further UDP ports by link.
+        ports: further UDP ports by link; 0: of a link that is told by how its datagrams begin, any.
         listened: UDP ports that a recorder was told to receive on: what came there was asked for.
     """
 
@@ -267,6 +267,12 @@ class Context:
             self._announced, self.look_ahead = self.look_ahead(), None
         return (self._announced or self.endpoints).topics()
 
+    @property
+    def awaits_samples(self) -> bool:
+        """Whether topics of DDS may be announced while the input is read, and cannot be known before."""
+        named = any(link in self.by_magic for link, _ in self.options.ports)
+        return named and self.look_ahead is None and self._announced is None
+
     def take_over(self, detected: tuple[Any, ...]) -> None:
         """Read packets as another context does, in another process."""
         place, envelopes, unrouted, told = detected
@@ -277,6 +283,10 @@ class Context:
     def capture_ports(self) -> tuple[int, ...]:
         """Return every UDP port that belongs to a link, for a filter in the kernel; not 0, that of files."""
         return tuple(int(port) for port in np.flatnonzero(self.claim) if port)
+
+    def capture_begins(self) -> tuple[bytes, ...]:
+        """Return how the datagrams begin that are captured on any port."""
+        return tuple(link.magic for link in self.by_magic if (link, 0) in self.options.ports)
 
     def is_cfs(self, endpoint: Endpoint) -> bool:
         """Tell whether an endpoint's address is that of a cFS that a ground mission names."""
@@ -305,7 +315,7 @@ class Context:
         for link, claimed in ports.items():
             if not link.transport.udp:
                 continue
-            claimed[[port for other, port in self.options.ports if other == link]] = True
+            claimed[[port for other, port in self.options.ports if other == link and port]] = True
             if link.last_hop:
                 claimed[[port for port, _ in self.structs.ports]] = True
             for bridge in self.mission.links:

@@ -184,7 +184,7 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
     topics = [route.topic for route in routes]
     samples = SampleTopics(pattern, frozenset(topics), context.endpoints)
     announced = [] if found else [*filter(samples.holds, context.announced_topics())]
-    if found or announced:
+    if found or announced or (context.awaits_samples and pattern[:1] == "/"):
         return replace(found, samples=(samples,))
     topics += [*context.announced_topics(), *(item.topic for item in context.structs.all)]
     names = [*MSG_ID_NAMES.values(), *(known for known, _ in _own_names() if "0X" not in known)]

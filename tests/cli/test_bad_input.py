@@ -232,6 +232,7 @@ USAGE = [
     ("record -r ok.pcap -o x.mcap --topic /nothing", 1, "no configured topic matches '/nothing'"),
     ("sniff -r ok.pcap --time tomorrow", 2, "'tomorrow' is not one of"),
     ("sniff -r ok.pcap --port nonsense", 2, "'nonsense' is not LINK:PORT"),
+    ("sniff -r ok.pcap --port ci:any", 2, "'ci:any' is not LINK:PORT"),
     ("sniff -r ok.pcap --port ci:0", 2, "'ci:0' is not LINK:PORT"),
     ("sniff -r ok.pcap --port ci:65536", 2, "'ci:65536' is not LINK:PORT"),
     ("sniff -r ok.pcap --port ci:\u00b2", 2, "is not LINK:PORT"),

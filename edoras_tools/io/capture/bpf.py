@@ -28,6 +28,7 @@ LINUX_SLL2: Final = 276
 
 LD_W: Final = 0x20
 LD_H: Final = 0x28
+LD_W_X: Final = 0x40
 LD_B_X: Final = 0x50
 LD_H_X: Final = 0x48
 LD_B: Final = 0x30
@@ -72,6 +73,7 @@ _SO_ATTACH_FILTER: Final = 26
 _VLAN_TYPES: Final = (0x8100, 0x88A8, 0x9100)
 _IPV4, _IPV6 = 0x0800, 0x86DD
 _UDP, _TCP, _FRAGMENT = 17, 6, 44
+_UDP_BYTES: Final = 8
 _EXTENSIONS: Final = (0, 43, 60)  # hop-by-hop options, routing, destination options (RFC 8200 section 4)
 
 
@@ -142,6 +144,7 @@ def port_filter(
     ports: Iterable[int] = (),
     *,
     streams: Iterable[int] = (),
+    begins: Sequence[bytes] = (),
     snap_length: int = 262144,
     loopback: int | None = None,
     whole: bool = False,
@@ -156,6 +159,7 @@ def port_filter(
         link_type: ``ETHERNET``, ``RAW`` or ``LINUX_SLL2``.
         ports: UDP ports; if empty, every UDP datagram is kept.
         streams: TCP ports; if empty, no TCP segment is kept.
+        begins: datagrams that begin with these four bytes are kept on any port.
         snap_length: bytes of each packet to capture.
         loopback: index of the loopback interface; its outgoing packets are dropped, because they come in
             again.
@@ -203,7 +207,7 @@ def port_filter(
         program.test(JEQ, _TCP, otherwise="udp")
         _ports(program, segments, snap_length, "tcp ")
         program.label("udp")
-    _ports(program, sorted(set(ports)), snap_length)
+    _ports(program, sorted(set(ports)), snap_length, begins=begins)
     return program.assemble()
 
 
@@ -305,10 +309,13 @@ def _ipv6(program: Assembler, keep: int, protocols: Sequence[int]) -> None:
     program.emit(RET, 0)
 
 
-def _ports(program: Assembler, ports: list[int], keep: int, prefix: str = "") -> None:
+def _ports(
+    program: Assembler, ports: list[int], keep: int, prefix: str = "", begins: Sequence[bytes] = ()
+) -> None:
     """Return the verdict for the UDP or TCP header at X, which both begin with the ports.
 
-    ``prefix`` distinguishes the labels of two such parts.
+    ``prefix`` distinguishes the labels of two such parts. A datagram that is too short for what it might
+    begin with is dropped by the load itself, so that comes last.
     """
     if not ports:
         program.emit(RET, keep)
@@ -328,6 +335,11 @@ def _ports(program: Assembler, ports: list[int], keep: int, prefix: str = "") ->
                 program.test(JGT, last, then=name)
             program.emit(RET, keep)
             program.label(name)
+    for word in begins:
+        program.emit(LD_W_X, _UDP_BYTES)
+        program.test(JEQ, int.from_bytes(word, "big"), otherwise=f"not {word!r}")
+        program.emit(RET, keep)
+        program.label(f"not {word!r}")
     program.emit(RET, 0)
 
 

@@ -12,7 +12,7 @@ from edoras_tools.io.capture.ring import Ring
 from edoras_tools.io.capture.scapy_backend import ScapySource
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from edoras_tools.model import InterfaceOutage
 
@@ -29,6 +29,7 @@ class LiveSource(DeviceSource):
         interface: its name, or ``any``.
         ports: UDP ports to capture, source or destination; if empty, every UDP datagram.
         streams: TCP ports to capture; if empty, none.
+        begins: see ``port_filter``.
         ready: called once when ``batches`` starts; nothing that arrives after construction is missed.
         told: see ``DeviceSource``.
         wait: if the interface does not exist or is down, treat it as one that is away now.
@@ -43,11 +44,13 @@ class LiveSource(DeviceSource):
         ports: Iterable[int] = (),
         *,
         streams: Iterable[int] = (),
+        begins: Sequence[bytes] = (),
         ready: Callable[[], None] | None = None,
         told: Callable[[InterfaceOutage], None] | None = None,
         wait: bool = False,
     ) -> None:
-        super().__init__(Ring(interface, ports, streams=streams, wait=wait), ready=ready, told=told)
+        ring = Ring(interface, ports, streams=streams, begins=begins, wait=wait)
+        super().__init__(ring, ready=ready, told=told)
 
 
 def open_live(
@@ -55,6 +58,7 @@ def open_live(
     ports: Iterable[int] = (),
     *,
     streams: Iterable[int] = (),
+    begins: Sequence[bytes] = (),
     backend: str = "auto",
     ready: Callable[[], None] | None = None,
     told: Callable[[InterfaceOutage], None] | None = None,
@@ -66,6 +70,7 @@ def open_live(
         interface: its name, or ``any`` (ring only).
         ports: UDP ports to capture, source or destination; if empty, every UDP datagram.
         streams: TCP ports to capture; if empty, none.
+        begins: see ``port_filter``.
         backend: one of ``BACKENDS``.
         ready: called once when ``batches`` starts.
         told: see ``DeviceSource``.
@@ -77,6 +82,6 @@ def open_live(
     if backend not in BACKENDS:
         raise CaptureError(f"{backend}: no such capture back end; there are {', '.join(BACKENDS)}")
     if backend == "ring" or (backend == "auto" and hasattr(socket, "AF_PACKET")):
-        return LiveSource(interface, ports, streams=streams, ready=ready, told=told, wait=wait)
+        return LiveSource(interface, ports, streams=streams, begins=begins, ready=ready, told=told, wait=wait)
 
-    return ScapySource(interface, ports, streams=streams, ready=ready)
+    return ScapySource(interface, ports, streams=streams, begins=begins, ready=ready)

@@ -121,10 +121,10 @@ class Ring:
         interface: its name, or ``any``.
         ports: UDP ports to capture, source or destination; if empty, every UDP datagram.
         streams: TCP ports to capture; if empty, none.
+        begins: see ``port_filter``.
         block_size: bytes of a block; a multiple of the page size that holds the largest frame.
         blocks: number of blocks; by default from ``_RING_BYTES``; halved until the kernel has enough memory.
         snap_length: bytes of a frame to keep.
-        promiscuous: also receive frames for other hosts, as on a mirror port.
         wait: if the interface does not exist or is down, treat it as one that is away now.
 
     Attributes:
@@ -145,10 +145,10 @@ class Ring:
         ports: Iterable[int] = (),
         *,
         streams: Iterable[int] = (),
+        begins: Sequence[bytes] = (),
         block_size: int = 1 << 17,
         blocks: int = 0,
         snap_length: int = 262144,
-        promiscuous: bool = True,
         wait: bool = False,
     ) -> None:
         if not hasattr(socket, "AF_PACKET"):
@@ -167,7 +167,7 @@ class Ring:
         self.outages: list[InterfaceOutage] = []
         self._ports = tuple(ports)
         self._streams = tuple(streams)
-        self._promiscuous = promiscuous
+        self._begins = begins
         self._block_size = block_size
         self._blocks = blocks or _blocks(block_size)
         self._delivered = self._read = self._made = self._back_ns = 0
@@ -197,6 +197,7 @@ class Ring:
             self._link_type,
             self._ports,
             streams=self._streams,
+            begins=self._begins,
             snap_length=self.info.snap_length,
             loopback=loopback,
             whole=cooked and self._told,
@@ -234,7 +235,7 @@ class Ring:
 
     def _bind(self, interface: Interface) -> None:
         """Receive from an interface; if it is down, the kernel attaches it when it comes up."""
-        if self._promiscuous and not interface.loopback:
+        if not interface.loopback:
             member = struct.pack("=iHH8s", interface.index, _PACKET_MR_PROMISC, 0, b"")
             self._socket.setsockopt(_SOL_PACKET, _PACKET_ADD_MEMBERSHIP, member)
         self._socket.bind((interface.name, _ETH_P_ALL))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.decode.links import beginning
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2, NOTHING, RAW, attach_program
 from edoras_tools.io.capture.device import DeviceSource
@@ -24,7 +25,7 @@ from edoras_tools.model import Finding, InterfaceOutage, SourceInfo
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from edoras_tools.model import PacketBatch
 
@@ -162,6 +163,7 @@ class ScapySource(DeviceSource):
         interface: its name.
         ports: UDP ports to capture, source or destination; if empty, every UDP datagram.
         streams: TCP ports to capture; if empty, none.
+        begins: see ``port_filter``.
         ready: called once when ``batches`` starts; nothing that arrives after construction is missed.
         snap_length: bytes of a frame to keep.
 
@@ -175,11 +177,13 @@ class ScapySource(DeviceSource):
         ports: Iterable[int] = (),
         *,
         streams: Iterable[int] = (),
+        begins: Sequence[bytes] = (),
         ready: Callable[[], None] | None = None,
         snap_length: int = 262144,
     ) -> None:
         self._ports = np.array(sorted(set(ports)), dtype=np.int64)
-        expression = _expression(self._ports.tolist(), streams)
+        self._begins = begins
+        expression = _expression(self._ports.tolist(), streams, begins)
         super().__init__(Sniffer(interface, expression, snap_length), ready=ready)
         if not _LINUX:
             self.statistics.warnings.append(
@@ -192,6 +196,8 @@ class ScapySource(DeviceSource):
         if not len(self._ports):
             return batch
         wanted = np.isin(batch.source_port, self._ports) | np.isin(batch.destination_port, self._ports)
+        for word in self._begins:
+            wanted[beginning(batch, np.arange(len(batch)), word)] = True
         wanted |= (batch.capture_findings & Finding.FRAGMENT) != 0
         if batch.streams is not None:
             wanted |= batch.streams
@@ -200,10 +206,15 @@ class ScapySource(DeviceSource):
         return kept
 
 
-def _expression(ports: Iterable[int], streams: Iterable[int] = ()) -> str | None:
+def _expression(
+    ports: Iterable[int], streams: Iterable[int] = (), begins: Sequence[bytes] = ()
+) -> str | None:
     """Return the port filter in libpcap's language; in later fragments and tagged frames it sees no ports."""
     wanted = " or ".join(f"udp port {port}" for port in ports)
-    wanted = "".join([wanted, *(f" or tcp port {port}" for port in streams)]) if wanted else ""
+    others = [f"tcp port {port}" for port in streams]
+    for number in (int.from_bytes(word, "big") for word in begins):
+        others += [f"udp[8:4] = {number}", f"(ip6[6] == 17 and ip6[48:4] = {number})"]
+    wanted = " or ".join([wanted, *others]) if wanted else ""
     return f"{wanted} or (ip[6:2] & 0x1fff != 0) or ip6[6] == 44 or vlan" if wanted else None
 
 

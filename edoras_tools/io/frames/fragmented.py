@@ -5,9 +5,11 @@ The rules that this file keeps:
 1. The row of a datagram stays as it is. A sample that becomes whole is a message of its own, as its writer
    could have sent it: header, time, one DATA. It has the time, number and endpoints of the datagram with its
    last fragment; its ``original_length`` is -1.
-2. A sample is put together once; fragments that come again are left out.
+2. When as many bytes of a sample came again as it has, it is a message again: a copy, sent again or to
+   another reader. Fewer bytes are what was lost on the way to a reader.
 3. Memory does not grow: of samples that are not whole at most ``MOST_FRAGMENT_BYTES`` are kept, and
-   ``MOST_OPEN``; the oldest give way. A sample that claims more than ``LARGEST_SAMPLE`` is left out.
+   ``MOST_OPEN``; the oldest give way. A sample that claims more than ``LARGEST_SAMPLE`` is left out. Of whole
+   ones ``MOST_WHOLE_BYTES`` are kept; copies of older ones are not noticed.
 """
 
 from __future__ import annotations
@@ -40,23 +42,38 @@ from edoras_tools.wire.rtps.messages import SubmessageFields, read_samples
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from edoras_tools.decode import ColumnDecoder
     from edoras_tools.model import PacketBatch
 
 MOST_FRAGMENT_BYTES: Final = 64 << 20
+MOST_WHOLE_BYTES: Final = 16 << 20
 MOST_OPEN: Final = 1 << 10
 LARGEST_SAMPLE: Final = 32 << 20
 
 
 @dataclass(slots=True, eq=False)
 class _Sample:
-    """A sample that is not whole yet."""
+    """A sample, and how many bytes of it came again."""
 
     data: NDArray[np.uint8]
     fragment_size: int
     fragments: KnownRanges = field(default_factory=KnownRanges)
+    again: int = 0
+
+    def add(self, begin: int, end: int) -> bool:
+        """Add a fragment; tell whether it makes the sample whole, or a copy of it."""
+        before, size = self.fragments.size, len(self.data)
+        self.fragments.add(begin, end)
+        new = self.fragments.size - before
+        self.again += end - begin - new
+        if self.fragments.size < size or not (new or self.again >= size):
+            return False
+        self.again -= 0 if new else size
+        return True
 
 
 class FragmentedSamples:
@@ -71,7 +88,8 @@ class FragmentedSamples:
     def __init__(self) -> None:
         self.whole = self.given_up = self.too_large = 0
         self._open: OrderedDict[tuple[bytes, int], _Sample] = OrderedDict()
-        self._bytes = 0
+        self._whole: OrderedDict[tuple[bytes, int], _Sample] = OrderedDict()
+        self._bytes = self._whole_bytes = 0
         self._done: dict[bytes, KnownRanges] = {}
 
     def notes(self) -> list[str]:
@@ -109,9 +127,8 @@ class FragmentedSamples:
             chosen = np.flatnonzero(which == index)
             key = guids[writer[at]], int(sequence[at])
             some = {name: values[chosen] for name, values in number.items()}
-            end = self._add(key, some, batch.data, samples.start[chosen], samples.end[chosen])
-            if end is not None:
-                last = int(chosen[end])
+            for place in self._add(key, some, batch.data, samples.start[chosen], samples.end[chosen]):
+                last = int(chosen[place])
                 body = self._finished(key)
                 key_only = bool(own.flags[last] & SubmessageFlag.FRAGMENT_KEY)
                 raw = _message(key, body, int(own.time_ns[last]), key_only=key_only)
@@ -127,8 +144,8 @@ class FragmentedSamples:
         data: NDArray[np.uint8],
         start: NDArray[np.int64],
         end: NDArray[np.int64],
-    ) -> int | None:
-        """Add fragments of one sample; return which of them makes it whole, None where it is not."""
+    ) -> Iterator[int]:
+        """Add fragments of one sample; yield which of them makes it whole, and whole again."""
         size, step = int(told["sample_size"][0]), int(told["fragment_size"][0])
         begin = (told["fragment_starting_num"] - 1) * step
         stop = np.minimum(begin + told["fragments_in_submessage"] * step, size)
@@ -136,15 +153,16 @@ class FragmentedSamples:
             (told["sample_size"] == size) & (told["fragment_size"] == step) & (begin >= 0) & (stop > begin)
         )
         sound &= end - start >= stop - begin
-        known = self._open.get(key)
+        known = self._open.get(key) or self._whole.get(key)
         if known is not None:
             sound &= (len(known.data) == size) & (known.fragment_size == step)
         if not 0 < size <= LARGEST_SAMPLE or not step:
             sound[:] = False
         self.too_large += int(np.count_nonzero(~sound))
         done = self._done.get(key[0])
-        if not sound.any() or (done is not None and not done.missing(key[1], key[1] + 1)):
-            return None
+        gone = known is None and done is not None and not done.missing(key[1], key[1] + 1)
+        if gone or not sound.any():
+            return
         if known is None:
             known = self._open[key] = _Sample(np.zeros(size, np.uint8), step)
             self._bytes += size
@@ -152,10 +170,8 @@ class FragmentedSamples:
         places = np.flatnonzero(sound)
         copy_rows(known.data, begin[places], data, start[places], (stop - begin)[places])
         for place in places.tolist():
-            known.fragments.add(int(begin[place]), int(stop[place]))
-            if known.fragments.size == size:
-                return place
-        return None
+            if known.add(int(begin[place]), int(stop[place])):
+                yield place
 
     def _make_room(self) -> None:
         while len(self._open) > 1 and (self._bytes > MOST_FRAGMENT_BYTES or len(self._open) > MOST_OPEN):
@@ -164,13 +180,18 @@ class FragmentedSamples:
             self.given_up += 1
 
     def _finished(self, key: tuple[bytes, int]) -> bytes:
-        """Take a whole sample out of those that are kept."""
-        data = self._open.pop(key).data
-        self._bytes -= len(data)
+        """Return a whole sample, which is not open any more."""
+        if key not in self._open:
+            return self._whole[key].data.tobytes()
+        sample = self._whole[key] = self._open.pop(key)
+        self._bytes -= len(sample.data)
+        self._whole_bytes += len(sample.data)
         self.whole += 1
         if key[0] in self._done or len(self._done) < MOST_ENDPOINTS:
             self._done.setdefault(key[0], KnownRanges()).add(key[1], key[1] + 1)
-        return data.tobytes()
+        while len(self._whole) > 1 and (self._whole_bytes > MOST_WHOLE_BYTES or len(self._whole) > MOST_OPEN):
+            self._whole_bytes -= len(self._whole.popitem(last=False)[1].data)
+        return sample.data.tobytes()
 
 
 def _message(key: tuple[bytes, int], body: bytes, time_ns: int, *, key_only: bool) -> bytes:

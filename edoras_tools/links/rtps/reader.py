@@ -15,6 +15,7 @@ from edoras_tools.wire.rtps.headers import (
     BUILT_IN_KIND,
     ENTITY_BYTES,
     GUID_BYTES,
+    INLINE_AT,
     OF_PARTICIPANTS,
     OF_PUBLICATIONS,
     OF_SUBSCRIPTIONS,
@@ -37,7 +38,7 @@ from edoras_tools.wire.rtps.messages import (
     read_samples,
     sequence_set,
 )
-from edoras_tools.wire.rtps.parameters import read_announcement
+from edoras_tools.wire.rtps.parameters import read_announcement, read_status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -270,6 +271,10 @@ def _submessage(
         told_of |= {"topic": (topic, "as it announced"), "type": (known.ros_type, "as it announced")}
     for name, (text, doc) in told_of.items():
         reading.extend(LayerField(name, text, place, place + ENTITY_BYTES, text, doc))
+    if kind == SubmessageKind.DATA and flags & SubmessageFlag.INLINE_QOS:
+        start = at + INLINE_AT + values["octets_to_inline_qos"]
+        if status := read_status(reading.data[start:end], "little" if little else "big"):
+            reading.extend(LayerField("status", status, start, end, status, "what became of the instance"))
     sample = kind == SubmessageKind.DATA and flags & SubmessageFlag.DATA
     if known is not None and topic and sample and inside and inside[2]:
         reading.sample(topic, known.ros_type, inside[0], inside[1])
@@ -314,6 +319,8 @@ def rtps_summary(decoded: Decoded) -> str:
         of = values.get("topic") or BUILT_IN.get(values.get("writer_id", b""), "")
         numbers = [values[item] for item in ("writer_sn", "first_sn", "last_sn", "base_sn") if item in values]
         text = " ".join([name, *([of] if of else []), "..".join(map(str, numbers))]).strip()
+        if "status" in values:
+            text += f" {values['status']}"
         if values.get("missing"):
             text += f" missing {_numbers_text(values['missing'])}"
         told.append(text)

@@ -38,9 +38,11 @@ class ParameterId(IntEnum):
     PARTICIPANT_GUID = 0x0050
     ENDPOINT_GUID = 0x005A
     ENTITY_NAME = 0x0062
+    STATUS_INFO = 0x0071
 
 
 RELIABILITY_NAMES: Final = {1: "best effort", 2: "reliable"}
+STATUS_NAMES: Final = {1: "disposed", 2: "unregistered"}
 DURABILITY_NAMES: Final = {0: "volatile", 1: "transient local", 2: "transient", 3: "persistent"}
 
 
@@ -82,9 +84,22 @@ def read_parameters(data: bytes) -> Iterator[tuple[int, bytes, Literal["big", "l
         data: from the encapsulation on.
     """
     order = _ENCAPSULATIONS.get(int.from_bytes(data[:2], "big"))
-    at = 4
+    if order is not None:
+        yield from read_parameter_list(data[4:], order)
+
+
+def read_parameter_list(
+    data: bytes, order: Literal["big", "little"]
+) -> Iterator[tuple[int, bytes, Literal["big", "little"]]]:
+    """Yield what ``read_parameters`` does, of a list without an encapsulation, as inline QoS is.
+
+    Args:
+        data: from the first parameter on; what is behind the last one is not read.
+        order: its byte order.
+    """
+    at = 0
     for _ in range(MOST_PARAMETERS_READ):
-        if order is None or at + 4 > len(data):
+        if at + 4 > len(data):
             return
         number = int.from_bytes(data[at : at + 2], order)
         size = int.from_bytes(data[at + 2 : at + 4], order)
@@ -92,6 +107,14 @@ def read_parameters(data: bytes) -> Iterator[tuple[int, bytes, Literal["big", "l
             return
         yield number, data[at + 4 : at + 4 + size], order
         at += 4 + size
+
+
+def read_status(data: bytes, order: Literal["big", "little"]) -> str:
+    """Return what inline QoS says became of an instance; empty where it says nothing (9.6.4.9)."""
+    for number, value, _ in read_parameter_list(data, order):
+        if number & _MUST_UNDERSTAND == ParameterId.STATUS_INFO and len(value) >= 4:
+            return " and ".join(name for bit, name in STATUS_NAMES.items() if value[3] & bit)
+    return ""
 
 
 def read_announcement(data: bytes) -> Announcement | None:

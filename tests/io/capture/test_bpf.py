@@ -48,6 +48,8 @@ def run(program, packet, *, protocol=0, packet_type=0, interface=0, hardware_typ
                     a = load(k, 2)
                 case bpf.LD_B:
                     a = load(k, 1)
+                case bpf.LD_W_X:
+                    a = load(x + k, 4)
                 case bpf.LD_H_X:
                     a = load(x + k, 2)
                 case bpf.LD_B_X:
@@ -219,6 +221,25 @@ def test_what_is_kept(name):
 def test_what_is_dropped(name):
     assert not expect(bpf.ETHERNET, DROPPED[name], PORTS)
     assert run(bpf.port_filter(bpf.ETHERNET, PORTS), DROPPED[name]) == 0
+
+
+@pytest.mark.parametrize("link_type", [bpf.ETHERNET, bpf.RAW])
+def test_what_begins_so_is_kept_on_any_port(link_type):
+    program = bpf.port_filter(link_type, PORTS, streams=[80], begins=[b"RTPS"])
+    for internet, kind in ((ipv4, 0x0800), (ipv6, 0x86DD)):
+        for port, body, kept in (
+            (7, b"RTPS", True),
+            (7, b"RTPS and more", True),
+            (7, b"RTPX and more", False),
+            (7, b"RTP", False),
+            (7, b" RTPS", False),
+            (1234, b"", True),
+        ):
+            packet = internet(udp(9, port, body))
+            frame = ethernet(packet, kind) if link_type == bpf.ETHERNET else packet
+            assert run(program, frame) == (SNAP if kept else 0)
+        segment = internet(udp(9, 7, b"RTPS"), protocol=6) if kind == 0x0800 else ipv6(udp(9, 7, b"RTPS"), 6)
+        assert run(program, ethernet(segment, kind) if link_type == bpf.ETHERNET else segment) == 0
 
 
 def test_no_ports_is_every_datagram():

@@ -113,6 +113,16 @@ def ipv4(payload, port=1234):
 
 
 @pytest.mark.parametrize("interface", ["lo", "any"])
+def test_what_begins_so_is_seen_on_any_port(ring, pair, interface):
+    sender, port = pair
+    mark = f"R{port:x}"[:4].ljust(4, "_").encode()  # of this test alone: others send on loopback, too
+    source = ring(interface, [1], begins=[mark])
+    for body in (mark, b"RTP", b"other", mark + bytes(2000)):
+        sender.send(body)
+    assert payloads(take(source)) == [mark, mark + bytes(2000)]
+
+
+@pytest.mark.parametrize("interface", ["lo", "any"])
 def test_loopback_is_seen_once_with_its_time(ring, pair, interface):
     sender, port = pair
     source = ring(interface, [port])

@@ -133,6 +133,18 @@ def test_frames_of_a_kind_that_nobody_reads(capture, monkeypatch, pair):
 def test_the_filter_in_words():
     assert scapy_backend._expression([]) is None
     assert scapy_backend._expression([1234, 1235]).startswith("udp port 1234 or udp port 1235 or ")
+    assert " or udp[8:4] = 1381257299 or " in scapy_backend._expression([1234], (), [b"RTPS"])
+
+
+def test_what_begins_so_is_seen_on_any_port(capture, pair):
+    sender, port = pair
+    mark = f"R{port:x}"[:4].ljust(4, "_").encode()
+    source = capture("lo", [1], begins=[mark])
+    for body in (mark, b"RTP", b"other", mark + b"more"):
+        sender.send(body)
+    source.stop()
+    found = [batch[row].payload for batch in source.batches() for row in range(len(batch))]
+    assert found == [mark, mark + b"more"]
 
 
 def test_the_licence_is_said_and_scapy_is_lazy():

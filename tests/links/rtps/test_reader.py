@@ -23,7 +23,7 @@ from edoras_tools.mission import load
 from edoras_tools.model import Finding
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.rtps.headers import EVERY_RTPS_LAYOUT
-from edoras_tools.wire.rtps.parameters import Announcement
+from edoras_tools.wire.rtps.parameters import STATUS_NAMES, Announcement
 
 TYPES = TypeStore()
 FIELDS = {
@@ -39,6 +39,7 @@ FIELDS = {
     "rtps.data_frag.size": ["fragment_size"],
     "rtps.data_frag.sample_size": ["sample_size"],
     "rtps.heartbeat_frag.number": ["last_fragment_num"],
+    "rtps.param.status_info": ["status"],
 }
 """What tshark calls our fields; several are in wire order of their layer."""
 APART = {"rtps.bitmap.num_bits": "rtps_nack_frag"}
@@ -60,6 +61,8 @@ def read(batch, context=None):
 
 
 def told(values):
+    if isinstance(values, str):
+        return sum(bit for bit, name in STATUS_NAMES.items() if name in values.split(" and "))
     return int.from_bytes(values, "big") if isinstance(values, bytes) else values
 
 

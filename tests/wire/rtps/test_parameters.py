@@ -14,6 +14,7 @@ from edoras_tools.wire.rtps.parameters import (
     Announcement,
     read_announcement,
     read_parameters,
+    read_status,
 )
 
 
@@ -22,6 +23,18 @@ from edoras_tools.wire.rtps.parameters import (
 def test_a_writer_is_announced(order, reliable):
     raw = announcement("rt/cmd_vel", TWIST, reliable=reliable, order=order)
     assert read_announcement(raw) == Announcement(PREFIX + WRITER, "rt/cmd_vel", TWIST, reliable)
+
+
+@pytest.mark.parametrize(("order", "name"), [("<", "little"), (">", "big")])
+@pytest.mark.parametrize(
+    ("flags", "told"),
+    [(0, ""), (1, "disposed"), (2, "unregistered"), (3, "disposed and unregistered"), (4, "")],
+)
+def test_what_became_of_an_instance(order, name, flags, told):
+    status = parameter(0x71, bytes([0, 0, 0, flags]), order)
+    assert read_status(parameter(0x70, bytes(16), order) + status + parameter(1, b"", order), name) == told
+    assert read_status(parameter(1, b"", order) + status, name) == ""
+    assert read_status(status[:6], name) == ""
 
 
 def test_what_is_not_said_is_unknown():
