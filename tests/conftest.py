@@ -25,6 +25,10 @@ gc.set_threshold(200_000)
 for name in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "COLORFGBG", "ROS_DISTRO"):
     os.environ.pop(name, None)
 
+# Nor what they ignore, as a shell does for what runs in the background, and nohup.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
 # Each worker of a session has a network of its own, so that no test meets the traffic of another or takes its
 # port. Where that is not allowed, tests that must not run in the network of others fail, and say why.
 with contextlib.suppress(OSError):
