@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.decode.builds import LOOKED_AT, PLACES, Fitting, conversations
-from edoras_tools.links.table import among
+from edoras_tools.links.table import accepted
 from edoras_tools.model import NO_ROUTE, Endpoint
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
@@ -88,6 +88,7 @@ class Variants:
 
     def __init__(self, context: Context) -> None:
         self._context = context
+        self._packets = accepted(lambda item: item.packets)
         self._seek_headers = context.options.headers is None
         routes = context.mission.routes
         seek = context.options.envelope is None
@@ -104,7 +105,7 @@ class Variants:
 
     def look(self, batch: PacketBatch, link: NDArray[np.uint8]) -> None:
         """Look at a batch that is about to be decoded; ``link`` has a link a row."""
-        rows = np.flatnonzero(among(link, lambda item: item.packets))
+        rows = np.flatnonzero(self._packets[link])
         if not self._all_seen:
             kept = self._sound(batch, rows[:_MOST], link)
             self._kept = self._kept.and_(kept)

@@ -44,6 +44,8 @@ _SILENCE_S = 0.1
 """A frame that comes this long after the last one comes after a silence,"""
 _SOON_S = 0.005
 """and does not wait longer than this for others."""
+_FEW = 4 << 10
+"""Bytes of a read after which a batch begins with the next frame, not with the time: there are fewer so."""
 _DRAIN_S = 0.5
 """How long after ``stop`` the device may take to deliver what it holds,"""
 _DRAIN_TURNS = 500
@@ -304,24 +306,28 @@ class DeviceSource:
                 self._deadline = time.monotonic() + _DRAIN_S
                 poll.unregister(self._wake.fileno())
             taken = self._queued
+            device.count()  # before what is read wakes the consumer
             more = self._drain()
             if self._queued > taken:
                 came = time.monotonic()
-            device.count()
             failure = failure or device.failure()
             if self._deadline and (device.drained() or self._late()):
                 break
             if not more and (self._deadline or not failure):
                 silent = time.monotonic() - came > _SILENCE_S
+                few = self._queued - taken < _FEW and device.look_s > self.gather_s
                 # Where much may gather, more comes in the time of a batch, and is read then.
-                ready: object = not silent and device.linger_s > _SOON_S
+                ready: object = not silent and not few and device.linger_s > _SOON_S
                 if not ready or self._deadline:
                     ready = poll.poll(5 if self._deadline else 1000 * max(device.look_s, self.gather_s / 3))
                     silent = time.monotonic() - came > _SILENCE_S
-                left = min(device.linger_s, _SOON_S if silent else self._until_read_s())
+                longest_s = _SOON_S if silent else self.gather_s if few else self._until_read_s()
+                left = min(device.linger_s, longest_s)
                 if not self._deadline and (ready or not silent):
-                    while left > 0 and not pause.poll(1000 * min(left, _CHECK_S)) and not device.pressed():
+                    while left > 0 and not pause.poll(1000 * min(left, _CHECK_S)):
                         left -= _CHECK_S
+                        if left > 0 and device.pressed():
+                            break
         if failure:
             raise CaptureError(failure)
 

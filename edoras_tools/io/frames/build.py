@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW, FrameBatch
+from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW, FrameBatch, MadeFrames
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows
 
@@ -43,6 +43,8 @@ HEADER_BYTES: Final = 40 + _UDP_BYTES + 2
 _COLUMNS: Final = ("time_ns", "_offset", "_length", "_ends")
 """The arrays of a page with an element for each datagram."""
 _TIME_TO_LIVE: Final = 64
+_LARGEST: Final = 65535
+"""Bytes of a frame whose header can say how long it is."""
 _UDP: Final = 17
 _LEAST_ROWS: Final = 16
 _LEAST_BYTES: Final = 1 << 12
@@ -153,15 +155,17 @@ class FramePage:
                 data, version, *((offset, length, ends) if one else (offset[of], length[of], ends[of]))
             )
         whole = length + _HEADER_BYTES[ends["version"]].astype(np.int32)
-        return FrameBatch(
-            data=data,
-            number=np.arange(number, number + len(offset), dtype=np.int64),
-            time_ns=self.time_ns[chosen],
-            link_type=np.full(len(offset), LINKTYPE_RAW, np.uint16),
-            offset=offset,
-            length=whole,
-            original_length=whole,
+        columns = (
+            data,
+            np.arange(number, number + len(offset), dtype=np.int64),
+            self.time_ns[chosen],
+            np.full(len(offset), LINKTYPE_RAW, np.uint16),
+            offset,
+            whole,
+            whole,
         )
+        readable = len(offset) and int(whole.max()) <= _LARGEST and (ends["version"] == 4).all()
+        return MadeFrames(*columns, ends) if readable else FrameBatch(*columns)
 
     def _reserve(self, rows: int, size: int) -> None:
         """Make space for this total number of rows and bytes."""

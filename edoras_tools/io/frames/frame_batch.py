@@ -44,6 +44,17 @@ class FrameBatch:
         return len(self.time_ns)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MadeFrames(FrameBatch):
+    """Raw IPv4 frames that were made of datagrams: what their headers say need not be read out of them again.
+
+    Attributes:
+        ends: of each datagram, ``io.frames.build.ENDS``.
+    """
+
+    ends: NDArray[np.void]
+
+
 def joined_frames(parts: Sequence[FrameBatch]) -> FrameBatch:
     """Join batches, at least one, in one padded buffer."""
     sizes = np.array([0, *(len(part.data) for part in parts)])

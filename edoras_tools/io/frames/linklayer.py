@@ -28,6 +28,7 @@ from edoras_tools.io.frames.fragments import Fragment, Reassembler
 from edoras_tools.io.frames.frame_batch import (
     LINKTYPE_RAW,
     FrameBatch,
+    MadeFrames,
     frames_at,
     joined_frames,
     packed_frames,
@@ -69,6 +70,8 @@ _FAMILY_VERSION = {2: 4, 10: 6, 24: 6, 28: 6, 30: 6}
 
 
 _TCP_BYTES = 20
+_MADE_BYTES = 20 + UDP_BYTES
+"""Headers of frames that are made."""
 _PORTS = np.dtype([("source_port", ">u2"), ("destination_port", ">u2")])
 _WAITING_BYTES = 16 << 20
 """Bytes of TCP segments that wait for others at most."""
@@ -151,6 +154,8 @@ class Demux:
 
         Messages of TCP streams that are complete with these frames have a row each.
         """
+        if isinstance(frames, MadeFrames):
+            return _made(frames)
         data, end = frames.data, frames.offset + frames.length
         if len(frames) and int(end.max()) + PADDING > data.size:
             data = np.concatenate((data, np.zeros(PADDING, dtype=np.uint8)))
@@ -331,6 +336,31 @@ class Demux:
             used += size - UDP_BYTES
         data.append(np.zeros(PADDING, dtype=np.uint8))
         return replace(batch, data=np.concatenate(data))
+
+
+def _made(frames: MadeFrames) -> PacketBatch:
+    """Return the datagrams that frames were made of."""
+    ends, count = frames.ends, len(frames)
+    source, destination = (
+        ends[name][:, :4].copy().view(">u4")[:, 0].astype(np.uint32) for name in ("source", "destination")
+    )
+    return PacketBatch(
+        data=frames.data,
+        number=frames.number,
+        time_ns=frames.time_ns,
+        link_type=frames.link_type,
+        frame_offset=frames.offset,
+        frame_length=frames.length,
+        original_length=frames.original_length,
+        offset=frames.offset + _MADE_BYTES,
+        length=frames.length - np.int32(_MADE_BYTES),
+        source_address=source,
+        source_port=ends["source_port"].copy(),
+        destination_address=destination,
+        destination_port=ends["destination_port"].copy(),
+        ip_version=np.full(count, 4, np.uint8),
+        capture_findings=np.zeros(count, np.uint32),
+    )
 
 
 def _tcp(

@@ -76,6 +76,7 @@ class Sockets:
         self._page = FramePage()
         self._number = 1
         self._smallest = 1 << 62
+        self._emptied = False
         try:
             self.endpoints = tuple(self._bind(endpoint, receive_buffer) for endpoint in endpoints)
         except CaptureError:
@@ -101,15 +102,21 @@ class Sockets:
     def read(self) -> FrameBatch | None:
         """Return the datagrams that have arrived, about a MiB at most, in order of time; None if none.
 
+        It is also None once after a read that has found all.
         Datagrams that came to one socket after another one had been read are kept for the next read;
         otherwise times could go back between two reads.
         """
+        if self._emptied:
+            self._emptied = False
+            return None
         page = self._page
         while True:
             kept, used = page.rows, page.used
             now_ns = whole_ns = time.time_ns()  # later datagrams have later times
+            emptied = True
             for bound in self._bound:
                 if not self._drain(bound, page):
+                    emptied = False
                     whole_ns = min(whole_ns, int(page.time_ns[page.rows - 1]))
             fresh = page.rows > kept
             if fresh:
@@ -129,6 +136,7 @@ class Sockets:
         frames = page.frames(self._number, order[:count])
         self._number += count
         self._page = page.part(order[count:])
+        self._emptied = emptied and count == len(order)
         return frames
 
     def _drain(self, bound: _Bound, page: FramePage) -> bool:
@@ -166,6 +174,7 @@ class Sockets:
 
     def refuse(self) -> None:
         """Receive nothing from now on: each socket is connected to itself, so no other sender is accepted."""
+        self._emptied = False
         for bound in self._bound:
             with contextlib.suppress(OSError):
                 bound.socket.connect(bound.socket.getsockname())

@@ -171,10 +171,11 @@ def test_frames_gather_until_many_wait_or_the_end(source_of, later, ends):
     assert len(got) > (1 if ends else 60)
 
 
-def test_the_device_is_read_before_a_batch_is_due(source_of):
+@pytest.mark.parametrize("look_s", [0.1, 3600.0], ids=["looked at", "tells of each frame"])
+def test_the_device_is_read_before_a_batch_is_due(look_s, source_of):
     """What is read in time is in that batch: it does not wait for the one after."""
     device = Fake(frames(b"first", 1))
-    device.linger_s = 3600.0
+    device.linger_s, device.look_s = 3600.0, look_s
     source = source_of(device)
     source.gather_s = 0.2
     batches = source.batches()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ipaddress
 import struct
+from dataclasses import fields
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.io.frames.build import ENDS, FramePage, ends_of, frames_of
-from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
+from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW, frames_at
 from edoras_tools.io.frames.linklayer import demux
 from edoras_tools.model import Endpoint
 from edoras_tools.wire.arrays.window import PADDING
@@ -49,6 +50,11 @@ def check(version, datagrams):
     frames = build(version, datagrams)
     batch = demux(frames)
     assert len(batch) == len(datagrams)
+    parsed = demux(frames_at(frames, np.arange(len(frames))))  # that they were made is not known any more
+    for item in fields(batch):
+        made, read = getattr(batch, item.name), getattr(parsed, item.name)
+        assert np.array_equal(made, read)
+        assert getattr(made, "dtype", None) == getattr(read, "dtype", None)
     for row, (source, source_port, destination, port, payload) in enumerate(datagrams):
         datagram = batch[row]
         assert datagram.payload == payload

@@ -104,17 +104,23 @@ class ChunkPress:
             return
         raw = self._buffer[: self.used].data
         messages = self._index.divide(self.used, CHUNK_BYTES)
-        segments = np.stack([messages.edges[:-1], np.diff(messages.edges)], axis=1).astype(np.uint64)
+        chunks = pack_chunks(raw, self._packed(raw, messages.edges), messages)
+        self.used, self._index = 0, MessageIndex()
+        if len(self._buffer) != _BUFFER_BYTES:
+            self._buffer = _blank()
+        yield chunks
+
+    def _packed(self, raw: memoryview, edges: NDArray[np.int64]) -> list[memoryview]:
+        """Return chunks of a buffer compressed; one alone is the same either way, and sooner done."""
+        if len(raw) <= CHUNK_BYTES:
+            return [memoryview(self._compressor.compress(raw))]
+        segments = np.stack([edges[:-1], np.diff(edges)], axis=1).astype(np.uint64)
         np.empty(self.used + _ENOUGH, np.uint8)  # asked for, and given back at once
         packed = self._compressor.multi_compress_to_buffer(
             zstandard.BufferWithSegments(raw, segments.tobytes())
         )
         each: list[Any] = [packed[place] for place in range(len(packed))]
-        chunks = pack_chunks(raw, [memoryview(item) for item in each], messages)
-        self.used, self._index = 0, MessageIndex()
-        if len(self._buffer) != _BUFFER_BYTES:
-            self._buffer = _blank()
-        yield chunks
+        return [memoryview(item) for item in each]
 
 
 class ChunkWriter:

@@ -135,7 +135,9 @@ def _edges(positions: NDArray[np.int64], base: NDArray[np.int64], size: int, lim
         size: bytes of the buffer in use.
         limit: size of a chunk.
     """
-    count = max(-(-size // limit), 1)
+    if size <= limit:
+        return np.array([0, size])
+    count = -(-size // limit)
     wanted = np.arange(1, count) * size // count
     last = np.searchsorted(positions, base + wanted, side="right") - 1
     # If a channel has no message that early, the one found is of another channel, or there is none.
