@@ -58,7 +58,6 @@ class NamedCommand:
         """Return the bytes that follow the header, little-endian.
 
         Args:
-            text: the argument.
             limit: how many messages may wait, where it takes that.
 
         Raises:

@@ -30,7 +30,6 @@ def page(command: Any, ctx: Any) -> str:
 
     Args:
         command: click's object.
-        ctx: its context.
     """
     return "".join(f"{line}\n" for line in _lines(command, ctx))
 

@@ -87,7 +87,6 @@ class SettingsFile:
         """Return the values for a command, with keys and values as click's ``default_map`` has them.
 
         Args:
-            command: its name.
             options: the names of its options, and whether they take several values.
 
         Raises:

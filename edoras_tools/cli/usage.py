@@ -39,7 +39,6 @@ def command_help(command: Any, ctx: Any, *, everything: bool = False) -> str:
 
     Args:
         command: click's object.
-        ctx: its context.
         everything: show all options in full.
     """
     terminal = look(sys.stdout)
@@ -162,7 +161,6 @@ def _command_lines(groups: Mapping[str, list[Entry]], width: int, *, brief: bool
 
     Args:
         groups: of commands, by heading.
-        width: of the lines.
         brief: explain only the first of each group, and name the others.
     """
     first = max(map(len, groups)) + 1

@@ -17,9 +17,6 @@ _MSGIDS: Final = "fsw/inc/edoras_gen_msgids.h"
 def generator_app(msg_id: int) -> dict[str, str]:
     """Return the text of each file of the app by its name.
 
-    Args:
-        msg_id: of its command.
-
     Raises:
         ConfigError: the MsgId is none of a command.
     """

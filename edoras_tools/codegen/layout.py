@@ -24,7 +24,6 @@ def banner(command: str, about: str = "", messages: Sequence[Message] = ()) -> s
 
     Args:
         command: what makes the file again.
-        about: what is in it.
         messages: what it was made from.
     """
     lines = [f"{MARK} (edoras-tools {__version__}). Do not edit it; make it again:", "", f"    {command}"]

@@ -159,9 +159,6 @@ class CLibrary:
 def plan_messages(types: TypeStore, wanted: Iterable[str], bounds: Bounds) -> CLibrary:
     """Plan the messages for some types, and for all that they nest.
 
-    Args:
-        wanted: type names in full.
-
     Raises:
         RouteError: a type is not known.
         ConfigError: a definition holds mistakes, a bound does not fit it, or packages use each other.

@@ -18,7 +18,6 @@ def summary(made: Generated, folder: Path, removed: Sequence[str]) -> list[str]:
     """Return the lines: a type each, then the files.
 
     Args:
-        folder: where its files are.
         removed: files of an earlier library that were deleted.
     """
     rows = [

@@ -148,7 +148,6 @@ class ColumnDecoder:
         """Learn what a batch announces that is not decoded here.
 
         Args:
-            batch: the datagrams.
             columns: of the same rows, where another process has decoded them.
         """
         for link in self.context.by_magic:

@@ -111,7 +111,6 @@ class LeftSamples:
         """Take a batch.
 
         Args:
-            batch: the datagrams.
             rows: those that hold RTPS.
             endpoints: what was announced so far.
         """

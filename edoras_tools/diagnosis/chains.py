@@ -131,7 +131,6 @@ def chains(
     software bus did not refuse altogether.
 
     Args:
-        rows: the balance.
         topics: of the mission, by index of the route.
         bridges: what bags counted, by label of the link and MsgId.
     """

@@ -38,10 +38,7 @@ def loss_verdict(
     """Return a rule's verdict on a loss, an error.
 
     Args:
-        rule: id of the rule.
-        reason: the sentence.
         link: label of the link that it concerns.
-        remedy: what to change.
         evidence: what was seen, in place of the loss' own lines.
     """
     return Verdict(

@@ -76,7 +76,6 @@ class Simulation:
         Args:
             scenario: ``rover`` and ``arm`` have the robot behind the application, the others have two on SBN.
             start_ns: what the clock shows at start, ns since 1970.
-            bridges: emulate the bridges too.
             command_rate_hz: commands per second and robot.
             command_count: commands per robot; None for no end.
             state_rate_hz: robot states per second and robot on the SBN link.

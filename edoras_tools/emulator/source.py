@@ -56,7 +56,6 @@ class SimulatedSource(_SimulationSource):
 
     Args:
         simulation: what to run, from where it stands.
-        duration_ns: how long.
     """
 
     def __init__(self, simulation: Simulation, duration_ns: int) -> None:

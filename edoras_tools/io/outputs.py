@@ -124,7 +124,6 @@ def write_bytes(path: Path, data: bytes, *, folders: bool = False) -> None:
 
     Args:
         path: the file; an existing one is replaced when the new one is complete.
-        data: its contents.
         folders: create missing folders on its path.
 
     Raises:
@@ -144,7 +143,6 @@ def to_write(files: Mapping[Path, bytes], *, force: bool) -> list[Path]:
     """Return which files have to be written: all but those that are there with the same contents.
 
     Args:
-        files: their contents.
         force: what is there may be replaced.
 
     Raises:
@@ -212,7 +210,6 @@ def check_new(path: Path, inputs: Iterable[Path] = (), *, force: bool) -> None:
     """Refuse to write a file over an input, or over what exists.
 
     Args:
-        inputs: what is read.
         force: what exists may be replaced, if it is no input.
 
     Raises:

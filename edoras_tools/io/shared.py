@@ -43,8 +43,6 @@ def pickled(
     """Pickle a value, with its arrays in shared memory.
 
     Args:
-        value: what is pickled.
-        memory: the shared memory.
         at: where in it there is room for arrays.
         lent: tells where an array is if it is already there.
         size: how much room, in bytes.

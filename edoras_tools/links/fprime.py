@@ -28,11 +28,7 @@ _VERDICTS: Final = {
 
 
 class GroundDataFraming(Framing):
-    """Frames that follow each other in a TCP stream, and what keeps it alive between them.
-
-    Args:
-        tm_bytes: of a TM frame.
-    """
+    """Frames that follow each other in a TCP stream, and what keeps it alive between them."""
 
     head = fprime.STREAM_HEAD
 

@@ -43,7 +43,6 @@ def open_graph(
     """Serve a graph.
 
     Args:
-        node: name of the server.
         domain: not looked at.
         options: ``host``, ``port``, ``origins`` with commas between, and ``token``.
 
@@ -64,7 +63,6 @@ class FoxgloveGraph:
     """A Foxglove server as a node's graph.
 
     Args:
-        node: name of the server.
         listen: address and port; port 0 is the system's choice.
         origins: of further web pages that may connect; see ``OriginCheck``.
         token: what who connects has to give; empty: nobody is asked.

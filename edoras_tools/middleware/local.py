@@ -60,7 +60,6 @@ def open_graph(
     """Join the graph of this process.
 
     Args:
-        node: name.
         domain: nodes of other domains are not heard.
         options: there are none.
 

@@ -21,7 +21,6 @@ def check_name(name: str, what: str) -> str:
     """Return a fully qualified ROS name.
 
     Args:
-        name: as given.
         what: what an error calls it, ``topic`` or ``node``.
 
     Raises:
@@ -56,9 +55,8 @@ def unknown_options(ros: str, options: Iterable[str], known: Sequence[str]) -> l
     """Return a line for each option that a middleware does not have.
 
     Args:
-        ros: name of the middleware.
         options: names of those given.
-        known: and of those that there are.
+        known: names of those that there are.
     """
     there = f"there are {', '.join(known)}" if known else "leave it out"
     return [f"--ros {ros} has no option {name!r}; {there}" for name in options if name not in known]

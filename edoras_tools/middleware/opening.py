@@ -58,7 +58,6 @@ def open_graph(
 
     Args:
         ros: one of ``MIDDLEWARES``.
-        node: name of the node.
         domain: ROS 2 domain.
         options: of the middleware, by name.
 

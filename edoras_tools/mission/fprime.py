@@ -94,7 +94,6 @@ class Entry:
         """Return the text of an event.
 
         Args:
-            values: its arguments.
             words: the same as text, enumerations by name.
         """
         if not self.format:

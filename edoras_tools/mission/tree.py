@@ -126,7 +126,6 @@ def parse_document(content: bytes, report: Mistakes, form: str, one: str) -> Tre
     """Return the only document of a YAML file; None if it has none. What is wrong goes to the report.
 
     Args:
-        content: the file.
         form: what such a file contains, in a clause.
         one: that it is one document, in a clause.
     """

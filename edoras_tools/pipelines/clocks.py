@@ -119,7 +119,6 @@ def open_aligned(
     A capture that has nothing in common with the first is aligned to another one that is already aligned.
 
     Args:
-        paths: the captures.
         progress: shows the progress of reading the clocks and comparing them.
 
     Raises:

@@ -131,13 +131,7 @@ class Period:
 
 
 def outside(name: str, begin_ns: int, end_ns: int) -> CaptureError:
-    """Return the error that a capture has no datagram in the chosen time.
-
-    Args:
-        name: of the capture.
-        begin_ns: its first datagram.
-        end_ns: its last datagram.
-    """
+    """Return the error that a capture has no datagram in the chosen time."""
     lasts = f"its times go from 0 to {(end_ns - begin_ns) / SECOND:.3f} s, and 0 is {_began(begin_ns)}"
     return CaptureError(f"{name}: nothing between --start and --end; {lasts}")
 

@@ -18,7 +18,6 @@ def listing(items: Sequence[Listed], bound: dict[str, str]) -> Iterator[str]:
     """Yield one line for each struct, first those that begin with a cFE header or are bound to a packet.
 
     Args:
-        items: the structs.
         bound: the packets that some lie in, by name.
     """
     width = max([6, *(len(item.name) for item in items)])

@@ -22,12 +22,7 @@ _REACH: Final = 1000.0
 
 
 def arbitrary(types: TypeStore, type_name: str, dice: Random) -> dict[str, Any]:
-    """Return values for every field of a type, as ``TypeStore.encode`` takes them.
-
-    Args:
-        type_name: of the message.
-        dice: the random generator.
-    """
+    """Return values for every field of a type, as ``TypeStore.encode`` takes them."""
     return {field.name: _values(types, field, dice) for field in types.fields(type_name)}
 
 

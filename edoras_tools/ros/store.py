@@ -111,7 +111,6 @@ class TypeStore:
         equal the list of their numbers.
 
         Args:
-            type_name: what the message is.
             cdr: encapsulation and body, either byte order.
 
         Raises:
@@ -163,7 +162,6 @@ class TypeStore:
         """Tell which of many messages ``decode`` accepts.
 
         Args:
-            type_name: what the messages are.
             data: u8, the buffer that holds them.
             offset: i64, first byte of each message, encapsulation included; any value is safe.
             length: i32, bytes of each message; any value is safe.

@@ -81,10 +81,6 @@ def read_layout(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
 def parse_layout(data: bytes, name: str) -> StructLayout:
     """Read a layout from memory.
 
-    Args:
-        data: YAML or JSON.
-        name: its name in messages.
-
     Raises:
         ConfigError: it holds mistakes: all of them, a line each.
     """

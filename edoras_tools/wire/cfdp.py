@@ -283,7 +283,6 @@ def parameters(kind: int, large: int, data: bytes) -> dict[str, Any]:
 
     Args:
         kind: a ``Directive``.
-        large: the large-file flag.
         data: from the first parameter to the end of the PDU.
 
     Returns:

@@ -288,7 +288,6 @@ def frame_lengths(
     Args:
         data: u8, contiguous.
         at: i64 (n,), positions.
-        tm_bytes: of a TM frame.
 
     Returns:
         whether a frame may start, or a ``KEEP_ALIVE``; its bytes, which mean nothing before ``STREAM_HEAD``

@@ -184,7 +184,6 @@ class Layout:
         """Read one numeric field of many headers.
 
         Args:
-            name: the field.
             window: u8 (n, w), a row a header.
             at: where in a row the header starts; its bytes must be inside the row.
 

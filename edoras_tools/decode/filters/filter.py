@@ -43,7 +43,6 @@ class Where:
     """A compiled filter.
 
     Args:
-        text: the expression.
         context: what packets are decoded with; gives names their fields.
         begin_ns: the zero of ``time``; None: the first datagram of the first batch.
 

@@ -27,7 +27,6 @@ class PacketRows:
 
     Args:
         begin_ns: time of the capture's first datagram.
-        packets: the packets.
     """
 
     def __init__(self, context: Context, begin_ns: int, packets: Sequence[Decoded] = ()) -> None:

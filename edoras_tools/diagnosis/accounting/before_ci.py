@@ -27,7 +27,6 @@ class BeforeCi:
 
     Args:
         fates: what became of messages, as far as it is told.
-        losses: takes what is lost.
     """
 
     def __init__(self, known: Known, fates: Sequence[Fate], losses: list[Loss]) -> None:

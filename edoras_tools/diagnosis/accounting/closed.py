@@ -112,7 +112,6 @@ def silences(sent_ns: NDArray[np.int64], enabled_ns: Sequence[int], wake_ns: int
     Args:
         sent_ns: when it sent, in order.
         enabled_ns: when commands were sent that enable it.
-        wake_ns: its wake-up.
     """
     found = []
     for at in np.flatnonzero(np.diff(sent_ns) > _SILENT_WAKES * wake_ns).tolist():

@@ -150,9 +150,7 @@ def loss_of(
     """Return the loss of some messages of a stream.
 
     Args:
-        kind: why they were lost.
         rows: which, as indices into the stream's rows.
-        evidence: what was seen.
         hop: where; by default where that kind of loss is.
         among: which they may be as well; by default it is sure which they are.
     """

@@ -78,7 +78,6 @@ class Pipes:
 
     Args:
         counts: of each instance, less what was told of them.
-        losses: takes what is lost.
     """
 
     def __init__(self, known: Known, counts: Mapping[int, Counts], losses: list[Loss]) -> None:
@@ -192,8 +191,6 @@ class Pipes:
         """Add to the loss at a pipe of a span of a stream.
 
         Args:
-            kind: why.
-            number: how many.
             instance: the cFS that counted them.
             among: which they are, or are some of.
         """

@@ -34,7 +34,6 @@ def of_values(
     A type without numbers goes by its strings. Messages that do not decode have none.
 
     Args:
-        type_name: of all the messages.
         data: u8, the buffer that holds them.
         offset: i64, first byte of each CDR, encapsulation included.
         length: i32, bytes of each CDR.

@@ -65,7 +65,6 @@ class Instances:
     """The instances of a capture.
 
     Args:
-        events: what applications said.
         endpoints: what ``source`` and ``destination`` of the rows index.
 
     Attributes:
@@ -216,7 +215,6 @@ class Instances:
 
         Args:
             name: spacecraft and processor, as ``66:1``.
-            time_ns: when.
             source: the endpoint that speaks for it: of two of one name, the one of its address is meant.
         """
         fits = [index for index, item in enumerate(self.items) if item.name == name]

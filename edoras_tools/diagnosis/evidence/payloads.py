@@ -229,7 +229,6 @@ class Payloads:
 
         Args:
             kept: the rows that are kept, as they shall stand; -1 for one whose payload is not believed.
-            count: rows there were.
         """
         place = np.full(count + 1, -1, np.int64)
         place[kept] = np.arange(len(kept))

@@ -196,7 +196,6 @@ def compare_messages(
 
     Args:
         first: one record; its rows without a MsgId only tell how long it is. ``packet_print`` are messages.
-        second: the other.
         topics: by link and MsgId the topic of each message.
         ways: of each of these, whether it goes from the second record to the first; by default it comes from
             the record that has more of it, or of equally many has it earlier.

@@ -132,7 +132,6 @@ class SoftwareBus:
         """Route a MsgId to a pipe; a second time is only counted.
 
         Args:
-            wanted: MsgId.
             limit: packets of it that may wait; the profile's ``app_msg_limit`` by default.
             local: do not report it to SBN, whose own subscriptions on behalf of peers are such.
         """

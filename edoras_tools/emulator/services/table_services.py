@@ -35,7 +35,6 @@ class TableServices:
 
         Args:
             function_code: one of ``facts.LENGTHS``.
-            payload: behind the command header.
         """
         name = payload[2 * (function_code == facts.VALIDATE) :].split(b"\0")[0].decode("ascii", "replace")
         table = facts.TABLE_OF.get(name, "") if function_code == facts.LOAD else name

@@ -104,7 +104,6 @@ class DeviceSource:
         device: is closed by ``close``.
         ready: called once, when ``batches`` starts or its interface is there for the first time.
         told: called by ``batches`` for every interface that goes away, and again when it is back.
-        idle_s: see the attribute.
         queue_bytes: maximum bytes that wait for a slow consumer.
 
     Attributes:

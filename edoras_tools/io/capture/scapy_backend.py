@@ -52,7 +52,6 @@ class Sniffer:
     """A scapy listening socket on one interface.
 
     Args:
-        interface: its name.
         expression: the kernel's filter, if scapy can compile it; None for none.
         snap_length: bytes of a frame to keep.
 
@@ -160,7 +159,6 @@ class ScapySource(DeviceSource):
     """Datagrams from an interface, captured through scapy.
 
     Args:
-        interface: its name.
         ports: UDP ports to capture, source or destination; if empty, every UDP datagram.
         streams: TCP ports to capture; if empty, none.
         begins: see ``port_filter``.

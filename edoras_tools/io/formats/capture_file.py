@@ -57,7 +57,6 @@ class CaptureFileSink:
 
         Args:
             batch: its frames are written in order.
-            columns: not used.
 
         Raises:
             CaptureError: the file cannot be written, or its format cannot hold a frame.

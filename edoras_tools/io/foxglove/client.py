@@ -86,7 +86,6 @@ class FoxgloveClient:
 
     Args:
         address: where it connects from.
-        publishes: whether it may publish.
         controls: whether it may control playback.
 
     Attributes:

@@ -218,7 +218,6 @@ def server_info(
     Args:
         name: of the server, shown by clients.
         session: clients that reconnect keep their state if it is the same.
-        publish: whether clients may publish.
         range_ns: start and end of the recording that is played, ns since 1970; None: the traffic is live.
     """
     info: dict[str, Any] = {"op": "serverInfo", "name": name, "capabilities": ["time"], "sessionId": session}
@@ -237,7 +236,6 @@ def channel(place: int, topic: Topic, definition: str) -> dict[str, Any]:
     """Return the description of a topic: its number, and its schema.
 
     Args:
-        place: its number.
         definition: the complete ``ros2msg`` text of its type, where the topic has no schema of its own.
     """
     encoding, schema = topic.schema or ("ros2msg", definition.encode())

@@ -37,7 +37,6 @@ class Publisher:
         """Allow clients to publish a topic.
 
         Args:
-            topic: its name.
             type_name: its type, known to ``types``.
             send: sends a message as CDR, on the server's thread; returns why it was refused, or None.
         """

@@ -113,7 +113,6 @@ def ipv4(
         network: i64, start of each header; the buffer has at least 28 bytes from there.
         end: i64, one past each frame's last captured byte.
         header: structured, with the fields of ``IPV4_HEADER``, if they were already read.
-        protocol: which packets are kept.
     """
     if header is None:
         header = read_at(data, network, IPV4_HEADER)
@@ -156,7 +155,6 @@ def ipv6(
         data: u8, the buffer.
         network: i64, start of each header; the buffer has at least 40 bytes from there.
         end: i64, one past each frame's last captured byte.
-        protocol: which packets are kept.
     """
     header = read_at(data, network, _IPV6)
     position = network + 40

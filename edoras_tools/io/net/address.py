@@ -68,7 +68,6 @@ def parse_endpoint(text: str, option: str = "") -> Endpoint:
     """Read ``HOST:PORT``, ``[IPV6]:PORT``, or ``PORT`` alone for this machine's loopback.
 
     Args:
-        text: the endpoint.
         option: the option that it was given with, for messages that nobody else begins with it.
 
     Raises:

@@ -119,7 +119,6 @@ class DatagramBuffer:
         """Send slots in order.
 
         Args:
-            opened: the socket.
             slots: the number of slots from 0 on, or slot numbers.
             to: the receiver; None for a connected socket.
         """

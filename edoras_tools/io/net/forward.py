@@ -106,7 +106,6 @@ class Outlet:
 
 
     Args:
-        opened: the socket.
         to: the receiver; None if the socket is connected.
         queue_bytes: maximum size of the queue.
     """

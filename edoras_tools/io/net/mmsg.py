@@ -155,7 +155,6 @@ class SendMany:
         """Send datagrams in order.
 
         Args:
-            opened: the socket.
             base: u64, memory address of each datagram.
             length: bytes of each.
             to: the receiver; None for a connected socket.

@@ -45,7 +45,6 @@ def send_one(opened: socket.socket, payload: bytes | memoryview, to: Address | N
     """Send one datagram; on a non-blocking socket, without waiting.
 
     Args:
-        opened: the socket.
         payload: the bytes to send.
         to: the receiver; None for a connected socket.
     """

@@ -81,7 +81,6 @@ def software_bus_messages(
     """Return one ``edoras_msgs/msg/SoftwareBusHousekeeping`` for every complete 0x0803 packet.
 
     Args:
-        channel_id: MCAP channel.
         published: i64, publish time, ns since 1970.
     """
     rows, payload = _telemetry(batch, columns, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, _HOUSEKEEPING)
@@ -112,7 +111,6 @@ def event_messages(
     ``line`` the EventID, ``file`` empty.
 
     Args:
-        channel_id: MCAP channel.
         published: i64, publish time, ns since 1970.
     """
     rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, _EVENT)
@@ -134,9 +132,6 @@ def reset_messages(batch: PacketBatch, columns: Columns, channel_id: int) -> Mes
 
     ``name`` is ``CFE_ES``, ``msg`` the description, ``function`` ``0/0`` and ``line`` 0: an entry names no
     sender and no event. How bad it is it does not say either, so the level is WARN.
-
-    Args:
-        channel_id: MCAP channel.
     """
     rows = np.flatnonzero(columns.link == RESETS)
     entries = read_at(batch.data, batch.offset[rows], _RESET)
@@ -161,7 +156,6 @@ def outage_messages(outages: Sequence[InterfaceOutage], channel_id: int) -> Mess
 
     Args:
         outages: those that started, and those that ended.
-        channel_id: MCAP channel.
     """
     payload = np.zeros(len(outages), dtype=_EVENT)
     for row, outage in zip(payload, outages, strict=True):

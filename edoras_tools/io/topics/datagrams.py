@@ -65,11 +65,7 @@ _ADDRESS_BYTES = 16
 
 
 class DatagramWriter:
-    """Makes one ``edoras_msgs/msg/Datagram`` for every row.
-
-    Args:
-        channel_id: MCAP channel.
-    """
+    """Makes one ``edoras_msgs/msg/Datagram`` for every row."""
 
     def __init__(self, channel_id: int) -> None:
         self._channel_id = channel_id
@@ -155,9 +151,6 @@ def without_trailing(
     """Return the columns with CDR lengths that end at the message's last field.
 
     C++ and JavaScript readers ignore the bytes after it; rosbags refuses more than 3.
-
-    Args:
-        routes: of the mission.
     """
     rows = np.flatnonzero((columns.route >= 0) & (columns.findings & np.uint32(_LONGER) != 0))
     if not len(rows):

@@ -27,7 +27,6 @@ def fault_messages(faults: Sequence[Fault], channel_id: int) -> Messages:
 
     Args:
         faults: with times in ns since 1970.
-        channel_id: MCAP channel.
     """
     return bodies_of([_body(fault) for fault in faults], [fault.time_ns for fault in faults], channel_id)
 

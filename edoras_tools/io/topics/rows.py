@@ -75,7 +75,6 @@ def fill_record(
 
     Args:
         heads: structured, starts with ``RECORD``.
-        channel_id: MCAP channel.
         length: bytes of message data that follow the head.
         sequence: u32.
         log_time: ns since 1970.
@@ -95,7 +94,6 @@ def bodies_of(bodies: Sequence[bytes], times_ns: Sequence[int], channel_id: int)
     Args:
         bodies: CDR, little-endian, without the encapsulation.
         times_ns: of each, ns since 1970.
-        channel_id: MCAP channel.
     """
     length = np.array([len(body) for body in bodies], dtype=np.int64)
     heads = np.zeros(len(bodies), dtype=_WHOLE)
@@ -116,7 +114,6 @@ def no_messages(channel_id: int, head: np.dtype[np.void]) -> Messages:
     """Return no message of a kind, as most small batches have of most kinds.
 
     Args:
-        channel_id: MCAP channel.
         head: the record that each would begin with.
     """
     heads = np.zeros(0, head)
@@ -148,12 +145,7 @@ class Records:
 
 
 def lay_out(streams: Sequence[Messages], rows: int) -> Records:
-    """Put messages of a batch one after the other, row by row, and within a row in the order of ``streams``.
-
-    Args:
-        streams: the messages.
-        rows: rows of the batch.
-    """
+    """Put messages of a batch one after the other: row by row, within a row in the order of ``streams``."""
     streams = [stream for stream in streams if len(stream)]
     total = np.zeros(rows, dtype=np.int64)
     within = [within_rows(stream, total) for stream in streams]

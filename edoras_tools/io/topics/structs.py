@@ -30,7 +30,6 @@ def struct_messages(
     """Yield the messages of every struct in a batch.
 
     Args:
-        channel_ids: MCAP channels by topic.
         published: i64, publish time, ns since 1970.
     """
 

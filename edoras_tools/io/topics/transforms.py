@@ -58,11 +58,7 @@ class Transforms:
         return bool(self.frames) and bool(np.isin(columns.route, list(self.frames)).any())
 
     def messages(self, batch: PacketBatch, columns: Columns, channel_id: int) -> Iterator[Messages]:
-        """Yield the transforms of a batch, for each route and frame; poses without a frame have none.
-
-        Args:
-            channel_id: MCAP channel.
-        """
+        """Yield the transforms of a batch, for each route and frame; poses without a frame have none."""
         for place, child in self.frames.items():
             rows = np.flatnonzero((columns.route == place) & (columns.cdr_length > 0))
             if not len(rows):

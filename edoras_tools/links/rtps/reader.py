@@ -120,7 +120,6 @@ def rows_on(
     """Return those of some rows that have a whole sample, of a topic that was announced before.
 
     Args:
-        batch: the datagrams.
         rows: those that hold RTPS.
         endpoints: what was announced so far.
         holds: tells of the ROS name of a topic whether it is meant.

@@ -20,7 +20,6 @@ def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]
     """Write every table of an index; a folder is complete, or not there.
 
     Args:
-        index: open.
         folder: where; new, or empty.
         force: replace an earlier export.
 

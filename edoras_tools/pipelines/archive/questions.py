@@ -66,7 +66,6 @@ def list_losses(
     """Return what was lost or is unaccounted for, by capture and route, the oldest capture first.
 
     Args:
-        index: open.
         topics: patterns of topics, names or MsgIds; all if empty.
         over: only where more than this share of what was sent is missing.
     """

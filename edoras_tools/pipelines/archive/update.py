@@ -218,7 +218,6 @@ class _Run:
 
     Args:
         index: open for writing.
-        client: of the cluster.
         report: filled while it runs.
         known: captures that the index has rows of.
         told: called with lines for the user.

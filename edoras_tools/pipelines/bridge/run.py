@@ -36,9 +36,7 @@ class Bridges:
     """All bridges of one process.
 
     Args:
-        ros: the middleware.
         domain: ROS 2 domain.
-        options: of the middleware.
         recorder: called once the ports are bound; returns the recorder of the bridged datagrams.
         say: called with each note for the user.
 

@@ -184,8 +184,6 @@ def check_output(target: Target, inputs: Sequence[Path], *, snapshots: bool = Fa
     """Check a target before anything is opened: its format, and that it overwrites nothing.
 
     Args:
-        target: what will be written.
-        inputs: files that are read.
         snapshots: each file gets a name of its own that is free.
 
     Raises:
@@ -239,7 +237,6 @@ def open_sink(
     """Open a sink for a target that was checked.
 
     Args:
-        target: what to write.
         chosen: the selection, in words.
         sequences: see ``RecordingOptions``.
         topics: see ``RecordingOptions``.
@@ -313,7 +310,6 @@ def record(
 
     Args:
         source: where datagrams come from; it is closed.
-        target: what to write.
         selection: which datagrams; all by default.
         limits: when to end; its clock also determines when to flush.
         watcher: called with the report after every batch.

@@ -77,7 +77,6 @@ class GroundStation:
     It pauses for some seconds when another node commands a robot.
 
     Args:
-        lanes: the robots.
         commands: counts of each robot's commands.
         states: counts of each robot's states.
         rate_hz: commands per second for each robot; 0 for none.

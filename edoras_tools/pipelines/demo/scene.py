@@ -79,7 +79,6 @@ def write_missions(scenario: Scenario, folder: Path, ports: Ports, max_rate: flo
     """Write a demo's mission files.
 
     Args:
-        folder: where to write.
         ports: replace the default ports.
         max_rate: states per second that the flight bridge forwards for each robot; 0 for all.
 

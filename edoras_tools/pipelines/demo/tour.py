@@ -83,8 +83,6 @@ def tour(
     """Run the tour.
 
     Args:
-        folder: where to write.
-        seconds: how long to capture.
         show: called with every packet of the live link.
         notice: called with a line on what happens.
         replace: overwrite the files of another tour in that folder.

@@ -107,9 +107,6 @@ class Leg:
 class Trace:
     """The two paths of every robot; a ``Watch`` of the emulated cFS.
 
-    Args:
-        lanes: the robots.
-
     Attributes:
         commands: one for each robot.
         states: one for each robot.

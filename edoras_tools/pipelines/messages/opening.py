@@ -63,7 +63,6 @@ def open_messages(
     """Open recordings without datagrams as one source of messages, and set up what reads them.
 
     Args:
-        paths: the recordings.
         settings: where definitions come from that they do not hold.
         found: what ``open_files`` said of one of them, which is not opened again: it may be a pipe.
 

@@ -73,7 +73,6 @@ def install(text: str, folder: Path | None = None, *, force: bool = False) -> Pa
     """Write the dissector to the folder from which Wireshark and tshark load it; return its path.
 
     Args:
-        text: the Lua code.
         folder: instead of the personal plugin folder.
         force: replace another one that is there.
 
@@ -118,9 +117,7 @@ def run_program(text: str, file: Path | None, arguments: Sequence[str], *, graph
     """Run tshark or Wireshark with this dissector, even if another one is installed; return its exit code.
 
     Args:
-        text: the Lua code.
         file: a capture or recording to read; None: the arguments name the input.
-        arguments: for the program.
         graphical: run Wireshark, not tshark.
 
     Raises:

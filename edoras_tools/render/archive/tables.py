@@ -47,7 +47,6 @@ def captures_table(rows: Sequence[Mapping[str, Any]], width: int) -> RenderableT
 
     Args:
         rows: as ``archive list --json`` has them.
-        width: of the terminal.
     """
     columns = (
         Column("Began (UTC)", lambda row: plain(_when(row["start_ns"])), justify="left"),
@@ -68,7 +67,6 @@ def losses_table(rows: Sequence[Mapping[str, Any]], width: int) -> RenderableTyp
 
     Args:
         rows: as ``archive losses --json`` has them.
-        width: of the terminal.
     """
     columns = (
         Column("Began (UTC)", lambda row: plain(_when(row["start_ns"])), justify="left"),

@@ -27,11 +27,7 @@ _NOTES: Final = 4
 
 
 def live_table(console: Console, output: Path | None = None) -> LiveTable[LiveRun]:
-    """Return the table of bridges while they run.
-
-    Args:
-        output: the recording that grows.
-    """
+    """Return the table of bridges while they run."""
 
     def show(_: LiveRun, moment: Moment) -> Group:
         last = [plain(line, palette.DIM) for line in moment.summary["notes"][-_NOTES:]]
@@ -53,8 +49,6 @@ def outcome(summary: Mapping[str, Any], width: int, output: Path | None = None) 
 
     Args:
         summary: in the shape of ``bridge --json``.
-        width: of the terminal.
-        output: the recording.
     """
     moment = Moment(summary, written=size_of(output) if output else None, width=width)
     return Group(*_view(moment), *(plain(line) for line in losses(summary)))

@@ -15,7 +15,6 @@ def playback_line(state: PlaybackState, range_ns: tuple[int, int], clients: int,
 
     Args:
         range_ns: start and end of the recording, ns since 1970.
-        clients: how many are connected.
         waiting: whether it waits for the first client.
     """
     start, end = range_ns

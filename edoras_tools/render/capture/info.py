@@ -227,7 +227,6 @@ def findings(counts: Mapping[str, int], datagrams: int, *, meaning: bool = True)
 
     Args:
         counts: label to count.
-        datagrams: of how many.
         meaning: say what every finding means.
     """
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)

@@ -46,8 +46,6 @@ def statistics(kind: str, found: Any, datagrams: int, width: int) -> Table:
     Args:
         kind: one of ``STATISTICS``.
         found: rows, or counts by label for ``findings``, as the pipeline gives them.
-        datagrams: of how many.
-        width: of the terminal.
     """
     if kind == "routes":
         return info.routes(found, width)

@@ -59,9 +59,6 @@ class Followed:
     """A source that shows how far it is read, where standard error is a terminal and that takes a while.
 
     All else is the source's own.
-
-    Args:
-        quiet: show nothing.
     """
 
     def __init__(self, source: Source, *, quiet: bool) -> None:

@@ -47,11 +47,7 @@ class _Demo(Protocol):
 
 
 def live_table(console: Console, output: Path) -> LiveTable[_Demo]:
-    """Return the view of a demo while it runs.
-
-    Args:
-        output: the recording that grows.
-    """
+    """Return the view of a demo while it runs."""
     return LiveTable(_show, _counts, console, output)
 
 
@@ -85,8 +81,6 @@ def outcome(
     Args:
         summary: in the shape of ``demo SCENARIO --json``.
         lines: where each rover was.
-        width: of the terminal.
-        output: the recording.
     """
     facts = [one_line(plain(line)) for line in (*moved(summary), *loss_lines(summary))]
     return Group(

@@ -119,11 +119,7 @@ _COLUMNS: Final = (
 
 
 def balance_table(found: Diagnosis, width: int) -> RenderableType:
-    """Return the table, without the columns that are empty in every row.
-
-    Args:
-        width: of the terminal.
-    """
+    """Return the table, without the columns that are empty in every row."""
     rows = shown_rows(found)
     empty = {head for head, name in zip(HEADS, FIGURES, strict=True) if not any(row[name] for row in rows)}
     columns = [column for column in _COLUMNS if column.title not in empty - {"Lost"}]
@@ -131,12 +127,7 @@ def balance_table(found: Diagnosis, width: int) -> RenderableType:
 
 
 def chain_table(found: Sequence[Chain], width: int) -> RenderableType:
-    """Return the way of each command, a row a hop.
-
-    Args:
-        found: the chains.
-        width: of the terminal.
-    """
+    """Return the way of each command, a row a hop."""
     rows = [
         {**hop.as_json(), "msg_id": f"0x{item.msg_id:04x}", "topic": item.topic, "name": item.instance}
         for item in found

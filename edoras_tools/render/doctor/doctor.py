@@ -50,12 +50,7 @@ _STATES: Final = {
 
 
 def diagnosis(found: Diagnosis, name: str, width: int) -> RenderableType:
-    """Return the whole view: verdicts first.
-
-    Args:
-        name: of the source.
-        width: of the terminal.
-    """
+    """Return the whole view: verdicts first."""
     parts: list[RenderableType] = [_head(found, name), *(plain(line) for line in limits(found)), Text()]
     told = balance.balance_lines(found)
     parts += [plain(line, palette.STRONG) for line in told[:_MOST_LINES]]
@@ -301,12 +296,7 @@ def _found(found: Diagnosis) -> str:
 
 
 def verdict_table(found: Diagnosis, title: str, height: int) -> RenderableType:
-    """Return the table that a live diagnosis keeps current.
-
-    Args:
-        title: what is watched.
-        height: lines of the terminal.
-    """
+    """Return the table that a live diagnosis keeps current."""
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
     for head, side in (
         ("", "left"),

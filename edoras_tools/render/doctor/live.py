@@ -19,12 +19,7 @@ if TYPE_CHECKING:
 
 
 class LiveVerdicts:
-    """Shows verdicts as they come, and rings the terminal bell once for each new one; a context manager.
-
-    Args:
-        title: what is watched.
-        quiet: show nothing.
-    """
+    """Shows verdicts as they come, and rings the terminal bell once for each new one; a context manager."""
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         self._title = title

@@ -30,9 +30,7 @@ def missing_table(found: Sequence[Missing], start_ns: int, width: int) -> Render
     """Return the table.
 
     Args:
-        found: what was lost.
         start_ns: the first datagram: times count from it.
-        width: of the terminal.
     """
     lines = [list(alike) for _, alike in groupby(found, key=_same)]
     rows = [

@@ -43,7 +43,6 @@ def live_table(console: Console, output: Path | None = None, *, keys: bool = Fal
     """Return the table of a proxy while it runs.
 
     Args:
-        output: the recording that grows.
         keys: whether keys switch faults.
     """
     hint = Text("1 to 9 switch faults, q ends" if keys else "Ctrl-C ends", palette.DIM)
@@ -59,8 +58,6 @@ def outcome(summary: Mapping[str, Any], width: int, output: Path | None = None) 
 
     Args:
         summary: in the shape of ``proxy --json``.
-        width: of the terminal.
-        output: the recording.
     """
     moment = Moment(summary, written=size_of(output) if output else None, width=width)
     return Group(*_view(moment), *(plain(line) for line in notes(summary)))

@@ -37,7 +37,6 @@ class StatusLine:
     Args:
         out: where to.
         total: datagrams to send; None for no end.
-        keys: whether keys control it.
     """
 
     def __init__(self, out: TextIO, total: int | None, *, keys: bool) -> None:

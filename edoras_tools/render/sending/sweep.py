@@ -30,7 +30,6 @@ def outcome(summary: Mapping[str, Any], width: int) -> RenderableType:
 
     Args:
         summary: in the shape of ``sweep --json``.
-        width: of the terminal.
     """
     steps = sorted(summary["steps"], key=lambda step: (step["rate_hz"], step["size"]))
     shown: list[RenderableType] = []

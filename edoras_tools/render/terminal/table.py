@@ -50,7 +50,6 @@ def build(
     Args:
         columns: in the order shown; exactly one is elastic, of rank 0.
         rows: what the columns' ``cell`` functions take.
-        width: of the terminal.
         apart: a blank line goes between rows for which this differs.
     """
     gap = 2 if width >= 100 else 1

@@ -33,7 +33,6 @@ class Writer:
 
     Args:
         find: returns the definition of a type; raises where there is none.
-        big_endian: whether to write big-endian.
     """
 
     def __init__(self, find: Callable[[str], Definition], *, big_endian: bool) -> None:

@@ -114,7 +114,6 @@ class Envelope:
         """Return the CDR of an envelope, or why there is none.
 
         Args:
-            data: the datagram.
             start: where the envelope starts in it.
             end: where its packet ends, within the datagram.
         """

@@ -184,7 +184,6 @@ def make_rule(
     """Make a rule of its kind and options.
 
     Args:
-        name: of the kind.
         words: option and text of its value, None where there was none; the option ``""`` is the kind's own.
         text: the rule as it was written.
 

@@ -98,7 +98,6 @@ def read_dictionary(raw: Mapping[str, Any], name: str) -> StructLayout:
 
     Args:
         raw: the plain values of the file.
-        name: its name in messages.
 
     Raises:
         ConfigError: it holds mistakes: all of them, a line each.

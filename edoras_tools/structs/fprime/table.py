@@ -62,8 +62,6 @@ class EntryTable:
         """Return what one packet holds.
 
         Args:
-            data: the datagram.
-            kind: the packet type.
             at: the first byte behind it.
             end: one past the packet.
         """

@@ -68,7 +68,6 @@ def next_number(
         parts: what ``Store.parts`` returned.
         matches: the test.
         after: the row to start after; it is tested last.
-        back: search backwards.
         given_up: called between blocks; the search ends when it returns true.
     """
     start = next((place for place, (_, first, shown) in enumerate(parts) if first + len(shown) > after), 0)

@@ -176,7 +176,6 @@ class Lines(ScrollView, can_focus=True):
         """Handle a click on a row.
 
         Args:
-            row: the row.
             column: the cell, from the left.
             again: whether it is the second click of a double click.
         """

@@ -63,10 +63,6 @@ class ChunkPress:
     def append(self, streams: Sequence[Messages], rows: int) -> Iterator[PackedChunks]:
         """Append messages of a batch, row by row, in each row in the order of ``streams``.
 
-        Args:
-            streams: the messages.
-            rows: rows of the batch.
-
         Yields:
             the chunks of a buffer that is full; all must be taken.
         """

@@ -133,7 +133,6 @@ def _edges(positions: NDArray[np.int64], base: NDArray[np.int64], size: int, lim
         positions: of the messages, for each channel plus its ``base``; increasing.
         base: (channels, 1).
         size: bytes of the buffer in use.
-        limit: size of a chunk.
     """
     if size <= limit:
         return np.array([0, size])

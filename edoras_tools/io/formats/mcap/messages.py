@@ -70,10 +70,7 @@ def chunk_messages(
     """Yield the messages of some channels, in the order of the file.
 
     Args:
-        file: the file.
-        name: of it, for errors.
         summary: of the file, which ``is_indexed``.
-        channels: ids.
 
     Raises:
         CaptureError: a chunk is damaged; after all those before it.

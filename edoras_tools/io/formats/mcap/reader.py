@@ -61,7 +61,6 @@ class McapSource:
     """Reads a recording.
 
     Args:
-        path: the file.
         name: what it is called in messages; usually its path.
         copy: a temporary file that is there as long as the source.
 

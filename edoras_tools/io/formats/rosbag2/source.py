@@ -80,10 +80,6 @@ class NumberedTopics:
 class MessageSource:
     """Reads one recording; see the top of this file.
 
-    Args:
-        name: of the recording.
-        files: of it.
-
     Attributes:
         info: of kind ``topics``.
         statistics: ``datagrams`` counts the messages.

@@ -32,7 +32,6 @@ def log_messages(
     Args:
         structs: has a dictionary.
         types: has the type.
-        channel_id: MCAP channel.
     """
     table = structs.dictionary
     assert table is not None, "called with one"

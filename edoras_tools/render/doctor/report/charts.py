@@ -38,8 +38,6 @@ class Frame:
 
     Args:
         drawn: how long it is, and when it began.
-        y_most: largest value.
-        unit: of the values.
         title: text for screen readers.
         height: of the whole, in the view box's units.
     """

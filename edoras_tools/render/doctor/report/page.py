@@ -38,11 +38,7 @@ _ALIKE: Final = 4
 
 
 def page(found: Diagnosis, name: str, made: Made) -> str:
-    """Return the HTML page.
-
-    Args:
-        name: of the source.
-    """
+    """Return the HTML page."""
     sections = [section("Links", [links_picture(found)]), _verdicts(found)]
     if found.case is not None and found.datagrams:
         drawn = plots(found.case, found.choice)

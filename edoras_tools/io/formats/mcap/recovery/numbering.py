@@ -112,7 +112,6 @@ class Numbering:
 
         Args:
             schema: its schema, or None.
-            write: write new ones.
             inside: a chunk contains it, so it is not written again.
         """
         last = self._last.get((id(channel), id(schema)))

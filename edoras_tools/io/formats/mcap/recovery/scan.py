@@ -90,11 +90,7 @@ class Piece:
 
 
 class Scan:
-    """Identifies the contents of a file.
-
-    Args:
-        sections: its intact summaries.
-    """
+    """Identifies the contents of a file."""
 
     def __init__(self, file: FileBytes, sections: list[FoundSummary]) -> None:
         self._file = file

@@ -80,7 +80,6 @@ class FoundSummary:
 
         Args:
             head: the times in its head.
-            packed: its compressed size.
         """
         sizes = packed, len(walked.data)
         found = self.chunks.get((*head, *sizes), []) if head else []
