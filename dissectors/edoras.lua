@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "15dab78248d0303c"
+local DIGEST = "6083c963d19318a8"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -966,7 +966,6 @@ D.layouts = {
 				kind = "uint16",
 				mask = 4096,
 				names = {[0] = "telemetry", [1] = "telecommand"},
-				special = {-1, 1},
 				doc = "1 to F Prime (133.0-B 4.1.3.3.2)",
 			},
 			{
@@ -1334,7 +1333,6 @@ D.layouts = {
 				kind = "uint16",
 				mask = 4096,
 				names = {[0] = "telemetry", [1] = "telecommand"},
-				special = {-1, 1},
 				doc = "decides which cFE header follows (133.0-B 4.1.3.3.2)",
 			},
 			{
@@ -1417,7 +1415,6 @@ D.layouts = {
 				kind = "uint16",
 				mask = 1024,
 				names = {[0] = "big", [1] = "little"},
-				special = {3, 1},
 				doc = "payload byte order",
 			},
 			{
@@ -1428,7 +1425,6 @@ D.layouts = {
 				kind = "uint16",
 				mask = 512,
 				names = {[0] = "original", [1] = "playback"},
-				special = {5, 1},
 				doc = "a recorded packet sent again",
 			},
 			{

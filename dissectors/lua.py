@@ -403,7 +403,7 @@ def _field(slot: Slot, word: Slot, prefix: str) -> dict[str, Any]:
         word.end - slot.end
     )  # bits are numbered from the big end: no little one has any
     # Where only the highest values have names, the others need none.
-    sparse = number and item.names and min(item.names) >= slot.mask * 3 // 4
+    sparse = number and item.names and min(item.names) > slot.mask // 2 > 0
     return {
         "abbreviation": f"{prefix}.{item.name}",
         "name": item.name,
@@ -413,7 +413,7 @@ def _field(slot: Slot, word: Slot, prefix: str) -> dict[str, Any]:
         "mask": slot.mask << shift if number and not whole else None,
         "hex": (item.base == 16 and number) or None,
         "names": dict(item.names) or None,
-        "special": [8 * size - shift - slot.shift - item.bits, item.bits] if sparse else None,
+        "special": [8 * size - shift - item.bits, item.bits] if sparse else None,
         "doc": f"{item.doc} ({item.clause})" if item.clause else item.doc,
     }
 
