@@ -614,6 +614,11 @@ class SourceStatistics:
     warnings: list[str] = field(default_factory=list)
     outages: list[InterfaceOutage] = field(default_factory=list)
 
+    @property
+    def ended(self) -> bool:
+        """Whether all of an input of known size was read."""
+        return 0 < self.total_bytes <= self.position
+
 
 @dataclass(frozen=True, slots=True)
 class SourceInfo:

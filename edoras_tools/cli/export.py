@@ -137,10 +137,9 @@ def _export(
     fields = tuple(item.strip() for item in (table.fields or "").split(",") if item.strip())
     form = TableForm(fields, table.explode, table.time)
     source = open_topics(files, decoding.settings(), scope)
-    source.jobs = jobs
     quiet = printing.quiet or printing.json
     with file_progress([source.name], quiet=quiet) as bar:
-        report = write(source, target, patterns, form, bar)
+        report = write(source, target, patterns, form, bar, jobs)
     _tell(report.summary(), printing)
     topics_read(source, "the tables contain")
 

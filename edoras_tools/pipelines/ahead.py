@@ -259,11 +259,10 @@ class _Reader:
         return counts, notes, dict(context.described), fresh
 
 
-def read_ahead(source: Source, decoder: ColumnDecoder, jobs: int, *, own: int = 1) -> Source:
+def read_ahead(source: Source, decoder: ColumnDecoder, jobs: int) -> Source:
     """Return a source that another process reads and decodes, or the source itself where one process does it.
 
     Args:
         jobs: how many processes share the work on a large file; 0: as many as there are free processor cores.
-        own: see ``jobs_for``.
     """
-    return Ahead(source, decoder) if jobs_for(source, jobs, own=own) > 1 else source
+    return Ahead(source, decoder) if jobs_for(source, jobs) > 1 else source

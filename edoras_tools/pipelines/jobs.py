@@ -21,31 +21,30 @@ _LOOK_S: Final = 0.002
 """Something short may run just when it is looked."""
 
 
-def jobs_for(source: Source, asked: int, *, fixed: bool = True, own: int = 1) -> int:
+def jobs_for(source: Source, asked: int, *, fixed: bool = True) -> int:
     """Return how many processes share the work on a source.
 
     Args:
         source: what is read; one that is live, from a pipe or small is one process's.
         asked: as many; 0: as many as there are processor cores, at most three.
         fixed: the number stays, so that with 0 only those cores count that are free now.
-        own: how many cores this process keeps busy by itself.
     """
     if source.statistics.total_bytes < _LARGE:
         return 1
     if asked:
         return asked
     cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else 1
-    others = min(_MOST_JOBS - 1, max(cores - own, 0))
-    return 1 + (_spare(others, own - 1) if fixed else others)
+    others = min(_MOST_JOBS, cores) - 1
+    return 1 + (_spare(others) if fixed else others)
 
 
-def _spare(wanted: int, reserved: int) -> int:
-    """Return how many processors are free besides some, at most as many as are wanted."""
+def _spare(wanted: int) -> int:
+    """Return how many processors are free, at most as many as are wanted."""
     found = 0
     for look in range(_LOOKS if wanted else 0):
         if look:
             sleep(_LOOK_S)
-        found = max(found, min(wanted, spare_processors() - reserved))
+        found = max(found, min(wanted, spare_processors()))
         if found == wanted:
             break
     return found

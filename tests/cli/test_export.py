@@ -121,15 +121,15 @@ def test_a_recording_is_not_overwritten_by_its_own_export(call, rover, tmp_path)
 
 
 def test_an_interrupted_export_is_whole_and_says_so(call, rover, tmp_path, monkeypatch):
-    blocks = CaptureTopics.blocks
+    made = CaptureTopics.made
 
     def interrupted(source, *arguments):
-        for block in blocks(source, *arguments):
-            yield block
+        for item in made(source, *arguments):
+            yield item
             source.interrupted = True
             return
 
-    monkeypatch.setattr(CaptureTopics, "blocks", interrupted)
+    monkeypatch.setattr(CaptureTopics, "made", interrupted)
     done = call("export", *rover, "--topic", "cmd_vel", "-o", tmp_path / "a.csv")
     assert (done.code, len((tmp_path / "a.csv").read_text().splitlines())) == (130, 601)
     assert done.err[-1] == "edoras: interrupted; the tables contain what was read before"

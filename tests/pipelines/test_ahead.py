@@ -22,8 +22,6 @@ from edoras_tools.model import Columns, PacketBatch
 from edoras_tools.pipelines import ahead as module
 from edoras_tools.pipelines.ahead import Ahead
 from edoras_tools.pipelines.capture.info import inspect
-from edoras_tools.pipelines.export.run import ExportTarget, export
-from edoras_tools.pipelines.export.sources import open_topics
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
@@ -62,20 +60,6 @@ def test_info_is_the_same_with_any_number_of_processes(path):
     found = [looked_at(path, jobs).summary() for jobs in (1, 2, 3)]
     assert found[0] == found[1] == found[2]
     assert found[0]["datagrams"] > 500
-
-
-@pytest.mark.parametrize("name", ["a_rover", "f_sbn_disconnect"])
-def test_tables_are_the_same_with_any_number_of_processes(name, tmp_path):
-    written = []
-    for jobs in (1, 2):
-        folder = tmp_path / str(jobs)
-        source = open_topics([ROOT / f"samples/captures/{name}.pcap"], Settings())
-        source.jobs = jobs
-        report = export(source, ExportTarget.of(folder, name="csv", folder=True))
-        written.append({path.name: path.read_bytes() for path in folder.iterdir()})
-        assert report.source.left_out == 0
-    assert written[0] == written[1]
-    assert sum(map(len, written[0].values())) > 10_000
 
 
 @settings(max_examples=10)

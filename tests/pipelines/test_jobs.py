@@ -40,13 +40,3 @@ def test_free_processors_are_shared(monkeypatch, size, asked, cores, spare, now,
     assert jobs_for(_File(size), asked) == now
     assert not [*left]
     assert jobs_for(_File(size), asked, fixed=False) == ever
-
-
-@pytest.mark.parametrize(
-    ("cores", "spare", "asked", "jobs"),
-    [(2, 1, 0, 1), (3, 2, 0, 2), (3, 1, 0, 1), (8, 7, 0, 3), (2, 1, 2, 2)],
-)
-def test_a_process_that_keeps_two_busy_leaves_fewer(monkeypatch, cores, spare, asked, jobs):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)))
-    monkeypatch.setattr(module, "spare_processors", lambda: spare)
-    assert jobs_for(_File(LARGE), asked, own=2) == jobs

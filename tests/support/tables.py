@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future
-
 import numpy as np
 
 from edoras_tools.io.formats.columns import TableColumn, TableFile, TableHead
@@ -36,24 +34,10 @@ VALUES = {
 }
 
 
-class AtOnce:
-    """An executor that has no thread."""
-
-    @staticmethod
-    def submit(work, *arguments):
-        """Do it; a failure comes out of the result."""
-        done = Future()
-        try:
-            done.set_result(work(*arguments))
-        except OSError as error:
-            done.set_exception(error)
-        return done
-
-
 def written(path, make, *blocks):
     """Write blocks of columns as a file; return it."""
-    table = TableFile(path, make, HEAD, blocks[0], AtOnce())
+    table = TableFile(path, make, HEAD, blocks[0])
     for block in blocks:
-        table.write(block)
+        table.write(make.piece(block), len(block[0]))
     table.close()
     return table

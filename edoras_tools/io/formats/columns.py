@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import IO, TYPE_CHECKING, Any, Protocol
 
@@ -14,7 +14,6 @@ from edoras_tools.ros.cdr.columns import Ragged
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
-    from concurrent.futures import Executor, Future
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -70,16 +69,20 @@ class TableHead:
 
 
 class TableWriter(Protocol):
-    """Writes a table; its columns are those of the first block, and every later block has the same.
+    """Writes a table of rows that have the same columns.
 
     All methods raise what the file and the library raise; ``TableFile`` makes one error of it.
     """
 
     def __init__(self, file: IO[bytes], head: TableHead, columns: Sequence[TableColumn]) -> None:
-        """Start a table; ``columns`` are those of its first block, which is not written yet."""
+        """Start a table; ``columns`` may be without rows."""
 
-    def write(self, columns: Sequence[TableColumn]) -> None:
-        """Write some rows."""
+    @staticmethod
+    def piece(columns: Sequence[TableColumn]) -> Any:
+        """Return some rows as ``write`` takes them; this can be done in any process."""
+
+    def write(self, piece: Any) -> None:
+        """Write some rows; what they were made from may change afterwards."""
 
     def close(self) -> None:
         """Write the remaining rows and complete the table; the file stays open."""
@@ -93,8 +96,7 @@ class TableFile:
 
     Args:
         make: the writer of its format.
-        columns: of the first block of rows.
-        pool: a thread that writes while the next rows are read.
+        columns: see ``TableWriter``.
 
     Attributes:
         path: as given.
@@ -111,11 +113,8 @@ class TableFile:
         make: Callable[..., TableWriter],
         head: TableHead,
         columns: Sequence[TableColumn],
-        pool: Executor,
     ) -> None:
         self.path, self.head, self.rows = path, head, 0
-        self._pool = pool
-        self._pending: Future[None] | None = None
         try:
             self._new = NewFile(path)
         except OSError as error:
@@ -123,30 +122,21 @@ class TableFile:
         with self._removed_on_failure():
             self._writer = make(self._new.file, head, columns)
 
-    def write(self, columns: Sequence[TableColumn]) -> None:
-        """Write some rows; a failure may be raised by a later call."""
+    def write(self, piece: Any, rows: int) -> None:
+        """Write some rows."""
         with self._removed_on_failure():
-            self._wait()
-            self._pending = self._pool.submit(self._writer.write, columns)
-        self.rows += len(columns[0])
+            self._writer.write(piece)
+        self.rows += rows
 
     def close(self) -> None:
         """Complete the table, and rename the file."""
         with self._removed_on_failure():
-            self._wait()
             self._writer.close()
             self._new.keep()
 
     def remove(self) -> None:
         """Close the file, and remove it if it is incomplete."""
-        with suppress(Exception):
-            self._wait()
         self._new.remove()
-
-    def _wait(self) -> None:
-        pending, self._pending = self._pending, None
-        if pending is not None:
-            pending.result()
 
     @contextmanager
     def _removed_on_failure(self) -> Iterator[None]:

@@ -82,7 +82,7 @@ class TopicTable:
                 "to_arrow() needs pyarrow: pip install 'edoras-tools[analysis]'; to_numpy() does not"
             ) from error
         schema = arrays.arrow_schema(TableHead(self.topic, self.type), self.columns)
-        return arrays.arrow_table(self.columns, schema)
+        return arrays.arrow_table([arrays.arrow_batch(self.columns, schema)])
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame``; lists are arrays, times are timestamps in UTC.

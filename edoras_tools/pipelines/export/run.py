@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -133,6 +132,7 @@ def export(
     patterns: Sequence[str] = (),
     form: TableForm = TableForm(),  # noqa: B008  frozen
     progress: Progress | None = None,
+    jobs: int = 1,
 ) -> ExportReport:
     """Write the messages of an input as tables; the input is closed.
 
@@ -145,13 +145,14 @@ def export(
             an examination, also those that only the content names; a file also leaves out this package's own.
         form: the columns.
         progress: updated while the input is read.
+        jobs: see ``TopicSource.made``.
 
     Raises:
         CaptureError: a table cannot be written, or there is nothing to write.
         ConfigError: a field is not there, or one file would hold several topics.
         RouteError: a topic is not there.
     """
-    with closing(source), ThreadPoolExecutor(1, "tables") as pool:
+    with closing(source):
         usual = {*source.topics} - ({DATAGRAMS_TOPIC, *JUDGED} if target.folder else _OWN)
         known = {*source.topics}
         there = {topic: _names(source.empty(topic)) for topic in chosen_topics(source, patterns, usual)}
@@ -166,16 +167,22 @@ def export(
         source.wants_new = not patterns
         make, made = _writer(target)
         report, tables = ExportReport(source), dict[str, TableFile]()
+
+        def piece(block: TopicBlock, zero_ns: int) -> Any:
+            fits = block.topic in there or has_field(form.fields, _names(block))
+            return make.piece(form.columns(block, zero_ns)) if len(block) and fits else None
+
         try:
-            for block in filter(len, source.blocks(wanted, progress)):
-                if block.topic not in there and not has_field(form.fields, _names(block)):
+            for topic, rows, item in source.made(wanted, piece, progress, jobs):
+                if item is None:
                     continue
-                columns = form.columns(block, source.zero_ns)
-                if block.topic not in tables:
-                    target.check_alone(block.topic, tables)
-                    head = TableHead(block.topic, block.message.type, _told(source, block.topic))
-                    tables[block.topic] = TableFile(target.place(block.topic), make, head, columns, pool)
-                tables[block.topic].write(columns)
+                if topic not in tables:
+                    target.check_alone(topic, tables)
+                    none = source.empty(topic)  # it has the columns of all blocks
+                    head = TableHead(topic, none.message.type, _told(source, topic))
+                    columns = form.columns(none, 0)
+                    tables[topic] = TableFile(target.place(topic), make, head, columns)
+                tables[topic].write(item, rows)
             source.check_found(tables, wanted)
             for table in tables.values():
                 table.close()

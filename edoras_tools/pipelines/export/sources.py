@@ -7,25 +7,29 @@ the topics that were recorded. It contains no datagrams, so nothing can be selec
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Final
+from contextlib import ExitStack, closing, suppress
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.merge import recorded_faults
 from edoras_tools.io.formats.open import is_cfe_file
+from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.rows import RECORD_BYTES, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, Streams
+from edoras_tools.io.workers import InOrder, Workers
 from edoras_tools.mission.report import printable
 from edoras_tools.model import Finding
-from edoras_tools.pipelines.ahead import read_ahead
 from edoras_tools.pipelines.capture.ledger import LONGEST_NOTE
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.block import TopicBlock
 from edoras_tools.pipelines.export.judged import JUDGED, judged_block, judged_blocks
+from edoras_tools.pipelines.jobs import jobs_for
 from edoras_tools.pipelines.messages.opening import open_inputs
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import open_files
@@ -37,19 +41,25 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
     from edoras_tools.io.topics.rows import Messages
-    from edoras_tools.io.topics.streams import Topic
+    from edoras_tools.io.topics.streams import PreparedBatch, Topic
+    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.run import Progress
     from edoras_tools.ros import TypeStore
 
+    Made = tuple[str, int, Any]
+    """Of a block: its topic, its rows, and what was made of it."""
+    Maker = Callable[[TopicBlock, int], Any]
     Judge = Callable[[Collection[str], Progress | None], Iterator[TopicBlock]]
 
 
-_OWN_THREADS: Final = 2
-"""Processors that one process keeps busy by itself: one thread makes columns, another writes tables."""
+_MOST_MADE: Final = 8
+"""Batches whose blocks may wait for those before them: limits memory."""
 
 
 class TopicSource(ABC):
@@ -68,21 +78,20 @@ class TopicSource(ABC):
         unnamed: see ``Context``.
         failure: why it ended early, if it did.
         interrupted: Ctrl-C ended it.
-        jobs: how many processes share the work, see ``read_ahead``; may be set before it is read.
     """
 
     source: Source | None = None
     wants_new = False
 
-    def __init__(self, name: str, scope: Scope | None) -> None:
-        self.name = name
+    def __init__(self, source: Source, bench: Workbench, scope: Scope | None) -> None:
+        self.name = source.info.name
+        self._source, self._bench = source, bench
         self.topics: dict[str, str] = {}
         self.unread: dict[str, str] = {}
         self.zero_ns = self.last_ns = -1
         self.left_out = self.unnamed = 0
         self.failure: EdorasError | None = None
         self.interrupted = False
-        self.jobs = 1
         self._scope = scope or Scope()
 
     @property
@@ -114,14 +123,71 @@ class TopicSource(ABC):
         kind = self.topics[topic]
         return self.types(topic).definition(kind) if kind else ""
 
-    @abstractmethod
     def blocks(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:
-        """Yield the messages of some topics; a failure of the input is kept in ``failure``.
+        """Yield the messages of some topics; see ``made``."""
+        for _, _, block in self.made(wanted, lambda block, _: block, progress):
+            yield block
+
+    @abstractmethod
+    def made(
+        self, wanted: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
+    ) -> Iterator[Made]:
+        """Yield what is made of the messages of some topics, block by block.
+
+        A failure of the input is kept in ``failure``.
+
+        Args:
+            wanted: the topics.
+            make: makes something of a block and ``zero_ns``, in any process.
+            progress: updated while the input is read.
+            jobs: how many processes share the work, see ``jobs_for``.
 
         Raises:
             RouteError: the selection names a topic that is not configured.
             ConfigError: its filter has a mistake.
         """
+
+    def _shared(
+        self,
+        given: Callable[[PacketBatch, Columns], tuple[Any, ...]],
+        work: Callable[..., list[Made]],
+        progress: Progress | None,
+        jobs: int,
+    ) -> Iterator[Made]:
+        """Read the source; yield what a function returns for each batch, in order.
+
+        Args:
+            given: returns the arguments of ``work``; called here, batch after batch.
+            work: may run in other processes.
+            progress: see ``made``.
+            jobs: see ``made``.
+        """
+        scope, source, bench = self._scope, self._source, self._bench
+        with ExitStack() as ends:
+            workers = None
+            if (count := jobs_for(source, jobs, fixed=False)) > 1:
+                why = "a process that made its tables was killed, perhaps because memory ran out"
+                killed = CaptureError(f"{self.name}: {why}; --jobs 1 needs only one")
+                with suppress(OSError):  # without them it takes longer
+                    workers = ends.enter_context(closing(Workers(count - 1, work, killed, yields=not jobs)))
+                    if isinstance(source, RecordSource):
+                        source.borrow(workers.lend)
+            made = InOrder(work, workers)
+            loop = ends.enter_context(
+                reading(source, bench, scope.selection, examined=scope.period, keeps_failure=True)
+            )
+            for rows in loop:
+                if progress is not None:
+                    progress.read(source)
+                if loop.begin_ns is not None:
+                    self.zero_ns, self.last_ns = loop.begin_ns, loop.last_ns
+                if len(rows):
+                    made.add(*given(*rows.alone()), here=source.statistics.ended)
+                    yield from chain.from_iterable(made.results(_MOST_MADE))
+            yield from chain.from_iterable(made.results(0))
+            self.failure, self.interrupted = loop.failure, loop.interrupted
+            loop.note()
+            self.unnamed = bench.columns.context.unnamed
 
     def check_found(self, found: Collection[object], wanted: Collection[str]) -> None:
         """Check, once the whole input was read, that there was a message on a wanted topic.
@@ -141,8 +207,7 @@ class TopicSource(ABC):
 
     def close(self) -> None:
         """Close the input; may be called twice."""
-        if self.source is not None:
-            self.source.close()
+        self._source.close()
 
 
 class CaptureTopics(TopicSource):
@@ -164,8 +229,8 @@ class CaptureTopics(TopicSource):
         judge: Judge | None = None,
         seek: Callable[[], Mapping[str, str]] | None = None,
     ) -> None:
-        super().__init__(source.info.name, scope)
-        self.source, self._source, self._bench, self._judge = source, source, bench, judge
+        super().__init__(source, bench, scope)
+        self.source, self._judge = source, judge
         self._seek = seek
         self._new: set[str] = set()
         self._structs = bench.columns.context.structs
@@ -191,43 +256,57 @@ class CaptureTopics(TopicSource):
 
     def types(self, topic: str) -> TypeStore:
         """Return the types that include a topic's."""
-        structs = self._structs
-        return structs.types if self.topics[topic] in structs.definitions else self._bench.types
+        return self._types(self.topics[topic])
 
-    def blocks(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:
-        """Yield the messages of some topics."""
-        routes = [place for place, item in enumerate(self._bench.mission.routes) if item.topic in wanted]
+    def _types(self, kind: str) -> TypeStore:
+        structs = self._structs
+        return structs.types if kind in structs.definitions else self._bench.types
+
+    def made(
+        self, wanted: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
+    ) -> Iterator[Made]:
+        """Yield what is made of the messages of some topics."""
+        routed = {item.topic for item in self._bench.mission.routes}
+        claimed = [place for place, item in enumerate(self._bench.mission.routes) if item.topic in wanted]
         statistics = STATISTICS_TOPIC in wanted
-        scope, source = self._scope, self._source
-        if not scope.selection and not scope.period:  # else it is decoded where it is selected
-            source = read_ahead(source, self._bench.columns, self.jobs, own=_OWN_THREADS)
-        with reading(source, self._bench, scope.selection, examined=scope.period, keeps_failure=True) as loop:
-            for rows in loop:
-                if progress is not None:
-                    progress.read(self._source)
-                if loop.begin_ns is not None:
-                    self.zero_ns, self.last_ns = loop.begin_ns, loop.last_ns
-                if not len(rows):
-                    continue
-                batch, columns = rows.alone()
-                self.left_out += int(np.isin(columns.route, routes).sum())
-                found = self._streams.messages(
-                    batch, columns, datagrams=DATAGRAMS_TOPIC in wanted, statistics=statistics
-                )
-                yield from self._blocks(found, len(batch), wanted)
-            self.failure, self.interrupted = loop.failure, loop.interrupted
-            loop.note()
-            self.unnamed = self._bench.columns.context.unnamed
-        rest = [self._streams.finish()] if statistics else []
-        rest.append(self._streams.outages(self._source.statistics.outages))
-        period = self._scope.period.since(self.zero_ns)
-        faults = [item for item in recorded_faults(self._source) if period.holds(item.time_ns - self.zero_ns)]
+        scope, source, streams = self._scope, self._source, self._streams
+
+        def given(batch: PacketBatch, columns: Columns) -> tuple[Any, ...]:
+            self.left_out += int(np.isin(columns.route, claimed).sum())
+            prepared = streams.prepare(batch, columns, statistics=statistics)
+            chosen = {*wanted, *self._new} if self.wants_new else wanted
+            return batch, columns, prepared, chosen, tuple(self._places), self.zero_ns
+
+        def work(
+            batch: PacketBatch,
+            columns: Columns,
+            prepared: PreparedBatch,
+            chosen: Collection[str],
+            places: Sequence[Topic],
+            zero_ns: int,
+        ) -> list[Made]:
+            found = streams.made(batch, columns, prepared, datagrams=DATAGRAMS_TOPIC in chosen)
+            return [
+                (block.topic, len(block), make(block, zero_ns))
+                for block in self._blocks(found, len(batch), chosen, places)
+            ]
+
+        for item in self._shared(given, work, progress, jobs):
+            if item[0] in routed:
+                self.left_out -= item[1]
+            yield item
+        rest = [streams.finish()] if statistics else []
+        rest.append(streams.outages(source.statistics.outages))
+        period = scope.period.since(self.zero_ns)
+        faults = [item for item in recorded_faults(source) if period.holds(item.time_ns - self.zero_ns)]
         rest.append(fault_messages(faults, self._places.index(FAULTS)))
         for messages in rest:
-            yield from self._blocks([messages], len(messages), wanted)
+            for block in self._blocks([messages], len(messages), wanted, self._places):
+                yield block.topic, len(block), make(block, self.zero_ns)
         if self._judge is not None and JUDGED & set(wanted) and not self.interrupted:
             try:
-                yield from self._judge(JUDGED & set(wanted), progress)
+                for block in self._judge(JUDGED & set(wanted), progress):
+                    yield block.topic, len(block), make(block, self.zero_ns)
             except CaptureError as error:
                 self.failure = self.failure or error
 
@@ -239,14 +318,11 @@ class CaptureTopics(TopicSource):
         return len(self._places) - 1
 
     def _blocks(
-        self, streams: Sequence[Messages], rows: int, wanted: Collection[str]
+        self, streams: Sequence[Messages], rows: int, wanted: Collection[str], topics: Sequence[Topic]
     ) -> Iterator[TopicBlock]:
-        routes = range(len(self._streams.topics) - len(self._bench.mission.routes), len(self._streams.topics))
         for messages in streams:
             places = by_value(np.broadcast_to(messages.channel_id, len(messages)))
-            if self.wants_new:
-                wanted = {*wanted, *self._new}
-            chosen = [item for item in places if self._places[item[0]].name in wanted]
+            chosen = [item for item in places if topics[item[0]].name in wanted]
             if not chosen:
                 continue
             if (
@@ -258,12 +334,10 @@ class CaptureTopics(TopicSource):
                 data, start, length = np.frombuffer(laid.data, np.uint8), laid.start, laid.end - laid.start
             heads = messages.heads(slice(0, len(messages)))
             for place, here in chosen:
-                topic = self._places[place]
-                columns = self.types(topic.name).columns(
+                topic = topics[place]
+                columns = self._types(topic.type).columns(
                     topic.type, data, start[here], length[here].astype(np.int32)
                 )
-                if place in routes:
-                    self.left_out -= len(here)
                 yield TopicBlock(
                     topic.name,
                     messages.log_time[here],
@@ -283,8 +357,7 @@ class BagTopics(TopicSource):
     """
 
     def __init__(self, source: Source, bench: Workbench, scope: Scope | None = None) -> None:
-        super().__init__(source.info.name, scope)
-        self._messages, self._bench = source, bench
+        super().__init__(source, bench, scope)
         self._places: dict[int, str] = {}
         for place, (route, recorded) in enumerate(
             zip(bench.mission.routes, bench.mission.recorded, strict=True)
@@ -310,33 +383,35 @@ class BagTopics(TopicSource):
         """Return the types that include a topic's."""
         return self._bench.types
 
-    def blocks(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:
-        """Yield the messages of some topics."""
-        scope, types = self._scope, self._bench.types
+    def made(
+        self, wanted: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
+    ) -> Iterator[Made]:
+        """Yield what is made of the messages of some topics."""
+        types = self._bench.types
         places = {place: topic for place, topic in self._places.items() if topic in wanted}
-        with reading(
-            self._messages, self._bench, scope.selection, examined=scope.period, keeps_failure=True
-        ) as loop:
-            for rows in loop:
-                if progress is not None:
-                    progress.read(self._messages)
-                if loop.begin_ns is not None:
-                    self.zero_ns, self.last_ns = loop.begin_ns, loop.last_ns
-                batch, route = rows.batch, rows.column("route")
-                invalid = (rows.column("findings") & np.uint32(Finding.CDR_INVALID)) != 0
-                for place, here in by_value(route):
-                    if place not in places:
-                        continue
-                    self.left_out += int(invalid[here].sum())
-                    here = here[~invalid[here]]  # noqa: PLW2901  without the incomplete ones
-                    offset, length = rows.datagram("offset")[here], rows.datagram("length")[here]
-                    columns = types.columns(self.topics[places[place]], batch.data, offset, length)
-                    yield TopicBlock(places[place], rows.datagram("time_ns")[here], columns)
-            self.failure, self.interrupted = loop.failure, loop.interrupted
 
-    def close(self) -> None:
-        """Close the input; may be called twice."""
-        self._messages.close()
+        def given(batch: PacketBatch, columns: Columns) -> tuple[Any, ...]:
+            self.left_out += int((_invalid(columns) & np.isin(columns.route, [*places])).sum())
+            return batch, columns, self.zero_ns
+
+        def work(batch: PacketBatch, columns: Columns, zero_ns: int) -> list[Made]:
+            made, invalid = [], _invalid(columns)
+            for place, rows in by_value(columns.route):
+                if place in places:
+                    here = rows[~invalid[rows]]
+                    kind = self.topics[places[place]]
+                    found = types.columns(kind, batch.data, batch.offset[here], batch.length[here])
+                    block = TopicBlock(places[place], batch.time_ns[here], found)
+                    made.append((block.topic, len(block), make(block, zero_ns)))
+            return made
+
+        return self._shared(given, work, progress, jobs)
+
+
+def _invalid(columns: Columns) -> NDArray[np.bool_]:
+    """Return which messages are incomplete."""
+    invalid: NDArray[np.bool_] = (columns.findings & np.uint32(Finding.CDR_INVALID)) != 0
+    return invalid
 
 
 def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None = None) -> TopicSource:

@@ -225,7 +225,7 @@ def walk_plan(plan: CdrPlan, cursor: Cursor, collector: Collector | None, prefix
     Args:
         plan: what the bytes at the cursor are.
         cursor: moved.
-        collector: receives the position of every value. Pass one only for rows that are valid.
+        collector: receives the position of every value; what it has is right if no row was dropped.
         prefix: in front of every name that the collector receives.
     """
     for step in plan.steps:

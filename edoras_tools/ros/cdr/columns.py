@@ -83,13 +83,33 @@ def columns(
         length: i32, bytes of each message; any value.
     """
     data = np.ascontiguousarray(data)
-    valid = validity.trailing(plan, data, offset, length) >= 0
-    rows = np.flatnonzero(valid)
-    cursor = bulk.start_cursor(plan, data, offset[rows], length[rows])
-    cursor.rows = rows
-    fields = _Fields(plan, len(valid))
-    bulk.walk_plan(plan, cursor, fields)
+    rows, fields = np.arange(len(offset)), _Fields(plan, len(offset))
+    if not _walked(plan, data, offset, length, rows, fields):  # some do not fit the type: rarely
+        rows, fields = (
+            np.flatnonzero(validity.trailing(plan, data, offset, length) >= 0),
+            _Fields(plan, len(offset)),
+        )
+        _walked(plan, data, offset[rows], length[rows], rows, fields)
+    valid = np.zeros(len(offset), bool)
+    valid[rows] = True
     return MessageColumns(name, valid, fields)
+
+
+def _walked(
+    plan: CdrPlan,
+    data: NDArray[np.uint8],
+    offset: NDArray[np.int64],
+    length: NDArray[np.int32],
+    rows: NDArray[np.int64],
+    fields: _Fields,
+) -> bool:
+    """Collect the positions of values; return whether all messages are valid."""
+    cursor = bulk.start_cursor(plan, data, offset, length)
+    if len(cursor) < len(rows):
+        return False
+    cursor.rows = rows
+    bulk.walk_plan(plan, cursor, fields)
+    return len(cursor) == len(rows) and bool((cursor.end >= cursor.position).all())
 
 
 class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tables import COLUMNS, HEAD, AtOnce, written
+from tables import COLUMNS, HEAD, written
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.columns import TableFile
@@ -14,8 +14,8 @@ from edoras_tools.io.formats.csv.writer import CsvWriter
 
 def test_it_appears_when_it_is_whole(tmp_path):
     path = tmp_path / "a.csv"
-    table = TableFile(path, CsvWriter, HEAD, COLUMNS, AtOnce())
-    table.write(COLUMNS)
+    table = TableFile(path, CsvWriter, HEAD, COLUMNS)
+    table.write(CsvWriter.piece(COLUMNS), 3)
     (part,) = tmp_path.iterdir()
     assert re.fullmatch(r"\.a\.csv\.\d+\.part", part.name)
     table.close()
@@ -41,11 +41,10 @@ class Full:
 def test_what_cannot_be_written_is_removed_and_what_was_there_stays(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("before")
-    table = TableFile(path, Full, HEAD, COLUMNS, AtOnce())
-    table.write(COLUMNS)
-    table.write(COLUMNS)
+    table = TableFile(path, Full, HEAD, COLUMNS)
+    table.write(COLUMNS, 3)
     with pytest.raises(CaptureError, match=r"a\.csv: cannot be written: No space left on device"):
-        table.close()
+        table.write(COLUMNS, 3)
     assert [(item.name, item.read_text()) for item in tmp_path.iterdir()] == [("a.csv", "before")]
 
 
@@ -55,8 +54,8 @@ def test_a_folder_that_is_not_there(tmp_path):
 
 
 def test_what_is_no_file_is_written_at_once():
-    table = TableFile(Path("/dev/null"), CsvWriter, HEAD, COLUMNS, AtOnce())
-    table.write(COLUMNS)
+    table = TableFile(Path("/dev/null"), CsvWriter, HEAD, COLUMNS)
+    table.write(CsvWriter.piece(COLUMNS), 3)
     table.close()
 
 

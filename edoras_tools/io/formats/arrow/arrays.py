@@ -25,9 +25,15 @@ def arrow_schema(head: TableHead, columns: Sequence[TableColumn]) -> Any:
     return pa.schema(fields, {name: text.encode() for name, text in told.items()})
 
 
-def arrow_table(columns: Sequence[TableColumn], schema: Any) -> Any:
-    """Return rows as an Arrow table; lists are lists, times are timestamps in ns and UTC."""
-    return pa.Table.from_arrays([_array(column) for column in columns], schema=schema)
+def arrow_batch(columns: Sequence[TableColumn], schema: Any = None) -> Any:
+    """Return rows as an Arrow record batch; lists are lists, times are timestamps in ns and UTC."""
+    names = None if schema else [column.name for column in columns]
+    return pa.RecordBatch.from_arrays([_array(column) for column in columns], names, schema=schema)
+
+
+def arrow_table(batches: Sequence[Any]) -> Any:
+    """Return record batches as a table, every column in one piece."""
+    return pa.Table.from_batches(batches).combine_chunks()
 
 
 def _array(column: TableColumn) -> Any:
@@ -44,9 +50,9 @@ def _flat(values: NDArray[Any], there: Any) -> Any:
     """Return one value a row. ``pa.array`` would import pandas, where it is installed: half a second."""
     kind = values.dtype.kind
     if kind == "O":
-        texts = [text.encode() for text in values.tolist()]
+        texts = list(map(str.encode, values.tolist()))
         offsets = np.zeros(len(texts) + 1, np.int32)
-        np.cumsum([len(text) for text in texts], out=offsets[1:])
+        np.cumsum(np.fromiter(map(len, texts), np.int32, len(texts)), out=offsets[1:])
         buffers = [there, pa.py_buffer(offsets), pa.py_buffer(b"".join(texts))]
         return pa.Array.from_buffers(pa.string(), len(texts), buffers)
     if kind == "b":

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
 from abc import ABC, abstractmethod
 from typing import IO, TYPE_CHECKING, Any, Final
 
 import pyarrow as pa
 import pyarrow.parquet
 
-from edoras_tools.io.formats.arrow.arrays import arrow_schema, arrow_table
+from edoras_tools.io.formats.arrow.arrays import arrow_batch, arrow_schema, arrow_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,22 +21,54 @@ _BYTES: Final = 16 << 20
 """Rows are collected up to one of these: readers are slow with many small groups of rows."""
 
 
+class _Piece:
+    """Some rows; between processes they are one Arrow message, which is copied where it arrives.
+
+    Args:
+        batch: the rows.
+        size: bytes of their values; 0: counted here.
+    """
+
+    def __init__(self, batch: Any, size: int = 0) -> None:
+        self.batch, self.size = batch, size or batch.nbytes
+
+    def __reduce_ex__(self, _: Any) -> tuple[Any, ...]:
+        """Return what the rows are made again from."""
+        stream = pa.BufferOutputStream()
+        with pa.ipc.new_stream(stream, self.batch.schema) as writer:
+            writer.write_batch(self.batch)
+        return _received, (pickle.PickleBuffer(stream.getvalue()), self.size)
+
+
+def _received(data: Any, size: int) -> _Piece:
+    with pa.ipc.open_stream(pa.py_buffer(bytes(data))) as reader:
+        return _Piece(reader.read_next_batch(), size)
+
+
 class _GroupWriter(ABC):
     """Collects rows, and writes them in groups; see ``TableWriter``."""
 
     def __init__(self, file: IO[bytes], head: TableHead, columns: Sequence[TableColumn]) -> None:
         self._schema = arrow_schema(head, columns)
         self._writer = self._open(file)
-        self._tables: list[Any] = []
+        self._batches: list[Any] = []
+        self._rows = self._bytes = 0
 
     @abstractmethod
     def _open(self, file: IO[bytes]) -> Any:
         """Return the library's writer."""
 
-    def write(self, columns: Sequence[TableColumn]) -> None:
+    @staticmethod
+    def piece(columns: Sequence[TableColumn]) -> _Piece:
+        """Return some rows as arrays of Arrow."""
+        return _Piece(arrow_batch(columns))
+
+    def write(self, piece: _Piece) -> None:
         """Write some rows."""
-        self._tables.append(arrow_table(columns, self._schema))
-        if sum(map(len, self._tables)) >= _ROWS or sum(item.nbytes for item in self._tables) >= _BYTES:
+        self._batches.append(pa.RecordBatch.from_arrays(piece.batch.columns, schema=self._schema))
+        self._rows += len(piece.batch)
+        self._bytes += piece.size
+        if self._rows >= _ROWS or self._bytes >= _BYTES:
             self._flush()
 
     def close(self) -> None:
@@ -44,9 +77,10 @@ class _GroupWriter(ABC):
         self._writer.close()
 
     def _flush(self) -> None:
-        tables, self._tables = self._tables, []
-        if tables:
-            self._writer.write_table(pa.concat_tables(tables).combine_chunks())
+        batches, self._batches = self._batches, []
+        self._rows = self._bytes = 0
+        if batches:
+            self._writer.write_table(arrow_table(batches))
 
 
 class _AbandonedQuietly(pyarrow.parquet.ParquetWriter):  # type: ignore[misc]  # the library has no types

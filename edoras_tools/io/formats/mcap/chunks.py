@@ -17,7 +17,6 @@ compress worse, and each has an index of its own: ``docs/recover.md`` has the fi
 
 from __future__ import annotations
 
-from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +25,7 @@ import zstandard
 from edoras_tools.io.formats.mcap.file import pack_chunks
 from edoras_tools.io.formats.mcap.index import MessageIndex
 from edoras_tools.io.topics.rows import within_rows
+from edoras_tools.io.workers import InOrder
 from edoras_tools.wire.arrays.window import copy_rows, put_rows, spill_rows
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
-    from edoras_tools.io.formats.mcap.workers import Workers
     from edoras_tools.io.topics.rows import Messages
+    from edoras_tools.io.workers import Workers
 
 CHUNK_BYTES = 128 << 10
 """Uncompressed bytes of a full chunk; more by at most one message."""
@@ -139,9 +139,8 @@ class ChunkWriter:
         workers: Workers | None = None,
     ) -> None:
         self._file, self._press = file, press
-        self._work, self._workers = work, workers
-        self._made: deque[Iterable[PackedChunks] | None] = deque()
-        """Of the batches not yet written: their chunks, or None where a worker makes them."""
+        self._made = InOrder(work, workers)
+        """The chunks of the batches not yet written."""
 
     @property
     def size_bound(self) -> int:
@@ -157,22 +156,12 @@ class ChunkWriter:
     def append_batch(self, *batch: object, last: bool = False) -> None:
         """Append chunks of their own that ``work(*batch)`` returns.
 
-        They are made here if all workers are busy, if no processor is free for them, or if nothing else is to
-        be done after the last batch.
+        Those of the last batch are made here: nothing else is to be done.
         """
         if self._press.used:
             self.flush()
         self._put_made()
-        workers = self._workers
-        if workers is not None and (last or workers.crowded()):
-            workers = None
-        if workers is not None:
-            workers.start()
-        if workers is None or workers.full:
-            self._made.append(self._work(*batch))
-        else:
-            workers.submit(*batch)
-            self._made.append(None)
+        self._made.add(*batch, here=last)
         self._put_made(_MOST_MADE)
 
     def flush(self) -> None:
@@ -182,14 +171,8 @@ class ChunkWriter:
 
     def _put_made(self, most: int | None = None) -> None:
         """Write the chunks of batches that are made; wait while there are more than ``most`` others."""
-        while self._made:
-            made, workers = self._made[0], self._workers
-            if made is None and workers is not None:
-                if not workers.ready and (most is None or len(self._made) <= most):
-                    return
-                made = workers.take()
-            del self._made[0]
-            self._put(made or ())
+        for made in self._made.results(most):
+            self._put(made)
 
     def _put(self, made: Iterable[PackedChunks]) -> None:
         for chunks in made:

@@ -11,9 +11,9 @@ import numpy as np
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
+from edoras_tools.io.forked import killed
 from edoras_tools.io.formats.mcap.chunks import ChunkPress, ChunkWriter
 from edoras_tools.io.formats.mcap.file import McapFile
-from edoras_tools.io.formats.mcap.workers import Workers
 from edoras_tools.io.formats.recording import RecordingOptions
 from edoras_tools.io.formats.split import part_path
 from edoras_tools.io.topics.faults import fault_messages
@@ -27,6 +27,7 @@ from edoras_tools.io.topics.streams import (
     Streams,
     Topic,
 )
+from edoras_tools.io.workers import Workers
 from edoras_tools.model import Finding
 
 if TYPE_CHECKING:
@@ -132,7 +133,9 @@ class McapSink:
         # To split files by size, the size of what was appended has to be known.
         if options.jobs > 1 and not options.split_bytes:
             with suppress(OSError):  # without them it takes longer
-                self._workers = Workers(options.jobs - 1, self._packed, self._path, yields=options.yields)
+                self._workers = Workers(
+                    options.jobs - 1, self._packed, killed(self._path), yields=options.yields
+                )
                 self._chunks = self._chunk_writer()
 
     @property
@@ -235,9 +238,8 @@ class McapSink:
             self._chunks.append([latched], 1)
         prepared = self._streams.prepare(batch, columns)
         if int(batch.frame_length.sum()) >= _LARGE:
-            read = self._live
-            ended = read is not None and 0 < read.total_bytes <= read.position
-            self._chunks.append_batch(batch, columns, prepared, last=ended)
+            last = self._live is not None and self._live.ended
+            self._chunks.append_batch(batch, columns, prepared, last=last)
         else:
             self._chunks.append(self._streams.made(batch, columns, prepared), len(batch))
         self._count += len(batch)

@@ -65,7 +65,7 @@ import sys, io
 from tables import COLUMNS, HEAD
 from edoras_tools.io.formats.arrow.writer import ParquetWriter
 writer = ParquetWriter(io.BytesIO(), HEAD, COLUMNS)
-writer.write(COLUMNS)
+writer.write(writer.piece(COLUMNS))
 writer.close()
 assert "pandas" not in sys.modules
 """

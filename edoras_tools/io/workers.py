@@ -19,17 +19,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.io.forked import await_end, fork, killed, portable, receive, send, undisturbed
+from edoras_tools.io.forked import await_end, fork, portable, receive, send, undisturbed
 from edoras_tools.io.processors import spare_processors
 from edoras_tools.io.shared import ROOM_BYTES, SLOT_BYTES, pickled, place, shared_memory, unpickled
 
 if TYPE_CHECKING:
     import socket
-    from collections.abc import Callable
-    from pathlib import Path
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
+    from edoras_tools.errors import CaptureError
     from edoras_tools.io.shared import Packed
 
 _SLOTS: Final = 3
@@ -43,15 +43,17 @@ class Workers:
     Args:
         count: how many, at least 1.
         work: what they run, as it is at ``start``; its arguments and its result are pickled.
-        path: the file that the results are for, for errors.
+        killed: what is raised where one of them was killed.
         yields: see ``crowded``.
 
     Raises:
         OSError: no memory.
     """
 
-    def __init__(self, count: int, work: Callable[..., Any], path: Path, *, yields: bool = False) -> None:
-        self._path, self._yields = path, yields
+    def __init__(
+        self, count: int, work: Callable[..., Any], killed: CaptureError, *, yields: bool = False
+    ) -> None:
+        self._killed, self._yields = killed, yields
         self._crowds = 0
         self._tasks = _SLOTS * count
         self._used = [0] * (self._tasks + 1)
@@ -186,8 +188,54 @@ class Workers:
                 self._results.append((failure, answer and unpickled(answer, self._memory)))
 
     def _gone(self) -> None:
-        self._results += [(killed(self._path), None)] * (self._asked - self._answered)
+        self._results += [(self._killed, None)] * (self._asked - self._answered)
         self._answered = self._asked
+
+
+class InOrder:
+    """Runs a function on batches, one after the other; their results come in the same order.
+
+    Args:
+        work: the function; what it returns must not depend on the process that runs it.
+        workers: run it too, if there are any.
+    """
+
+    def __init__(self, work: Callable[..., Any], workers: Workers | None = None) -> None:
+        self._work, self._workers = work, workers
+        self._made: deque[tuple[Any] | None] = deque()
+        """The results that were not taken; None where a worker makes one."""
+
+    def add(self, *values: Any, here: bool = False) -> None:
+        """Run the function on some values.
+
+        It runs here if all workers are busy, if no processor is free for them, or if that is asked for, as
+        where nothing else is left to be done.
+        """
+        workers = self._workers
+        if workers is not None and (here or workers.crowded()):
+            workers = None
+        if workers is not None:
+            workers.start()
+        if workers is None or workers.full:
+            self._made.append((self._work(*values),))
+        else:
+            workers.submit(*values)
+            self._made.append(None)
+
+    def results(self, most: int | None = None) -> Iterator[Any]:
+        """Yield the results that are there, and wait while there are more than ``most`` others.
+
+        The arrays of a result are valid until the next one is asked for, or more is added.
+        """
+        while self._made:
+            made, workers = self._made[0], self._workers
+            if made is None and workers is not None:
+                if not workers.ready and (most is None or len(self._made) <= most):
+                    return
+                made = (workers.take(),)
+            del self._made[0]
+            assert made is not None
+            yield made[0]
 
 
 def _serve(work: Callable[..., Any], memory: NDArray[np.uint8], lent: int, link: socket.socket) -> None:

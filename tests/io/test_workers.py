@@ -24,20 +24,20 @@ from waiting import until
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.errors import CaptureError, WireError
 from edoras_tools.io import forked
+from edoras_tools.io import workers as module
 from edoras_tools.io.formats import stream
-from edoras_tools.io.formats.mcap import workers as module
 from edoras_tools.io.formats.mcap import writer
-from edoras_tools.io.formats.mcap.workers import Workers
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.recording import RecordingOptions
+from edoras_tools.io.workers import Workers
 from edoras_tools.mission import Mission
 from edoras_tools.model import SourceStatistics
 from edoras_tools.pipelines.workbench import Settings
 
 # From Python 3.12 on forking beside threads, such as those of pytest-xdist, is warned of.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
-PATH = Path("a.mcap")
+GONE = forked.killed("a.mcap")
 KILLED = "the process that wrote it was killed; `edoras recover"
 
 
@@ -52,7 +52,7 @@ def started():
     made = []
 
     def start(work=twice, count=1):
-        made.append(Workers(count, work, PATH))
+        made.append(Workers(count, work, GONE))
         assert made[-1].full
         made[-1].start()
         made[-1].start()
@@ -160,9 +160,9 @@ def test_a_process_that_was_killed(started, early):
 def test_they_go_with_the_one_that_started_them():
     code = f"""
 import sys, time
-sys.path[:0] = {[str(Path(__file__).parents[up] / name) for up, name in ((0, "."), (3, "support"))]!r}
-from test_workers import PATH, Workers, twice
-workers = Workers(2, twice, PATH)
+sys.path[:0] = {[str(Path(__file__).parents[up] / name) for up, name in ((0, "."), (1, "support"))]!r}
+from test_workers import GONE, Workers, twice
+workers = Workers(2, twice, GONE)
 workers.start()
 workers.submit(1, 60)
 print(*workers._processes, flush=True)
@@ -216,7 +216,7 @@ def test_files_of_the_one_that_started_them_are_not_kept_open(started):
 
 def test_where_no_process_can_be_had(monkeypatch):
     monkeypatch.setattr(forked.sys, "platform", "darwin")
-    workers = Workers(1, twice, PATH)
+    workers = Workers(1, twice, GONE)
     workers.start()
     assert workers.full
     workers.close()
@@ -332,7 +332,7 @@ def test_a_recording_whose_worker_was_killed_says_how_to_repair_it(
 )
 def test_processors_are_left_to_others(monkeypatch, yields, works, spare, crowded):
     monkeypatch.setattr(module, "spare_processors", lambda: spare)
-    with closing(Workers(1, twice, PATH, yields=yields)) as workers:
+    with closing(Workers(1, twice, GONE, yields=yields)) as workers:
         workers.start()
         (process,) = workers._processes
         os.kill(process, signal.SIGSTOP)  # so that it is not done too soon

@@ -1,0 +1,103 @@
+"""Inputs by topic, whose batches several processes make tables of: every table is as from one."""
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+from places import CAPTURES, MISSIONS, SAMPLE_MISSIONS
+from rtps import CAPTURES as DDS
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats import stream
+from edoras_tools.io.workers import Workers
+from edoras_tools.pipelines.capture.record import Target, record
+from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.export.run import ExportTarget, export
+from edoras_tools.pipelines.export.sources import open_topics
+from edoras_tools.pipelines.export.tables import TableForm
+from edoras_tools.pipelines.selection import Period, Selection
+from edoras_tools.pipelines.workbench import Settings, open_files
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning"),
+    pytest.mark.skipif(sys.platform != "linux", reason="there is one process elsewhere"),
+]
+ROVER = CAPTURES / "a_rover.pcap"
+
+
+@pytest.fixture(autouse=True)
+def submitted(monkeypatch):
+    """Small files are shared too, in many windows; the batches that other processes got."""
+    monkeypatch.setattr("edoras_tools.pipelines.jobs._LARGE", 1)
+    for name in ("FIRST", "_SECOND_WINDOW", "SLICE"):
+        monkeypatch.setattr(stream, name, 16 << 10)
+    given, submit = [], Workers.submit
+    monkeypatch.setattr(Workers, "submit", lambda self, *values: given.append(1) or submit(self, *values))
+    return given
+
+
+def settings(name):
+    return Settings(tuple(MISSIONS / f"{item}.yaml" for item in SAMPLE_MISSIONS[name]))
+
+
+def input_of(name):
+    """A sample with its missions, or a capture without."""
+    return (name, Settings()) if isinstance(name, Path) else (CAPTURES / f"{name}.pcap", settings(name))
+
+
+def exported(folder, jobs, path, config, layout="csv", scope=None, form=TableForm()):  # noqa: B008  frozen
+    """The files of an export, and what its report says."""
+    source = open_topics([path], config, scope)
+    target = ExportTarget.of(folder / str(jobs), name=layout, folder=True)
+    report = export(source, target, form=form, jobs=jobs).summary()
+    files = [(item["topic"], item["rows"], item.pop("path")) for item in report["files"]]
+    return report, [(topic, rows, Path(path).read_bytes()) for topic, rows, path in files]
+
+
+CASES = {
+    "Parquet": ("a_rover", "parquet", {}),
+    "Arrow": ("f_sbn_disconnect", "arrow", {}),
+    "CSV": ("f_sbn_disconnect", "csv", {}),
+    "JSON Lines": ("a_rover", "jsonl", {}),
+    "malformed": ("e_ci_errors", "csv", {}),
+    "selected": (
+        "a_rover",
+        "csv",
+        {"scope": Scope(Selection(where="link == to"), Period(10**9, 4 * 10**10))},
+    ),
+    "exploded": ("a_rover", "parquet", {"form": TableForm(("header", "pose"), explode=True)}),
+    "only the content names them": (next(path for path in DDS if "sender" in path.name), "csv", {}),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_tables_are_the_same_with_any_number_of_processes(case, tmp_path, submitted):
+    name, layout, how = case
+    one, *others = (exported(tmp_path, jobs, *input_of(name), layout, **how) for jobs in (1, 2, 3))
+    assert all(other == one for other in others)
+    assert sum(rows for _, rows, _ in one[1]) > 60
+    assert len(submitted) > 2
+
+
+def test_so_are_those_of_a_recording_of_topics(tmp_path, submitted):
+    source = open_files([ROVER])
+    record(source, settings("a_rover").workbench(source.info), Target(tmp_path / "bag", rosbag2=True))
+    one, *others = (exported(tmp_path, jobs, tmp_path / "bag", Settings()) for jobs in (1, 2, 3))
+    assert all(other == one for other in others)
+    assert {topic: rows for topic, rows, _ in one[1]}["/cmd_vel"] == 600
+    assert submitted
+
+
+def test_a_process_that_was_killed_leaves_nothing(tmp_path, monkeypatch):
+    start = Workers.start
+
+    def started(self):
+        start(self)
+        os.kill(self._processes[0], signal.SIGKILL)
+
+    monkeypatch.setattr(Workers, "start", started)
+    with pytest.raises(CaptureError, match=r"a process that made its tables was killed.*--jobs 1"):
+        exported(tmp_path, 2, ROVER, settings("a_rover"))
+    assert not list(tmp_path.iterdir())
