@@ -27,8 +27,9 @@ class FoxgloveSink(ServedSink):
     """Serves batches over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
 
     Topics, types and messages are those of a recording, plus ``/diagnostics`` and ``/tf``. All are
-    offered from the start, also those that a recording has only with their first message: who subscribes to
-    what is offered misses nothing. Whole datagrams and ``/tf`` are only made for clients that subscribed.
+    offered from the start, also those that a recording has only with their first message, and those of DDS
+    once they are announced: who subscribes to what is offered misses nothing. Whole datagrams and ``/tf`` are
+    only made for clients that subscribed.
 
     Args:
         mission: its routes become topics.
@@ -80,12 +81,14 @@ class FoxgloveSink(ServedSink):
             lambda name: definitions.get(name) or types.definition(name),
             options,
         )
+        self._streams.offer_announced()
         self.server.link_state = lambda: self._link.summary()  # noqa: PLW0108  there is a new one after a jump
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Send a batch to clients."""
         if not len(batch):
             return
+        self._streams.offer_announced()
         # Whole datagrams are the first topic, and the most expensive.
         streams = self._streams.messages(
             batch,

@@ -167,6 +167,7 @@ class Streams:
         self.clock = MissionClock()
         self.endpoints: Endpoints | None = None
         self._samples: SampleMessages | None = None
+        self._announced = 0
         self._latched = LatchedTopics(mission)
         self._bridged: BridgeMessages | None = None
         self._files = _file_messages(mission, types) if mission.stored and add else None
@@ -224,8 +225,7 @@ class Streams:
             self._bridged = self._bridged or self._bridge_messages()
             told += self._bridged.messages(batch, columns)
         if self._add and self.endpoints is not None and (columns.link == RTPS).any():
-            self._samples = self._samples or _sample_messages(self._types, self._taken(), self.endpoints)
-            told += self._samples.messages(batch, columns, self._place_sample)
+            told += self._sample_messages(self.endpoints).messages(batch, columns, self._place_sample)
         if self._latched.routes:
             rows = np.flatnonzero(np.isin(columns.route, self._latched.routes))
             taken, own = batch.take(rows), columns.take(rows)
@@ -319,6 +319,22 @@ class Streams:
             taken | {item.topic for item in self._mission.stored} | {item.topic for item in self.structs.all}
         )
 
+    def offer_announced(self) -> None:
+        """Add the topics of DDS that were announced, of known types, before a sample of theirs comes."""
+        if self.endpoints is None or len(self.endpoints.announced) == self._announced:
+            return
+        self._announced = len(self.endpoints.announced)
+        samples = self._sample_messages(self.endpoints)
+        for topic, type_name in self.endpoints.topics().items():
+            if self._types.has(type_name) and (name := samples.name(topic, type_name)):
+                self._place_sample(name, type_name)
+
+    def _sample_messages(self, endpoints: Endpoints) -> SampleMessages:
+        from edoras_tools.io.topics.carried.samples import SampleMessages
+
+        self._samples = self._samples or SampleMessages(self._types, self._taken(), endpoints)
+        return self._samples
+
     def _place_sample(self, name: str, type_name: str) -> int:
         return self._place(Topic(name, type_name, {"link": RTPS.label}))
 
@@ -332,12 +348,6 @@ class Streams:
     def finish(self) -> Messages:
         """Return the messages of the current second of statistics; all belong to row 0."""
         return self._statistics.finish(self._statistics_id)
-
-
-def _sample_messages(types: TypeStore, taken: set[str], endpoints: Endpoints) -> SampleMessages:
-    from edoras_tools.io.topics.carried.samples import SampleMessages
-
-    return SampleMessages(types, taken, endpoints)
 
 
 def _file_messages(mission: Mission, types: TypeStore) -> FileMessages:

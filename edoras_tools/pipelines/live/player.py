@@ -13,6 +13,8 @@ from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.io.formats.open import kept_recording
 from edoras_tools.io.formats.settled import SettledFile
 from edoras_tools.io.foxglove.playback import PlaybackState
+from edoras_tools.io.frames.fragmented import FragmentedSamples
+from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.live.keys import request_of, split_keys
@@ -302,8 +304,11 @@ class RecordingPlayer:
             raise self.failure or CaptureError(f"{source.info.name}: it contains no selected {what}")
         return first, last
 
-    def _chosen(self, batch: PacketBatch) -> _Piece:
-        batch, columns = self._selection.apply(batch, self._bench.columns.decode(batch))
+    def _chosen(self, batch: PacketBatch, fragmented: FragmentedSamples | None = None) -> _Piece:
+        columns = self._bench.columns.decode(batch)
+        if fragmented is not None and (columns.link == RTPS).any():
+            batch, columns = fragmented.take(batch, columns, self._bench.columns)
+        batch, columns = self._selection.apply(batch, columns)
         if not self._period or self._begin_ns is None:
             return batch, columns
         rows = np.flatnonzero(self._period.holds(batch.time_ns - self._begin_ns))
@@ -314,10 +319,10 @@ class RecordingPlayer:
         source = self._reopen()
         follow_streams(source, self._bench.columns.context.framings)
         latest: dict[int, _Piece] = {}
-        before = True
+        before, fragmented = True, FragmentedSamples()
         try:
             for whole in source.batches():
-                batch, columns = self._chosen(whole)
+                batch, columns = self._chosen(whole, fragmented)
                 first = int(np.searchsorted(np.maximum.accumulate(batch.time_ns), start_ns)) if before else 0
                 routes, places = np.unique(columns.route[:first][::-1], return_index=True)
                 for route, place in zip(routes.tolist(), places.tolist(), strict=True):

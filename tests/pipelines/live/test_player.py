@@ -377,3 +377,15 @@ def test_without_waiting_it_plays_at_once_and_a_loop_starts_again(truth):
             client.until(lambda: times(client, "/cmd_vel")[-1:] == due[-1:])
     with deck() as player:
         assert player.player.waiting
+
+
+def test_samples_of_dds_are_offered_and_played_also_those_in_fragments():
+    counts = {"/dds/cmd_vel": 100, "/image": 4}
+    files = [ROOT / "samples/rtps/fastdds_sender.pcap.gz"]
+    with deck(files=files, paused=True) as player, player.client() as client:
+        client.until(lambda: client.channels.keys() >= counts.keys())
+        client.subscribe(*counts)
+        peer.wait(lambda: player.sink.server.subscriptions == len(counts))
+        client.control(play=True)
+        player.now = player.end - player.start + SECOND
+        client.until(lambda: {topic: len(client.on(topic)) for topic in counts} == counts)

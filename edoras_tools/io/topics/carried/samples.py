@@ -60,7 +60,7 @@ class SampleMessages:
         )
         return [item for item in made if item is not None]
 
-    def _name(self, topic: str, type_name: str) -> str:
+    def name(self, topic: str, type_name: str) -> str:
         """Return the name of the topic in the recording; empty if there are too many."""
         key = topic, type_name
         if key not in self._names and len(self._names) < MOST_SAMPLE_TOPICS:
@@ -92,7 +92,7 @@ class SampleMessages:
         """Return the messages of one topic, their bytes copied: they may be written by another process."""
         left = self._types.trailing(item.type, batch.data, item.offset, item.length)
         whole = np.flatnonzero((left >= 0) & self._new(item))
-        name = self._name(item.topic, item.type)
+        name = self.name(item.topic, item.type)
         if not len(whole) or not name:
             return None
         size = (item.length - left)[whole].astype(np.int32)
