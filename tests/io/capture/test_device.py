@@ -164,6 +164,7 @@ def test_frames_gather_until_many_wait_or_the_end(source_of, later, ends):
     batches = source.batches()
     assert payloads([first(batches)]) == [b"first"]
     device.items += [frames(item, number) for number, item in enumerate(later, 2)]
+    os.write(device.pipe[1], b"x")
     if ends:
         source.stop()
     got = payloads([first(batches)])
