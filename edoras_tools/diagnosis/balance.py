@@ -42,6 +42,10 @@ _BEFORE_CI: Final[tuple[LossKind, ...]] = ("network", "socket", "down", "restart
 _FIGURES: Final = ("came", "out", "duplicated", "superseded", "waiting", "not_captured", "unaccounted")
 _SEEN: Final = "datagrams in the capture"
 _COUNT: Final = "sequence count"
+NOT_COUNTED: Final = "not observable: "
+"""How the text begins that says what would have counted a figure."""
+_NO_INGEST: Final = f"{NOT_COUNTED}no 0x884 of this CI, no kernel counter of its socket"
+_NO_BUS: Final = f"{NOT_COUNTED}no 0x803 of its cFS"
 _COUNTED: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost", "lost": "0x803"}
 PEER: Final = "SBN peer"
 UNHEARD: Final = "sbn_timeout"
@@ -95,6 +99,11 @@ class Row:
     def all_lost(self) -> int:
         """How many were lost, of all causes."""
         return sum(self.lost.values())
+
+    @property
+    def observed(self) -> bool:
+        """Whether something counts what is lost there; if not, 0 means nothing."""
+        return bool(self.lost) or not self.counted.get("lost", "").startswith(NOT_COUNTED)
 
     @property
     def adds_up(self) -> bool:
@@ -279,6 +288,7 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
     stream = fate.stream
     accounts = [item for item in case.ingests if item.endpoint == stream.receiver]
     by = "the kernel's counter of its socket" if any(item.by_kernel for item in accounts) else "0x884"
+    all_out = {"out": "all of them came out of cFS again"} if fate.seen and fate.arrived.all() else {}
     rows: list[Row] = []
     whose = case.receiver_label(stream)
 
@@ -307,7 +317,7 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
         before = {kind: lost[kind] for kind in _BEFORE_CI if lost[kind]}
         gone = sum(before.values()) + fate.queued + fate.uncounted
         late = min(fate.late + fate.unsure, at - gone)
-        told = {"in": _SEEN, "out": by if accounts else "not counted: no 0x884 of this CI is here"}
+        told = {"in": _SEEN, "out": by} if accounts else {"in": _SEEN, **(all_out or {"lost": _NO_INGEST})}
         at = add(
             CI_HOP,
             at,
@@ -325,9 +335,8 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
     on_bus = {kind: lost[kind] for kind in (*COUNTERS, "unknown") if lost[kind]} | dict(fate.refused)
     if not fate.seen:
         on_bus |= ended
-    told = {"in": rows[-1].counted["out"] if rows else _SEEN, "lost": "0x803, and what cFS refuses by itself"}
-    if not case.tracks:
-        told["lost"] = "not counted: no 0x803 is here"
+    told = {"in": rows[-1].counted.get("out", _SEEN) if rows else _SEEN}
+    told |= {"lost": "0x803, and what cFS refuses by itself"} if case.tracks else all_out or {"lost": _NO_BUS}
     came = max(at, sum(on_bus.values()))
     out = came - sum(on_bus.values())
     told_behind = fate.seen or fate.reached is not None or fate.commanded is not None

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from edoras_tools.diagnosis.balance import APPLICATION, BUS, CI_HOP, summed
+from edoras_tools.diagnosis.balance import APPLICATION, BUS, CI_HOP, NOT_COUNTED, summed
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
@@ -31,8 +31,8 @@ PUBLISHER: Final = "publisher to ground bridge"
 TO_ROBOT: Final = "application to robot"
 PEER_TO_ROBOT: Final = "SBN peer to robot"
 _ROBOT, _SBN = (link.label for link in (ROBOT, SBN))
-_GIVE_BAG: Final = "not observable: give --bag"
-_CAPTURE_MORE: Final = "not observable: capture the robot link, or SBN"
+_GIVE_BAG: Final = f"{NOT_COUNTED}give --bag"
+_CAPTURE_MORE: Final = f"{NOT_COUNTED}capture the robot link, or SBN"
 _INSIDE: Final = frozenset({PROXY_HOP, CI_HOP, BUS})
 _REST: Final = ("superseded", "waiting", "not_captured", "unaccounted")
 
@@ -77,7 +77,7 @@ class ChainHop:
 
     @property
     def observed(self) -> bool:
-        """Whether all of it was counted."""
+        """Whether what is lost there was counted."""
         return self.lost is not None
 
     def as_json(self) -> dict[str, Any]:
@@ -187,5 +187,16 @@ def _of_row(row: Row) -> ChainHop:
     rest = {name: value for name in _REST if (value := getattr(row, name))}
     to_robot = row.hop == APPLICATION and any(label == _ROBOT for label, _ in row.onward)
     told = row.counted.get("out") or row.counted.get("lost", "")
+    lost: int | None = row.all_lost
+    if not row.observed:
+        told, lost = row.counted["lost"], None
     name = TO_ROBOT if to_robot else row.hop
-    return ChainHop(name, row.came, row.all_lost, row.out, row.duplicated, rest=rest, counted=told)
+    return ChainHop(
+        name,
+        row.came,
+        lost,
+        row.out,
+        row.duplicated,
+        rest=rest,
+        counted=told,
+    )

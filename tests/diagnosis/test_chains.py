@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from captures import ROBOT_GOT
 from places import ROOT
 
 from edoras_tools.decode import Options
-from edoras_tools.diagnosis.balance import Row, sent
+from edoras_tools.diagnosis.balance import BUS, CI_HOP, Row, sent
 from edoras_tools.diagnosis.chains import PEER_TO_ROBOT, PUBLISHER, TO_ROBOT, BridgeCount, chains
+from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.render.doctor.balance import shown_rows
+from edoras_tools.render.doctor.balance import causes, shown_rows
+from edoras_tools.wire.robot import ROBOT_PORT
 
 FOLDER = ROOT / "tests/captures"
 NAMES = sorted(path.name.partition(".")[0] for path in FOLDER.glob("*.pcap.zst"))
@@ -91,8 +94,44 @@ def test_hops_that_were_not_counted_are_shown_beside_the_balance(name, diagnosis
     shown = [row for row in shown_rows(found) if row["lost"] is None]
     ends = [chain.hops[at] for chain in found.chains for at in (0, -1)]
     wanted = sum(not hop.observed and hop.hop != PEER_TO_ROBOT for hop in ends)
+    wanted += sum(not row.observed for row in found.balance)
     assert len(shown) == wanted
-    assert all(row["counted"].startswith("not observable") for row in shown)
+    assert all(row["not_counted"].startswith("not observable") for row in shown)
+
+
+WITHOUT_CI_COUNT = {b"\x08\x84"}
+WITHOUT_COUNTS = WITHOUT_CI_COUNT | {b"\x08\x03"}
+
+
+@pytest.mark.parametrize(
+    ("name", "without", "robot", "blank"),
+    [
+        ("a_rover", WITHOUT_CI_COUNT, True, {CI_HOP}),
+        ("a_rover", WITHOUT_CI_COUNT, False, {CI_HOP}),
+        ("a_rover", WITHOUT_COUNTS, False, {CI_HOP, BUS}),
+        ("b_arm_single", WITHOUT_COUNTS, True, set()),  # all came out again: nothing was lost before that
+        ("b_arm_single", set(), False, set()),
+    ],
+)
+def test_a_hop_whose_loss_nothing_counts_shows_none(name, without, robot, blank):
+    bench = Settings().workbench()
+    examination = Examination(bench.columns.context)
+    for batch in open_file(FOLDER / f"{name}.pcap.zst").batches():
+        kept = [
+            at
+            for at, item in enumerate(batch)
+            if bytes(item.payload[:2]) not in without and (robot or item.destination.port != ROBOT_PORT)
+        ]
+        part = batch.take(np.array(kept))
+        examination.add(part, bench.columns.decode(part))
+    found = examination.diagnose()
+    (chain,) = found.chains
+    inside = [hop for hop in chain.hops if hop.hop in {CI_HOP, BUS}]
+    assert {hop.hop for hop in inside if hop.lost is None} == blank
+    assert all(hop.counted.startswith("not observable: no 0x8") for hop in inside if hop.lost is None)
+    shown = [item for item in shown_rows(found) if item["msg_id"] == "0x1827" and item["hop"] in blank]
+    assert [item["lost"] for item in shown] == [None] * len(blank)
+    assert all(causes(item).startswith("not observable: no 0x8") for item in shown)
 
 
 def row(hop, came, out, **figures):

@@ -46,7 +46,11 @@ HEADS: Final = ("In", "Twice", "Out", "Lost", "Superseded", "Waiting", "Not seen
 
 def shown_rows(found: Diagnosis) -> list[dict[str, Any]]:
     """Return the rows to show: packets of cFS itself are one row if nothing is missing."""
-    rows = _with_ends(found, [row.as_json(found.topics.get(row.route)) for row in found.balance])
+    balance = [row.as_json(found.topics.get(row.route)) for row in found.balance]
+    for item, told in zip(found.balance, balance, strict=True):
+        if not item.observed:
+            told.update(lost=None, not_counted=item.counted["lost"])
+    rows = _with_ends(found, balance)
     quiet = [row for row in rows if not row["topic"] and row["name"] and row["in"] == row["out"]]
     if len(quiet) < 2:
         return rows
@@ -70,7 +74,9 @@ def _with_ends(found: Diagnosis, rows: list[dict[str, Any]]) -> list[dict[str, A
         own = [at for at, row in enumerate(rows) if (row["link"], row["msg_id"], row["instance"]) == key]
         for ends, hop, at in ((before, chain.hops[0], own[0]), (behind, chain.hops[-1], own[-1])):
             if not hop.observed and hop.hop != PEER_TO_ROBOT:
-                ends[at] = {**rows[at], **dict.fromkeys(FIGURES), **hop.as_json(), "lost_by": {}}
+                told = hop.as_json()
+                ends[at] = {**rows[at], **dict.fromkeys(FIGURES), **told, "lost_by": {}}
+                ends[at]["not_counted"] = hop.counted
     return [
         item
         for at, row in enumerate(rows)
@@ -82,7 +88,7 @@ def _with_ends(found: Diagnosis, rows: list[dict[str, Any]]) -> list[dict[str, A
 def causes(row: Mapping[str, Any]) -> str:
     """Return why messages of a row were lost: ``92 over a message limit``; of one not counted, what would."""
     if row.get("lost", 0) is None:
-        return str(row["counted"])
+        return str(row["not_counted"])
     return ", ".join(f"{number:,} {CAUSES.get(cause, cause)}" for cause, number in row["lost_by"].items())
 
 
