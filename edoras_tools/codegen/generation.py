@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.codegen.bounds import SEQUENCES_DEFAULT, STRINGS_DEFAULT, Bounds
 from edoras_tools.codegen.codec import codec
 from edoras_tools.codegen.header import UMBRELLA, header_name, package_header, umbrella
-from edoras_tools.codegen.layout import banner, guarded
+from edoras_tools.codegen.layout import LINE_WIDTH, banner, guarded
 from edoras_tools.codegen.mission import side_files
 from edoras_tools.codegen.plan import CLibrary, plan_messages
-from edoras_tools.codegen.tables import tables
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.mission import Mission
 from edoras_tools.ros.store import USUAL_DISTRO
@@ -23,6 +22,7 @@ from edoras_tools.wire.envelope import EnvelopeFormat
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from edoras_tools.codegen.plan import CMember, Message
     from edoras_tools.ros import TypeStore
 
 RUNTIME: Final = Path(__file__).parent / "runtime"
@@ -143,3 +143,58 @@ def _chosen(types: TypeStore, names: Iterable[str]) -> list[str]:
             )
         chosen += found
     return chosen
+
+
+_INCLUDES: Final = f'#include "{UMBRELLA}"\n#include "edoras_core/tables.h"\n'
+
+
+def tables(library: CLibrary, command: str) -> str:
+    """Return the text of the file that holds the tables."""
+    about = "Every field by its name, for the functions of edoras_core, and the pools behind create_msg."
+    wanted = {message.ros_name for message in library.wanted}
+    parts = [banner(command, about) + _INCLUDES]
+    parts += [_table(message, pooled=message.ros_name in wanted) for message in library.messages]
+    listed = sorted(
+        library.messages, key=lambda message: (message.package, message.short_name, message.ros_name)
+    )
+    rows = "".join(f'    {{"edoras_codegen", &{message.name}__type}},\n' for message in listed)
+    parts.append(
+        f"const TypeSupport_t edoras_types[] = {{\n{rows}}};\n\n"
+        "const size_t edoras_types_count = EDORAS_CAPACITY(edoras_types);\n"
+    )
+    return "\n".join(parts)
+
+
+def _table(message: Message, *, pooled: bool) -> str:
+    name = message.name
+    rows = "".join(_row(name, member) for member in sorted(message.members, key=lambda item: item.ros.name))
+    return f"""\
+EDORAS_FUNCTIONS({name})
+
+static const MemberInfo_t {name}__members[] = {{
+{rows}}};
+
+{f"EDORAS_MAKE_POOL({name}){chr(10) * 2}" if pooled else ""}\
+static const TypeInfo_t {name}__type = {{
+    "{message.package}",
+    "{message.short_name}",
+    {len(message.members)}U,
+    sizeof({name}),
+    EDORAS_BUFFER_SIZE({name}),
+    {name}__members,
+    {name}__init_any,
+    {name}__encode_any,
+    {name}__decode_any,
+    {f"&{name}__pool" if pooled else "NULL"},
+}};
+"""
+
+
+def _row(owner: str, member: CMember) -> str:
+    shape = "EDORAS_SEQUENCE" if member.is_sequence else "EDORAS_ARRAY" if member.elements else "EDORAS_ONE"
+    nested = f"&{member.message.name}__type" if member.message else "NULL"
+    length = member.characters + 1 if member.characters else 0
+    head = f'    {{"{member.ros.name}", EDORAS_KIND_{member.kind.upper()}, '
+    head += f"{'true' if member.is_sequence else 'false'}, {length}U, {nested},"
+    where = f"{shape}({owner}, {member.name})}},\n"
+    return f"{head} {where}" if len(head) + len(where) < LINE_WIDTH else f"{head}\n     {where}"

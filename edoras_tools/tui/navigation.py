@@ -6,13 +6,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 from textual import on, work
 from textual.binding import Binding
 from textual.worker import get_current_worker
 
+from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.errors import EdorasError
 from edoras_tools.io.formats.table import WRITTEN
+from edoras_tools.model import SourceStatistics
+from edoras_tools.pipelines.capture.record import Target, check_output, open_sink
+from edoras_tools.pipelines.recorder import PushedSource
 from edoras_tools.render.capture.packet_list import COLUMNS
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean
@@ -21,11 +26,16 @@ from edoras_tools.tui.data.search import matcher, next_number
 from edoras_tools.tui.field_filter import filter_of
 from edoras_tools.tui.panes import Panes
 from edoras_tools.tui.prompts import Prompt
-from edoras_tools.tui.save import save_packets
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from textual.message import Message
+
+    from edoras_tools.model import SourceInfo
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.tui.data.store import Part
 
 
 class Navigation(Panes):
@@ -179,3 +189,29 @@ class Navigation(Panes):
         """Post a message from a thread; do nothing once the app has ended."""
         with suppress(RuntimeError):
             self.post_message(message)
+
+
+def save_packets(parts: Sequence[Part], path: Path, info: SourceInfo, bench: Workbench, chosen: str) -> int:
+    """Write packets to a new file; return how many.
+
+    Args:
+        parts: what ``Store.parts`` returned.
+        path: the file; its suffix sets the format.
+        chosen: the filter that the packets passed; a recording stores it.
+
+    Raises:
+        CaptureError: the file cannot be written.
+        ConfigError: the suffix is unknown, or the file exists.
+    """
+    target = Target(path)
+    check_output(target, ())
+    source, count = PushedSource(info, SourceStatistics()), 0
+    sink = open_sink(target, source, bench, chosen=chosen)
+    try:
+        for block, _, shown in parts:
+            rows = ColumnRows(bench.columns.context, 0, block.batch, block.columns, np.asarray(shown))
+            sink.write(*rows.alone())
+            count += len(shown)
+    finally:
+        sink.close(source.statistics)
+    return count
