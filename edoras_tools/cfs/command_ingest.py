@@ -7,6 +7,8 @@ from typing import Final
 from edoras_tools.cfs.event_services import EventText, EventType
 
 NAME: Final = "CI_LAB_APP"
+NAMES: Final = (NAME, "CI_LAB")
+"""Its names in the start-up scripts of draco-rc4 and of cFS 7."""
 PIPE: Final = "CI_LAB_CMD_PIPE"
 COMMAND_MSG_ID: Final = 0x1884
 REQUEST_MSG_ID: Final = 0x1885
@@ -20,6 +22,14 @@ RESET: Final = EventText(NAME, 6, "CI: RESET command")
 TOO_SHORT: Final = EventText(
     NAME, 8, "CI: L{line:d}, cmd {msg_id:04x} {second:02x} dropped, bad length={length:d}\n", EventType.ERROR
 )
+TOO_SHORT_7: Final = EventText(NAMES[1], 8, "CI: cmd dropped, bad packet length={length:d}", EventType.ERROR)
+CUT_7: Final = EventText(
+    NAMES[1],
+    8,
+    "CI: cmd dropped - length mismatch, {wanted:d} (hdr) / {length:d} (packet)",
+    EventType.ERROR,
+)
+"""What CI of cFS 7 says, which refuses a packet that is longer than its datagram, or than its buffer."""
 NOT_SENT: Final = EventText(
     NAME, 10, "CI: L{line:d}, CFE_SB_TransmitBuffer() failed, status={status}\n", EventType.ERROR
 )

@@ -7,6 +7,8 @@ from typing import Final
 from edoras_tools.cfs.event_services import EventText, EventType
 
 NAME: Final = "TO_LAB_APP"
+NAMES: Final = (NAME, "TO_LAB")
+"""Its names in the start-up scripts of draco-rc4 and of cFS 7."""
 PIPE: Final = "TO_LAB_TLM_PIPE"
 SOCKET: Final = "TO_LAB_APP socket"
 COMMAND_PIPE: Final = "TO_LAB_CMD_PIPE"

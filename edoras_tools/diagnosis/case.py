@@ -351,21 +351,21 @@ class Case:
         return [item.time_ns for item in self.payloads.events]
 
     def said(
-        self, start_ns: int, end_ns: int, app: str = "", event_ids: Iterable[int] = ()
+        self, start_ns: int, end_ns: int, *apps: str, event_ids: Iterable[int] = ()
     ) -> list[EventRecord]:
-        """Return the events of an application in a span of time."""
+        """Return the events of applications, or of all, in a span of time."""
         wanted = set(event_ids)
         times = self._event_times
         between = slice(bisect_left(times, start_ns), bisect_right(times, end_ns))
         return [
             item
             for item in self.payloads.events[between]
-            if (not app or item.app == app) and (not wanted or item.event_id in wanted)
+            if (not apps or item.app in apps) and (not wanted or item.event_id in wanted)
         ]
 
     def suppressed(self, span: tuple[int, int]) -> EventRecord | None:
         """Return the event by which Telemetry Output says that its socket failed, and it sends no more."""
-        said = self.said(span[0] - SECOND, span[1] + SECOND, telemetry_output.NAME)
+        said = self.said(span[0] - SECOND, span[1] + SECOND, *telemetry_output.NAMES)
         return next((item for item in said if telemetry_output.SUPPRESSED.phrase in item.message), None)
 
     def socket_failed(self, stream: Stream) -> bool:

@@ -113,6 +113,18 @@ COMMAND_INGEST_HOUSEKEEPING: Final = Layout(
     byte_order="little",
 )
 """Payload of CI_LAB's telemetry 0x0884."""
+COMMAND_INGEST_HOUSEKEEPING_7: Final = Layout(
+    "ci_lab_housekeeping_7",
+    "CI_LAB Housekeeping (cFS 7)",
+    Field("command_counter", 8, "commands to CI itself accepted"),
+    Field("command_error_counter", 8, "commands to CI itself refused"),
+    Field("checksums_enabled", 8, "whether it checks checksums"),
+    Field("socket_connected", 8, "whether its socket is open"),
+    Field("ingest_packets", 32, "datagrams accepted"),
+    Field("ingest_errors", 32, "datagrams refused"),
+    byte_order="little",
+)
+"""The same of cFS 7: told by its length."""
 TELEMETRY_OUTPUT_HOUSEKEEPING: Final = Layout(
     "to_lab_housekeeping",
     "TO_LAB Housekeeping",

@@ -865,6 +865,32 @@ def test_bytes_too_many_are_rounding_unless_another_type_has_them(lab, tmp_path,
     assert ("wrong_type" in {item.rule for item in found.verdicts}) == wrong
 
 
+def test_what_command_ingest_of_cfs_7_refuses_is_told_by_its_own_words(lab):
+    """The console: dropped are 7 bytes, a header that says 20 of 8 bytes, and 1,008 bytes cut to 768."""
+    found = lab.read(ROOT / "samples/cfs_files/ci_errors.pcap.gz")
+    told = {}
+    for item in found.verdicts:
+        told.setdefault(item.rule, []).append(item)
+    dropped = [
+        (item.lost, line.rpartition(": ")[2])
+        for item in [*told["bad_command"], *told["ci_cut"]]
+        for line in item.evidence
+        if "CI_LAB 8:" in line
+    ]
+    assert sorted(dropped) == [
+        (1, "cmd dropped - length mismatch, 20 (hdr) / 8 (packet)"),
+        (1, "cmd dropped, bad packet length=7"),
+        (2, "cmd dropped - length mismatch, 1008 (hdr) / 768 (packet)"),
+    ]
+    assert "Invalid MsgId(0x0)" in next(
+        item.evidence[1] for item in told["bad_command"] if item.msg_id == 0x2827
+    )
+    assert [(item.lost, item.hop) for item in told["app_pipe_limit"]] == [(3, "SAMPLE_APP_CMD_PIPE")]
+    assert "delivers in 500 ms" in told["app_pipe_limit"][0].reason
+    taken = next(row for row in found.balance if (row.msg_id, row.hop) == (0x1882, "CI"))
+    assert (taken.came, taken.out, taken.counted["out"]) == (26, 14, "0x884"), "CI's own counter"
+
+
 def test_habits_are_silent_where_they_are_not_had(lab):
     sent, _ = lab.simulate(hz=0.0)
     assert lab.examine(only(sent, 1235)).habits == ()

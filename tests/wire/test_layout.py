@@ -17,6 +17,7 @@ LAYOUTS = [
     cfe.EVENT,
     cfe.SOFTWARE_BUS_HOUSEKEEPING,
     cfe.COMMAND_INGEST_HOUSEKEEPING,
+    cfe.COMMAND_INGEST_HOUSEKEEPING_7,
     cfe.TELEMETRY_OUTPUT_HOUSEKEEPING,
     sbn.HEADER,
     sbn.LEGACY_HEADER,
@@ -36,7 +37,39 @@ LAYOUTS = [
         "reversed", "Three bytes", Field("a", 24, ""), Field("b", 24, "", kind="int"), byte_order="little"
     ),
 ]
-SIZES = [6, 2, 10, 6, 4, 156, 28, 24, 4, 11, 7, 50, 6, 1, 4, 16, 16, 8, 8, 2, 48, 56, 64, 6, 1, 6, 2, 5, 1, 6]
+SIZES = [
+    6,
+    2,
+    10,
+    6,
+    4,
+    156,
+    28,
+    24,
+    12,
+    4,
+    11,
+    7,
+    50,
+    6,
+    1,
+    4,
+    16,
+    16,
+    8,
+    8,
+    2,
+    48,
+    56,
+    64,
+    6,
+    1,
+    6,
+    2,
+    5,
+    1,
+    6,
+]
 
 
 @pytest.mark.parametrize(("layout", "size"), list(zip(LAYOUTS, SIZES, strict=True)))

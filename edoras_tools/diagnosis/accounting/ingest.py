@@ -401,7 +401,7 @@ def _ended_ns(sources: Sources, endpoint: int, last: _Sample, first: _Sample) ->
         told = [
             int(sources.rows.time_ns[item.row]) + _ENDS_NS
             for item in sources.payloads.executive
-            if item.app == command_ingest.NAME and item.function_code in executive_services.ENDS_APP
+            if item.app in command_ingest.NAMES and item.function_code in executive_services.ENDS_APP
         ]
         between = [when for when in told if last.seen_ns - SECOND < when < first.seen_ns]
         ended_ns = max(between, default=last.seen_ns)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.accounting.losses import Known, Loss
 
-_LINKS: Final = frozenset({command_ingest.NAME, telemetry_output.NAME})
+_LINKS: Final = frozenset({*command_ingest.NAMES, *telemetry_output.NAMES})
 """Applications whose stops other accounts follow: CI's by its counter, Telemetry Output's by its port."""
 
 

@@ -39,6 +39,7 @@ _BUS_COUNTERS: Final = (
     ),
 )
 _CI_COUNTERS: Final = cfe.COMMAND_INGEST_HOUSEKEEPING, ("ingest_packets", "ingest_errors")
+_CI_7_COUNTERS: Final = cfe.COMMAND_INGEST_HOUSEKEEPING_7, _CI_COUNTERS[1]
 _TO_COUNTERS: Final = cfe.TELEMETRY_OUTPUT_HOUSEKEEPING, ("command_counter", "command_error_counter")
 
 
@@ -203,13 +204,17 @@ class Payloads:
         for samples, msg_id, layout, names in (
             (self.housekeeping, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, *_BUS_COUNTERS),
             (self.ingest, command_ingest.HOUSEKEEPING_MSG_ID, *_CI_COUNTERS),
+            (self.ingest, command_ingest.HOUSEKEEPING_MSG_ID, *_CI_7_COUNTERS),
             (self.commanded, telemetry_output.HOUSEKEEPING_MSG_ID, *_TO_COUNTERS),
         ):
             rows = np.flatnonzero(downward & (known == msg_id))
             # What follows the counters is not read; a capture may have cut it off.
             size = max(layout.by_name[name].end for name in names)
             have = columns.packet_length[rows] - columns.header_length[rows]
-            rows = rows[(columns.packet_offset[rows] >= 0) & (have >= size)]
+            fits = have >= size
+            if layout is cfe.COMMAND_INGEST_HOUSEKEEPING_7:
+                fits = (have == size) & ((columns.findings[rows] & np.uint32(Finding.CAPTURE_CUT)) == 0)
+            rows = rows[(columns.packet_offset[rows] >= 0) & fits]
             payload = gather(batch.data, columns.packet_offset[rows] + columns.header_length[rows], size)
             counters = [layout.column(name, payload) for name in names]
             samples.add(base + rows, batch.time_ns[rows], *counters)

@@ -40,6 +40,7 @@ class BadCommandKind:
         done: what cFS does about it, as measured.
         refused: whether it comes to nothing.
         event: what cFS says; empty where it says nothing.
+        refused_7: whether CI of cFS 7 refuses it, and says so.
     """
 
     finding: Finding
@@ -47,6 +48,7 @@ class BadCommandKind:
     done: str
     refused: bool
     event: str = ""
+    refused_7: bool = False
 
 
 _LENGTH = r"[Ii]nvalid [Mm]sg length|Invalid cmd length"
@@ -58,7 +60,7 @@ _BAD_COMMANDS: Final = (
         "shorter than a command header",
         "CI drops it",
         True,
-        command_ingest.TOO_SHORT.phrase,
+        f"{command_ingest.TOO_SHORT.phrase}|{command_ingest.TOO_SHORT_7.phrase}",
     ),
     BadCommandKind(
         Finding.INVALID_MSG_ID,
@@ -123,6 +125,7 @@ _BAD_COMMANDS: Final = (
         "packet data length disagrees with the datagram",
         "accepted silently; what is missing is what CI's buffer held before",
         False,
+        refused_7=True,
     ),
     BadCommandKind(
         Finding.CHECKSUM_BAD,
@@ -231,7 +234,8 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
     msg_id = known if known != NO_MSG_ID else None
     name = case.name(known) if known != NO_MSG_ID else "a datagram"
     start_ns = int(rows.time_ns[first])
-    events = _answers(case, kind, first)
+    refused = refusals(case, first, int(rows.length[first])) if kind.refused_7 else []
+    events = refused or _answers(case, kind, first)
     many = len(members) > 1
     which = f"{len(members):,} of {name}: " if many else f"{name}, packet {rows.number[first]}: "
     # What cFS says beats what it usually does.
@@ -239,7 +243,8 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
     # Without a word from cFS it may be built with a longer header, and the length be right.
     unheard = not events and _events_cut(case, start_ns)
     unsure = kind.finding is Finding.COMMAND_LENGTH and (unheard or not case.has_telemetry)
-    lost = None if accepted or unsure or not kind.refused else len(members)
+    lost = None if accepted or unsure or not (kind.refused or refused) else len(members)
+    done = "accepted" if accepted else "CI drops it" if refused else kind.done
     size = f"{rows.length[first]:,} bytes to CI at {case.at(start_ns)}"
     if not many and rows.function_code[first] >= 0:
         size += f", function code {rows.function_code[first]}"
@@ -252,7 +257,7 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
     return Verdict(
         "bad_command",
         Severity.ERROR if lost else Severity.NOTE if kind.finding in _HARMLESS else Severity.WARNING,
-        f"{which}{kind.what}; {'accepted' if accepted else kind.done}",
+        f"{which}{kind.what}; {done}",
         msg_id=msg_id,
         topic=case.topic(known),
         link="ci",
@@ -274,6 +279,16 @@ def _events_cut(case: Case, start_ns: int) -> bool:
     return bool((there & (rows.known_id == cfe.EVENT_MSG_ID) & rows.has(Finding.CAPTURE_CUT)).any())
 
 
+def refusals(case: Case, row: int, length: int) -> list[EventRecord]:
+    """Return what CI of cFS 7 said about a packet of which it had ``length`` bytes: one event, or none."""
+    start_ns = int(case.rows.time_ns[row])
+    for record in case.said(start_ns, start_ns + _ANSWERED_NS, *command_ingest.NAMES):
+        said = command_ingest.CUT_7.pattern.search(record.message)
+        if said and int(said["length"]) == length:
+            return [record]
+    return []
+
+
 def _answers(case: Case, kind: BadCommandKind, row: int) -> list[EventRecord]:
     """Return what cFS said about a row: the first event of its kind that can mean it."""
     if not kind.event:
@@ -281,12 +296,14 @@ def _answers(case: Case, kind: BadCommandKind, row: int) -> list[EventRecord]:
     rows, start_ns = case.rows, int(case.rows.time_ns[row])
     named = int(rows.msg_id[row])
     marks = {f"0x{named:x}", f"{named:04x}"}
+    if kind.finding is Finding.INVALID_MSG_ID:
+        marks.add("(0x0)")  # so it is called in cFS 7
     pattern = re.compile(kind.event)
     for record in case.said(start_ns, start_ns + _ANSWERED_NS):
         if not pattern.search(record.message):
             continue
         text = record.message.lower()
-        names_one = "0x" in text or "cmd " in text
+        names_one = "0x" in text or bool(re.search(r"cmd [0-9a-f]{4}", text))
         if not names_one or any(mark in text for mark in marks) or named == NO_MSG_ID or "code" in text:
             return [record]
     return []

@@ -175,7 +175,7 @@ def event_squelch(case: Case) -> Iterator[Verdict]:
     Name the application whose events are not all here.
     """
     seen = set()
-    for record in case.said(case.start_ns, case.end_ns, SQUELCHED.app, [SQUELCHED.event_id]):
+    for record in case.said(case.start_ns, case.end_ns, SQUELCHED.app, event_ids=[SQUELCHED.event_id]):
         found = SQUELCHED.pattern.search(record.message)
         app = found["app"] if found else record.message
         if (record.sender, app) in seen:

@@ -11,6 +11,7 @@ from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
+from edoras_tools.diagnosis.rules.commands import refusals
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
@@ -203,11 +204,13 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
             f"packet {rows.number[row]} at {case.at(int(rows.time_ns[row]))}: {rows.length[row]:,} bytes"
             for row in members[:4].tolist()
         )
+        said = next((item for row in members.tolist() for item in refusals(case, row, limit)), None)
+        words = f"said: {said}" if said else "says nothing of it"
         yield Verdict(
             "ci_cut",
             Severity.ERROR,
-            f"{len(members):,} of {of:,} commands on {case.name(msg_id)} are longer than CI's {limit} "
-            "bytes: CI cuts them there and accepts them silently",
+            f"{len(members):,} of {of:,} commands on {case.name(msg_id)} are longer than CI's {limit} bytes: "
+            f"CI cuts them there and {'drops what lacks its end' if said else 'accepts them silently'}",
             msg_id=msg_id,
             topic=case.topic(msg_id),
             link="ci",
@@ -216,7 +219,10 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
             of=of,
             start_ns=int(rows.time_ns[members[0]]),
             end_ns=int(rows.time_ns[members[-1]]),
-            evidence=(packets, f"up to {int(sizes.max()):,} bytes; cFS says nothing of it"),
+            evidence=(
+                packets,
+                f"up to {int(sizes.max()):,} bytes; cFS {words}",
+            ),
             remedy=f"send less than {limit} bytes a command, header included; or build CI with a larger "
             "buffer",
         )

@@ -98,7 +98,7 @@ def _no_address(case: Case, item: OutputCommand) -> Verdict:
     start_ns = int(case.rows.time_ns[item.row])
     said = [
         record
-        for record in case.said(start_ns, start_ns + 2 * SECOND, telemetry_output.NAME)
+        for record in case.said(start_ns, start_ns + 2 * SECOND, *telemetry_output.NAMES)
         if telemetry_output.ENABLED.phrase in record.message
     ]
     return Verdict(

@@ -41,7 +41,7 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     limit = profile.app_msg_limit
     clean = limit * SECOND / period
     least = "at least " if loss.instance not in case.tracks else ""
-    if loss.sender and not loss.sender.startswith((command_ingest.NAME, "SBN")):
+    if loss.sender and not loss.sender.startswith((*command_ingest.NAMES, "SBN")):
         return loss_verdict(
             case,
             "app_pipe_limit",

@@ -21,7 +21,11 @@ LOSSES: Final = ("pipe_overflow_error_counter", "message_limit_error_counter")
 _EVENT_TYPES: Final = {1: "debug", 2: "information", 3: "error", 4: "critical"}
 _MOST_EVENTS: Final = 10_000
 _MODULUS: Final = 1 << 16
-_INGEST_BYTES: Final = cfe.TELEMETRY_HEADER_BYTES + cfe.COMMAND_INGEST_HOUSEKEEPING.size
+_INGEST: Final = {
+    cfe.TELEMETRY_HEADER_BYTES + layout.size: layout
+    for layout in (cfe.COMMAND_INGEST_HOUSEKEEPING, cfe.COMMAND_INGEST_HOUSEKEEPING_7)
+}
+"""CI's housekeeping by the bytes of its packet."""
 """A packet of another length is not CI's: this build gives its MsgId to another application."""
 
 
@@ -90,8 +94,8 @@ class Responses:
                 self._event(data, now)
             elif known == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID:
                 self._bus(data)
-            elif known == command_ingest.HOUSEKEEPING_MSG_ID and len(data) == _INGEST_BYTES:
-                values = cfe.COMMAND_INGEST_HOUSEKEEPING.parse(data, cfe.TELEMETRY_HEADER_BYTES)
+            elif known == command_ingest.HOUSEKEEPING_MSG_ID and len(data) in _INGEST:
+                values = _INGEST[len(data)].parse(data, cfe.TELEMETRY_HEADER_BYTES)
                 self.ingest.reported(values["ingest_packets"] + values["ingest_errors"])
         except TruncatedError:
             pass  # it is counted, and nothing more can be read from it

@@ -48,6 +48,8 @@ def test_a_packet_of_another_length_is_not_ci_s_count():
     assert seen.ingest.reports == 0
     seen.add(TO, cfe.emit_telemetry(0x884, bytes(24)), 1)
     assert seen.ingest.reports == 1
+    seen.add(TO, cfe.emit_telemetry(0x884, bytes(12)), 2)  # of cFS 7
+    assert seen.ingest.reports == 2
 
 
 def test_counters_tell_what_was_gained():
