@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "6083c963d19318a8"
+local DIGEST = "dd18e7702c20f440"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -2004,6 +2004,7 @@ D.sbn = {
 }
 D.racs2 = {
 	subprotocol = "example-protocol",
+	largest = 128,
 	values = {
 		[1] = {name = "bool_data", kind = "bool"},
 		[2] = {name = "float_data", kind = "float"},
@@ -4726,11 +4727,12 @@ end
 -- RACS2 messages: the header, and the values of the body, where it is a RACS2Bridge_std_msgs (Protocol Buffers), as the
 -- public examples have.
 
+local body_length = new_field("racs2", "racs2.body_length", "uint32", "body_length", base.DEC)
 local VALUES = {}  -- by field number
 for number, item in pairs(D.racs2.values) do
 	local format_of = ({int64 = base.DEC, uint64 = base.DEC})[item.kind]
 	VALUES[number] = {
-		kind = item.kind, array = item.array, width = ({float = 4, double = 8})[item.kind],
+		kind = item.kind, name = item.name, array = item.array, width = ({float = 4, double = 8})[item.kind],
 		record = new_field("racs2", "racs2.body." .. item.name, item.kind, item.name, format_of),
 	}
 end
@@ -4804,6 +4806,39 @@ local function body_values(s, at)
 	return #found > 0 and found or nil
 end
 
+-- A float as Python has it: as few digits as tell it from all others.
+local function float_text(value)
+	local text
+	for digits = 15, 17 do
+		text = format("%." .. digits .. "g", value)
+		if tonumber(text) == value then break end
+	end
+	return text:find("^%-?%d+$") and text .. ".0" or text
+end
+
+-- The values of a message in one line.
+local function body_text(values, s)
+	local names, told = {}, {}
+	for _, item in ipairs(values) do
+		local field, text = item.field, tostring(item.value)
+		if field.width then
+			text = float_text((unpack(field.width == 8 and "<d" or "<f", s, item.at + 1)))
+		elseif field.kind == "string" then
+			text = "'" .. text .. "'"
+		elseif field.kind == "bool" then
+			text = item.value and "True" or "False"
+		end
+		if not told[field] then names[#names + 1] = field end
+		local list = field.array and told[field] or {}
+		list[#list + 1], told[field] = text, list
+	end
+	for index, field in ipairs(names) do
+		local text = table.concat(told[field], ", ")
+		names[index] = field.name .. " " .. (field.array and "[" .. text .. "]" or text)
+	end
+	return table.concat(names, ", ")
+end
+
 -- Add the values of a message, the last of each that is no array.
 local function show_body(values, tree, tvb, visible)
 	local newest = {}
@@ -4825,6 +4860,7 @@ end
 local function racs2(s)
 	local to_cfs = byte(s, 1) * 256 <= D.limits.highest_msg_id
 	if not take(to_cfs and L.racs2_message or L.racs2_topic, 0) then return nil end
+	local size, values = #s - L.racs2_message.size, body_values(s, L.racs2_message.size)
 	if W.listed then
 		local target
 		if to_cfs then
@@ -4832,11 +4868,14 @@ local function racs2(s)
 		else
 			target = read.racs2_topic(s, 1)
 		end
-		W.summary = format("%s: %d bytes", target, #s - L.racs2_message.size)
+		W.summary = target .. ": " .. (values and body_text(values, s) or size .. " bytes")
+		if to_cfs and size > D.racs2.largest then
+			W.summary = W.summary .. format(", more than the %d that cFS has room for", D.racs2.largest)
+		end
 	end
-	local values = body_values(s, L.racs2_message.size)
-	if values then
-		W.inside[1] = function(node, tvb, visible) show_body(values, node, tvb, visible) end
+	W.inside[1] = function(node, tvb, visible)
+		show_value(node, body_length, size, visible)
+		if values then show_body(values, node, tvb, visible) end
 	end
 	return nil
 end

@@ -208,6 +208,7 @@ def _data(knowledge: Knowledge) -> str:
         },
         "racs2": {
             "subprotocol": racs2.SUBPROTOCOL,
+            "largest": racs2.LARGEST_BODY,
             "values": {
                 number: {"name": name, "kind": kind, "array": array or None}
                 for name, (number, kind, array) in racs2.BODY_KINDS.items()

@@ -3,19 +3,30 @@
 import re
 import struct
 import subprocess
+from contextlib import closing
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from xml.parsers import expat
 
 import pytest
 
+from edoras_tools.decode import ColumnDecoder, Context, Dissector
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.frames.transfer import Unframer
 from edoras_tools.links.fprime import FPRIME
 from edoras_tools.links.frames import FRAMES
+from edoras_tools.links.racs2 import RACS2
+from edoras_tools.mission import Mission, load
 from edoras_tools.model import OTHER
+from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.wireshark.lua import dissector
-from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.pipelines.workbench import Settings, Workbench
 from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.ros import TypeStore
+from edoras_tools.structs import Structs
+from edoras_tools.structs.files import load_layout
+from edoras_tools.wire.racs2 import BODY_KINDS
 
 OURS = "ccsds_sp cfe sbn robot racs2 frames fprime edoras ros2cdr"
 PREFIXES = tuple(f"{name}." for name in (*OURS.split(), "ros2"))
@@ -99,7 +110,6 @@ RENAMED = {
     "sbn.sub.msg_ids": "sbn.subscription.msg_id",
     "fprime.fprime.crc32": "fprime.crc32",
 }
-CHECK = "frame_error_control"
 CONTROLS = dict.fromkeys((*range(32), 127), " ")
 INDEX = re.compile(r"\[\d+\]")
 
@@ -109,7 +119,12 @@ def header_fields(packet):
     found = {}
     for layer in packet.layers:
         for item in layer.fields if layer.name in LAYERS else ():
-            name = f"{packet.link.label if item.name == CHECK else LAYERS[layer.name]}.{item.name}"
+            prefix = LAYERS[layer.name]
+            if item.name in ("frame_error_control", "body_length"):
+                prefix = packet.link.label
+            elif packet.link is RACS2 and item.name in BODY_KINDS:
+                prefix = "racs2.body"
+            name = f"{prefix}.{item.name}"
             values = list(item.value) if isinstance(item.value, list) else [item.value]
             if values:
                 found.setdefault(RENAMED.get(name, name), []).extend(values)
@@ -149,7 +164,9 @@ def read_header(shown, raw, like):
     if isinstance(like, bytes):
         return bytes.fromhex(raw)
     if isinstance(like, float):
-        return struct.unpack("<d", bytes.fromhex(raw))[0]
+        return struct.unpack("<d" if len(raw) == 16 else "<f", bytes.fromhex(raw))[0]
+    if isinstance(like, bool):
+        return shown in {"1", "True"}
     return text(shown, like) if isinstance(like, str) else int(shown, 0)
 
 
@@ -275,6 +292,32 @@ def tshark(tmp_path_factory):
         return Tshark(tmp_path_factory.mktemp("lua") / "edoras.lua", Settings(configs, **settings))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def agreed(tshark, judge):
+    """Hold tshark to all that we find in a capture, frame by frame.
+
+    It returns our bench, how many fields were compared, our packets by frame, and the gaps that tshark told.
+    """
+
+    def hold(path, *configs, structs=()):
+        mission, types = load(configs) if configs else Mission(), TypeStore()
+        context = Context(mission, types, structs=Structs([load_layout(item) for item in structs]))
+        frames = Unframer(context.frames) if context.frames else None
+        bench, found = Workbench(mission, types, ColumnDecoder(context), Dissector(context), frames), []
+        with closing(open_file(path)) as source, reading(source, bench) as loop:
+            for rows in loop:
+                found += [bench.dissector.dissect(rows.batch[row]) for row in range(len(rows.batch))]
+        groups = groupby(found, lambda packet: packet.datagram.number)
+        ours = {number: list(packets) for number, packets in groups}
+        theirs = tshark(*configs, structs=structs).frames(path)
+        compared = sum(judge(packets, theirs[number], types) for number, packets in ours.items())
+        assert all(not frame.fields for number, frame in theirs.items() if number not in ours)
+        told = [item for frame in theirs.values() for item in frame.fields.get("edoras.gap", [])]
+        return bench, compared, ours, [int(shown) for shown, _ in told]
+
+    return hold
 
 
 @pytest.fixture(scope="session")

@@ -1,8 +1,6 @@
 """Transfer frames and F Prime in Wireshark: every field of every frame as our own decoder reads it."""
 
-from contextlib import closing
 from dataclasses import replace
-from itertools import groupby
 
 import pytest
 from effort import examples
@@ -16,79 +14,43 @@ from rewriting import datagrams as captured
 from streams import segments_of, write_segments
 from transfer_frames import CRAFT, Maker
 
-from edoras_tools.decode import ColumnDecoder, Context, Dissector
-from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.frames.transfer import Unframer
-from edoras_tools.mission import Mission, load
-from edoras_tools.pipelines.reading import reading
-from edoras_tools.pipelines.workbench import Workbench
-from edoras_tools.ros import TypeStore
-from edoras_tools.structs import Structs
-from edoras_tools.structs.files import load_layout
-
-TYPES = TypeStore()
 ROVER_CAPTURE = ROOT / "samples/captures/a_rover.pcap"
 MISSION = ROOT / "samples/missions/rover_ground.yaml"
 
 
-def rows_of(path, configs, structs):
-    """Return our own bench, and the packets of each captured frame by its number."""
-    mission = load(configs) if configs else Mission()
-    context = Context(mission, TYPES, structs=Structs([load_layout(item) for item in structs]))
-    frames = Unframer(context.frames) if context.frames else None
-    bench, found = Workbench(mission, TYPES, ColumnDecoder(context), Dissector(context), frames), []
-    with closing(open_file(path)) as source, reading(source, bench) as loop:
-        for rows in loop:
-            found += [bench.dissector.dissect(rows.batch[row]) for row in range(len(rows.batch))]
-    groups = groupby(found, lambda packet: packet.datagram.number)
-    return bench, {number: list(packets) for number, packets in groups}
-
-
-def agreed(path, tshark, judge, *configs, structs=()):
-    """Hold tshark to our own decoder; return the decoder's state, and how many fields were compared."""
-    bench, ours = rows_of(path, configs, structs)
-    theirs = tshark(*configs, structs=structs).frames(path)
-    compared = sum(judge(packets, theirs[number], TYPES) for number, packets in ours.items())
-    assert all(not frame.fields for number, frame in theirs.items() if number not in ours)
-    gaps = [int(shown) for frame in theirs.values() for shown, _ in frame.fields.get("edoras.gap", [])]
-    return bench, compared, ours, gaps
-
-
-def test_the_sample_of_f_prime(tshark, judge):
+def test_the_sample_of_f_prime(agreed):
     for structs in ((), (DICTIONARY,)):
-        _, compared, ours, _ = agreed(CAPTURE, tshark, judge, structs=structs)
+        _, compared, ours, _ = agreed(CAPTURE, structs=structs)
         assert compared > 100
         assert sum(len(packet.messages) for packets in ours.values() for packet in packets) == (
             21 if structs else 0
         )
 
 
-def test_frames_of_f_prime_that_are_not_right(tshark, judge, tmp_path):
+def test_frames_of_f_prime_that_are_not_right(agreed, tmp_path):
     frames = [frame for frame, *_ in BAD.values()]
     frames += [frame[:size] for frame in frames[:6] for size in range(0, len(frame), 3)]
     frames += [tm(space(PACKETS[1])), own(EVENT), tc(space(EVENT))]
     items = [Udp(10**18 + index, CRAFT, ("127.0.0.1", 50001), one) for index, one in enumerate(frames)]
     path = write(tmp_path / "bad.pcap", items)
-    for structs in ((), (DICTIONARY,)):
-        _, _, ours, _ = agreed(path, tshark, judge, structs=structs)
-        found = [finding for packets in ours.values() for item in packets for finding in item.findings.labels]
-        assert {"checksum_bad", "length_mismatch", "truncated"} <= set(found)
-        assert ("struct_length" in found) == bool(structs)
+    _, _, ours, _ = agreed(path, structs=(DICTIONARY,))
+    found = {finding for packets in ours.values() for item in packets for finding in item.findings.labels}
+    assert {"checksum_bad", "length_mismatch", "truncated", "struct_length", "unknown_msg_id"} <= found
 
 
-@settings(max_examples=examples(4), phases=[Phase.explicit, Phase.generate])
-@given(st.lists(any_frames(), min_size=40, max_size=80))
-def test_any_frames_of_f_prime(tshark, judge, tmp_path_factory, frames):
+@settings(max_examples=examples(20, 20, 1), phases=[Phase.explicit, Phase.generate])
+@given(st.lists(any_frames(), min_size=60, max_size=90))
+def test_any_frames_of_f_prime(agreed, tmp_path_factory, frames):
     path = tmp_path_factory.mktemp("any") / "any.pcap"
     write(path, [Udp(10**18 + at, CRAFT, ("127.0.0.1", 50000), one) for at, one in enumerate(frames)])
-    agreed(path, tshark, judge, structs=(DICTIONARY,))
+    agreed(path, structs=(DICTIONARY,))
 
 
 GDS, ROVER = ("10.0.0.1", 50000), ("10.0.0.2", 40000)
 
 
 @pytest.mark.parametrize("kind", ["own", "ccsds"])
-def test_f_prime_over_tcp(kind, tshark, judge, tmp_path):
+def test_f_prime_over_tcp(kind, agreed, tmp_path):
     """In both directions, cut anywhere, with what keeps the connection alive between frames."""
     if kind == "own":
         frames = [(packet[:2] == b"\0\0", own(packet)) for packet in PACKETS]
@@ -101,7 +63,7 @@ def test_f_prime_over_tcp(kind, tshark, judge, tmp_path):
         segments += segments_of(stream, range(7, 9000, 611), source=ends[0], destination=ends[1])
     path = tmp_path / "tcp.pcap"
     write_segments(path, segments)
-    _, compared, ours, _ = agreed(path, tshark, judge, structs=(DICTIONARY,))
+    _, compared, ours, _ = agreed(path, structs=(DICTIONARY,))
     assert compared > 50
     assert sum(bool(packet.layers) for packets in ours.values() for packet in packets) == len(frames)
 
@@ -148,9 +110,9 @@ def disturbed(frames, chance):
     return found
 
 
-@settings(max_examples=examples(3), phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=examples(20, 20, 1), phases=[Phase.explicit, Phase.generate])
 @given(st.randoms(use_true_random=False))
-def test_frames_and_their_packets(tshark, judge, tmp_path_factory, chance):
+def test_frames_and_their_packets(agreed, tmp_path_factory, chance):
     folder = tmp_path_factory.mktemp("frames")
     items = []
     for number, maker in enumerate(FORMATS, 1):
@@ -161,27 +123,27 @@ def test_frames_and_their_packets(tshark, judge, tmp_path_factory, chance):
     order = sorted(range(len(items)), key=lambda at: (at % 97, at))
     items = [replace(items[at], time_ns=10**18 + place * 10**6) for place, at in enumerate(order)]
     path = write(folder / "frames.pcap", items)
-    bench, compared, ours, _ = agreed(path, tshark, judge, mission(folder), MISSION)
+    bench, compared, ours, _ = agreed(path, mission(folder), MISSION)
     assert compared > 3 * len(items)
     assert {item.kind for item in bench.frames.channels} == {"tm", "aos", "tc"}
     inside = [packet for packets in ours.values() for packet in packets[1:]]
     assert sum(packet.message is not None for packet in inside) > 0
 
 
-def test_lost_frames_are_marked(tshark, judge, tmp_path):
+def test_lost_frames_are_marked(agreed, tmp_path):
     items, uncounted = [], [packet[:2] + bytes(2) + packet[4:] for packet in TELEMETRY[:120]]
-    for number, maker in enumerate(FORMATS[:7], 1):
+    for number, maker in list(enumerate(FORMATS, 1))[:6:2]:
         frames = [frame for frame, _ in replace(maker).carry(uncounted)]
         kept = [frame for at, frame in enumerate(frames) if at not in {3, 4, 7}]
         items += [Udp(0, CRAFT, ("10.0.0.1", 6000 + number), frame) for frame in kept]
     items = [replace(item, time_ns=10**18 + at * 10**6) for at, item in enumerate(items)]
-    bench, _, _, gaps = agreed(write(tmp_path / "l.pcap", items), tshark, judge, mission(tmp_path), MISSION)
-    assert gaps == [2, 1] * 7
-    assert [channel.lost for channel in bench.frames.channels] == [3] * 7
+    bench, _, _, gaps = agreed(write(tmp_path / "l.pcap", items), mission(tmp_path), MISSION)
+    assert gaps == [2, 1] * 3
+    assert [channel.lost for channel in bench.frames.channels] == [3] * 3
 
 
 @pytest.mark.parametrize("link", ["to", "fprime"])
-def test_frames_over_tcp(link, tshark, judge, tmp_path):
+def test_frames_over_tcp(link, agreed, tmp_path):
     """Each format on a connection of its own, cut anywhere; F Prime has no secondary headers."""
     packets = TELEMETRY[:30] if link == "to" else [space(packet, at) for at, packet in enumerate(PACKETS)]
     segments = []
@@ -193,13 +155,13 @@ def test_frames_over_tcp(link, tshark, judge, tmp_path):
     path, structs = tmp_path / "tcp.pcap", (DICTIONARY,)
     write_segments(path, segments)
     config = mission(tmp_path, transport="tcp", link=link)
-    bench, compared, _, gaps = agreed(path, tshark, judge, config, MISSION, structs=structs)
+    bench, compared, _, gaps = agreed(path, config, MISSION, structs=structs)
     assert compared > 500
     assert not gaps
     assert [item.packets for item in bench.frames.channels] == [len(packets)] * len(bench.frames.channels)
 
 
-def test_frames_that_the_capture_cut(tshark, judge, write_pcap, tmp_path):
+def test_frames_that_the_capture_cut(agreed, write_pcap, tmp_path):
     frames = [
         (40000, 6000 + at, frame)
         for at, maker in enumerate(FORMATS, 1)
@@ -209,4 +171,4 @@ def test_frames_that_the_capture_cut(tshark, judge, write_pcap, tmp_path):
     frames += [(40000, 50000, own(packet)) for packet in PACKETS]
     snaps = (29, 32, 34, 35, 36, 40, 60, 100, 65535)
     path = write_pcap(tmp_path / "cut.pcap", frames, snaps=snaps)
-    agreed(path, tshark, judge, mission(tmp_path), MISSION, structs=(DICTIONARY,))
+    agreed(path, mission(tmp_path), MISSION, structs=(DICTIONARY,))

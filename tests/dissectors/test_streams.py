@@ -8,6 +8,7 @@ import pytest
 from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import ROOT
 from racs2_peer import Talk, to_cfs, to_ros
 from scapy.layers.l2 import Ether
 from streams import frames, sbn_messages, segments_of, write_segments
@@ -75,6 +76,24 @@ BODIES = [
     },
     {"int32_array_data": [1, -150, 3], "uint64_array_data": [0, 1 << 63], "int64_array_data": [-1]},
 ]
+
+
+MISSIONS = [ROOT / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]
+
+
+def test_every_field_of_what_streams_hold(agreed, tmp_path):
+    """SBN and RACS2, several messages in a segment: as our own decoder has them, also in the packet list."""
+    path, talk = tmp_path / "streams.pcap", Talk()
+    for number, values in enumerate(BODIES):
+        talk.cfs.send_binary(to_ros("/topic", encoded(values)))
+        talk.pass_on()
+        talk.ros.send_binary(to_cfs(0x1894 + number, b"body" * number + bytes(120)))
+        talk.pass_on()
+    messages = b"".join(sbn_messages(60))
+    write_segments(path, [*talk.segments, *segments_of(messages, range(0, 3000, 150))])
+    _, compared, ours, _ = agreed(path, *MISSIONS)
+    assert compared > 200
+    assert max(map(len, ours.values())) > 3
 
 
 def encoded(values):
