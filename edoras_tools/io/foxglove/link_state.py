@@ -14,7 +14,7 @@ from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from edoras_tools.io.topics.rows import Messages
     from edoras_tools.model import PacketBatch, SourceStatistics
@@ -47,17 +47,17 @@ class LinkState:
         self,
         batch: PacketBatch,
         counts: Messages,
-        events: Messages,
+        events: Sequence[Messages],
         statuses: Mapping[str, Mapping[str, Any]],
     ) -> None:
         """Add a batch of at least one row.
 
         Args:
             counts: its messages on ``/edoras/link_statistics``.
-            events: its messages on ``/edoras/events``.
+            events: its messages on ``/edoras/events``: of cFE, of its reset log, of F Prime.
             statuses: the latest of ``/diagnostics``, by name.
         """
-        told = self._told(events, len(batch)) if len(events) else []
+        told = self._told(events, len(batch)) if any(map(len, events)) else []
         with self._lock:
             self._heard, self._time_ns = time.monotonic(), int(batch.time_ns[-1])
             self._events.extendleft(told)
@@ -93,8 +93,8 @@ class LinkState:
             "events": events,
         }
 
-    def _told(self, events: Messages, rows: int) -> list[dict[str, Any]]:
-        records = lay_out([events], rows)
+    def _told(self, events: Sequence[Messages], rows: int) -> list[dict[str, Any]]:
+        records = lay_out(events, rows)
         told = []
         for place in range(max(len(records) - _MOST_EVENTS, 0), len(records)):
             cdr = bytes(records.data[records.start[place] : records.end[place]])

@@ -15,6 +15,7 @@ from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPI
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from edoras_tools.io.topics.rows import Messages
     from edoras_tools.links.protocol import Endpoints
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, Finding, PacketBatch, SourceInfo, SourceStatistics
@@ -96,10 +97,13 @@ class FoxgloveSink(ServedSink):
             datagrams=self.server.wanted(0),
             transforms=self.server.wanted(self._places[TRANSFORMS.name]),
         )
-        own = {item.channel_id: item for item in streams if isinstance(item.channel_id, int)}
+        own: dict[int, list[Messages]] = {}
+        for item in streams:
+            if isinstance(item.channel_id, int):
+                own.setdefault(item.channel_id, []).append(item)
         streams.append(self._diagnostics.messages(batch, columns, self._places[DIAGNOSTICS.name]))
         counts, events = (own[self._places[name]] for name in (STATISTICS_TOPIC, EVENTS_TOPIC))
-        self._link.add(batch, counts, events, self._diagnostics.latest)
+        self._link.add(batch, counts[-1], events, self._diagnostics.latest)
         if self.server.clients:
             self.server.publish(lay_out(streams, len(batch)))
             self.show_time(int(batch.time_ns[-1]))

@@ -1,8 +1,15 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+from places import SAMPLES
+
 from edoras_tools.io.foxglove.link_state import LinkState
 from edoras_tools.io.topics.streams import Streams
+from edoras_tools.mission import Mission
 from edoras_tools.model import SourceStatistics
+from edoras_tools.pipelines.clocks import open_aligned
+from edoras_tools.pipelines.workbench import Settings
 
 EVENTS, STATISTICS = 1, 3
 
@@ -12,12 +19,10 @@ def told(read, types, **options):
     state = LinkState(types, options.pop("statistics", None))
     streams = Streams(read.mission, types)
     for batch, columns in read.pairs:
-        own = {
-            item.channel_id: item
-            for item in streams.messages(batch, columns)
-            if isinstance(item.channel_id, int)
-        }
-        state.add(batch, own[STATISTICS], own[EVENTS], options.get("statuses", {}))
+        made = [item for item in streams.messages(batch, columns) if isinstance(item.channel_id, int)]
+        (counts,) = [item for item in made if item.channel_id == STATISTICS]
+        events = [item for item in made if item.channel_id == EVENTS]
+        state.add(batch, counts, events, options.get("statuses", {}))
     return state
 
 
@@ -41,6 +46,17 @@ def test_events_are_the_latest_with_their_levels(capture, types):
     assert [item["time_ns"] for item in events] == sorted((item["time_ns"] for item in events), reverse=True)
     limit = next(item for item in events if item["level"] == 40)
     assert limit["text"] == "Msg Limit Err,MsgId 0x1827,pipe EDORAS_APP_PIPE,sender CI_LAB_APP"
+
+
+def test_events_of_all_kinds_are_among_them(types):
+    """Of a batch that holds events of cFE and entries of its reset log."""
+    files = SAMPLES / "cfs_files"
+    source, _ = open_aligned([files / "events.log", files / "resets.log"], Settings())
+    decode = Settings().workbench().columns.decode
+    read = SimpleNamespace(mission=Mission(), pairs=[(batch, decode(batch)) for batch in source.batches()])
+    events = told(read, types).summary()["events"]
+    assert any("POWER ON RESET" in item["text"] for item in events)
+    assert {"CFE_ES", "TO_LAB"} <= {item["app"] for item in events}
 
 
 def test_losses_and_findings_stand_at_their_route(capture, types):
