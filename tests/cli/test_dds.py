@@ -77,6 +77,17 @@ def test_a_table_for_each_topic(tmp_path, call):
     assert "several topics" in told
 
 
+def test_a_pattern_and_a_plot_of_all_find_them(tmp_path, call):
+    call("export", SENDERS[0], "--topic", "/c*", "-o", tmp_path / "some/", "--format", "csv")
+    assert {path.name for path in tmp_path.glob("some/*")} == {"cmd_vel.csv", "chatter.csv"}
+    panels = call("plot", SENDERS[0], "--json").json()["panels"]
+    read = {line["label"]: line["read"] for panel in panels for line in panel["lines"]}
+    assert read["/cmd_vel"] == read["/chatter"] == 100
+    mixed = tmp_path / "mixed/"
+    call("export", SENDERS[0], "-c", MISSION, "--topic", "*cmd_vel", "-o", mixed, "--format", "csv")
+    assert [path.name for path in mixed.iterdir()] == ["dds.cmd_vel.csv"]
+
+
 def test_a_part_has_names_that_were_announced_before_it(call):
     whole, part = (
         call("export", SENDERS[0], "--topic", "/chatter", *some, "-o", "-").out.splitlines()

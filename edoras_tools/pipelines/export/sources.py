@@ -18,7 +18,7 @@ from edoras_tools.io.formats.merge import recorded_faults
 from edoras_tools.io.formats.open import is_cfe_file
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.topics.faults import fault_messages
-from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
+from edoras_tools.io.topics.names import APART, DATAGRAMS_TOPIC
 from edoras_tools.io.topics.rows import RECORD_BYTES, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, Streams
 from edoras_tools.io.workers import InOrder, Workers
@@ -117,6 +117,9 @@ class TopicSource(ABC):
 
     def look(self) -> None:  # noqa: B027  most name all of them
         """Add topics that only the content names, if that needs reading it."""
+
+    def look_ahead(self) -> None:  # noqa: B027  as look
+        """Add the topics of DDS that the content announces, if it can be read twice."""
 
     def definition(self, topic: str) -> str:
         """Return the definition of a topic's type; empty if it has none."""
@@ -247,6 +250,13 @@ class CaptureTopics(TopicSource):
     def notes(self) -> list[str]:
         """Notes on the input for the user."""
         return [*self._bench.mission.warnings, *self._bench.columns.context.notes]
+
+    def look_ahead(self) -> None:
+        """Add the topics of DDS that the content announces, if it can be read twice."""
+        for topic, kind in self._bench.columns.context.announced_topics().items():
+            if self._bench.types.has(kind):
+                name = f"{APART}{topic}" if topic in self.topics else topic
+                self.topics.setdefault(name, kind)
 
     def look(self) -> None:
         """Add the topics of RACS2, of DDS and of files that were transferred."""

@@ -87,6 +87,8 @@ def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collectio
     """
     if not patterns:
         return [topic for topic in source.topics if topic in usual]
+    if any(sign in item for item in patterns for sign in "*?["):
+        source.look_ahead()
     if not all(any(fits_topic(topic, item) for topic in source.topics) for item in patterns):
         source.look()
     for pattern in patterns:
