@@ -82,7 +82,7 @@ def _verify(files: list[Path], printing: options.PrintOptions) -> None:
     every = [item for path in files for item in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
     lost = False
     for path in every:
-        with byte_progress(path, "checking", quiet=printing.quiet or printing.json) as progress:
+        with byte_progress(path, quiet=printing.quiet or printing.json) as progress:
             report = verify(path, progress=progress)
         lost |= report.lost
         if printing.json:

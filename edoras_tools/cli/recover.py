@@ -33,7 +33,7 @@ def recover(
     there = in_the_way(target)
     if there and not force and not (file.exists() and target.samefile(file)):
         refuse_existing(there)
-    with byte_progress(file, "checking", quiet=json) as progress:
+    with byte_progress(file, quiet=json) as progress:
         report = run(file, target, unproved=unproved, progress=progress)
     if json:
         print_json({**asdict(report), "output": None if report.whole else str(target)})

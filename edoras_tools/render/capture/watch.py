@@ -101,8 +101,8 @@ class Followed:
 
 
 @contextmanager
-def byte_progress(path: Path, what: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """Show on standard error how many bytes of a file are worked through: yield what takes them and all."""
+def byte_progress(path: Path, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """Show on standard error how many bytes of a file are checked: yield what takes them and all."""
     if quiet or not look(sys.stderr).interactive:
         yield lambda _done, _all: None
         return
@@ -110,7 +110,7 @@ def byte_progress(path: Path, what: str, *, quiet: bool) -> Iterator[Callable[[i
     from edoras_tools.render.terminal.progress import FileProgress
 
     with FileProgress(path.name, console=error_console()) as bar:
-        yield lambda done, of: bar.step(what, done, of, units.size)
+        yield lambda done, of: bar.step("checking", done, of, units.size)
 
 
 def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | None = None) -> str:

@@ -11,7 +11,7 @@ from rich.text import Text
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.table import plain
+from edoras_tools.render.terminal.table import facts_grid, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ _MOST_EVENTS: Final = 20
 
 def plan(summary: Mapping[str, Any]) -> RenderableType:
     """Return what ``--dry-run`` says."""
-    facts = _facts()
+    facts = facts_grid()
     many = summary["datagrams"]
     datagrams = "without end" if many is None else plural(many, "datagram")
     facts.add_row("would send", f"{datagrams} to {summary['to']} at {summary['target']}")
@@ -48,7 +48,7 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
         summary: in the shape of ``replay --json``.
         target: where it went.
     """
-    facts = _facts()
+    facts = facts_grid()
     over = f" over {units.duration(summary['duration_s'])}" if summary["duration_s"] else ""
     ended = "  (ended early)" if summary["interrupted"] else ""
     facts.add_row("sent", f"{plural(summary['sent'], 'datagram')} to {target}{over}{ended}")
@@ -121,13 +121,6 @@ def _rate(hertz: float | None) -> str:
 def _micro(microseconds: float) -> str:
     small = microseconds < 999.5
     return f"{microseconds:.1f} µs" if small else units.milliseconds(microseconds / 1e3)
-
-
-def _facts() -> Table:
-    table = Table.grid(padding=(0, 2, 0, 0))
-    table.add_column(style=palette.DIM, no_wrap=True)
-    table.add_column(overflow="fold")
-    return table
 
 
 def _routes(rows: Sequence[Mapping[str, Any]]) -> Table:

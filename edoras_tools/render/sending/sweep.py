@@ -7,20 +7,20 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
 from edoras_tools.render import units
 from edoras_tools.render.chart import Chart, terminal
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.table import Column, build, figure, plain
+from edoras_tools.render.terminal.table import Column, build, facts_grid, figure, plain
 from edoras_tools.render.terminal.terminal import look
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from rich.console import RenderableType
+    from rich.table import Table
 
 _CHART_WIDTH: Final = 78
 
@@ -37,7 +37,7 @@ def outcome(summary: Mapping[str, Any], width: int) -> RenderableType:
         shown += [_steps(steps, width), Text()]
     if len(steps) > 1:
         shown += [*terminal(Chart.of(summary), min(width, _CHART_WIDTH)), Text()]
-    facts = _facts()
+    facts = facts_grid()
     name = (
         summary["route"] if summary["route"] == summary["msg_id"] else "{route} ({msg_id})".format(**summary)
     )
@@ -55,7 +55,7 @@ def outcome(summary: Mapping[str, Any], width: int) -> RenderableType:
 
 def plan(summary: Mapping[str, Any]) -> RenderableType:
     """Return what ``--dry-run`` says."""
-    facts = _facts()
+    facts = facts_grid()
     facts.add_row("route", plain(f"{summary['route']} ({summary['msg_id']}) over {summary['link'].upper()}"))
     rates, sizes = summary["rates_hz"], summary["sizes"]
     facts.add_row("rate", f"{rates[0]:,} to {rates[1]:,} Hz" if rates[0] != rates[1] else f"{rates[0]:,} Hz")
@@ -123,10 +123,3 @@ def _steps(steps: list[Mapping[str, Any]], width: int) -> Table:
         Column("At", lambda step: plain(step["hop"] or ""), justify="left", elastic=True),
     )
     return build(columns, steps, width)
-
-
-def _facts() -> Table:
-    table = Table.grid(padding=(0, 2, 0, 0))
-    table.add_column(style=palette.DIM, no_wrap=True)
-    table.add_column(overflow="fold")
-    return table

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Final
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from edoras_tools.render import units
@@ -15,6 +14,7 @@ from edoras_tools.render.terminal.text import clean, clip_left
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rich.console import Console
     from typing_extensions import Self
 
     from edoras_tools.model import SourceStatistics
@@ -34,7 +34,6 @@ class FileProgress:
 
     Args:
         label: what is read, as a file's name.
-        console: where to draw; standard error by default.
         quiet: draw nothing.
         clock: monotonic time in s.
     """
@@ -43,11 +42,10 @@ class FileProgress:
         self,
         label: str,
         *,
-        console: Console | None = None,
+        console: Console,
         quiet: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        console = console or Console(stderr=True)
         self._clock = clock
         self._began = self._drawn = self._since = clock()
         self._source: CountedSource | None = None

@@ -85,6 +85,14 @@ def build(
     return table
 
 
+def facts_grid() -> Table:
+    """Return an empty table of facts: what each is about, and what is so."""
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(style=palette.DIM, no_wrap=True)
+    table.add_column(overflow="fold")
+    return table
+
+
 def plain(value: object, style: str = "") -> Text:
     """Return a value as clean text, never as markup."""
     return Text(clean(str(value)), style)

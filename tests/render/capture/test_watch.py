@@ -102,9 +102,9 @@ def test_a_source_that_is_followed_shows_how_far_it_is_until_something_is_printe
 def test_bytes_are_counted_in_the_bar(monkeypatch):
     steps = []
     monkeypatch.setattr(FileProgress, "step", lambda _, *told: steps.append(told))
-    with watch.byte_progress(Path("a.mcap"), "checking", quiet=False) as progress:
+    with watch.byte_progress(Path("a.mcap"), quiet=False) as progress:
         progress(1024, 4096)
-    with watch.byte_progress(Path("a.mcap"), "checking", quiet=True) as progress:
+    with watch.byte_progress(Path("a.mcap"), quiet=True) as progress:
         progress(2048, 4096)
     ((what, done, of, shown),) = steps
     assert (what, shown(done), shown(of)) == ("checking", "1.0 KiB", "4.0 KiB")
