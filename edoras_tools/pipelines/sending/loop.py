@@ -6,7 +6,8 @@ Rules that it keeps:
    of the pass, so one delay does not delay later datagrams.
 2. Datagrams that are due at the same time leave together, at most ``_BLOCK``.
 3. At least once per ``_ROUND_NS`` the loop receives, serves the session and checks keys and Ctrl-C, however
-   much there is to send; when nothing is due it sleeps in the wire's ``wait``.
+   much there is to send; when nothing is due it sleeps in the wire's ``wait``. It does so early where it would
+   come shortly before a deadline, which would then be missed.
 4. A pause moves the start of the pass by its duration, so that nothing is sent in a burst afterwards.
 5. Every error ends in ``SendReport.failure``; what was sent until then is counted.
 """
@@ -45,6 +46,8 @@ _BLOCK: Final = 512
 """Maximum datagrams that leave together."""
 _ROUND_NS: Final = 20 * MILLISECOND
 """Period of the checks, however busy the loop is; it also limits how late Ctrl-C and keys are noticed."""
+_CHECK_NS: Final = MILLISECOND // 2
+"""The checks take less."""
 _ABSENT_NS: Final = SECOND
 """If the target refuses within this time after the first datagram, it is absent."""
 _SILENT_NS: Final = 9 * SECOND
@@ -322,6 +325,8 @@ class Sending:
     def _pass_time(self, until_ns: int) -> None:
         """Wait until a time, the next check, or an arrival."""
         held_ns = self._held_ns()
+        if self._round_ns < until_ns and _CHECK_NS < until_ns - self._wire.now() < _ROUND_NS:
+            self._look_around()
         if not self._wire.wait(min(until_ns, self._round_ns, until_ns if held_ns is None else held_ns)):
             self._round_ns = 0
         now = self._wire.now()
