@@ -6,8 +6,8 @@ Rules that it keeps:
    of the pass, so one delay does not delay later datagrams.
 2. Datagrams that are due at the same time leave together, at most ``_BLOCK``.
 3. At least once per ``_ROUND_NS`` the loop receives, serves the session and checks keys and Ctrl-C, however
-   much there is to send; when nothing is due it sleeps in the wire's ``wait``. It does so early where it would
-   come shortly before a deadline, which would then be missed.
+   much there is to send; when nothing is due it sleeps in the wire's ``wait``. Checks that would come
+   shortly before a deadline, and delay it, come earlier.
 4. A pause moves the start of the pass by its duration, so that nothing is sent in a burst afterwards.
 5. Every error ends in ``SendReport.failure``; what was sent until then is counted.
 """
