@@ -46,8 +46,7 @@ class Tshark:
 
     def __init__(self, script, settings):
         self.script = script
-        if settings is not None:
-            script.write_text(dissector(settings)[0])
+        script.write_text(dissector(settings)[0])
 
     def run(self, *arguments, script=True):
         lua = ["-X", f"lua_script:{self.script}"] if script else []
@@ -284,11 +283,14 @@ def judge():
 
 @pytest.fixture(scope="session")
 def tshark(tmp_path_factory):
-    """Make a tshark that knows missions, or runs a script that is there."""
+    """Make a tshark that knows missions; the one that knows the demos is made once."""
 
-    def make(*configs, script=None, **settings):
-        if script is not None:
-            return Tshark(script, None)
+    demos = []
+
+    def make(*configs, **settings):
+        if not configs and not settings:
+            demos[:] = demos or [Tshark(tmp_path_factory.mktemp("lua") / "edoras.lua", Settings())]
+            return demos[0]
         return Tshark(tmp_path_factory.mktemp("lua") / "edoras.lua", Settings(configs, **settings))
 
     return make
