@@ -168,8 +168,20 @@ def write_files(files: Mapping[Path, bytes], *, force: bool) -> None:
         ConfigError: a file is there with other contents.
         CaptureError: one cannot be read or written.
     """
+    for path in files:
+        check_folder(Path(*path.parts[:1]))
     for path in to_write(files, force=force):
         write_bytes(path, files[path], folders=True)
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse ``-`` as a folder: none is called that by accident.
+
+    Raises:
+        ConfigError: it is that.
+    """
+    if folder == STDOUT:
+        raise ConfigError("-: several files are not written to standard output; name a folder")
 
 
 def in_the_way(path: Path, *, split: bool = False) -> Path | None:

@@ -280,6 +280,24 @@ def test_usage(line, code, words, call, place):
 @pytest.mark.parametrize(
     "line",
     [
+        "codegen std_msgs/msg/Bool -o -",
+        "structs samples/structs/edoras_app.yaml -o -",
+        "samples -",
+        "files samples/cfs_files/cf_transfer.pcap -o -",
+        "help --man -",
+    ],
+)
+def test_no_folder_is_called_as_standard_output_is(line, call, place):
+    before = sorted(item.name for item in place.iterdir())
+    done = call(*line.replace("samples/", f"{ROOT}/samples/").split())
+    assert (done.code, done.out) == (2, "")
+    assert done.err == ["edoras: -: several files are not written to standard output; name a folder"]
+    assert sorted(item.name for item in place.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
         "mission draft ok.pcap",
         "check --init ok.pcap",
         "xtce -c samples/missions/rover_ground.yaml",

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.io.outputs import check_folder
 from edoras_tools.pipelines.archive.tables import TABLES
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]
         ConfigError: something is there.
         CaptureError: it cannot be written.
     """
+    check_folder(folder)
     if folder.exists():
         there = {item.name for item in folder.iterdir()} if folder.is_dir() else {""}
         if there and not force:

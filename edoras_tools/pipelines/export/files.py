@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.outputs import check_links
+from edoras_tools.io.outputs import check_folder, check_links
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.sessions.cfdp import Follower, Transaction
 
@@ -167,6 +167,7 @@ class _Spool:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._files: dict[Transaction, Path] = {}
+        check_folder(folder)
         try:
             check_links(folder)
             folder.mkdir(parents=True, exist_ok=True)

@@ -94,7 +94,10 @@ def _topic_files(path: Path, other: str) -> Sequence[Any]:
         open_file(path).close()
     except NoDatagramsError as error:
         return error.files
-    raise ConfigError(f"{other} contains topics and {path} datagrams; read them separately")
+    raise ConfigError(
+        f"{other} contains topics and {path} datagrams; read them separately, draw them with edoras plot, or "
+        "compare them with edoras doctor CAPTURE --bag RECORDING"
+    )
 
 
 def message_bench(topics: Sequence[RecordedTopic], settings: Settings) -> Workbench:
