@@ -201,7 +201,7 @@ def _list_lost(
 
         print_view(lambda width: missing_table(found, findings.diagnosis.zero_ns, width))
     elif listing is Listing.JSON:
-        print_json({"lost": len(found), "missing": [item.as_json() for item in found]})
+        print_json({"lost": sum(item.count for item in found), "missing": [item.as_json() for item in found]})
     else:
         print_csv([item.as_json() for item in found])
     for warning in findings.diagnosis.capture.warnings:

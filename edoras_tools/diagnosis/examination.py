@@ -20,7 +20,7 @@ from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rules import OTHERS, RULES, SINGLE
 from edoras_tools.diagnosis.rules.capture import too_many
-from edoras_tools.diagnosis.samples import sample_rows
+from edoras_tools.diagnosis.samples import lost_samples, sample_rows
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, Severity, Verdict
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.sessions.cfdp import Follower
@@ -321,6 +321,13 @@ class Examination:
     def _zero_ns(self) -> int | None:
         return self._before[0]().zero_ns if self._before else self.zero_ns
 
+    def _missing(self, case: Case) -> tuple[Missing, ...]:
+        """Return what was lost, one by one, if that is asked for."""
+        if not self.listing:
+            return ()
+        found = [*(missing(case) if len(case.rows) else ()), *lost_samples(case.capture)]
+        return tuple(sorted(found, key=attrgetter("time_ns")))
+
     def _chapter(self, capture: Capture, faults: Sequence[Fault], *, keep: bool) -> Diagnosis:
         followed = self._files.pdus - self._files.packets + self._ground.datagrams if keep else 0
         followed += self._samples.datagrams if keep else 0
@@ -356,7 +363,7 @@ class Examination:
             unnamed=tuple(unnamed(case.prepared.flows)),
             left_out=self._recorder.left_out + case.prepared.foreign + capture.cut - followed - frames - made,
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
-            missing=tuple(missing(case)) if self.listing and len(case.rows) else (),
+            missing=self._missing(case),
         )
 
 

@@ -56,7 +56,7 @@ class Missing:
         link: label of the link; empty where it is not known.
         msg_id: cFE MsgId.
         topic: configured topic, else the packet's name, or None.
-        count: 1: each message has an entry of its own.
+        count: 1: each message has an entry of its own; of samples of DDS how many a writer lost for a cause.
         time_ns: when it was sent; of a count, when the packet before it was seen; else when the loss began.
         until_ns: of a count, when the packet behind it was seen; of a packet as ``time_ns``; else when the
             loss ended.
@@ -80,9 +80,9 @@ class Missing:
     message: dict[str, Any] | None = None
 
     @property
-    def concerns(self) -> tuple[str | None, int | None]:
-        """Its link and MsgId, each None where it is not known."""
-        return self.link or None, None if self.msg_id == NO_MSG_ID else self.msg_id
+    def concerns(self) -> tuple[str | None, int | None, str]:
+        """Its link and MsgId, each None where it is not known, and its topic."""
+        return self.link or None, None if self.msg_id == NO_MSG_ID else self.msg_id, self.topic or ""
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --list-lost json``."""

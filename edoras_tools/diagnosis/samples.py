@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.balance import Row
+from edoras_tools.diagnosis.missing import Missing
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.rtps.link import RTPS
-from edoras_tools.model import NO_ROUTE
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.wire.rtps.messages import guid_text
 
 if TYPE_CHECKING:
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.dds import TopicWriter
 
 SAMPLE_HOP: Final = "DDS"
+_CAUSES: Final = {
+    "given_up": "asked for in vain by a reader of DDS",
+    "before_capture": "lost before the capture, on DDS",
+}
 _COUNTED: Final = {"in": "sequence numbers and HEARTBEATs", "out": "samples in the capture"}
 
 
@@ -64,3 +69,15 @@ def sample_rows(capture: Capture) -> list[Row]:
             )
         )
     return rows
+
+
+def lost_samples(capture: Capture) -> list[Missing]:
+    """Return an entry for each writer and cause; which samples they are is known by their numbers alone."""
+    found = []
+    for item, row in zip(capture.samples, sample_rows(capture), strict=True):
+        writer = item.writer
+        for cause, count in row.lost.items():
+            times = writer.first_ns, writer.last_ns
+            what = _CAUSES[cause]
+            found.append(Missing(row.link, NO_MSG_ID, row.topic, count, *times, None, None, row.came, what))
+    return found

@@ -111,6 +111,11 @@ def test_the_doctor_shows_the_losses_of_a_topic(call):
         (row,) = found["balance"]
         assert (row["topic"], row["lost"]) == ("/chatter", 11)
         assert [item["rule"] for item in found["verdicts"]] == ["dds_lost"]
+        (lost,) = call("doctor", path, *options, "--list-lost", "json").json()["missing"]
+        assert (lost["topic"], lost["count"], lost["one_of"]) == ("/chatter", 11, 100)
+    assert call("doctor", path, "--topic", "/cmd_vel", "--list-lost", "json").json()["lost"] == 0
+    (panel,) = call("plot", path, "loss:/chatter", "--json").json()["panels"]
+    assert [line["read"] for line in panel["lines"]] == [11]
 
 
 def test_a_check_is_drafted_and_finds_the_losses(tmp_path, call):

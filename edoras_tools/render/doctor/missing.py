@@ -39,7 +39,7 @@ def missing_table(found: Sequence[Missing], start_ns: int, width: int) -> Render
             "packet": units.count(first.number) if first.number is not None else "",
             "msg_id": "" if first.msg_id == NO_MSG_ID else f"0x{first.msg_id:04x}",
             "topic": first.topic or "",
-            "count": units.count(len(alike)),
+            "count": units.count(sum(item.count for item in alike)),
             "what": _what(alike),
             "values": value_text(first.message) if first.message else "",
         }
@@ -56,16 +56,26 @@ def missing_table(found: Sequence[Missing], start_ns: int, width: int) -> Render
         Column("Values", lambda row: plain(row["values"]), justify="left", elastic=True, rank=1),
     )
     parts: list[RenderableType] = [build(columns, rows, width)]
-    if rest := sum(map(len, lines[_MOST_LINES:])):
+    if rest := sum(item.count for alike in lines[_MOST_LINES:] for item in alike):
         parts.append(Text(f"and {rest:,} more: --list-lost csv", palette.DIM))
-    parts.append(Text(f"{plural(len(found), 'message')} lost."))
+    parts.append(Text(f"{plural(sum(item.count for item in found), 'message')} lost."))
     return Group(*parts)
 
 
 def _same(item: Missing) -> tuple[Any, ...]:
     """Return what messages on one line have in common; one that is a packet has a line of its own."""
     counted = item.first is not None
-    return item.number, item.time_ns, item.until_ns, item.msg_id, item.link, item.what, item.one_of, counted
+    return (
+        item.number,
+        item.time_ns,
+        item.until_ns,
+        item.msg_id,
+        item.link,
+        item.topic,
+        item.what,
+        item.one_of,
+        counted,
+    )
 
 
 def _what(alike: Sequence[Missing]) -> str:
