@@ -489,3 +489,26 @@ def test_losses_behind_the_last_message_are_those_that_events_name(call):
     assert {item["rule"]: item["lost"] for item in done["verdicts"] if item["lost"]} == {
         "to_message_limit": 9
     }
+
+
+def test_the_layout_of_cfs_7_fits_a_cfs_7(call):
+    """Its console: version 7.0.1, and 8 no-ops of SAMPLE_APP; CI then had 3 packets that it dropped."""
+    options = ("--structs", ROOT / "samples/structs/cfs_7.yaml", "--json")
+    done = call("sniff", ROOT / "samples/cfs_files/ci_errors.pcap.gz", *options)
+    said = [json.loads(line) for line in done.out.splitlines()]
+    last = {item["msg_id"]: item["message"] for item in said if item["message"]}
+    assert not any("struct_length" in item["findings"] for item in said)
+    core = last["0x0800"]
+    assert [core[name] for name in ("cfe_major", "cfe_minor", "cfe_revision", "registered_core_apps")] == [
+        7,
+        0,
+        1,
+        5,
+    ]
+    assert (core["system_log_size"], core["perf_filter_mask"], core["max_processor_resets"]) == (
+        3072,
+        [15, 0, 0, 0],
+        2,
+    )
+    assert (last["0x0883"]["command_counter"], last["0x0883"]["command_error_counter"]) == (8, 0)
+    assert (last["0x0884"]["ingest_packets"], last["0x0884"]["ingest_errors"]) == (18, 3)
