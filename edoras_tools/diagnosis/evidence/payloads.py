@@ -329,7 +329,9 @@ def _events(
     for name in ("app_name", "message"):
         slot = cfe.EVENT.by_name[name]
         column = np.ascontiguousarray(payload[:, slot.start : slot.end]).view(f"S{slot.end - slot.start}")
-        texts[name] = [text.split(b"\0", 1)[0].decode("utf-8", "replace") for text in column[:, 0].tolist()]
+        found = column[:, 0].tolist()  # most are said again and again
+        read = {text: text.split(b"\0", 1)[0].decode("utf-8", "replace") for text in set(found)}
+        texts[name] = [read[text] for text in found]
     for row, number, time_ns, app, event_id, event_type, spacecraft_id, processor_id, message in zip(
         rows.tolist(),
         batch.number[rows].tolist(),

@@ -179,7 +179,11 @@ class Recorder:
         self.payloads.add(batch, columns, self._count)
         offset, length, space, claimed = self._messages(batch, columns)
         plain, stamped = self._fingerprints(batch, columns, offset, length)
-        there = columns.packet_offset >= 0
+        whole = of_bytes(batch.data, batch.offset, batch.length)
+        # Most datagrams are a packet and nothing else.
+        packet, start, size = whole.copy(), columns.packet_offset, columns.packet_length
+        rest = np.flatnonzero((start != batch.offset) | (size != batch.length))
+        packet[rest] = of_bytes(batch.data, np.maximum(start[rest], 0), size[rest])
         network, identification, life = network_headers(batch)
         if batch.streams is not None:
             # The messages of one segment have its identification; no message of a stream comes twice.
@@ -215,15 +219,13 @@ class Recorder:
                 tap=tap + life,
                 life=life,
                 streamed=np.zeros(len(batch), bool) if batch.streams is None else batch.streams,
-                bytes_print=of_bytes(batch.data, batch.offset, batch.length),
+                bytes_print=whole,
                 counted=told.stream >= 0,
                 missing=told.missing,
                 duplicates=told.duplicates,
                 reordered=told.reordered,
                 restarts=told.restarts,
-                packet_print=of_bytes(
-                    batch.data, np.where(there, columns.packet_offset, 0), columns.packet_length
-                ),
+                packet_print=packet,
                 value_print=plain,
                 stamped_print=stamped,
                 shared_print=self._shared.fingerprints(batch, columns, offset, length),
