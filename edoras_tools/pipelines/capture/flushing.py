@@ -53,10 +53,10 @@ class Waiting:
         self._bytes += len(batch.data)
 
     @property
-    def due(self) -> bool:
-        """Whether what waits is to be written now."""
+    def waits(self) -> bool:
+        """Whether there is anything, and it may still wait."""
         waits = self._patient and self._bytes < _SMALL and self._clock() - self._since < _QUIET_NS
-        return bool(self._parts) and not waits
+        return bool(self._parts) and waits
 
     def take(self) -> tuple[PacketBatch, Columns] | None:
         """Return what waits, as one batch; None where nothing does."""

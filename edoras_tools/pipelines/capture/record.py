@@ -410,11 +410,8 @@ def pour(
         for rows in loop:
             if len(rows):
                 waiting.add(*rows.alone())
-            counters = host.due() if host and note else None
-            if waiting.due or counters:
-                write(waiting.take(), counters)
-            elif live:
-                flushing.look()
+            if not waiting.waits:  # else the counters of this host are not worth a chunk of their own
+                write(waiting.take(), host.due() if host and note else None)
             if watcher is not None:
                 watcher.update(report)
         if (rest := waiting.take()) is not None:

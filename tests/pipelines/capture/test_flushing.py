@@ -114,11 +114,10 @@ def test_small_batches_wait_for_each_other(patient, step_ms, size, written, batc
     one = replace(one, data=np.zeros(size, np.uint8))
     for _ in range(8):
         waiting.add(one, Columns(**{item.name: np.zeros(2, int) for item in fields(Columns)}))
-        if waiting.due:
+        if not waiting.waits:
             taken.append(len(waiting.take()[0]) // 2)
         now += step_ms * MS
     assert taken == written
-    assert waiting.due is False or patient
     left = waiting.take()
     assert (len(left[0]) // 2 if left else 0) == 8 - sum(written)
     assert waiting.take() is None
