@@ -88,8 +88,9 @@ def one(rate: int) -> dict[str, object]:
         text=True,
     )
     port = int(server.stderr.readline().rpartition(":")[2])
-    if "capturing" not in server.stderr.readline():
-        sys.exit("live capture needs CAP_NET_RAW")
+    while "capturing" not in (line := server.stderr.readline()):
+        if not line:
+            sys.exit("live capture needs CAP_NET_RAW")
     reader, sleeper = Client(port), Client(port)
     addresses = ["{}:{}".format(*item.socket.getsockname()) for item in (reader, sleeper)]
     thread = threading.Thread(target=reader.read)
