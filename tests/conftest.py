@@ -25,9 +25,12 @@ gc.set_threshold(200_000)
 for name in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "COLORFGBG", "ROS_DISTRO"):
     os.environ.pop(name, None)
 
-# Nor what they ignore, as a shell does for what runs in the background, and nohup.
-signal.signal(signal.SIGINT, signal.default_int_handler)
-signal.signal(signal.SIGHUP, signal.SIG_DFL)
+# Nor is what a shell has them ignore in the background, or nohup: what a test starts would ignore it too. A
+# hang-up ends the tests only where it did before.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, lambda *_: None)
 
 # Each worker of a session has a network of its own, so that no test meets the traffic of another or takes its
 # port. Where that is not allowed, tests that must not run in the network of others fail, and say why.
