@@ -173,6 +173,7 @@ local function read_frame(s)
 	return nil
 end
 HEADER_READERS.frames = read_frame
+RECOGNISED.frames = function() return false end  -- a mission has to say what they are
 
 return {
 	is_frame = is_frame,

@@ -14,6 +14,9 @@ from rewriting import datagrams as captured
 from streams import segments_of, write_segments
 from transfer_frames import CRAFT, Maker
 
+from edoras_tools.decode import Options
+from edoras_tools.links.frames import FRAMES
+
 ROVER_CAPTURE = ROOT / "samples/captures/a_rover.pcap"
 MISSION = ROOT / "samples/missions/rover_ground.yaml"
 
@@ -172,3 +175,15 @@ def test_frames_that_the_capture_cut(agreed, write_pcap, tmp_path):
     snaps = (29, 32, 34, 35, 36, 40, 60, 100, 65535)
     path = write_pcap(tmp_path / "cut.pcap", frames, snaps=snaps)
     agreed(path, mission(tmp_path), MISSION, structs=(DICTIONARY,))
+
+
+def test_a_port_alone_makes_no_frames(tshark, write_pcap, tmp_path):
+    """What frames are like is for a mission to say: named by an option or a preference, they stay data."""
+    frames = [frame for frame, _ in replace(FORMATS[0]).carry(TELEMETRY[:3])]
+    path = write_pcap(
+        tmp_path / "port.pcap", [(40000, port, item) for port in (7777, 7778) for item in frames]
+    )
+    program = tshark(options=Options(ports=((FRAMES, 7777),)))
+    found = program.frames(path, "-o", "edoras.frames_ports:7778")
+    assert len(found) == 2 * len(frames)
+    assert not any(frame.fields for frame in found.values())
