@@ -12,6 +12,7 @@ from edoras_tools.render.capture.info import msg_id_text, route_text
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import Column, build, plain
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -61,7 +62,7 @@ def shown_rows(found: Diagnosis) -> list[dict[str, Any]]:
         first.setdefault((row["link"], row["msg_id"], row["instance"]), row["in"])
     number = sum(first.values())
     others = {**quiet[0], **dict.fromkeys(FIGURES, 0), "in": number, "out": number, "lost_by": {}}
-    name = f"{len(first)} others of cFS itself"
+    name = f"{plural(len(first), 'other')} of cFS itself"
     return [*kept, {**others, "msg_id": None, "link": None, "instance": None, "name": name, "hop": "all"}]
 
 
