@@ -240,9 +240,14 @@ def test_a_late_subscription_gets_the_last_messages(judge, graphs, jazzy, until)
 )
 def test_the_distribution_or_an_option_decides_over_hashes(judge, graphs, until, distro, options, digest):
     graph = graphs(TypeStore(distro), judge.port, **options)
-    graph.advertise("/chatter", STRING, Qos())(b"text")
+    publish = graph.advertise("/chatter", STRING, Qos())
     key = f"0/chatter/std_msgs::msg::dds_::String_/{digest}"
-    until(lambda: judge.samples(key))
+
+    def heard():
+        publish(b"text")  # what is said before the router knows who listens is lost
+        return judge.samples(key)
+
+    until(heard)
     until(lambda: any(f"/%chatter/std_msgs::msg::dds_::String_/{digest}/" in t for t in judge.tokens()))
 
 
