@@ -60,11 +60,9 @@ def print_(decoding: options.DecodingOptions) -> None:
 @wireshark.command()
 def path() -> None:
     """Print the path of the dissector with the routes of the demos, for tshark -X lua_script:..."""
-    from edoras_tools.pipelines.wireshark import program as wireshark_program
-    from edoras_tools.pipelines.wireshark.lua import dissector
-    from edoras_tools.pipelines.workbench import Settings
+    from importlib.resources import files
 
-    sys.stdout.write(f"{wireshark_program.keep(dissector(Settings())[0])}\n")
+    sys.stdout.write(f"{files('edoras_tools.dissectors') / 'edoras.lua'}\n")
 
 
 @wireshark.command(cls=Command)

@@ -46,7 +46,8 @@ class Tshark:
 
     def __init__(self, script, settings):
         self.script = script
-        script.write_text(dissector(settings)[0])
+        if settings is not None:
+            script.write_text(dissector(settings)[0])
 
     def run(self, *arguments, script=True):
         lua = ["-X", f"lua_script:{self.script}"] if script else []
@@ -283,14 +284,11 @@ def judge():
 
 @pytest.fixture(scope="session")
 def tshark(tmp_path_factory):
-    """Make a tshark that knows missions; the one that knows the demos is made once."""
+    """Make a tshark that knows missions, or runs a script that is there."""
 
-    demos = []
-
-    def make(*configs, **settings):
-        if not configs and not settings:
-            demos[:] = demos or [Tshark(tmp_path_factory.mktemp("lua") / "edoras.lua", Settings())]
-            return demos[0]
+    def make(*configs, script=None, **settings):
+        if script is not None:
+            return Tshark(script, None)
         return Tshark(tmp_path_factory.mktemp("lua") / "edoras.lua", Settings(configs, **settings))
 
     return make

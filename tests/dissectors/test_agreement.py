@@ -21,6 +21,7 @@ from edoras_tools.structs import Structs
 from edoras_tools.units import SECOND
 from edoras_tools.wire.msg_id import VERSION_1, VERSION_2
 
+COMMITTED = ROOT / "dissectors/edoras.lua"
 OF_EACH_KIND = ("a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect")
 TYPES = TypeStore()
 LAYERS = {
@@ -113,10 +114,10 @@ def test_on_every_packet_of_every_capture(name, tshark, taught, judge):
 
 
 @pytest.mark.parametrize("name", ["a_rover", "b_arm_single"])
-def test_the_script_without_a_mission_knows_each_demo(name, tshark, judge):
+def test_the_committed_script_knows_each_demo(name, tshark, judge):
     mission = load(missions(SAMPLE_MISSIONS[name]))
     capture = ROOT / f"samples/captures/{name}.pcap"
-    frames = tshark().frames(capture)
+    frames = tshark(script=COMMITTED).frames(capture)
     messages = 0
     for packet in decoded(capture, mission):
         if packet.message is not None:

@@ -26,15 +26,19 @@ from edoras_tools.sessions.sequence import BOOT_APART_NS, REPEATED, WINDOW
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
 
+COMMITTED = ROOT / "dissectors/edoras.lua"
 ROVER = ROOT / "samples/captures/a_rover.pcap"
-DEMOS = dissector(Settings())[0]
 ROVER_MISSION = ROOT / "samples/missions/rover_ground.yaml"
+
+
+def test_the_committed_script_is_what_is_generated():
+    assert dissector(Settings())[0] == COMMITTED.read_text(), "edoras wireshark print > dissectors/edoras.lua"
 
 
 def test_a_script_bears_its_digest():
     text, again = (dissector(Settings((ROVER_MISSION,)))[0] for _ in range(2))
     assert text == again
-    assert own_digest(text) != own_digest(DEMOS)
+    assert own_digest(text) != own_digest(COMMITTED.read_text())
 
 
 @pytest.mark.parametrize(
@@ -77,14 +81,14 @@ FILTERS = {
 def with_a_tree(tshark):
     """How many packets pass each filter where tshark builds the tree of each packet."""
     count = ",".join(["io", "stat", "0", *FILTERS])
-    told = tshark().run("-r", ROVER, "-T", "fields", "-e", "frame.number", "-z", count)
+    told = tshark(script=COMMITTED).run("-r", ROVER, "-T", "fields", "-e", "frame.number", "-z", count)
     (row,) = [line.split("|") for line in told.decode().splitlines() if "<>" in line]
     return dict(zip(FILTERS, map(int, row[2:-1:2]), strict=True))
 
 
 @pytest.mark.parametrize("expression", FILTERS)
 def test_filters_say_the_same_with_and_without_a_tree(expression, tshark, with_a_tree):
-    shown = tshark().run("-r", ROVER, "-Y", expression).splitlines()
+    shown = tshark(script=COMMITTED).run("-r", ROVER, "-Y", expression).splitlines()
     assert len(shown) == with_a_tree[expression] > 0
     assert FILTERS[expression] in {None, len(shown)}
 
@@ -129,7 +133,7 @@ def test_what_a_sequence_count_says(tshark, write_pcap, tmp_path):
     ]
     capture = write_pcap(tmp_path / "counts.pcap", rows)
     for options, column in ((), 1), (("-2",), 2):
-        frames = tshark().frames(capture, *options)
+        frames = tshark(script=COMMITTED).frames(capture, *options)
         seen = [[] for _ in COUNTED]
         for (sender, _), frame in zip(order, frames.values(), strict=True):
             gap = [int(shown) for shown, _ in frame.fields.get("edoras.gap", [])]
@@ -143,7 +147,7 @@ def test_what_a_sequence_count_says(tshark, write_pcap, tmp_path):
 
 def test_sequence_counts_are_followed_within_the_same_limits():
     limits = f"WINDOW, REPEATED, BOOT_APART = {WINDOW}, {REPEATED}, {BOOT_APART_NS // SECOND} "
-    assert limits in DEMOS
+    assert limits in COMMITTED.read_text()
 
 
 def test_preferences_add_ports_and_headers(tshark, write_pcap, tmp_path):
@@ -151,7 +155,7 @@ def test_preferences_add_ports_and_headers(tshark, write_pcap, tmp_path):
     beat = sbn.emit(sbn.MsgType.HEARTBEAT, Peer(66, 3))
     capture = write_pcap(tmp_path / "ports.pcap", [(5000, 6010, packet), (5000, 6020, beat)])
     chosen = ["-o", "edoras.ci_ports:6000-6010", "-o", "edoras.sbn_ports:6020"]
-    program = tshark()
+    program = tshark(script=COMMITTED)
     assert not any(frame.fields for frame in program.frames(capture).values())
     frames = program.frames(capture, *chosen)
     assert frames[1].fields["edoras.link"][0][0] == "ci"
@@ -173,7 +177,7 @@ def test_what_is_of_the_robot_is_told_by_its_doubles(tshark, write_pcap, tmp_pat
     payloads += [payload[8:] for payload in payloads] + [payload + bytes(8) for payload in payloads]
     payloads += [b"text".ljust(size, b"!") for size in (48, 56, 64)]
     sent = [(40000, port, payload) for port in (8080, 8585) for payload in payloads]
-    frames = tshark().frames(write_pcap(tmp_path / "robot.pcap", sent))
+    frames = tshark(script=COMMITTED).frames(write_pcap(tmp_path / "robot.pcap", sent))
     told = dict.fromkeys(("robot", "other"), 0)
     with closing(open_file(tmp_path / "robot.pcap")) as source:
         for packet in sniff(source, Settings().workbench(), selection=Selection()):
@@ -185,7 +189,7 @@ def test_what_is_of_the_robot_is_told_by_its_doubles(tshark, write_pcap, tmp_pat
 
 
 def test_every_finding_has_its_expert_information():
-    text = DEMOS
+    text = COMMITTED.read_text()
     for finding in Finding:
         assert f'label = "{finding.label}"' in text
 
@@ -196,7 +200,7 @@ def test_what_an_icmp_error_quotes_is_not_counted(tshark, tmp_path, write_pcap):
     outer = inner[:2] + (20 + len(icmp)).to_bytes(2, "big") + inner[4:9] + b"\x01" + inner[10:20] + icmp
     head = (tmp_path / "inner.pcap").read_bytes()[:24] + bytes(8) + len(outer).to_bytes(4, "little") * 2
     (tmp_path / "icmp.pcap").write_bytes(head + outer)
-    frames = tshark().frames(tmp_path / "icmp.pcap")
+    frames = tshark(script=COMMITTED).frames(tmp_path / "icmp.pcap")
     assert not frames[1].fields
     assert frames[1].protocol == "ICMP"
 
@@ -205,7 +209,7 @@ def test_two_copies_are_one(tshark, tmp_path):
     """Wireshark's folder and -X at once: the second gives way, and a chosen one makes others give way."""
     plugins = tmp_path / ".local/lib/wireshark/plugins"
     plugins.mkdir(parents=True)
-    (plugins / "edoras.lua").write_text(DEMOS)
+    (plugins / "edoras.lua").write_text(COMMITTED.read_text())
     mine = tmp_path / "mine.lua"
     mine.write_text(dissector(Settings((ROVER_MISSION,)))[0])
     command = ["tshark", "-n", "-X", f"lua_script:{mine}", "-r", ROVER, "-Y", "ros2.sensor_msgs.JointState"]

@@ -88,17 +88,6 @@ def install(text: str, folder: Path | None = None, *, force: bool = False) -> Pa
     return _write(folder / SCRIPT, text, force=force)
 
 
-def keep(text: str) -> Path:
-    """Write the dissector to the user's cache folder, where that holds another; return its path.
-
-    Raises:
-        CaptureError: the file cannot be written.
-    """
-    path = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "edoras" / SCRIPT
-    same = path.is_file() and path.read_bytes() == text.encode()
-    return path if same else _write(path, text, force=True)
-
-
 def install_extcap(folder: Path | None = None, *, force: bool = False) -> Path:
     """Write the launcher of the capture interfaces to Wireshark's extcap folder; return its path.
 
