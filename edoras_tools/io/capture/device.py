@@ -13,9 +13,10 @@ import select
 import socket
 import threading
 import time
+from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -52,7 +53,7 @@ _DRAIN_TURNS = 500
 """and how often it is read at least, so that a machine that stalled for this time loses nothing."""
 
 
-class Device(Protocol):
+class Device(ABC):
     """A source of frames that is bound and receiving.
 
     Attributes:
@@ -65,32 +66,42 @@ class Device(Protocol):
     """
 
     info: SourceInfo
-    drops: int
-    linger_s: float
-    look_s: float
-    outages: list[InterfaceOutage]
 
+    def __init__(self, linger_s: float, look_s: float) -> None:
+        self.drops = 0
+        self.linger_s = linger_s
+        self.look_s = look_s
+        self.outages: list[InterfaceOutage] = []
+
+    @abstractmethod
     def filenos(self) -> tuple[int, ...]:
         """Return the file descriptors that become readable when frames have arrived."""
 
+    @abstractmethod
     def read(self) -> FrameBatch | None:
         """Return the frames that have arrived, a few MiB at most; None if there are none; never wait."""
 
+    @abstractmethod
     def count(self) -> None:
         """Update ``drops``."""
 
     def pressed(self) -> bool:
         """Return whether to read now, even if frames may gather for longer."""
+        return False
 
+    @abstractmethod
     def refuse(self) -> None:
         """Drop every packet from now on, if possible."""
 
     def drained(self) -> bool:
-        """Return whether everything that came in has been read."""
+        """Return whether everything that came in has been read: after a read that found nothing, it has."""
+        return True
 
     def failure(self) -> str | None:
         """Return why no more frames will come, or None."""
+        return None
 
+    @abstractmethod
     def close(self) -> None:
         """Release everything."""
 

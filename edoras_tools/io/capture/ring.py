@@ -49,6 +49,7 @@ from edoras_tools.io.capture.bpf import (
     attach_program,
     port_filter,
 )
+from edoras_tools.io.capture.device import Device
 from edoras_tools.io.capture.interfaces import (
     ANY_INTERFACE,
     Interface,
@@ -112,7 +113,7 @@ class _Piece(NamedTuple):
     packets: int
 
 
-class Ring:
+class Ring(Device):
     """A packet socket on one interface, or on all, that receives through a ring.
 
     After the constructor no packet is missed without being counted: ``drops`` counts what does not fit.
@@ -128,12 +129,7 @@ class Ring:
         wait: if the interface does not exist or is down, treat it as one that is away now.
 
     Attributes:
-        info: information on the source.
-        drops: frames that the kernel lost because the ring was full; updated by ``count``.
-        linger_s: how long frames may gather; the ring holds those of a longer time. 0 while a read is only
-            waiting for the barrier.
-        look_s: how often to read even if the socket is not readable.
-        outages: when the interface was away.
+        linger_s: the ring holds frames of a longer time. 0 while a read is only waiting for the barrier.
 
     Raises:
         CaptureError: no such interface, it is down, a privilege is missing, or there are too many ports.
@@ -158,13 +154,11 @@ class Ring:
             raise CaptureError(
                 f"{interface} is down: switch it on with 'ip link set {interface} up', or --wait-interface"
             )
-        self.info = SourceInfo(interface, "live", snap_length=snap_length)
-        self.drops = 0
-        self.linger_s = self._enough_s = _BUSY_LINGER_S
-        self._copied = time.monotonic()
         walks = barrier.available()
-        self.look_s = FRESH_S if walks else _WATCH_S
-        self.outages: list[InterfaceOutage] = []
+        super().__init__(_BUSY_LINGER_S, look_s=FRESH_S if walks else _WATCH_S)
+        self.info = SourceInfo(interface, "live", snap_length=snap_length)
+        self._enough_s = _BUSY_LINGER_S
+        self._copied = time.monotonic()
         self._ports = tuple(ports)
         self._streams = tuple(streams)
         self._begins = begins
@@ -374,10 +368,6 @@ class Ring:
         packets, drops, _ = struct.unpack("=3I", self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 12))
         self._delivered += packets - drops
         self.drops += drops
-
-    def pressed(self) -> bool:
-        """Return False: the ring holds what may come in the longest time."""
-        return False
 
     def refuse(self) -> None:
         """Drop every packet from now on; packets in the ring stay."""

@@ -17,11 +17,11 @@ import numpy as np
 from edoras_tools.decode.links import beginning
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2, NOTHING, RAW, attach_program
-from edoras_tools.io.capture.device import DeviceSource
+from edoras_tools.io.capture.device import Device, DeviceSource
 from edoras_tools.io.capture.interfaces import find_interface, interfaces, missing_interface
 from edoras_tools.io.capture.permission import denied
 from edoras_tools.io.frames.frame_batch import FrameBatch
-from edoras_tools.model import Finding, InterfaceOutage, SourceInfo
+from edoras_tools.model import Finding, SourceInfo
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ _AT_ONCE: Final = 4096
 """Maximum frames of one read."""
 
 
-class Sniffer:
+class Sniffer(Device):
     """A scapy listening socket on one interface.
 
     Args:
@@ -56,10 +56,7 @@ class Sniffer:
         snap_length: bytes of a frame to keep.
 
     Attributes:
-        info: information on the source.
         drops: frames that the kernel lost, on Linux; on other systems scapy does not know.
-        linger_s: how long to let frames gather.
-        look_s: how often to read even if the socket is not readable.
         outages: always empty: if the interface goes away, the capture ends.
 
     Raises:
@@ -69,11 +66,8 @@ class Sniffer:
     def __init__(self, interface: str, expression: str | None, snap_length: int) -> None:
         if interface not in interfaces():
             raise missing_interface(interface)
+        super().__init__(linger_s=0.02, look_s=0.1)
         self.info = SourceInfo(interface, "live", time_resolution_ns=1000, snap_length=snap_length)
-        self.drops = 0
-        self.linger_s = 0.02
-        self.look_s = 0.1
-        self.outages: list[InterfaceOutage] = []
         self._number = 1
         self._failure: str | None = None
         self._socket = _listen(interface, expression)
@@ -133,18 +127,10 @@ class Sniffer:
             counters = self._packet_socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
             self.drops += struct.unpack("=2I", counters)[1]
 
-    def pressed(self) -> bool:
-        """Return False: frames gather for a short time only."""
-        return False
-
     def refuse(self) -> None:
         """Drop every packet from now on, if possible."""
         if self._packet_socket is not None:
             attach_program(self._packet_socket, NOTHING)
-
-    def drained(self) -> bool:
-        """Return True: after a read that found nothing, nothing is left."""
-        return True
 
     def failure(self) -> str | None:
         """Return why no more frames will come, or None."""

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.capture.device import DeviceSource
+from edoras_tools.io.capture.device import Device, DeviceSource
 from edoras_tools.io.frames.build import ENDS, FramePage
 from edoras_tools.io.net.buffer import SLOTS, make_buffer
 from edoras_tools.io.net.sockets import LINUX, kernel_drops, local_endpoint, open_bound, waiting_bytes
-from edoras_tools.model import Endpoint, InterfaceOutage, SourceInfo
+from edoras_tools.model import Endpoint, SourceInfo
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class _Bound(NamedTuple):
     port: int
 
 
-class Sockets:
+class Sockets(Device):
     """Bound UDP sockets that are read together.
 
     Args:
@@ -55,10 +55,7 @@ class Sockets:
         receive_buffer: bytes to request for each socket; the kernel may limit it.
 
     Attributes:
-        info: describes the source.
-        drops: datagrams that the kernel lost because a receive buffer was full.
-        linger_s: how long datagrams may gather; short enough for the receive buffers.
-        look_s: how often to read even if no socket is readable.
+        linger_s: short enough for the receive buffers.
         outages: always empty.
         endpoints: the addresses and ports that were bound.
 
@@ -67,10 +64,7 @@ class Sockets:
     """
 
     def __init__(self, endpoints: Iterable[Endpoint], receive_buffer: int = _RECEIVE_BUFFER) -> None:
-        self.drops = 0
-        self.linger_s = _LINGER_S
-        self.look_s = _LOOK_S
-        self.outages: list[InterfaceOutage] = []
+        super().__init__(_LINGER_S, _LOOK_S)
         self._bound: list[_Bound] = []
         self._buffer = make_buffer()
         self._page = FramePage()
@@ -179,14 +173,6 @@ class Sockets:
             with contextlib.suppress(OSError):
                 bound.socket.connect(bound.socket.getsockname())
 
-    def drained(self) -> bool:
-        """Return True: a read that finds nothing has found everything."""
-        return True
-
-    def failure(self) -> str | None:
-        """Return None: a UDP socket does not fail between reads."""
-        return None
-
     def close(self) -> None:
         """Close the sockets."""
         for bound in self._bound:
@@ -201,7 +187,6 @@ class UdpSource(DeviceSource):
     Args:
         endpoints: addresses and ports to bind; with port 0 the system chooses one.
         ready: called once when ``batches`` starts; nothing that arrives after construction is missed.
-        receive_buffer: bytes to request for each socket; the kernel may limit it.
 
     Attributes:
         endpoints: the addresses and ports that were bound.
@@ -210,13 +195,7 @@ class UdpSource(DeviceSource):
         CaptureError: an endpoint cannot be bound, or there is none.
     """
 
-    def __init__(
-        self,
-        endpoints: Iterable[Endpoint],
-        *,
-        ready: Callable[[], None] | None = None,
-        receive_buffer: int = _RECEIVE_BUFFER,
-    ) -> None:
-        sockets = Sockets(endpoints, receive_buffer)
+    def __init__(self, endpoints: Iterable[Endpoint], *, ready: Callable[[], None] | None = None) -> None:
+        sockets = Sockets(endpoints)
         self.endpoints = sockets.endpoints
         super().__init__(sockets, ready=ready)

@@ -15,7 +15,7 @@ import numpy as np
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.io.capture.live import interfaces as live_interfaces
+from edoras_tools.io.capture.interfaces import interfaces as live_interfaces
 from edoras_tools.io.capture.live import open_live
 from edoras_tools.io.formats.pcapng.writer import PcapngSink
 from edoras_tools.io.net.address import parse_endpoint

@@ -13,7 +13,7 @@ import pytest
 from waiting import until
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.capture.device import DeviceSource
+from edoras_tools.io.capture.device import Device, DeviceSource
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.model import Endpoint, InterfaceOutage, SourceInfo
 
@@ -23,15 +23,12 @@ def frames(payload, number):
     return frames_of([(number * 1000, here, here, payload)], number)
 
 
-class Fake:
+class Fake(Device):
     """A device that gives what it was told to, then what comes from the test."""
 
     def __init__(self, *items, why=None, holds=()):
+        super().__init__(linger_s=0.0, look_s=0.1)
         self.info = SourceInfo("fake", "live")
-        self.drops = 0
-        self.linger_s = 0.0
-        self.look_s = 0.1
-        self.outages = []
         self.items = list(items)
         self.why = why
         self.holds = list(holds)  # comes out only once nothing more gets in

@@ -80,14 +80,6 @@ def test_snap_length(capture, pair):
     assert (len(datagram.frame), datagram.original_length) == (60, 242)
 
 
-def test_the_back_end_can_be_asked_for(pair):
-    source = open_live("lo", [pair[1]], backend="scapy")
-    try:
-        assert isinstance(source, ScapySource)
-    finally:
-        source.close()
-
-
 def test_it_is_chosen_where_there_are_no_packet_sockets(capture, monkeypatch, pair):
     chosen = []
     monkeypatch.setattr("edoras_tools.io.capture.live.ScapySource", lambda *a, **k: chosen.append(a))
