@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from edoras_tools.model import Link
-    from edoras_tools.sessions.faults.values import NumberChange
     from edoras_tools.wire.layout import Layout
 
 
@@ -42,6 +41,22 @@ class Chance(NamedTuple):
         return draw(self.key, self.number, salt)
 
 
+class Struck(NamedTuple):
+    """What a fault has to know besides the bytes.
+
+    Attributes:
+        link: that the datagram is on.
+        values: the options of the rule.
+        chance: random bits for this datagram.
+        headers: those of the cFE.
+    """
+
+    link: Link
+    values: Mapping[str, Any]
+    chance: Chance
+    headers: cfe.Headers = cfe.STANDARD
+
+
 def packet_offset(payload: bytes, link: Link) -> int:
     """Return where the space packet starts, -1 where there is none."""
     at = 0
@@ -52,15 +67,14 @@ def packet_offset(payload: bytes, link: Link) -> int:
     return at if len(payload) - at >= ccsds.PRIMARY.size else -1
 
 
-def corrupt(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+def corrupt(payload: bytes, struck: Struck) -> Altered:
     """Invert bits, each at a different place if there are enough."""
-    del link
     total = 8 * len(payload)
     places: dict[int, None] = {}
     salt = 0
-    while len(places) < min(values["bits"], total):
+    while len(places) < min(struck.values["bits"], total):
         salt += 1
-        places[chance.bits(salt) % total] = None
+        places[struck.chance.bits(salt) % total] = None
     data = bytearray(payload)
     for place in places:
         data[place // 8] ^= 0x80 >> place % 8
@@ -68,32 +82,23 @@ def corrupt(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chanc
     return Altered(bytes(data), f"bit {shown} turned over") if places else Altered(payload, "")
 
 
-def truncate(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+def truncate(payload: bytes, struck: Struck) -> Altered:
     """Cut the datagram."""
-    del link, chance
-    left = values["bytes"]
+    left = struck.values["bytes"]
     if len(payload) <= left:
         return Altered(payload, "")
     return Altered(payload[:left], f"cut from {len(payload)} to {left} bytes")
 
 
-def pad(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
+def pad(payload: bytes, struck: Struck) -> Altered:
     """Append zero bytes, up to the largest UDP payload."""
-    del link, chance
-    added = min(values["bytes"], _LARGEST - len(payload))
+    added = min(struck.values["bytes"], _LARGEST - len(payload))
     return Altered(payload + bytes(added), f"{added} bytes added") if added > 0 else Altered(payload, "")
 
 
-def break_checksum(
-    payload: bytes,
-    link: Link,
-    values: Mapping[str, Any],
-    chance: Chance,
-    headers: cfe.Headers = cfe.STANDARD,
-) -> Altered:
+def break_checksum(payload: bytes, struck: Struck) -> Altered:
     """Write a wrong checksum."""
-    del values, chance
-    at = packet_offset(payload, link)
+    at, headers = packet_offset(payload, struck.link), struck.headers
     if at < 0 or not VERSION_1.is_command(VERSION_1.of(payload, at)):
         return Altered(payload, "")
     if len(payload) - at < headers.command_bytes:
@@ -112,91 +117,70 @@ def sequence_ahead(payload: bytes, link: Link, ahead: int) -> Altered:
     return _rewritten(payload, at, ccsds.PRIMARY, _SEQUENCE.field.name, (count + ahead) & _SEQUENCE.mask)
 
 
-def _of_packet(layout: Layout, name: str) -> Callable[[bytes, Link, Mapping[str, Any], Chance], Altered]:
-    def wrong(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
-        del chance
-        return _changed(payload, packet_offset(payload, link), layout, name, values["value"])
-
-    return wrong
+def _packet(payload: bytes, struck: Struck) -> tuple[int, Layout]:
+    return packet_offset(payload, struck.link), ccsds.PRIMARY
 
 
-def _of_network(name: str) -> Callable[[bytes, Link, Mapping[str, Any], Chance], Altered]:
-    def wrong(payload: bytes, link: Link, values: Mapping[str, Any], chance: Chance) -> Altered:
-        del chance
-        return _changed(payload, 0 if link.peers else -1, sbn.HEADER, name, values["value"])
-
-    return wrong
+def _network(payload: bytes, struck: Struck) -> tuple[int, Layout]:
+    del payload
+    return 0 if struck.link.peers else -1, sbn.HEADER
 
 
-def _of_envelope(name: str) -> Callable[..., Altered]:
-    def wrong(
-        payload: bytes,
-        link: Link,
-        values: Mapping[str, Any],
-        chance: Chance,
-        headers: cfe.Headers = cfe.STANDARD,
-    ) -> Altered:
-        del chance
-        at, found = _envelope(payload, link, headers)
-        return _changed(payload, at, found.layout, name, values["value"])
-
-    return wrong
+def _envelope(payload: bytes, struck: Struck) -> tuple[int, Layout]:
+    """Find the envelope; its format is told from the bytes."""
+    at = packet_offset(payload, struck.link)
+    if at < 0:
+        return -1, envelope.DEFAULT.layout
+    command = VERSION_1.is_command(VERSION_1.of(payload, at))
+    at += struck.headers.command_bytes if command else struck.headers.telemetry_bytes
+    found = envelope.detect(payload, at)
+    return (-1, envelope.DEFAULT.layout) if found is None else (at, found.layout)
 
 
-def _encapsulation(
-    payload: bytes,
-    link: Link,
-    values: Mapping[str, Any],
-    chance: Chance,
-    headers: cfe.Headers = cfe.STANDARD,
-) -> Altered:
-    del chance
-    at, found = _envelope(payload, link, headers)
-    at = at + found.size if at >= 0 else -1
-    return _changed(payload, at, cdr.ENCAPSULATION, "representation", values["value"])
+def _encapsulation(payload: bytes, struck: Struck) -> tuple[int, Layout]:
+    at, layout = _envelope(payload, struck)
+    return at + layout.size if at >= 0 else -1, cdr.ENCAPSULATION
 
 
-CONTENT: Final[Mapping[str, Callable[..., Altered]]] = {
+def _wrong(
+    header: Callable[[bytes, Struck], tuple[int, Layout]], name: str
+) -> Callable[[bytes, Struck], Altered]:
+    """Return the fault that changes one field.
+
+    Args:
+        header: returns where the header with the field starts, negative where there is none, and its layout.
+    """
+
+    def change(payload: bytes, struck: Struck) -> Altered:
+        at, layout = header(payload, struck)
+        if at < 0 or len(payload) - at < layout.size:
+            return Altered(payload, "")
+        slot = layout.by_name[name]
+        value = struck.values["value"].apply(layout.read(slot, payload, at)) & slot.mask
+        return _rewritten(payload, at, layout, name, value)
+
+    return change
+
+
+CONTENT: Final[Mapping[str, Callable[[bytes, Struck], Altered]]] = {
     "corrupt": corrupt,
     "truncate": truncate,
     "pad": pad,
     "checksum": break_checksum,
-    "packet-length": _of_packet(ccsds.PRIMARY, "packet_data_length"),
-    "envelope-length": _of_envelope("buffer_length"),
-    "envelope-capacity": _of_envelope("buffer_capacity"),
-    "encapsulation": _encapsulation,
-    "sbn-size": _of_network("msg_size"),
-    "sbn-type": _of_network("msg_type"),
-    "sbn-processor": _of_network("processor_id"),
-    "sbn-spacecraft": _of_network("spacecraft_id"),
+    "packet-length": _wrong(_packet, "packet_data_length"),
+    "envelope-length": _wrong(_envelope, "buffer_length"),
+    "envelope-capacity": _wrong(_envelope, "buffer_capacity"),
+    "encapsulation": _wrong(_encapsulation, "representation"),
+    "sbn-size": _wrong(_network, "msg_size"),
+    "sbn-type": _wrong(_network, "msg_type"),
+    "sbn-processor": _wrong(_network, "processor_id"),
+    "sbn-spacecraft": _wrong(_network, "spacecraft_id"),
 }
-"""By the name of the kind: a function of payload, link, values and chance."""
-BEHIND_HEADERS: Final = frozenset({"checksum", "envelope-length", "envelope-capacity", "encapsulation"})
-"""Those of them that also take the headers of the cFE, the usual ones by default."""
+"""By the name of the kind."""
 
 _LARGEST: Final = 65507
 """Largest payload of UDP over IPv4."""
 _SEQUENCE: Final = ccsds.PRIMARY.by_name["packet_sequence_count"]
-
-
-def _envelope(payload: bytes, link: Link, headers: cfe.Headers) -> tuple[int, envelope.EnvelopeFormat]:
-    """Return where the envelope starts, -1 where there is none, and its format, told from the bytes."""
-    at = packet_offset(payload, link)
-    if at < 0:
-        return -1, envelope.DEFAULT
-    command = VERSION_1.is_command(VERSION_1.of(payload, at))
-    at += headers.command_bytes if command else headers.telemetry_bytes
-    found = envelope.detect(payload, at)
-    return (-1, envelope.DEFAULT) if found is None else (at, found)
-
-
-def _changed(payload: bytes, at: int, layout: Layout, name: str, change: NumberChange) -> Altered:
-    """Change one field of a header at ``at``; negative: there is none."""
-    if at < 0 or len(payload) - at < layout.size:
-        return Altered(payload, "")
-    slot = layout.by_name[name]
-    value = change.apply(layout.read(slot, payload, at)) & slot.mask
-    return _rewritten(payload, at, layout, name, value)
 
 
 def _rewritten(payload: bytes, at: int, layout: Layout, name: str, value: int) -> Altered:

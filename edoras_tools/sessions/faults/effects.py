@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from edoras_tools.sessions.faults.bytes import BEHIND_HEADERS, CONTENT, Chance, sequence_ahead
+from edoras_tools.sessions.faults.bytes import CONTENT, Chance, Struck, sequence_ahead
 from edoras_tools.sessions.faults.chance import fraction
 from edoras_tools.sessions.sequence import MODULUS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from edoras_tools.model import Link
     from edoras_tools.sessions.faults.rules import Rule
@@ -151,14 +150,14 @@ class _Silence(Effect):
 class _Content(Effect):
     def __init__(self, rule: Rule, headers: Headers) -> None:
         super().__init__(rule)
-        name = rule.kind.name
-        more = {"headers": headers} if name in BEHIND_HEADERS else {}
-        self._wrong: Callable[..., Any] = partial(CONTENT[name], **more)
+        self._wrong = CONTENT[rule.kind.name]
+        self._headers = headers
 
     def act(self, items: list[Pending], received: Received) -> Outcome:
         detail = ""
+        struck = Struck(received.link, self.values, received.chance, self._headers)
         for item in items:
-            item.payload, detail = self._wrong(item.payload, received.link, self.values, received.chance)
+            item.payload, detail = self._wrong(item.payload, struck)
         return Outcome(items, detail)
 
 

@@ -1,4 +1,7 @@
-"""Text to values: the times, probabilities, counts, rates and field changes of a fault rule."""
+"""Text to values: the times, probabilities, counts, rates and field changes of a fault rule.
+
+Each function raises ValueError for another text; it says what is allowed.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +30,7 @@ class NumberChange(NamedTuple):
 
 
 def time_ns(text: str) -> int:
-    """Read a length of time in ns: ``200ms``, ``1.5s``, ``2m``; a bare number is seconds.
-
-    Raises:
-        ValueError: with what is allowed instead.
-    """
+    """Read a length of time in ns: ``200ms``, ``1.5s``, ``2m``; a bare number is seconds."""
     unit = next((name for name in sorted(_TIMES, key=len, reverse=True) if text.endswith(name)), "")
     value = _decimal(text.removesuffix(unit)) * _TIMES.get(unit, 10**9)
     if not 0 <= value < _LONGEST_NS:  # also where it is not a number
@@ -40,11 +39,7 @@ def time_ns(text: str) -> int:
 
 
 def probability(text: str) -> float:
-    """Read a probability: ``0.1``, ``10%``.
-
-    Raises:
-        ValueError: with what is allowed instead.
-    """
+    """Read a probability: ``0.1``, ``10%``."""
     value = _decimal(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
     if not 0 <= value <= 1:
         raise ValueError("a probability is needed, from 0 to 1 or from 0% to 100%")
@@ -52,11 +47,7 @@ def probability(text: str) -> float:
 
 
 def natural(text: str) -> int:
-    """Read a count, 1 or more, decimal or hex.
-
-    Raises:
-        ValueError: with what is allowed instead.
-    """
+    """Read a count, 1 or more, decimal or hex."""
     value = _integer(text)
     if value is None or not 1 <= value < 1 << 32:
         raise ValueError("a whole number is needed, 1 or more")
@@ -64,11 +55,7 @@ def natural(text: str) -> int:
 
 
 def byte_count(text: str) -> int:
-    """Read a number of bytes, 0 to 65,507: ``40``, ``0x40``.
-
-    Raises:
-        ValueError: with what is allowed instead.
-    """
+    """Read a number of bytes, 0 to 65,507: ``40``, ``0x40``."""
     value = _integer(text)
     if value is None or not 0 <= value <= 65507:
         raise ValueError("a number of bytes is needed, from 0 to 65507")
@@ -76,11 +63,7 @@ def byte_count(text: str) -> int:
 
 
 def volume(text: str) -> int:
-    """Read an amount of bytes: ``65536``, ``64k``, ``2M``.
-
-    Raises:
-        ValueError: with what is allowed instead.
-    """
+    """Read an amount of bytes: ``65536``, ``64k``, ``2M``."""
     value = _decimal(text.removesuffix(text[-1:] if text[-1:] in _MULTIPLES else "")) * _MULTIPLES.get(
         text[-1:], 1
     )
@@ -90,11 +73,7 @@ def volume(text: str) -> int:
 
 
 def hertz(text: str) -> float:
-    """Read a rate in messages a second: ``30``, ``0.5``, ``30Hz``.
-
-    Raises:
-        ValueError: with what is allowed instead.
-    """
+    """Read a rate in messages a second: ``30``, ``0.5``, ``30Hz``."""
     value = _decimal(text.removesuffix("Hz").removesuffix("hz"))
     if not 1e-6 <= value <= 1e9:
         raise ValueError("a rate is needed, above 0, as 30 or 0.5Hz")
@@ -102,11 +81,7 @@ def hertz(text: str) -> float:
 
 
 def bits_per_second(text: str) -> float:
-    """Read a bandwidth in bits a second: ``9600``, ``128k``, ``2M``, with or without ``bit/s``.
-
-    Raises:
-        ValueError: with what is allowed instead.
-    """
+    """Read a bandwidth in bits a second: ``9600``, ``128k``, ``2M``, with or without ``bit/s``."""
     text = text.removesuffix("bit/s").removesuffix("bit")
     unit = text[-1:] if text[-1:] in _MULTIPLES else ""
     value = _decimal(text.removesuffix(unit)) * _MULTIPLES.get(unit, 1)
@@ -116,11 +91,7 @@ def bits_per_second(text: str) -> float:
 
 
 def change(text: str) -> NumberChange:
-    """Read a change of a field: ``+3``, ``-3``, ``12``, ``0xFFFF``.
-
-    Raises:
-        ValueError: with what is allowed instead.
-    """
+    """Read a change of a field: ``+3``, ``-3``, ``12``, ``0xFFFF``."""
     value = _integer(text)
     if value is None or abs(value) >= 1 << 64:
         raise ValueError("a number to set is needed, as 12, or one to add, as +3 or -3")

@@ -10,7 +10,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission, Route
 from edoras_tools.model import Datagram, Endpoint, Finding, Peer
-from edoras_tools.sessions.faults.bytes import CONTENT, Chance, packet_offset
+from edoras_tools.sessions.faults.bytes import CONTENT, Chance, Struck, packet_offset
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import parse_rule
 from edoras_tools.wire import cfe, envelope, sbn
@@ -98,11 +98,11 @@ def test_truncated_and_padded():
 
 @given(payload=st.binary(min_size=1, max_size=90), bits=st.integers(1, 900), number=st.integers(0, 99))
 def test_so_many_bits_are_turned_over(payload, bits, number):
-    wronged = CONTENT["corrupt"](payload, CI, {"bits": bits}, Chance(1, number))
+    wronged = CONTENT["corrupt"](payload, Struck(CI, {"bits": bits}, Chance(1, number)))
     assert len(wronged.payload) == len(payload)
     different = int.from_bytes(payload, "big") ^ int.from_bytes(wronged.payload, "big")
     assert different.bit_count() == min(bits, 8 * len(payload))
-    assert CONTENT["corrupt"](payload, CI, {"bits": bits}, Chance(1, number)) == wronged
+    assert CONTENT["corrupt"](payload, Struck(CI, {"bits": bits}, Chance(1, number))) == wronged
 
 
 @given(
@@ -112,7 +112,7 @@ def test_so_many_bits_are_turned_over(payload, bits, number):
 )
 def test_any_bytes_come_back_as_bytes(payload, link, name):
     values = {"bits": 2, "bytes": 5, "value": parse_rule("packet-length:+1").values["value"]}
-    wronged = CONTENT[name](payload, link, values, Chance(1, 2))
+    wronged = CONTENT[name](payload, Struck(link, values, Chance(1, 2)))
     assert bool(wronged.detail) is (wronged.payload != payload)
     assert packet_offset(payload, link) in {-1, 0, 11}
 
