@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.capture.device import DeviceSource
     from edoras_tools.io.foxglove.origins import OriginCheck
     from edoras_tools.io.foxglove.playback import PlaybackState
-    from edoras_tools.io.foxglove.recorded import ServedSink
-    from edoras_tools.io.foxglove.sink import FoxgloveSink
+    from edoras_tools.io.foxglove.sink import FoxgloveSink, ServedSink
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.capture.record import CaptureReport, Target
     from edoras_tools.pipelines.live.player import RecordingPlayer

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.net.address import resolve
-from edoras_tools.io.net.send import send_one
-from edoras_tools.io.net.sockets import open_bound, received
+from edoras_tools.io.net.sockets import open_bound, received, send_one
 from edoras_tools.model import Endpoint
 from edoras_tools.units import SECOND
 

@@ -1,10 +1,13 @@
-"""The network interfaces of this machine."""
+"""Network interfaces: which there are, and whether one may capture from them."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import os
 import socket
 import struct
+import sys
 from dataclasses import dataclass
 from typing import Final
 
@@ -99,3 +102,32 @@ def _ask(name: str, request: int) -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         answer = fcntl.ioctl(any_socket, request, struct.pack("256s", name.encode()[: _NAME_LENGTH - 1]))
     return int(struct.unpack_from("=H", answer, _NAME_LENGTH)[0])
+
+
+_CAP_NET_RAW: Final = 13
+_CAPABILITY_VERSION: Final = 0x20080522
+"""``_LINUX_CAPABILITY_VERSION_3``: header (version, process); effective, permitted, inheritable, twice."""
+
+
+def claim_raw_sockets() -> None:
+    """Let this thread open raw sockets, if the process is permitted to: CAP_NET_RAW becomes effective.
+
+    A file capability that is only permitted (``cap_net_raw+p``) does not keep the program from starting in a
+    container that lacks it, as an effective one (``+ep``) does; but the program has to ask for it.
+    """
+    header = (ctypes.c_uint32 * 2)(_CAPABILITY_VERSION, 0)
+    values = (ctypes.c_uint32 * 6)()
+    system = ctypes.CDLL(None)
+    if system.capget(header, values) == 0:
+        values[0] |= values[1] & 1 << _CAP_NET_RAW
+        system.capset(header, values)
+
+
+def denied(name: str) -> CaptureError:
+    """Return the error for an interface that may not be opened."""
+    return CaptureError(
+        f"{name}: capturing needs CAP_NET_RAW: run it with sudo; "
+        f"or once 'sudo setcap cap_net_raw+p {os.path.realpath(sys.executable)}'; "
+        "or 'docker run --cap-add NET_RAW'; "
+        "or receive the datagrams on a UDP socket with --listen, which needs no privilege"
+    )

@@ -53,11 +53,12 @@ from edoras_tools.io.capture.device import Device
 from edoras_tools.io.capture.interfaces import (
     ANY_INTERFACE,
     Interface,
+    claim_raw_sockets,
+    denied,
     find_interface,
     loopback_index,
     possible,
 )
-from edoras_tools.io.capture.permission import claim_raw_sockets, denied
 from edoras_tools.model import InterfaceOutage, SourceInfo
 from edoras_tools.wire.arrays.window import PADDING
 

@@ -1,14 +1,14 @@
-"""Shows live traffic in Foxglove: sends the contents of a recording to connected clients."""
+"""Shows live traffic or a recording in Foxglove: sends its topics to connected clients."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from edoras_tools.io.foxglove.diagnostics import DIAGNOSTICS, Diagnostics
 from edoras_tools.io.foxglove.link_state import LinkState
-from edoras_tools.io.foxglove.recorded import ServedSink
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.faults import fault_messages
+from edoras_tools.io.topics.recorded import RecordedStreams
 from edoras_tools.io.topics.rows import lay_out
 from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPIC, TRANSFORMS, Streams, Topic
 
@@ -22,6 +22,61 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.structs import Structs
+
+
+class ServedSink:
+    """What is shown, or played, over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
+
+    Attributes:
+        server: the server; it listens from construction on.
+    """
+
+    server: FoxgloveServer
+
+    def write(self, batch: PacketBatch, columns: Columns) -> None:
+        """Send a batch to clients."""
+        raise NotImplementedError
+
+    def show_time(self, time_ns: int) -> None:
+        """Send a time for the clients' clocks, ns since 1970."""
+        self.server.tell_time(time_ns)
+
+    def restart(self) -> None:
+        """Reset the statistics, if there are any, because the following messages have other times."""
+
+    def flush(self) -> None:
+        """Do nothing: there is no buffer."""
+
+    def close(self, statistics: SourceStatistics) -> None:  # noqa: ARG002  required by Sink
+        """Close all clients."""
+        self.server.close()
+
+    def summary(self) -> dict[str, Any]:
+        """Return counts of the messages; see ``FoxgloveServer.summary``."""
+        return self.server.summary()
+
+
+class RecordedSink(ServedSink):
+    """Serves the messages of a recording.
+
+    Args:
+        types: provides the schemas that the recording does not hold.
+
+    Raises:
+        CaptureError: the address cannot be used.
+        ConfigError: ``websockets`` is not installed.
+    """
+
+    def __init__(self, mission: Mission, types: TypeStore, info: SourceInfo, options: ServerOptions) -> None:
+        self._streams = RecordedStreams(mission, types)
+        self.server = FoxgloveServer(f"edoras: {info.name}", self._streams.topics, lambda _: "", options)
+
+    def write(self, batch: PacketBatch, columns: Columns) -> None:
+        """Send a batch to clients."""
+        if len(batch) and self.server.clients:
+            prepared = self._streams.prepare(batch, columns)
+            self.server.publish(lay_out(self._streams.made(batch, columns, prepared), len(batch)))
+            self.show_time(int(batch.time_ns[-1]))
 
 
 class FoxgloveSink(ServedSink):

@@ -23,8 +23,7 @@ import numpy as np
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.address import PACKED_BYTES, address_of
 from edoras_tools.io.net.mmsg import ReceiveMany, SendMany, usable
-from edoras_tools.io.net.send import SendResult, send_one
-from edoras_tools.io.net.sockets import IP_PKTINFO, IPV6_PKTINFO, SO_TIMESTAMPNS
+from edoras_tools.io.net.sockets import IP_PKTINFO, IPV6_PKTINFO, SO_TIMESTAMPNS, SendResult, send_one
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.io.net.buffer import SLOTS, SPARE
-from edoras_tools.io.net.send import send_one
+from edoras_tools.io.net.sockets import send_one
 from edoras_tools.sessions.pacing import Lateness
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.net.address import Address
     from edoras_tools.io.net.buffer import DatagramBuffer
-    from edoras_tools.io.net.send import SendResult
+    from edoras_tools.io.net.sockets import SendResult
 
 _LATENCIES: Final = 4096
 """Latencies collected before they are counted: counting each one separately would be too slow."""

@@ -26,8 +26,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.address import PACKED_BYTES
-from edoras_tools.io.net.send import MOST_REFUSALS, SendResult
-from edoras_tools.io.net.sockets import LINUX
+from edoras_tools.io.net.sockets import LINUX, MOST_REFUSALS, SendResult
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -21,8 +21,16 @@ import numpy as np
 
 from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.mmsg import SendMany, usable
-from edoras_tools.io.net.send import SendResult, send_one
-from edoras_tools.io.net.sockets import bind, connect, local_endpoint, open_bound, open_socket, received
+from edoras_tools.io.net.sockets import (
+    SendResult,
+    bind,
+    connect,
+    local_endpoint,
+    open_bound,
+    open_socket,
+    received,
+    send_one,
+)
 
 if TYPE_CHECKING:
     import socket

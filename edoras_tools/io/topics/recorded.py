@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.io.topics.latched import LatchedTopics
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, bodies_of, fill_record
-from edoras_tools.io.topics.streams import PreparedBatch, Topic
+from edoras_tools.io.topics.streams import LatchedTopics, PreparedBatch, Topic
 from edoras_tools.structs import Structs
 
 if TYPE_CHECKING:

@@ -1,15 +1,18 @@
-"""``/edoras/link_statistics``: the traffic of each MsgId on each link, once a second."""
+"""Once a second: ``/edoras/link_statistics``, the traffic, and ``/edoras/host``, what the kernel counted."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import asdict, fields
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.io.topics.cfe import stamp
-from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record, no_messages
+from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, bodies_of, fill_record, no_messages
 from edoras_tools.links import table
+from edoras_tools.model import HostCounters, SocketCounters
 from edoras_tools.sessions.sequence import SequenceCounts
+from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import order_by
 
 if TYPE_CHECKING:
@@ -17,8 +20,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch, SourceStatistics
-
-_SECOND_NS = 1_000_000_000
+    from edoras_tools.ros import TypeStore
 
 _GROUP = np.dtype(
     [
@@ -90,14 +92,14 @@ class LinkStatistics:
         """
         if self._origin < 0:
             self._origin = int(batch.time_ns[0])
-        second = (batch.time_ns - self._origin) // _SECOND_NS
+        second = (batch.time_ns - self._origin) // SECOND
         second = np.maximum(np.maximum.accumulate(second), self._second)
         self._second, self._end_ns = int(second[-1]), int(batch.time_ns[-1])
         groups = _merge(np.concatenate((self._open, self._count(batch, columns, second))))
         ended = groups["second"] < self._second
         self._open = groups[~ended]
         rows = np.searchsorted(second, groups["second"][ended], side="right")
-        time_ns = self._origin + (groups["second"][ended] + 1) * _SECOND_NS
+        time_ns = self._origin + (groups["second"][ended] + 1) * SECOND
         return self._write(groups[ended], rows, time_ns, channel_id)
 
     def finish(self, channel_id: int) -> Messages:
@@ -173,3 +175,35 @@ def _merge(groups: NDArray[np.void]) -> NDArray[np.void]:
         merged[name] = np.add.reduceat(groups[name], starts)
     merged["largest"] = np.maximum.reduceat(groups["largest"], starts)
     return merged
+
+
+HOST_TOPIC: Final = "/edoras/host"
+HOST_TYPE: Final = "edoras_msgs/msg/HostStatistics"
+_COUNTERS: Final = tuple(
+    item.name for item in fields(HostCounters) if item.name not in {"time_ns", "sockets"}
+)
+_UNKNOWN: Final = -1
+
+
+def host_messages(host: HostCounters, channel_id: int, types: TypeStore) -> Messages:
+    """Return the message of one reading, in row 0."""
+    seconds, rest = divmod(host.time_ns, SECOND)
+    counted = {name: getattr(host, name) for name in _COUNTERS}
+    values = {
+        "stamp": {"sec": seconds, "nanosec": rest},
+        "sockets": [asdict(item) for item in host.sockets],
+        **{name: _UNKNOWN if value is None else value for name, value in counted.items()},
+    }
+    return bodies_of([types.encode(HOST_TYPE, values)[4:]], [host.time_ns], channel_id)
+
+
+def host_counters_of(cdr: bytes, types: TypeStore) -> HostCounters:
+    """Return the reading in a message.
+
+    Raises:
+        WireError: the message is not one of these.
+    """
+    values = types.decode(HOST_TYPE, cdr)
+    counted = {name: values[name] if values[name] != _UNKNOWN else None for name in _COUNTERS}
+    sockets = tuple(SocketCounters(**item) for item in values["sockets"])
+    return HostCounters(values["stamp"]["sec"] * SECOND + values["stamp"]["nanosec"], sockets, **counted)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.decode import Dissector
-from edoras_tools.io.formats.jsonl.texts import json_value
+from edoras_tools.io.formats.jsonl.writer import json_value
 from edoras_tools.io.formats.merge import follow_streams
 
 if TYPE_CHECKING:

@@ -76,7 +76,7 @@ class TopicTable:
             ConfigError: pyarrow is not installed.
         """
         try:
-            arrays = import_module("edoras_tools.io.formats.arrow.arrays")
+            arrays = import_module("edoras_tools.io.formats.arrow.writer")
         except ImportError as error:
             raise ConfigError(
                 "to_arrow() needs pyarrow: pip install 'edoras-tools[analysis]'; to_numpy() does not"

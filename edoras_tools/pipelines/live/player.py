@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
     from edoras_tools.io.foxglove.playback import PlaybackRequest
-    from edoras_tools.io.foxglove.recorded import ServedSink
+    from edoras_tools.io.foxglove.sink import ServedSink
     from edoras_tools.model import Columns, PacketBatch, SourceInfo
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.run import Progress

@@ -2,16 +2,22 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 
+from edoras_tools.io.formats.mcap.reader import McapSource
+from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.topics.rows import RECORD_BYTES
-from edoras_tools.io.topics.statistics import LinkStatistics
+from edoras_tools.io.topics.statistics import HOST_TOPIC, LinkStatistics
 from edoras_tools.links import table
-from edoras_tools.model import SourceStatistics
+from edoras_tools.mission import Mission
+from edoras_tools.model import HostCounters, SocketCounters, SourceInfo, SourceStatistics
+from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.sequence import SequenceCounts
 
 SECOND = 1_000_000_000
@@ -85,3 +91,37 @@ def test_a_message_stands_before_the_first_datagram_after_its_second(types, miss
     rest = statistics.finish(9)
     assert rest.heads(slice(None))["log_time"].tolist() == [start + 10 * SECOND + 1]
     assert len(statistics.finish(9)) == 0
+
+
+NOON = 1_700_000_000_123_456_789
+READINGS = [
+    HostCounters(
+        NOON, (SocketCounters(1234, "127.0.0.1", 7, 512, 80),), 93, 5, 13, 105, 6, 10, 1 << 18, 1 << 22
+    ),
+    HostCounters(NOON + 10**9, (SocketCounters(2234, "::1", 1 << 40, 0, 0),) * 3),
+]
+
+
+def test_what_the_kernel_counted_is_in_the_recording_as_it_was(tmp_path):
+    path = tmp_path / "a.mcap"
+    types = TypeStore()
+    sink = McapSink(path, Mission(), types, SourceInfo("lo", "live"))
+    for reading in READINGS:
+        sink.write_host(reading)
+    sink.close(SourceStatistics())
+    with path.open("rb") as file:
+        told = [
+            (message.log_time, types.decode(schema.name, message.data))
+            for schema, _, message in make_reader(file).iter_messages([HOST_TOPIC])
+        ]
+    assert [time_ns for time_ns, _ in told] == [reading.time_ns for reading in READINGS]
+    assert told[0][1]["sockets"][0] == {
+        "inode": 7,
+        "drops": 80,
+        "queued": 512,
+        "port": 1234,
+        "address": "127.0.0.1",
+    }
+    assert (told[0][1]["msg_max"], told[1][1]["msg_max"]) == (10, -1)
+    with closing(McapSource(path)) as source:
+        assert source.host() == READINGS

@@ -7,7 +7,7 @@ from typing import IO, TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.io.formats.jsonl.texts import json_texts, number_texts, time_texts
+from edoras_tools.io.formats.jsonl.writer import json_texts, number_texts, time_texts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -30,9 +30,9 @@ from edoras_tools.io.frames.frame_batch import FrameBatch, joined_frames
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.topics.datagrams import DATAGRAM
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, fault_of
-from edoras_tools.io.topics.host import HOST_TOPIC, host_counters_of
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC, MAGIC, OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.rows import CDR_LE_WORD
+from edoras_tools.io.topics.statistics import HOST_TOPIC, host_counters_of
 from edoras_tools.model import InterfaceOutage, SourceInfo, SourceStatistics
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.arrays.window import read_at

@@ -17,9 +17,9 @@ from edoras_tools.io.formats.mcap.file import McapFile
 from edoras_tools.io.formats.recording import RecordingOptions
 from edoras_tools.io.formats.split import part_path
 from edoras_tools.io.topics.faults import fault_messages
-from edoras_tools.io.topics.host import host_messages
 from edoras_tools.io.topics.names import OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.recorded import RecordedStreams
+from edoras_tools.io.topics.statistics import host_messages
 from edoras_tools.io.topics.streams import (
     FAULTS,
     HOST_COUNTERS,

@@ -5,6 +5,7 @@ import struct
 import subprocess
 from contextlib import closing, suppress
 
+import numpy as np
 import pytest
 from captures import read
 from effort import every
@@ -20,6 +21,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats import stream
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcapng import reader as pcapng
+from edoras_tools.io.formats.pcapng.reader import TimeScale
 from edoras_tools.io.frames import chain as framing
 
 RAW = bytes(IP(src="127.0.0.1", dst="127.0.0.2") / UDP(sport=1, dport=2) / Raw(b"hello"))
@@ -335,3 +337,39 @@ def test_garbage_behind_a_section_header(tmp_path_factory, content):
     with suppress(CaptureError), closing(open_file(path)) as source:
         for batch in source.batches():
             assert len(batch)
+
+
+SECONDS = 1_700_000_000
+
+
+@given(
+    st.sampled_from([2, 10]),
+    st.integers(0, 63),
+    st.integers(0, SECONDS),
+    st.fractions(0, 1),
+    st.integers(-1000, 1000),
+)
+def test_exact_for_every_resolution(base, exponent, seconds, fraction, offset):
+    ticks = int((seconds + fraction) * base**exponent) % 2**64
+    expected = ticks * 10**9 // base**exponent + offset * 10**9
+    scale = TimeScale(exponent, base, offset)
+    assert scale.to_ns(np.array([ticks], dtype=np.uint64)).tolist() == [expected]
+
+
+@given(st.sampled_from([2, 10]), st.integers(0, 127), st.integers(0, 2**64 - 1))
+def test_nothing_raises(base, exponent, ticks):
+    TimeScale(exponent, base).to_ns(np.array([ticks], dtype=np.uint64))
+
+
+@pytest.mark.parametrize(
+    ("scale", "resolution"),
+    [
+        (TimeScale(), 1000),
+        (TimeScale(9), 1),
+        (TimeScale(12), 1),
+        (TimeScale(3), 10**6),
+        (TimeScale(10, 2), 976562),
+    ],
+)
+def test_resolution(scale, resolution):
+    assert scale.resolution_ns == resolution

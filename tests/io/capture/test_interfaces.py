@@ -10,7 +10,7 @@ import pytest
 CODE = """
     import ctypes, socket
     from edoras_tools.errors import CaptureError
-    from edoras_tools.io.capture.permission import claim_raw_sockets
+    from edoras_tools.io.capture.interfaces import claim_raw_sockets
     from edoras_tools.io.capture.ring import _socket
 
     def state():
