@@ -372,6 +372,10 @@ class Case:
         """Tell whether Telemetry Output says that its socket failed, in a time in which it sent nothing."""
         return any(self.suppressed(span) for span in self.telemetry.silences[stream.sender])
 
+    def span(self, rows: Sequence[int] | NDArray[np.intp]) -> tuple[int, int]:
+        """Return the capture times of the first and of the last of some rows, which are in order of time."""
+        return int(self.rows.time_ns[rows[0]]), int(self.rows.time_ns[rows[-1]])
+
     def at(self, time_ns: int) -> str:
         """Return a time as people are told of it: seconds into the capture."""
         return f"{max(0, time_ns - self.zero_ns) / SECOND:.1f} s"

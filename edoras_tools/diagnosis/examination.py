@@ -21,7 +21,7 @@ from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rules import OTHERS, RULES, SINGLE
 from edoras_tools.diagnosis.rules.capture import too_many
 from edoras_tools.diagnosis.samples import lost_samples, sample_rows
-from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, Severity, Verdict
+from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, WHOLE, Severity, Verdict
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.sessions.cfdp import Follower
 from edoras_tools.sessions.dds import SampleFollower
@@ -221,11 +221,11 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
         progress: told how many rules were asked, of how many.
     """
     if not len(case.rows):
-        return [verdict for rule in OTHERS for verdict in rule(case)]
+        return [_told(case, rule.__name__, verdict) for rule in OTHERS for verdict in rule(case)]
     found: dict[str, list[Verdict]] = {}
     for name in (name for name in RULES if name in SINGLE):
         progress(len(found), len(RULES))
-        found[name] = list(RULES[name](case))
+        found[name] = [_told(case, name, verdict) for verdict in RULES[name](case)]
     for item in (item for members in found.values() for item in members if item.lost):
         figures = item.start_ns, item.end_ns, item.lost or 0, item.of
         case.refused.append(Refused(item.rule, item.link, item.msg_id, item.hop, *figures))
@@ -234,10 +234,17 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
         members[:] = [_lost_here(item, next(left)) if item.lost else item for item in members]
     for name, rule in RULES.items():
         if name not in found:
-            found[name] = list(rule(case))
+            found[name] = [_told(case, name, verdict) for verdict in rule(case)]
             progress(len(found), len(RULES))
         case.verdicts += found[name]
     return case.verdicts
+
+
+def _told(case: Case, rule: str, verdict: Verdict) -> Verdict:
+    """Return a rule's verdict with what follows from the case: its topic, and when it was."""
+    topic = verdict.topic or (None if verdict.msg_id is None else case.topic(verdict.msg_id))
+    span = (case.start_ns, case.end_ns) if verdict.span == WHOLE else verdict.span
+    return replace(verdict, rule=rule, topic=topic, span=span)
 
 
 def _lost_here(verdict: Verdict, number: int) -> Verdict:

@@ -27,7 +27,6 @@ def published(loss: Loss) -> str:
 
 def loss_verdict(
     case: Case,
-    rule: str,
     loss: Loss,
     reason: str,
     *,
@@ -35,24 +34,21 @@ def loss_verdict(
     remedy: str,
     evidence: Iterable[str] | None = None,
 ) -> Verdict:
-    """Return a rule's verdict on a loss, an error.
+    """Return the verdict on a loss, an error.
 
     Args:
         link: label of the link that it concerns.
         evidence: what was seen, in place of the loss' own lines.
     """
     return Verdict(
-        rule,
         Severity.ERROR,
         reason,
         msg_id=loss.msg_id,
-        topic=case.topic(loss.msg_id),
         link=link,
         hop=loss.hop,
         lost=loss.lost,
         of=loss.of,
-        start_ns=loss.start_ns,
-        end_ns=loss.end_ns,
+        span=(loss.start_ns, loss.end_ns),
         evidence=(*(loss.evidence if evidence is None else evidence), *case.drops_text()),
         remedy=remedy,
         confidence=loss.confidence,

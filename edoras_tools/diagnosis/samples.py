@@ -23,20 +23,16 @@ _CAUSES: Final = {
 _COUNTED: Final = {"in": "sequence numbers and HEARTBEATs", "out": "samples in the capture"}
 
 
-def sample_verdict(
-    rule: str, severity: Severity, item: TopicWriter, reason: str, remedy: str, **about: Any
-) -> Verdict:
+def sample_verdict(severity: Severity, item: TopicWriter, reason: str, remedy: str, **about: Any) -> Verdict:
     """Return a verdict on the samples of one writer; ``about`` has more of its attributes."""
     writer = item.writer
     return Verdict(
-        rule,
         severity,
         reason,
         topic=item.topic,
         link=RTPS.label,
         hop=SAMPLE_HOP,
-        start_ns=writer.first_ns,
-        end_ns=writer.last_ns,
+        span=(writer.first_ns, writer.last_ns),
         remedy=remedy,
         **about,
     )

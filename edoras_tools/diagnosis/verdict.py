@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable  # noqa: TC003  for readers of the signature
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import IntEnum
 from itertools import groupby
 from typing import Any, Final, Literal
@@ -31,29 +31,35 @@ class Severity(IntEnum):
         return self.name.lower()
 
 
+WHOLE: Final = (0, 0)
+"""The span of a verdict that is about the whole capture."""
+_SHOWN: Final = (
+    *("rule", "severity", "reason", "msg_id", "topic", "link", "hop", "lost", "of", "start_ns", "end_ns"),
+    *("evidence", "remedy", "confidence", "estimated"),
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """One thing that is so, and why that is believed.
 
     Attributes:
-        rule: id of the rule, as its page of documentation names it.
         severity: how much it matters.
         reason: one sentence: what, where and because of what.
         msg_id: of the route; None where it concerns no single one.
-        topic: configured topic of the route, or None.
+        topic: configured topic of the route, or None; ``judge`` fills in that of ``msg_id``.
         link: label of the link, or None.
         hop: where it happened: a pipe, a process, a stretch of network.
         lost: messages lost; None where that cannot be counted from here.
         of: messages sent, as far as they are known.
-        estimated: messages that are missing by an estimate, which no figure of the balance has; or None.
-        start_ns: first sign of it, capture time.
-        end_ns: last sign of it.
+        span: first and last sign of it, capture time in ns; ``WHOLE`` until ``judge`` knows the capture's.
         evidence: what was seen, a line each.
         remedy: what to change.
         confidence: ``high``: counted or said by cFS; ``medium``: follows from what was seen; ``low``: likely.
+        estimated: messages that are missing by an estimate, which no figure of the balance has; or None.
+        rule: name of the rule that says so, as its page of documentation has it; ``judge`` fills it in.
     """
 
-    rule: str
     severity: Severity
     reason: str
     msg_id: int | None = None
@@ -62,12 +68,22 @@ class Verdict:
     hop: str | None = None
     lost: int | None = None
     of: int | None = None
-    start_ns: int = 0
-    end_ns: int = 0
+    span: tuple[int, int] = WHOLE
     evidence: tuple[str, ...] = ()
     remedy: str = ""
     confidence: Confidence = "high"
     estimated: int | None = None
+    rule: str = ""
+
+    @property
+    def start_ns(self) -> int:
+        """First sign of it, capture time."""
+        return self.span[0]
+
+    @property
+    def end_ns(self) -> int:
+        """Last sign of it."""
+        return self.span[1]
 
     @property
     def key(self) -> tuple[str, int | None, str | None, str | None]:
@@ -77,7 +93,7 @@ class Verdict:
     def as_json(self) -> dict[str, Any]:
         """Return the verdict in the shape of ``doctor --json``."""
         return {
-            **asdict(self),
+            **{name: getattr(self, name) for name in _SHOWN},
             "severity": self.severity.label,
             "msg_id": None if self.msg_id is None else f"0x{self.msg_id:04x}",
             "evidence": list(self.evidence),

@@ -467,10 +467,10 @@ def test_live_rings_once_for_each_new_verdict(capsys):
     def diagnosis(*verdicts):
         return Diagnosis(verdicts, (), [], [], 1, 0, 1)
 
-    one = Verdict("app_pipe_limit", Severity.ERROR, "lost", msg_id=0x1827, lost=3)
-    grown = Verdict("app_pipe_limit", Severity.ERROR, "lost more", msg_id=0x1827, lost=9)
-    other = Verdict("ci_cut", Severity.ERROR, "cut", msg_id=0x1827)
-    note = Verdict("older_losses", Severity.NOTE, "older")
+    one = Verdict(Severity.ERROR, "lost", msg_id=0x1827, lost=3, rule="app_pipe_limit")
+    grown = Verdict(Severity.ERROR, "lost more", msg_id=0x1827, lost=9, rule="app_pipe_limit")
+    other = Verdict(Severity.ERROR, "cut", msg_id=0x1827, rule="ci_cut")
+    note = Verdict(Severity.NOTE, "older", rule="older_losses")
     with LiveVerdicts("lo") as live:
         for found in (diagnosis(one, note), diagnosis(grown, note), diagnosis(grown, other)):
             live.update(found)

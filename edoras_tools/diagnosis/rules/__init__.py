@@ -1,4 +1,4 @@
-"""The rules: a function each, named as its verdicts are, that goes through a case and yields them.
+"""The rules: a function each that goes through a case and yields verdicts, which get its name.
 
 They are asked in this order, what concerns the capture itself first. ``docs/rules`` has a section for each.
 """

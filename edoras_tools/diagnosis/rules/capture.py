@@ -34,12 +34,9 @@ def not_examined(case: Case) -> Iterator[Verdict]:
     """
     for item in unnamed(case.prepared.flows):
         yield Verdict(
-            "not_examined",
             Severity.ERROR,
             item.told,
             hop="capture",
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
             evidence=("lengths, types and MsgIds in it agree as only that link's do",),
             remedy=item.remedy,
         )
@@ -49,23 +46,19 @@ def not_examined(case: Case) -> Iterator[Verdict]:
         end_ns = outage.end_ns or max(case.end_ns, outage.start_ns)
         lasted = f"was away {(end_ns - outage.start_ns) / 1e9:.1f} s: what was sent then"
         yield Verdict(
-            "not_examined",
             Severity.WARNING,
             f"{outage.interface} {lasted if outage.end_ns else AWAY} is not examined",
             hop="capture",
-            start_ns=outage.start_ns,
-            end_ns=end_ns,
+            span=(outage.start_ns, end_ns),
             evidence=(f"the recorder found it {outage.why}", *((counted,) if missing else ())),
             remedy=_REMEDY,
         )
     for start_ns, end_ns in case.holes if len(case.rows) else ():
         yield Verdict(
-            "not_examined",
             Severity.WARNING,
             f"the capture has a hole of {(end_ns - start_ns) / 1e9:.1f} s: traffic in it is not examined",
             hop="capture",
-            start_ns=start_ns,
-            end_ns=end_ns,
+            span=(start_ns, end_ns),
             evidence=(
                 "it shows no datagram of anybody; all sent before and after, and cFS went on counting",
                 *((counted,) if missing else ()),
@@ -82,15 +75,12 @@ def capture_drops(case: Case) -> Iterator[Verdict]:
     drops = case.capture.drops
     if drops:
         yield Verdict(
-            "capture_drops",
             Severity.ERROR,
             f"the capture itself lost {drops:,} frames before they were written: what is missing below may "
             "be among them",
             hop="capture",
             lost=drops,
             of=drops + len(case.rows),
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
             evidence=("the capture's own drop counter",),
             remedy="capture on a faster or quieter host, with a filter on the links' ports, or to a faster "
             "disk",
@@ -105,13 +95,11 @@ def cut_frames(case: Case) -> Iterator[Verdict]:
     cut = np.flatnonzero(case.rows.has(Finding.CAPTURE_CUT))
     if len(cut):
         yield Verdict(
-            "cut_frames",
             Severity.WARNING,
             f"{len(cut):,} of {len(case.rows):,} frames were cut by the capture: what their ends would show "
             "(messages, events, counters) is not judged; datagrams are counted",
             hop="capture",
-            start_ns=int(case.rows.time_ns[cut[0]]),
-            end_ns=int(case.rows.time_ns[cut[-1]]),
+            span=case.span(cut),
             evidence=("the capture says that these frames were longer on the wire",),
             remedy="capture whole frames, without -s or with -s 0",
         )
@@ -130,14 +118,12 @@ def stream_gap(case: Case) -> Iterator[Verdict]:
             continue
         first = int(members[0])
         yield Verdict(
-            "stream_gap",
             Severity.WARNING,
             f"{link.name} over TCP: bytes are missing in front of {plural(len(members), 'message')} of "
             f"{int((rows.link == link).sum()):,}; what was in them is not judged",
             link=link.label,
             hop="capture",
-            start_ns=int(rows.time_ns[first]),
-            end_ns=int(rows.time_ns[members[-1]]),
+            span=case.span(members),
             evidence=(
                 f"packet {rows.number[first]}: the first message behind bytes that are missing or no message",
                 "TCP delivers every byte or ends the connection: the capture lacks them, the peer does not",
@@ -168,14 +154,11 @@ def frames_lost(case: Case) -> Iterator[Verdict]:
         if frames and frames.damaged:
             evidence.append(f"{plural(frames.damaged, 'frame')} of all came damaged, and count as lost")
         yield Verdict(
-            "frames_lost",
             Severity.ERROR,
             f"{item.name}: {plural(item.lost, 'frame')} lost of {item.frames + item.lost:,}, packets cut at "
             f"{plural(item.cut, 'place')}",
             link=FRAMES.label,
             hop=f"{item.source} to {item.destination}",
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
             evidence=tuple(evidence),
             remedy="look for the loss between the two ends: radio, modem, network, or a receiver's buffer",
         )
@@ -196,15 +179,13 @@ def fprime_packets_lost(case: Case) -> Iterator[Verdict]:
         if item.counts.restarts:
             evidence.append(f"the count began anew {plural(item.counts.restarts, 'time')}")
         yield Verdict(
-            "fprime_packets_lost",
             Severity.ERROR,
             f"{item.name} {way} F Prime: {plural(lost, 'packet')} lost of {of:,}",
             link=FPRIME.label,
             hop=f"{item.source} to {item.destination}",
             lost=lost,
             of=of,
-            start_ns=item.first_ns,
-            end_ns=item.last_ns,
+            span=(item.first_ns, item.last_ns),
             evidence=tuple(evidence),
             remedy="look for the loss between the two ends: radio, network, or a receiver's buffer",
         )
@@ -218,25 +199,20 @@ def not_cfs(case: Case) -> Iterator[Verdict]:
     flows = case.prepared.flows
     for line in foreign(flow for flow in flows if flow.kind is ConversationKind.FOREIGN):
         yield Verdict(
-            "not_cfs",
             Severity.NOTE,
             line,
             hop="capture",
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
             remedy="none; another program uses this port, and no cFS gets it",
         )
     for flow in flows:
         if flow.kind is ConversationKind.STRANGER:
             yield Verdict(
-                "not_cfs",
                 Severity.WARNING,
                 f"{flow.datagrams:,} datagrams on port {flow.destination.port} do not look like cFS, left "
                 f"out: {flow.source} sends them to {flow.destination}, where {flow.link.name} is",
                 link=flow.link.label,
                 hop=str(flow.source),
-                start_ns=flow.first_ns,
-                end_ns=flow.last_ns,
+                span=(flow.first_ns, flow.last_ns),
                 evidence=("none of them is a packet whose length agrees, or has a MsgId that is known",),
                 remedy=f"let {flow.source.address} send elsewhere; what listens there reads every datagram",
             )
@@ -250,12 +226,9 @@ def captured_twice(case: Case) -> Iterator[Verdict]:
     copies = case.prepared.copies
     if copies:
         yield Verdict(
-            "captured_twice",
             Severity.NOTE,
             f"{copies:,} datagrams were captured twice, and are counted once",
             hop="capture",
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
             evidence=(
                 "the same bytes with the same IP identification, or at another place, within ms",
                 *(
@@ -270,16 +243,15 @@ def captured_twice(case: Case) -> Iterator[Verdict]:
 
 
 def too_many(start_ns: int, end_ns: int, most: int) -> Verdict:
-    """Return what has to be said first where they are too many to be sorted."""
+    """Return what is said first, by no rule that is asked, where they are too many to be sorted."""
     return Verdict(
-        "out_of_order",
         Severity.ERROR,
         f"the whole capture is out of time order, and holds more than the {most:,} datagrams that can be "
         "sorted: it is judged in parts, and what is said of loss, order and restarts is not right",
         hop="capture",
-        start_ns=start_ns,
-        end_ns=end_ns,
+        span=(start_ns, end_ns),
         remedy="put it in order first: reordercap IN OUT",
+        rule="out_of_order",
     )
 
 
@@ -291,12 +263,9 @@ def out_of_order(case: Case) -> Iterator[Verdict]:
     count = case.prepared.disordered
     if count:
         yield Verdict(
-            "out_of_order",
             Severity.NOTE,
             f"{count:,} records of the capture stand behind later ones; all were put in order of time",
             hop="capture",
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
             evidence=("capture times run back, and the times in cFS's packets with them",),
             remedy="none; reordercap writes such a file in order",
         )
@@ -314,13 +283,11 @@ def duplicated(case: Case) -> Iterator[Verdict]:
         row = int(own[0])
         sender, receiver = case.endpoints[rows.source[row]], case.endpoints[rows.destination[row]]
         yield Verdict(
-            "duplicated",
             Severity.NOTE,
             f"{plural(len(own), 'datagram')} from {sender} to {receiver} "
             f"{'was' if len(own) == 1 else 'were'} doubled by the network",
             hop="network",
-            start_ns=int(rows.time_ns[own].min()),
-            end_ns=int(rows.time_ns[own].max()),
+            span=(int(rows.time_ns[own].min()), int(rows.time_ns[own].max())),
             evidence=("the same bytes with the same IP identification, captured at one place",),
             remedy="none; whoever receives them gets them twice",
         )
@@ -337,13 +304,11 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
         whose = "the capture's own clock" if own else f"the clock of cFS {jump.clock}, and not the capture's,"
         way = "back" if jump.by_ns < 0 else "ahead"
         yield Verdict(
-            "clock_jump",
             Severity.WARNING,
             f"{whose} was set {way} by {seconds(abs(jump.by_ns) / SECOND)} at packet "
             f"{case.rows.number[jump.row]}: times here are given as if it had not",
             hop="capture" if own else "cFS",
-            start_ns=when,
-            end_ns=when,
+            span=(when, when),
             evidence=(
                 "time runs back from one packet to the next"
                 if jump.by_ns < 0 and own
@@ -363,13 +328,10 @@ def proxy_faults(case: Case) -> Iterator[Verdict]:
     """
     if case.prepared.relayed:
         yield Verdict(
-            "proxy_faults",
             Severity.NOTE,
             f"{plural(case.prepared.relayed, 'datagram')} were captured in front of the proxy: they are its "
             "own recording's once more, and not counted again",
             hop=PROXY_HOP,
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
             evidence=("what the proxy dropped is among them",),
             remedy="none",
         )
@@ -382,16 +344,13 @@ def proxy_faults(case: Case) -> Iterator[Verdict]:
         done += [f"{number:,} struck by {kind}" for kind, number in item.others.items()]
         way = "to cFS" if to_cfs else "from cFS"
         yield Verdict(
-            "proxy_faults",
             Severity.WARNING if item.dropped else Severity.NOTE,
             f"datagrams on {case.name(msg_id)} {way}: {', '.join(done)} on purpose by the proxy",
             msg_id=msg_id if msg_id >= 0 else None,
-            topic=case.topic(msg_id),
             link=table.link(link).label,
             hop=PROXY_HOP,
             lost=len(item.dropped) or None,
-            start_ns=item.start_ns,
-            end_ns=item.end_ns,
+            span=(item.start_ns, item.end_ns),
             evidence=(ON_PURPOSE, *(f"rule {rule}" for rule in item.rules)),
             remedy="none: it was asked for",
         )

@@ -229,7 +229,7 @@ def _refused(case: Case, told: set[int]) -> Iterator[tuple[int, BadCommandKind]]
 
 
 def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
-    rows, first, last = case.rows, members[0], members[-1]
+    rows, first = case.rows, members[0]
     known = int(rows.msg_id[first])
     msg_id = known if known != NO_MSG_ID else None
     name = case.name(known) if known != NO_MSG_ID else "a datagram"
@@ -255,17 +255,14 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
     elif kind.event and not events and case.has_telemetry:
         evidence.append("no event about it in the capture: suppressed, filtered, or not asked for")
     return Verdict(
-        "bad_command",
         Severity.ERROR if lost else Severity.NOTE if kind.finding in _HARMLESS else Severity.WARNING,
         f"{which}{kind.what}; {done}",
         msg_id=msg_id,
-        topic=case.topic(known),
         link="ci",
         hop="CI_LAB_APP" if kind.finding is Finding.TRUNCATED else None,
         lost=lost,
         of=len(members),
-        start_ns=start_ns,
-        end_ns=int(rows.time_ns[last]),
+        span=case.span(members),
         evidence=tuple(evidence),
         remedy=f"send whole commands of {cfe.COMMAND_HEADER_BYTES} to {CI_BUFFER} bytes whose fields agree",
         confidence="high" if events or not kind.event else "medium",

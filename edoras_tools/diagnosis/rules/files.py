@@ -28,25 +28,21 @@ def file_checksum(case: Case) -> Iterator[Verdict]:
         if told or item.checksum_right is False:
             who = "Finished says so" if told else "calculated from the captured bytes, against that of EOF"
             yield Verdict(
-                "file_checksum",
                 Severity.ERROR,
                 f"{item.title} arrived with a wrong checksum",
                 link=CFDP.label,
                 hop=item.hop,
-                start_ns=item.first_ns,
-                end_ns=item.last_ns,
+                span=(item.first_ns, item.last_ns),
                 evidence=(who,),
                 remedy="send it again; if it happens again, both entities may use different checksum types",
             )
     if count := case.capture.corrupt_pdus:
         yield Verdict(
-            "file_checksum",
             Severity.WARNING,
             f"{plural(count, 'CFDP PDU')} came with a wrong CRC",
             link=CFDP.label,
             hop="between CFDP entities",
-            start_ns=case.capture.corrupt_ns[0],
-            end_ns=case.capture.corrupt_ns[1],
+            span=case.capture.corrupt_ns,
             evidence=("calculated from the captured bytes; the receiver drops such a PDU",),
             remedy="look for what changes bytes on the way; what is missing is sent again in class 2 only",
         )
@@ -76,13 +72,11 @@ def file_not_finished(case: Case) -> Iterator[Verdict]:
         ends = {"EOF": item.eof, **({"Finished": item.finished} if item.acknowledged else {})}
         seen = [f"{name} was {'not ' * (told is None)}captured" for name, told in ends.items()]
         yield Verdict(
-            "file_not_finished",
             severity,
             f"the transfer of {item.title} {how}: {item.received.size:,} of {size} bytes were captured",
             link=CFDP.label,
             hop=item.hop,
-            start_ns=item.first_ns,
-            end_ns=item.last_ns,
+            span=(item.first_ns, item.last_ns),
             evidence=(
                 ", ".join(seen),
                 f"{plural(len(item.holes), 'hole')}, {plural(item.naks, 'NAK')} that ask for something",
@@ -103,13 +97,11 @@ def file_stalled(case: Case) -> Iterator[Verdict]:
     for item in case.capture.files:
         if item.silence_ns > _LONG_NS:
             yield Verdict(
-                "file_stalled",
                 Severity.WARNING,
                 f"the transfer of {item.title} stood still for {item.silence_ns / SECOND:.1f} s, and went on",
                 link=CFDP.label,
                 hop=item.hop,
-                start_ns=item.first_ns,
-                end_ns=item.last_ns,
+                span=(item.first_ns, item.last_ns),
                 evidence=("the longest time between two of its PDUs",),
                 remedy="look for an outage of the link, or a suspended entity",
             )
@@ -124,13 +116,11 @@ def file_pieces_resent(case: Case) -> Iterator[Verdict]:
         again = item.resent + item.filled
         if again:
             yield Verdict(
-                "file_pieces_resent",
                 Severity.NOTE,
                 f"{plural(again, 'piece')} of {item.title} came again or late, of {item.segments:,}",
                 link=CFDP.label,
                 hop=item.hop,
-                start_ns=item.first_ns,
-                end_ns=item.last_ns,
+                span=(item.first_ns, item.last_ns),
                 evidence=(
                     f"{item.resent:,} had been captured before: lost behind the capture, or sent twice",
                     f"{item.filled:,} filled a hole: lost in front of the capture, or overtaken",

@@ -55,18 +55,15 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
             f"{plural(lost, 'command')} sent meanwhile reached nobody" if lost else "counts begin again"
         )
         yield Verdict(
-            "cfs_restart",
             Severity.ERROR if lost else Severity.WARNING,
             f"{case.label(index)} restarted between {case.at(earlier.last_ns)} and "
             f"{case.at(later.first_ns)}: {meanwhile}",
             msg_id=down[0].msg_id if len(down) == 1 else None,
-            topic=case.topic(down[0].msg_id) if len(down) == 1 else None,
             link="ci" if down else None,
             hop="cFS",
             lost=lost or None,
             of=sum(loss.of or 0 for loss in down) or None,
-            start_ns=earlier.last_ns,
-            end_ns=later.first_ns,
+            span=(earlier.last_ns, later.first_ns),
             evidence=(
                 (
                     "mission time against the capture's moved by "
@@ -88,7 +85,6 @@ def not_observable(case: Case) -> Iterator[Verdict]:
     cut = (rows.known_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID) & rows.has(Finding.CAPTURE_CUT)
     if not case.tracks and cut.any():
         yield _not_shown(
-            case,
             "the capture cut 0x803 off before its counters: how many messages the software bus lost is not "
             "observable from here",
             "capture whole frames, without -s or with -s 0",
@@ -99,7 +95,6 @@ def not_observable(case: Case) -> Iterator[Verdict]:
     if not commands and not into:
         if not case.tracks and (rows.link == TO).any():
             yield _not_shown(
-                case,
                 "the counters of the software bus (0x803) are not in the capture: loss inside cFS shows "
                 "here only where a sequence count has a gap",
                 "add 0x803 and 0x808 to Telemetry Output's table",
@@ -107,7 +102,6 @@ def not_observable(case: Case) -> Iterator[Verdict]:
         return
     if not case.has_telemetry:
         yield _not_shown(
-            case,
             f"what became of {commands + into:,} messages into cFS is not observable from here: no "
             "telemetry of that cFS is in the capture",
             (
@@ -117,23 +111,14 @@ def not_observable(case: Case) -> Iterator[Verdict]:
         )
     elif not case.tracks:
         yield _not_shown(
-            case,
             "0x803 is not in the capture: how many messages the software bus lost is not observable from "
             "here",
             f"have Telemetry Output send it: {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}",
         )
 
 
-def _not_shown(case: Case, reason: str, remedy: str) -> Verdict:
-    return Verdict(
-        "not_observable",
-        Severity.NOTE,
-        reason,
-        hop="capture",
-        start_ns=case.start_ns,
-        end_ns=case.end_ns,
-        remedy=remedy,
-    )
+def _not_shown(reason: str, remedy: str) -> Verdict:
+    return Verdict(Severity.NOTE, reason, hop="capture", remedy=remedy)
 
 
 _COUNTERS = {"limit": ("msg_limits", 17), "overflow": ("pipe_overflows", 25)}
@@ -156,14 +141,12 @@ def event_suppression(case: Case) -> Iterator[Verdict]:
             if not said or track.growth(name, last_ns + LEAD_NS) < 2 or track.growth(name) <= events:
                 continue
             yield Verdict(
-                "event_suppression",
                 Severity.NOTE,
                 f"{plural(events, 'event')} CFE_SB {number} came, the last at {case.at(last_ns)}, while "
                 f"its counter grew by {track.growth(name):,}: cFS stops this event after {STOPS_AFTER}, "
                 "until its filter is reset, and events may be lost themselves",
                 hop="event services",
-                start_ns=last_ns,
-                end_ns=track.times[-1],
+                span=(last_ns, track.times[-1]),
                 evidence=((f"after the last of them +{track.growth(name, last_ns + LEAD_NS):,} in 0x803"),),
                 remedy=f"trust the counter; to hear of it again: {case.inject('evs-reset-filters', NAME)}",
             )
@@ -182,13 +165,11 @@ def event_squelch(case: Case) -> Iterator[Verdict]:
             continue
         seen.add((record.sender, app))
         yield Verdict(
-            "event_squelch",
             Severity.NOTE,
             f"events of {app} on cFS {record.sender} are squelched: it says more than Event Services lets "
             "through",
             hop="event services",
-            start_ns=record.time_ns,
-            end_ns=record.time_ns,
+            span=(record.time_ns, record.time_ns),
             evidence=(f"packet {record.number}, {case.at(record.time_ns)}: {record}",),
             remedy=f"do not conclude from silence of {app}; its counters go on",
         )
@@ -220,13 +201,11 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
         losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))
         if errors > losses + refused and not any("sends failed" in line for line in told):
             yield Verdict(
-                "cfs_errors",
                 Severity.WARNING,
                 f"{plural(errors - losses - refused, 'send')} on the software bus of {case.label(instance)} "
                 "failed, and neither a pipe nor an event says why",
                 hop="software bus",
-                start_ns=track.times[0],
-                end_ns=track.times[-1],
+                span=(track.times[0], track.times[-1]),
                 evidence=(f"0x803: MessageSendErrors +{errors:,}, of them {losses:,} at pipes",),
                 remedy="look at the console of cFS",
                 confidence="medium",
@@ -254,12 +233,10 @@ def _error(case: Case, members: list[EventRecord]) -> Verdict:
     grave = len(members) >= _GOES_ON or any(item.event_type >= EventType.CRITICAL for item in members)
     again = f" {len(members):,} times, the last at {case.at(last.time_ns)}" if len(members) > 1 else ""
     return Verdict(
-        "cfs_errors",
         Severity.ERROR if grave else Severity.WARNING,
         f"cFS {first.sender} reports an error at {case.at(first.time_ns)}{again}: {first}",
         hop=first.app,
-        start_ns=first.time_ns,
-        end_ns=last.time_ns,
+        span=(first.time_ns, last.time_ns),
         evidence=tuple(f"event {first.app} {first.event_id}: {text}" for text in texts[1 : _SHOWN + 1]),
         remedy="look at the console of cFS around that time, and at what was commanded just before",
     )

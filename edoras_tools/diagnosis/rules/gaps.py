@@ -35,7 +35,6 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
         if loss.kind == "away":
             yield loss_verdict(
                 case,
-                "crossing_loss",
                 loss,
                 f"{lost_at(case, loss)}: they went into cFS while the peer that they go to was away",
                 link=loss.stream.link.label if loss.stream else None,
@@ -44,7 +43,6 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
         elif loss.kind == "sbn_socket":
             yield loss_verdict(
                 case,
-                "crossing_loss",
                 loss,
                 f"{lost_at(case, loss)}: more came at once than SBN reads",
                 link=loss.stream.link.label if loss.stream else None,
@@ -73,17 +71,14 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
         else "0x803 is not in the capture, so the software bus cannot be cleared or blamed"
     )
     return Verdict(
-        "crossing_loss",
         Severity.ERROR,
         f"{fate.unaccounted:,} of {len(stream):,} messages that went into cFS on {into} are not accounted "
         f"for: they never came out {' or '.join(ways)}, and nothing in the capture says why",
         msg_id=stream.msg_id,
-        topic=case.topic(stream.msg_id),
         link=stream.link.label,
         hop="application",
         of=len(stream),
-        start_ns=int(missing[0]),
-        end_ns=int(missing[-1]),
+        span=(int(missing[0]), int(missing[-1])),
         evidence=(*evidence, *case.drops_text()),
         remedy="look at the application's own counters and console: it received them and did not pass them "
         "on, or its task was not there",
@@ -106,17 +101,14 @@ def _unfollowed(case: Case, fate: Fate) -> Verdict:
         evidence = [fate.unfollowed_since]
         times = times[fate.unfollowed]
     return Verdict(
-        "crossing_loss",
         Severity.WARNING,
         f"{fate.unaccounted:,} of {len(stream):,} messages that went into cFS on {case.name(stream.msg_id)} "
         f"are not accounted for: {why}",
         msg_id=stream.msg_id,
-        topic=case.topic(stream.msg_id),
         link=stream.link.label,
         hop="application",
         of=len(stream),
-        start_ns=int(times[0]),
-        end_ns=int(times[-1]),
+        span=(int(times[0]), int(times[-1])),
         evidence=(*evidence, *case.drops_text()),
         remedy="capture what comes out of the application too: the robot link (UDP 8080 to 8585), SBN",
         confidence="medium",
@@ -152,18 +144,15 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
         # What the counters say of each is the same; of how many counts, each has its own.
         evidence += [line for line in first.evidence[1:] if all(line in loss.evidence for loss in members)]
     return Verdict(
-        "lost_after_cfs",
         Severity.ERROR,
         f"{lost:,} of {of:,} messages on {names[0] if one else f'{len(names)} MsgIds'} are missing, and the "
         "software bus lost none of them: they were lost between cFS and the capture, or by the capture",
         msg_id=first.msg_id if one else None,
-        topic=case.topic(first.msg_id) if one else None,
         link=first.stream.link.label,
         hop=first.hop,
         lost=lost,
         of=of,
-        start_ns=min(loss.start_ns for loss in members),
-        end_ns=max(loss.end_ns for loss in members),
+        span=(min(loss.start_ns for loss in members), max(loss.end_ns for loss in members)),
         evidence=(*evidence, *case.drops_text()),
         remedy="capture on the cFS host itself: what is there and not here, the network lost",
         confidence="low" if case.capture.drops else first.confidence,
@@ -186,18 +175,15 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
                 f"published at {offered:.0f}/s; {why}: {clean:g}/s, so {pipe} is the likely place"
             )
         yield Verdict(
-            "unexplained_gap",
             Severity.ERROR,
             f"{loss.lost:,} of {loss.of:,} messages on {case.name(loss.msg_id)} are missing behind the "
             "point where they were counted; where is not observable from here",
             msg_id=loss.msg_id,
-            topic=case.topic(loss.msg_id),
             link=loss.stream.link.label,
             hop=pipe if offered > clean else None,
             lost=loss.lost,
             of=loss.of,
-            start_ns=loss.start_ns,
-            end_ns=loss.end_ns,
+            span=(loss.start_ns, loss.end_ns),
             evidence=(*evidence, *case.drops_text()),
             remedy="capture Telemetry Output's link with 0x803 and 0x808 in TO's table: its counters and "
             "events tell",
@@ -206,16 +192,13 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
     for stream in case.streams:
         if untold := case.telemetry.untold.get(id(stream), 0):
             yield Verdict(
-                "unexplained_gap",
                 Severity.WARNING,
                 f"{untold:,} counts of {case.name(stream.msg_id)} are not accounted for: "
                 f"{_why(case, stream)}",
                 msg_id=stream.msg_id,
-                topic=case.topic(stream.msg_id),
                 link=stream.link.label,
                 of=len(stream) + untold,
-                start_ns=int(case.rows.time_ns[stream.rows[0]]),
-                end_ns=int(case.rows.time_ns[stream.rows[-1]]),
+                span=case.span(stream.rows),
                 evidence=case.drops_text(),
                 remedy=_remedy(case, stream),
                 confidence="low",
@@ -253,14 +236,12 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
     for loss in case.losses:
         if loss.kind == "unknown" and loss.stream is None:
             yield Verdict(
-                "unattributed_loss",
                 Severity.ERROR,
                 f"{loss.lost:,} messages lost on the software bus of {case.label(loss.instance)}; which "
                 "ones is not observable from here",
                 hop="software bus",
                 lost=loss.lost,
-                start_ns=loss.start_ns,
-                end_ns=loss.end_ns,
+                span=(loss.start_ns, loss.end_ns),
                 evidence=tuple(loss.evidence),
                 remedy=f"before the traffic starts: {case.inject(ENABLE_OUTPUT)}; "
                 f"{case.inject('evs-reset-filters', NAME)}; and capture CI, TO and SBN together: the "
@@ -280,16 +261,13 @@ def superseded(case: Case) -> Iterator[Verdict]:
         stream = fate.stream
         outs = " and ".join(case.name(hop.out.msg_id) for hop in fate.hops)
         yield Verdict(
-            "superseded",
             Severity.HABIT,
             f"{fate.superseded:,} of {len(stream):,} messages on {case.name(stream.msg_id)} gave way to a "
             f"newer one before the application sent {outs}: it takes them in bursts, and the last goes on",
             msg_id=stream.msg_id,
-            topic=case.topic(stream.msg_id),
             link=stream.link.label,
             hop="application",
-            start_ns=int(case.rows.time_ns[stream.rows[0]]),
-            end_ns=int(case.rows.time_ns[stream.rows[-1]]),
+            span=case.span(stream.rows),
             evidence=(f"{int(fate.arrived.sum()):,} came out with the same values",),
             remedy="send at most 2 Hz for every command to go on, or count on the newest alone",
             confidence="medium",
@@ -305,13 +283,11 @@ def older_losses(case: Case) -> Iterator[Verdict]:
         limits, overflows = track.older.get("msg_limits", 0), track.older.get("pipe_overflows", 0)
         if limits or overflows:
             yield Verdict(
-                "older_losses",
                 Severity.NOTE,
                 f"{limits + overflows:,} losses that {case.label(instance)} counts are older than its first "
                 "0x803 in the capture: start-up, or earlier traffic",
                 hop="software bus",
-                start_ns=track.times[0],
-                end_ns=track.times[0],
+                span=(track.times[0], track.times[0]),
                 evidence=(
                     (
                         f"the first 0x803, at {case.at(track.times[0])}: MsgLimit {limits:,}, PipeOverflow "

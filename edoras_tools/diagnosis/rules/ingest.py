@@ -43,7 +43,6 @@ def host_drops(case: Case) -> Iterator[Verdict]:
         of = f" of {sent:,}" if sent >= count else ""
         whose = f"{link.upper()}'s socket" if link else "the socket"
         yield Verdict(
-            "host_drops",
             Severity.ERROR,
             f"{plural(count, 'datagram')}{of} dropped in {whose} (UDP port {port}), which was full: "
             "the kernel counted them",
@@ -51,8 +50,6 @@ def host_drops(case: Case) -> Iterator[Verdict]:
             hop=f"socket of UDP port {port}",
             lost=None if ingests else count,
             of=sent if sent >= count else None,
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
             evidence=("/edoras/host: the kernel's counter of that socket",),
             remedy=f"send less at once, or make its buffer larger: {_LARGER}",
         )
@@ -70,12 +67,9 @@ def host_drops(case: Case) -> Iterator[Verdict]:
     ):
         if count:
             yield Verdict(
-                "host_drops",
                 Severity.WARNING,
                 f"{count:,} {what}; they may be others' than these links'",
                 hop="host",
-                start_ns=case.start_ns,
-                end_ns=case.end_ns,
                 evidence=("/edoras/host: the kernel's counters of the host",),
                 remedy=remedy,
             )
@@ -102,7 +96,6 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
         if loss.kind == "network":
             yield loss_verdict(
                 case,
-                "lost_before_ci",
                 loss,
                 f"{lost_at(case, loss, 'commands')}: CI counted fewer than were sent, and it reads so many",
                 link="ci",
@@ -114,17 +107,14 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
             start_ns = int(case.rows.time_ns[stream.rows[0]])
             counted = (item.first_ns for item in case.ingests if item.endpoint == stream.receiver)
             yield Verdict(
-                "lost_before_ci",
                 Severity.WARNING,
                 f"{fate.uncounted:,} of {len(stream):,} commands on {case.name(stream.msg_id)} are not "
                 "accounted for: CI's first count has fewer than were sent before it",
                 msg_id=stream.msg_id,
-                topic=case.topic(stream.msg_id),
                 link="ci",
                 hop=command_ingest.NAME,
                 of=len(stream),
-                start_ns=start_ns,
-                end_ns=max(start_ns, *counted),
+                span=(start_ns, max(start_ns, *counted)),
                 evidence=("lost on the way, or read by a CI that started again since: no count tells",),
                 remedy="capture from before the commands, and have Telemetry Output enabled first",
                 confidence="medium",
@@ -132,14 +122,12 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
     for account in case.ingests:
         if account.not_captured:
             yield Verdict(
-                "lost_before_ci",
                 Severity.NOTE,
                 f"CI counted {plural(account.not_captured, 'datagram')} more than the capture shows: the "
                 "capture missed some, or another sender's do not pass here",
                 link="ci",
                 hop="capture",
-                start_ns=account.first_ns,
-                end_ns=account.last_ns,
+                span=(account.first_ns, account.last_ns),
                 evidence=(f"0x884: CI took {account.taken + account.not_captured:,}",),
                 remedy="capture on the cFS host",
                 confidence="medium",
@@ -159,19 +147,17 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
         if loss.kind == "socket":
             reason = f"{lost_at(case, loss, 'commands')}: {reads}, and its socket was full"
             evidence = (*loss.evidence, *_counted(case))
-            yield loss_verdict(case, "ci_backlog", loss, reason, link="ci", remedy=remedy, evidence=evidence)
+            yield loss_verdict(case, loss, reason, link="ci", remedy=remedy, evidence=evidence)
     for account in case.ingests:
         if account.waiting > profile.ci_datagrams_per_wake:
             yield Verdict(
-                "ci_backlog",
                 Severity.WARNING,
                 f"{plural(account.waiting, 'datagram')} wait in CI's socket at its last count, or were "
                 f"dropped: {reads}",
                 link="ci",
                 hop=CI_SOCKET,
                 of=account.taken + account.lost + account.waiting,
-                start_ns=account.first_ns,
-                end_ns=account.last_ns,
+                span=(account.first_ns, account.last_ns),
                 evidence=(f"0x884: CI took {account.taken:,}",),
                 remedy=remedy,
                 confidence="medium",
@@ -207,18 +193,15 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
         said = next((item for row in members.tolist() for item in refusals(case, row, limit)), None)
         words = f"said: {said}" if said else "says nothing of it"
         yield Verdict(
-            "ci_cut",
             Severity.ERROR,
             f"{len(members):,} of {of:,} commands on {case.name(msg_id)} are longer than CI's {limit} bytes: "
             f"CI cuts them there and {'drops what lacks its end' if said else 'accepts them silently'}",
             msg_id=msg_id,
-            topic=case.topic(msg_id),
             link="ci",
             hop="CI_LAB_APP",
             lost=len(members),
             of=of,
-            start_ns=int(rows.time_ns[members[0]]),
-            end_ns=int(rows.time_ns[members[-1]]),
+            span=case.span(members),
             evidence=(
                 packets,
                 f"up to {int(sizes.max()):,} bytes; cFS {words}",
@@ -242,7 +225,6 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             told.append(loss)
             yield loss_verdict(
                 case,
-                "app_outage",
                 loss,
                 f"{lost_at(case, loss, 'commands')}: {_KINDS[loss.kind]}",
                 link="ci" if loss.stream is None else loss.stream.link.label,
@@ -258,12 +240,10 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             else "not started again here"
         )
         yield Verdict(
-            "app_outage",
             Severity.WARNING,
             f"{item.app} was stopped at {case.at(item.start_ns)}, {back}; no loss by it can be seen here",
             hop=item.app,
-            start_ns=item.start_ns,
-            end_ns=end_ns,
+            span=(item.start_ns, end_ns),
             evidence=(f"event {item.said}",),
             remedy=f"enable it again after it restarts: {case.inject(ENABLE_OUTPUT)}"
             if item.app.startswith("TO_")

@@ -85,17 +85,14 @@ def _overrun(case: Case, link: Link, msg_id: int, members: NDArray[np.intp], of:
         )
         remedy = "send well-formed datagrams: the application passes on what its buffer held"
     return Verdict(
-        "struct_overrun",
         Severity.ERROR,
         f"{len(members):,} of {of:,} messages on {case.name(msg_id)} {reason}",
         msg_id=msg_id,
-        topic=case.topic(msg_id),
         link=link.label,
         hop="flight application",
         lost=len(members),
         of=of,
-        start_ns=start_ns,
-        end_ns=int(rows.time_ns[members[-1]]),
+        span=case.span(members),
         evidence=tuple(evidence),
         remedy=remedy,
         confidence=confidence,
@@ -123,18 +120,15 @@ def ground_bridge_buffer(case: Case) -> Iterator[Verdict]:
         members = np.flatnonzero(over & (rows.msg_id == msg_id))
         of = int(((rows.link == TO) & (rows.msg_id == msg_id)).sum())
         yield Verdict(
-            "ground_bridge_buffer",
             Severity.ERROR,
             f"{len(members):,} of {of:,} messages on {case.name(msg_id)} are longer than the ground "
             f"bridge's {BRIDGE_BUFFER} bytes: it publishes what follows its buffer as garbage",
             msg_id=msg_id,
-            topic=case.topic(msg_id),
             link="to",
             hop="ground bridge",
             lost=len(members),
             of=of,
-            start_ns=int(rows.time_ns[members[0]]),
-            end_ns=int(rows.time_ns[members[-1]]),
+            span=case.span(members),
             evidence=(f"up to {int(rows.length[members].max()):,} bytes a datagram",),
             remedy=f"keep telemetry below {BRIDGE_BUFFER} bytes, or give the bridge a larger buffer",
             confidence="medium",
@@ -155,18 +149,15 @@ def flight_bridge_length(case: Case) -> Iterator[Verdict]:
         of = int((whole & (rows.msg_id == msg_id) & (rows.destination == towards)).sum())
         sizes = ", ".join(str(size) for size in np.unique(rows.length[members])[:4].tolist())
         yield Verdict(
-            "flight_bridge_length",
             Severity.ERROR,
             f"{len(members):,} of {of:,} messages on {case.name(msg_id)} have a length that the public "
             "flight bridge drops: it keeps it in 8 bits, and below 11 is no header",
             msg_id=msg_id,
-            topic=case.topic(msg_id),
             link="sbn",
             hop="flight bridge",
             lost=len(members),
             of=of,
-            start_ns=int(rows.time_ns[members[0]]),
-            end_ns=int(rows.time_ns[members[-1]]),
+            span=case.span(members),
             evidence=(f"datagrams of {sizes} bytes to {case.endpoints[towards]}",),
             remedy="pad the flight struct by 11 bytes or more, or keep the length in a size_t in the bridge",
             confidence="medium",
@@ -243,18 +234,15 @@ def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], evidence
         more = ", ..." if len(members) > _FEW else ""
         evidence = (f"packet {packets}{more}, the first at {case.at(int(times[0]))}", *evidence)
     return Verdict(
-        "no_subscriber",
         Severity.ERROR,
         f"{plural(len(members), 'message') if members else 'messages'} on {case.name(msg_id)} without a "
         "subscriber in cFS: the software bus drops them",
         msg_id=msg_id,
-        topic=case.topic(msg_id),
         link=link.label,
         hop="software bus",
         lost=len(members) or None,
         of=len(members) or None,
-        start_ns=int(times[0]),
-        end_ns=int(times[-1]),
+        span=(int(times[0]), int(times[-1])),
         evidence=evidence,
         remedy="correct the MsgId in the mission file, or have the application subscribe to it",
         confidence="medium" if "cFS said" not in evidence[-1] else "high",
@@ -275,16 +263,13 @@ def stale_tail(case: Case) -> Iterator[Verdict]:
             first = int(members[0])
             tail = int(rows.space[first] - rows.cdr_length[first])
             yield Verdict(
-                "stale_tail",
                 Severity.NOTE,
                 f"{len(members):,} of {of:,} messages on {case.name(msg_id)} carry bytes of an earlier, "
                 "longer message behind their CDR: harmless, readers stop where the envelope says",
                 msg_id=msg_id,
-                topic=case.topic(msg_id),
                 link=link.label,
                 hop="flight application",
-                start_ns=int(rows.time_ns[first]),
-                end_ns=int(rows.time_ns[members[-1]]),
+                span=case.span(members),
                 evidence=(
                     (
                         f"packet {rows.number[first]}: {tail} bytes behind {rows.cdr_length[first]} bytes "

@@ -44,14 +44,12 @@ def sbn_timeout(case: Case) -> Iterator[Verdict]:
 def _unseen(case: Case, connection: Connection, silent: PeerChange) -> Verdict:
     """Say that a peer is not dead, but out of sight."""
     return Verdict(
-        "sbn_timeout",
         Severity.NOTE,
         f"nothing of SBN peer {connection.peer} is seen here after {case.at(silent.time_ns)}, yet "
         f"{connection.observer} goes on sending to it: its datagrams do not cross this point any more",
         link="sbn",
         hop="capture",
-        start_ns=silent.time_ns,
-        end_ns=case.end_ns,
+        span=(silent.time_ns, case.end_ns),
         evidence=(f"{connection.observer} still sent at {case.at(int(connection.sent_ns[-1]))}",),
         remedy="capture on the host of cFS, where both directions pass",
         confidence="medium",
@@ -63,7 +61,6 @@ def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
     sent = connection.sent_in(silence)
     seconds = (case.end_ns - silence.start_ns) / SECOND
     return Verdict(
-        "sbn_timeout",
         Severity.WARNING,
         f"SBN peer {connection.peer} is silent since {case.at(silence.start_ns)}, {seconds:.1f} s to the "
         f"end of the capture; {connection.observer} sent it {plural(len(sent), 'message')} since, and "
@@ -71,8 +68,7 @@ def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
         link="sbn",
         hop=f"SBN peer {connection.peer}",
         of=len(sent) or None,
-        start_ns=silence.start_ns,
-        end_ns=case.end_ns,
+        span=(silence.start_ns, case.end_ns),
         evidence=(f"last datagram of {connection.peer} at {case.at(silence.start_ns)}",),
         remedy="capture longer: a peer that is gone is given up after 11 s",
         confidence="medium",
@@ -100,7 +96,6 @@ def _verdict(case: Case, connection: Connection, silent: PeerSilence) -> Verdict
         f"back after {(back_ns - silent.start_ns) / SECOND:.1f} s" if back_ns else "not back in this capture"
     )
     return Verdict(
-        "sbn_timeout",
         Severity.ERROR if len(sent) else Severity.WARNING,
         f"SBN peer {connection.peer} fell silent at {case.at(silent.start_ns)} and timed out at "
         f"{connection.observer} {(out_ns - silent.start_ns) // SECOND} s later; {returned}. It was "
@@ -109,9 +104,8 @@ def _verdict(case: Case, connection: Connection, silent: PeerSilence) -> Verdict
         hop=f"SBN peer {connection.peer}",
         lost=len(sent) or None,
         of=len(sent) or None,
-        start_ns=silent.start_ns,
         # It is lost until the peer is given up, however long it stays away.
-        end_ns=min(max(out_ns, int(sent[-1]) if len(sent) else 0), until),
+        span=(silent.start_ns, min(max(out_ns, int(sent[-1]) if len(sent) else 0), until)),
         evidence=tuple(evidence),
         remedy="restart the peer; it is connected again with its first SUB or PROTO. Send DISCONNECT "
         "before a planned stop",
@@ -136,7 +130,6 @@ def sbn_tcp_overwritten(case: Case) -> Iterator[Verdict]:
         if len(peers) < 2 or not len(beside):
             continue
         yield Verdict(
-            "sbn_tcp_overwritten",
             Severity.WARNING,
             f"cFS {observer} hears {len(peers)} SBN peers over TCP, and {len(beside):,} of "
             f"{plural(len(app), 'message')} to it came within {case.profile.sbn_wake_ns // MILLISECOND} ms "
@@ -145,8 +138,7 @@ def sbn_tcp_overwritten(case: Case) -> Iterator[Verdict]:
             link="sbn",
             hop=f"SBN of {observer}",
             of=len(app),
-            start_ns=int(rows.time_ns[beside[0]]),
-            end_ns=int(rows.time_ns[beside[-1]]),
+            span=case.span(beside),
             evidence=(f"peers: {', '.join(sorted(peers))}",),
             remedy="give each TCP peer a net of its own in sbn_conf_tbl (NetNum, and a port of this cFS for "
             "it), or use UDP",
@@ -197,14 +189,12 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
         kinds = np.unique(rows.sbn_msg_type[there]).tolist()
         names = ", ".join(sbn.MSG_TYPE_NAMES.get(kind, hex(kind)) for kind in kinds)
         yield Verdict(
-            "sbn_never_connected",
             Severity.WARNING,
             f"{who} sends to {case.endpoints[target]} and nothing comes back: the peers are not connected, "
             "or the answers do not cross this capture point",
             link="sbn",
             hop="SBN",
-            start_ns=first_ns,
-            end_ns=last_ns,
+            span=(first_ns, last_ns),
             evidence=(
                 (
                     f"{plural(len(there), 'datagram')} ({names}) in {(last_ns - first_ns) / SECOND:.0f} s, "
@@ -236,14 +226,12 @@ def sbn_disconnected(case: Case) -> Iterator[Verdict]:
             back = next((item for item in later if item.state == "connected"), None)
             told = f"connected again at {case.at(back.time_ns)}" if back else "not back in this capture"
             yield Verdict(
-                "sbn_disconnected",
                 Severity.NOTE,
                 f"SBN peer {connection.peer} disconnected from {connection.observer} at "
                 f"{case.at(change.time_ns)}, in order; {told}",
                 link="sbn",
                 hop=f"SBN peer {connection.peer}",
-                start_ns=change.time_ns,
-                end_ns=back.time_ns if back else case.end_ns,
+                span=(change.time_ns, back.time_ns if back else case.end_ns),
                 evidence=(change.why,),
                 remedy="none",
             )
@@ -262,14 +250,12 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
         sent = (rows.source == rows.source[row]) & (rows.time_ns > when + SECOND)
         back = bool((sent & (rows.sbn_msg_type == sbn.MsgType.APP)).any())
         yield Verdict(
-            "sbn_disconnected",
             Severity.WARNING if back else Severity.ERROR,
             f"{who} disconnected from its SBN peer {peer or 'there'} at {case.at(when)}"
             + ("" if back else ", and sent no application message to anybody after that"),
             link="sbn",
             hop=f"SBN peer {peer}",
-            start_ns=when,
-            end_ns=case.end_ns,
+            span=(when, case.end_ns),
             evidence=(f"packet {rows.number[row]}: DISCONNECT from {who}",),
             remedy="look at the events of SBN around that time; to restart it: "
             f"{case.inject('es-restart-app', NAME)}",
@@ -296,14 +282,12 @@ def sbn_table(case: Case) -> Iterator[Verdict]:
         start_ns = int(rows.time_ns[row])
         if peer not in table:
             yield Verdict(
-                "sbn_table",
                 Severity.WARNING,
                 f"{peer} sends on SBN, and the table that was given does not name it: a cFS with this table "
                 "refuses what it sends",
                 link="sbn",
                 hop="SBN",
-                start_ns=start_ns,
-                end_ns=case.end_ns,
+                span=(start_ns, case.end_ns),
                 evidence=(f"{plural(number, 'datagram')} of it, from {case.endpoints[rows.source[row]]}",),
                 remedy=f"add {peer} to sbn_conf_tbl, or give the bridge an identity that is in it",
                 confidence="medium",
@@ -311,14 +295,11 @@ def sbn_table(case: Case) -> Iterator[Verdict]:
     for peer, place in table.items():
         if peer not in heard:
             yield Verdict(
-                "sbn_table",
                 Severity.NOTE,
                 f"{peer}, which the table that was given names at {place.address}:{place.port}, sends "
                 "nothing that was captured",
                 link="sbn",
                 hop="SBN",
-                start_ns=case.start_ns,
-                end_ns=case.end_ns,
                 evidence=(f"on SBN are {', '.join(map(str, heard))}",),
                 remedy="see whether it runs; capture where its datagrams pass",
                 confidence="high",

@@ -124,17 +124,14 @@ def _verdict(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
     name = sbn.MSG_TYPE_NAMES.get(type_, f"type 0x{type_:02x}") if type_ >= 0 else "SBN datagram"
     which = f"packet {rows.number[first]}" if len(members) == 1 else f"{len(members):,} datagrams"
     return Verdict(
-        "bad_network_message",
         Severity.ERROR if kind.refused else Severity.WARNING,
         f"{which} ({name}): {kind.what}; {kind.done}",
         msg_id=msg_id if msg_id != NO_MSG_ID else None,
-        topic=case.topic(msg_id) if msg_id != NO_MSG_ID else None,
         link="sbn",
         hop="SBN",
         lost=len(members) if kind.refused else None,
         of=len(members),
-        start_ns=start_ns,
-        end_ns=int(rows.time_ns[members[-1]]),
+        span=case.span(members),
         evidence=tuple(evidence),
         remedy="write the 11-byte header: MsgSz of the payload alone, a known MsgType, ProcessorID, "
         "SpacecraftID",
@@ -173,7 +170,6 @@ def wrong_ident(case: Case) -> Iterator[Verdict]:
         start_ns = int(rows.time_ns[first])
         said = answers(case, start_ns, facts.OTHER_IDENT.phrase)
         yield Verdict(
-            "wrong_ident",
             Severity.ERROR,
             f"{plural(len(members), 'subscription message')} of "
             f"{case.network.identity_of.get(source, 'a peer')}: another $Id than cFS's: refused, and its "
@@ -182,8 +178,7 @@ def wrong_ident(case: Case) -> Iterator[Verdict]:
             hop="SBN",
             lost=len(members),
             of=len(members),
-            start_ns=start_ns,
-            end_ns=int(rows.time_ns[members[-1]]),
+            span=case.span(members),
             evidence=(
                 f"packet {rows.number[first]} at {case.at(start_ns)}: {ident!r}, wanted {sbn.IDENT!r}",
                 *said,
@@ -205,7 +200,6 @@ def wrong_protocol_version(case: Case) -> Iterator[Verdict]:
         first, start_ns = int(members[0]), int(rows.time_ns[members[0]])
         said = answers(case, start_ns, facts.VERSION_MISMATCH.phrase)
         yield Verdict(
-            "wrong_protocol_version",
             Severity.ERROR,
             f"{len(members):,} PROTO of {case.network.identity_of.get(source, 'a peer')} "
             f"{'names' if len(members) == 1 else 'name'} another "
@@ -214,8 +208,7 @@ def wrong_protocol_version(case: Case) -> Iterator[Verdict]:
             hop="SBN",
             lost=len(members),
             of=len(members),
-            start_ns=start_ns,
-            end_ns=int(rows.time_ns[members[-1]]),
+            span=case.span(members),
             evidence=(f"packet {rows.number[first]} at {case.at(start_ns)}", *said),
             remedy="build both sides from the same SBN version",
             confidence="high" if said else "medium",
@@ -253,7 +246,6 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         peer = Peer(who >> 32, who & 0xFFFFFFFF)
         said = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
         yield Verdict(
-            "unknown_peer",
             Severity.ERROR,
             f"{plural(len(members), 'SBN datagram')} from {peer}, which is not the peer known at "
             f"{case.endpoints[rows.source[first]]}: "
@@ -262,8 +254,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             hop="SBN",
             lost=len(members),
             of=len(members),
-            start_ns=start_ns,
-            end_ns=int(rows.time_ns[members[-1]]),
+            span=case.span(members),
             evidence=(f"packet {rows.number[first]} at {case.at(start_ns)}", *said),
             remedy="make spacecraft_id and processor_id of the bridge agree with cFS's SBN table "
             "(sbn_conf_tbl)" + (_CRASH if rows.streamed[members].any() else ""),
@@ -296,15 +287,13 @@ def subscription_storm(case: Case) -> Iterator[Verdict]:
         total = sum(map(len, often))
         period = float(np.median(np.concatenate([np.diff(when) for when in often])))
         yield Verdict(
-            "subscription_storm",
             Severity.HABIT,
             f"{case.network.identity_of.get(source, 'a peer')} sends its "
             f"{plural(len(often), 'subscription')} again every {period / 1e6:.0f} ms, {total:,} in all: the "
             "public flight bridge does; cFS ignores repeats",
             link="sbn",
             hop="flight bridge",
-            start_ns=int(min(when[0] for when in often)),
-            end_ns=int(max(when[-1] for when in often)),
+            span=(int(min(when[0] for when in often)), int(max(when[-1] for when in often))),
             evidence=(f"from {case.endpoints[source]}",),
             remedy="none needed; subscribing once after PROTO would do",
         )
@@ -323,14 +312,12 @@ def proto_storm(case: Case) -> Iterator[Verdict]:
         if len(sent) < _LEAST or 2 * len(sent) < heard:
             continue
         yield Verdict(
-            "proto_storm",
             Severity.HABIT,
             f"{case.network.identity_of.get(source, 'a peer')} answers every datagram with PROTO, "
             f"{len(sent):,} in all: the public flight bridge does; cFS reports an event for each and goes on",
             link="sbn",
             hop="flight bridge",
-            start_ns=int(rows.time_ns[sent[0]]),
-            end_ns=int(rows.time_ns[sent[-1]]),
+            span=case.span(sent),
             evidence=(f"{len(sent):,} PROTO for {heard:,} datagrams received",),
             remedy="none needed; the events may squelch SBN's others (15 a second)",
         )

@@ -48,13 +48,10 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
     else:
         reason = "Telemetry Output sends nothing here, and no command in the capture enables it"
     yield Verdict(
-        "to_not_enabled",
         Severity.WARNING,
         reason,
         link="to",
         hop="TO_LAB_APP",
-        start_ns=case.start_ns,
-        end_ns=case.end_ns,
         evidence=tuple(evidence),
         remedy=f"{case.inject(ENABLE_OUTPUT)}; to see telemetry, capture on the host that it is enabled for, "
         "UDP port 1235",
@@ -102,15 +99,13 @@ def _no_address(case: Case, item: OutputCommand) -> Verdict:
         if telemetry_output.ENABLED.phrase in record.message
     ]
     return Verdict(
-        "to_destination",
         Severity.WARNING,
         f"Telemetry Output was enabled for {item.address!r}, which is no address: where it sends then is up "
         "to the flight host",
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         link="ci",
         hop="TO_LAB_APP",
-        start_ns=start_ns,
-        end_ns=start_ns,
+        span=(start_ns, start_ns),
         evidence=(
             f"packet {case.rows.number[item.row]} at {case.at(start_ns)}, {case.rows.length[item.row]} bytes",
             *(f"cFS said: {record}" for record in said[:1]),
@@ -127,7 +122,6 @@ def _fight(case: Case, members: list[OutputCommand]) -> Verdict:
     changes = sum(a.address != b.address for a, b in pairwise(members))
     fighting = changes > 1
     return Verdict(
-        "to_destination",
         Severity.WARNING,
         (
             f"two ground stations fight over Telemetry Output: it was redirected {changes} times, and sends "
@@ -138,8 +132,7 @@ def _fight(case: Case, members: list[OutputCommand]) -> Verdict:
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         link="to",
         hop="TO_LAB_APP",
-        start_ns=times[0],
-        end_ns=times[-1],
+        span=(times[0], times[-1]),
         evidence=(
             f"enabled from: {', '.join(sorted(senders))}",
             "enabled for: " + ", ".join(steps[:8]) + (", ..." if len(steps) > 8 else ""),
@@ -180,15 +173,12 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
         what = "every MsgId" if item.msg_id < 0 else case.name(item.msg_id)
         known = told(when)
         yield Verdict(
-            "to_stopped",
             Severity.WARNING,
             f"Telemetry Output was told to stop sending {what} at {case.at(when)}",
             msg_id=item.msg_id if item.msg_id >= 0 else None,
-            topic=case.topic(item.msg_id) if item.msg_id >= 0 else None,
             link="to",
             hop=telemetry_output.NAME,
-            start_ns=when,
-            end_ns=when,
+            span=(when, when),
             lost=known["lost"],
             evidence=(
                 (
@@ -211,14 +201,12 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
     )
     if moved:
         yield Verdict(
-            "to_stopped",
             Severity.WARNING,
             f"Telemetry Output sends from another port at {case.at(moved[0])}: it was restarted, and forgot "
             "that it was enabled",
             link="to",
             hop=telemetry_output.NAME,
-            start_ns=moved[0],
-            end_ns=moved[0],
+            span=(moved[0], moved[0]),
             **told(moved[0]),
             remedy=f"enable it again: {case.inject(ENABLE_OUTPUT)}",
         )
@@ -227,7 +215,6 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
         for start_ns, end_ns in spans if number else ():
             failed = case.suppressed((start_ns, end_ns))
             yield Verdict(
-                "to_stopped",
                 Severity.ERROR if failed else Severity.WARNING,
                 f"Telemetry Output sent nothing from {case.at(start_ns)} to {case.at(end_ns)}, until it was "
                 "enabled: "
@@ -235,8 +222,7 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
                 link="to",
                 hop=telemetry_output.SOCKET,
                 lost=number if failed and len(spans) == 1 else None,
-                start_ns=start_ns,
-                end_ns=end_ns,
+                span=(start_ns, end_ns),
                 evidence=(
                     f"sequence counts: {plural(number, 'message')} that the software bus did not lose",
                     *((f"event {failed}",) if failed else ()),
@@ -265,15 +251,13 @@ def to_taken_over(case: Case) -> Iterator[Verdict]:
                 continue
             time_ns = int(rows.time_ns[after.row])
             yield Verdict(
-                "to_taken_over",
                 Severity.SECURITY,
                 f"{new} had all telemetry sent to {after.address}; {before.address}, for which {old} had "
                 "enabled it, gets none from then on",
                 msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
                 link="to",
                 hop=telemetry_output.NAME,
-                start_ns=time_ns,
-                end_ns=time_ns,
+                span=(time_ns, time_ns),
                 evidence=(
                     f"packet {rows.number[after.row]} at {case.at(time_ns)}",
                     f"before: packet {rows.number[before.row]} at {case.at(int(rows.time_ns[before.row]))}",

@@ -44,7 +44,6 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     if loss.sender and not loss.sender.startswith((*command_ingest.NAMES, "SBN")):
         return loss_verdict(
             case,
-            "app_pipe_limit",
             loss,
             f"{least}{lost_at(case, loss)}: {loss.sender} sent more than may wait, or nobody read the pipe",
             link=None,
@@ -59,7 +58,6 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
         evidence.append(f"sent at {loss.span.rate_hz:.1f} Hz; {clean:g} Hz is the highest clean rate")
     return loss_verdict(
         case,
-        "app_pipe_limit",
         loss,
         reason,
         link="sbn" if over_network else "ci",
@@ -79,7 +77,6 @@ def app_pipe_overflow(case: Case) -> Iterator[Verdict]:
             continue
         yield loss_verdict(
             case,
-            "app_pipe_overflow",
             loss,
             f"{lost_at(case, loss)}: the pipe was full",
             link=loss.stream.link.label if loss.stream else None,
@@ -115,7 +112,6 @@ def _over_output_limit(case: Case, loss: Loss) -> Verdict:
         )
     return loss_verdict(
         case,
-        "to_message_limit",
         loss,
         reason,
         link="to",
@@ -180,15 +176,13 @@ def _with_them(case: Case, others: Sequence[Loss]) -> Verdict:
     for item in others:
         lost[item.msg_id] += item.lost
     return Verdict(
-        "to_pipe_overflow",
         Severity.ERROR,
         f"{plural(lost.total(), 'message')} of cFS itself lost at {telemetry_output.PIPE}, of "
         f"{plural(len(lost), 'MsgId')}: a pipe that is full takes nothing, whoever filled it",
         link="to",
         hop=telemetry_output.PIPE,
         lost=lost.total(),
-        start_ns=min(item.start_ns for item in others),
-        end_ns=max(item.end_ns for item in others),
+        span=(min(item.start_ns for item in others), max(item.end_ns for item in others)),
         evidence=(", ".join(f"{case.name(msg_id)} {number:,}" for msg_id, number in lost.items()),),
         remedy="as for the MsgId that fills it",
         confidence=min((item.confidence for item in others), key=("low", "medium", "high").index),
@@ -217,7 +211,6 @@ def _output_overflow(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
         evidence.append("events are among the lost: that none names the pipe proves nothing")
     return loss_verdict(
         case,
-        "to_pipe_overflow",
         loss,
         reason,
         link="to",
@@ -247,7 +240,6 @@ def _over_peer_limit(case: Case, loss: Loss) -> Verdict:
     rate = limit * SECOND / period
     return loss_verdict(
         case,
-        "sbn_peer_pipe",
         loss,
         f"{lost_at(case, loss)}: {published(loss)}{limit} of one MsgId may wait and SBN serves "
         f"the pipe every {period / 1e6:.0f} ms, so {rate:.0f}/s get through",

@@ -48,17 +48,14 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
         if rate <= clean * _OVER or named or _counted(case, stream):
             continue
         yield Verdict(
-            "rate_over_limit",
             Severity.WARNING,
             f"{case.name(stream.msg_id)} is sent at {rate:.1f} Hz, above the {clean:g} Hz that are clean: "
             f"{why}. How many were lost is not observable from here",
             msg_id=stream.msg_id,
-            topic=case.topic(stream.msg_id),
             link="ci",
             hop=hop,
             of=len(stream),
-            start_ns=int(times[0]),
-            end_ns=int(times[-1]),
+            span=(int(times[0]), int(times[-1])),
             evidence=(
                 f"{len(stream):,} commands, one every {usual / 1e6:.1f} ms",
                 "no counter of 0x803 then",
@@ -102,7 +99,6 @@ def wrong_direction(case: Case) -> Iterator[Verdict]:
             seen_on = (elsewhere or route.link).name
             wrong = f"configured on {route.link.label.upper()} and seen on {seen_on} only"
         yield Verdict(
-            "wrong_direction",
             Severity.WARNING,
             f"{case.name(route.msg_id)} is {wrong}: commands have the bit "
             f"0x{case.mission.msg_ids.command_bit:04x}, telemetry does not",
@@ -111,8 +107,10 @@ def wrong_direction(case: Case) -> Iterator[Verdict]:
             link=route.link.label,
             hop="mission file",
             of=len(seen) or None,
-            start_ns=int(rows.time_ns[seen[0]]) if len(seen) else case.start_ns,
-            end_ns=int(rows.time_ns[seen[-1]]) if len(seen) else case.end_ns,
+            span=(
+                int(rows.time_ns[seen[0]]) if len(seen) else case.start_ns,
+                int(rows.time_ns[seen[-1]]) if len(seen) else case.end_ns,
+            ),
             evidence=(
                 f"{route.file}:{route.line}: {route.key}",
                 f"{plural(len(seen), 'datagram')} of it seen",
@@ -137,7 +135,6 @@ def wrong_type(case: Case) -> Iterator[Verdict]:
         sizes = ", ".join(str(size) for size in np.unique(rows.cdr_length[bad])[:4].tolist())
         refused = bool(rows.has(Finding.CDR_INVALID)[bad].any())
         yield Verdict(
-            "wrong_type",
             Severity.ERROR,
             f"{len(bad):,} of {count:,} messages on {case.name(route.msg_id)} "
             f"{'do not decode as' if refused else 'are longer than'} {route.type}"
@@ -148,8 +145,7 @@ def wrong_type(case: Case) -> Iterator[Verdict]:
             hop="mission file",
             lost=len(bad),
             of=count,
-            start_ns=int(rows.time_ns[bad[0]]),
-            end_ns=int(rows.time_ns[bad[-1]]),
+            span=case.span(bad),
             evidence=(
                 f"{route.file}:{route.line}: type {route.type}",
                 f"CDR of {sizes} bytes",
@@ -218,7 +214,6 @@ def topic_never_seen(case: Case) -> Iterator[Verdict]:
             continue  # it is seen, on another link
         who = "the bridge" if route.to_cfs else "cFS"
         yield Verdict(
-            "topic_never_seen",
             Severity.NOTE,
             f"{route.topic} (0x{route.msg_id:04x}) is configured on {route.link.label.upper()} and never "
             f"seen, while other traffic of that link is: {who} sends none, or under another MsgId",
@@ -226,22 +221,17 @@ def topic_never_seen(case: Case) -> Iterator[Verdict]:
             topic=route.topic,
             link=route.link.label,
             hop="bridge" if route.to_cfs else "cFS",
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
             evidence=(f"{route.file}:{route.line}: {route.key}",),
             remedy="see that its publisher runs; compare its mid with MsgIds seen and not configured",
             confidence="medium",
         )
     for link, topics in absent.items():
         yield Verdict(
-            "topic_never_seen",
             Severity.NOTE,
             f"no datagram of the {link.label.upper()} link is in the capture: what {', '.join(topics)} did "
             "is not observable from here",
             link=link.label,
             hop="capture",
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
             evidence=(f"links seen: {', '.join(sorted(item.label.upper() for item in links)) or 'none'}",),
             remedy=f"capture where the {link.label.upper()} link passes, or on every host and merge "
             "(record -r A -r B)",
@@ -262,7 +252,6 @@ def not_configured(case: Case) -> Iterator[Verdict]:
         link = table.link(rows.link[members[0]])
         fits = fitting(case, list(case.samples.get((int(link), msg_id), {}).values()), "")
         yield Verdict(
-            "not_configured",
             Severity.NOTE,
             f"{plural(len(members), 'message')} on 0x{msg_id:04x} ({link.label.upper()}) "
             f"{'carries' if len(members) == 1 else 'carry'} an EDORAS envelope, "
@@ -270,8 +259,7 @@ def not_configured(case: Case) -> Iterator[Verdict]:
             msg_id=msg_id,
             link=link.label,
             hop="mission file",
-            start_ns=int(rows.time_ns[members[0]]),
-            end_ns=int(rows.time_ns[members[-1]]),
+            span=case.span(members),
             evidence=(
                 f"CDR of {rows.cdr_length[members[0]]} bytes",
                 *([f"types that fit: {', '.join(fits[:4])}"] if fits else ()),

@@ -33,7 +33,6 @@ def dds_lost(case: Case) -> Iterator[Verdict]:
         if given_up:
             ways.append(f"{given_up:,} were asked for, and the writer did not have them any more")
         yield sample_verdict(
-            "dds_lost",
             Severity.ERROR,
             item,
             f"{unseen + given_up:,} of {plural(writer.written, 'sample')} of {item.topic} lost: "
@@ -59,7 +58,6 @@ def dds_not_captured(case: Case) -> Iterator[Verdict]:
         if not missing:
             continue
         yield sample_verdict(
-            "dds_not_captured",
             Severity.NOTE,
             item,
             f"{missing:,} of {plural(writer.written, 'sample')} of {item.topic} are not in the capture: they "
@@ -84,7 +82,6 @@ def dds_resent(case: Case) -> Iterator[Verdict]:
             continue
         before = writer.asked_for - writer.behind
         yield sample_verdict(
-            "dds_resent",
             Severity.NOTE,
             item,
             f"{writer.resent:,} of {plural(writer.written, 'sample')} of {item.topic} were asked for again, "

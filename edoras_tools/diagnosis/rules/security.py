@@ -52,14 +52,12 @@ def stranger_commands(case: Case) -> Iterator[Verdict]:
         start_ns = int(rows.time_ns[members[0]])
         allowed = {text for row in kinds if (text := privilege(case, row))}
         yield Verdict(
-            "stranger_commands",
             Severity.SECURITY,
             f"{plural(len(members), 'command')} to CI at {target} from {sender}, to which no telemetry of it "
             "goes: CI obeys whoever reaches its port",
             link="ci",
             hop="CI_LAB_APP",
-            start_ns=start_ns,
-            end_ns=int(rows.time_ns[members[-1]]),
+            span=case.span(members),
             evidence=(
                 f"packet {rows.number[members[0]]} at {case.at(start_ns)} is the first",
                 f"telemetry goes to {', '.join(sorted(known))}",
@@ -97,14 +95,12 @@ def identity_from_two_addresses(case: Case) -> Iterator[Verdict]:
         order = sorted(first, key=first.__getitem__)
         second = first[order[1]]
         yield Verdict(
-            "identity_from_two_addresses",
             Severity.SECURITY,
             f"SBN peer {Peer(who >> 32, who & 0xFFFFFFFF)} speaks from {len(order)} addresses: "
             f"{', '.join(order)}; cFS takes whatever bears its identity",
             link="sbn",
             hop="SBN",
-            start_ns=int(rows.time_ns[second]),
-            end_ns=int(rows.time_ns[members[-1]]),
+            span=(int(rows.time_ns[second]), int(rows.time_ns[members[-1]])),
             evidence=tuple(
                 f"{address}: {plural(count[address], 'datagram')}, the first at "
                 f"{case.at(int(rows.time_ns[first[address]]))}"
@@ -136,14 +132,12 @@ def repeated_commands(case: Case) -> Iterator[Verdict]:
         start_ns, row = int(rows.time_ns[members[0]]), int(members[0])
         earlier = int(sent[first[which[np.searchsorted(sent, row)]]])
         yield Verdict(
-            "repeated_commands",
             Severity.SECURITY,
             f"{plural(len(members), 'command')} from {names[who]} repeat, byte for byte, what "
             f"{', '.join(origins)} sent before: a recording is being sent again",
             link="ci",
             hop="CI_LAB_APP",
-            start_ns=start_ns,
-            end_ns=int(rows.time_ns[members[-1]]),
+            span=case.span(members),
             evidence=(
                 f"packet {rows.number[row]} at {case.at(start_ns)} repeats packet {rows.number[earlier]}",
                 f"MsgIds: {', '.join(sorted({case.name(int(rows.msg_id[item])) for item in members}))}",
@@ -187,16 +181,13 @@ def privileged_commands(case: Case) -> Iterator[Verdict]:
         )
         times = rows.time_ns[members].tolist()
         yield Verdict(
-            "privileged_commands",
             Severity.SECURITY,
             f"{plural(len(members), 'command')} {command_name(msg_id, code)} on {case.name(msg_id)} from "
             f"{_some(senders)}: it can {PRIVILEGED[msg_id, code]}",
             msg_id=msg_id,
-            topic=case.topic(msg_id),
             link="ci",
             hop="CI_LAB_APP",
-            start_ns=times[0],
-            end_ns=times[-1],
+            span=(times[0], times[-1]),
             evidence=(
                 f"sent at {_some([case.at(when) for when in times])}",
                 f"packet {rows.number[members[0]]} is the first",
@@ -222,14 +213,11 @@ def checksum(case: Case) -> Iterator[Verdict]:
     if absent:
         of = int(commands.sum())
         yield Verdict(
-            "checksum",
             Severity.HABIT,
             f"{absent:,} of {of:,} commands carry no checksum, as the EDORAS bridges send them; no cFS "
             "application here checks it, so a damaged command is obeyed",
             link="ci",
             hop="ground bridge",
-            start_ns=case.start_ns,
-            end_ns=case.end_ns,
             evidence=("the checksum byte is 0, and 0 is not right",),
             remedy="none needed on a link that checks for itself; else compute it (0xFF XOR every byte) "
             "and have the application call CFE_MSG_ValidateChecksum",

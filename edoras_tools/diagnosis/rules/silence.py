@@ -83,18 +83,15 @@ def telemetry_vanished(case: Case) -> Iterator[Verdict]:
                 "the balance"
             )
         yield Verdict(
-            "telemetry_vanished",
             Severity.ERROR,
             f"{case.name(stream.msg_id)} came every {usual / SECOND:.1f} s until {case.at(last_ns)} and "
             "never again, while other telemetry goes on: its header in the application's memory was "
             "overwritten",
             msg_id=stream.msg_id,
-            topic=case.topic(stream.msg_id),
             link="to",
             hop="flight application",
             estimated=missed,
-            start_ns=last_ns,
-            end_ns=alive_ns,
+            span=(last_ns, alive_ns),
             evidence=tuple(signs),
             remedy="make the struct in front of it large enough (see struct_overrun), and restart the "
             "application: the MsgId does not come back by itself",
@@ -332,17 +329,14 @@ def _verdict(case: Case, stream: Stream, start_ns: int, until_ns: int | None, ra
         if start_ns - _NEAR_NS < item.start_ns < start_ns + 2 * _NEAR_NS
     ]
     return Verdict(
-        "topic_silent",
         Severity.NOTE if rate is None else Severity.WARNING,
         f"{case.name(stream.msg_id)}{came} is silent from {case.at(start_ns)} {again}, {seconds:.1f} s: "
         f"{told}; whether its source, its robot or TO's table ended it is not observable from here",
         msg_id=stream.msg_id,
-        topic=case.topic(stream.msg_id),
         link=stream.link.label,
         hop="source",
         estimated=estimated,
-        start_ns=start_ns,
-        end_ns=end_ns,
+        span=(start_ns, end_ns),
         evidence=tuple(evidence),
         remedy="look at the application's console and events; capture its SBN link or its input to see "
         "whether it still gets what it needs",

@@ -328,7 +328,8 @@ def merge_spans(verdicts: Sequence[Verdict]) -> list[Verdict]:
         last = max(known, item, key=lambda verdict: verdict.end_ns)
         lost = (known.lost or 0) + (item.lost or 0) if known.lost or item.lost else None
         of = (known.of or 0) + (item.of or 0) if known.of or item.of else None
-        found[item.key] = replace(last, start_ns=min(known.start_ns, item.start_ns), lost=lost, of=of)
+        span = min(known.start_ns, item.start_ns), last.end_ns
+        found[item.key] = replace(last, span=span, lost=lost, of=of)
     return list(found.values())
 
 
