@@ -28,8 +28,10 @@ PUT_OFF = {
         "edoras_tools.io.formats.rosbag2.folder",
         "only for directories, whose metadata needs YAML",
     ),
-    "io/formats/settled.py": ("tempfile", "only for recordings from a pipe or packed"),
-    "io/formats/stream.py": ("zstandard", "only for captures inside zstd data"),
+    "io/formats/stream.py": (
+        "tempfile zstandard",
+        "only for recordings from a pipe or packed, and for captures inside zstd data",
+    ),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
     "io/topics/streams.py": (
         "edoras_tools.io.topics.carried",

@@ -31,9 +31,9 @@ from edoras_tools.model import (
 from edoras_tools.structs.packets import OWN_LAYERS
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION, ROUNDED
+from edoras_tools.wire.cfe import length_of
 from edoras_tools.wire.envelope import DEFAULT, detect
 from edoras_tools.wire.fprime import ENTRY_HEADERS, PacketType
-from edoras_tools.wire.packet import length_of
 
 if TYPE_CHECKING:
     from edoras_tools.decode.context import Context

@@ -11,10 +11,9 @@ from edoras_tools.structs import cfe
 from edoras_tools.structs.bindings import Bindings
 from edoras_tools.structs.debug_info.compiler import SOURCE_SUFFIXES, compiled
 from edoras_tools.structs.debug_info.dwarf import DebugInfo, Listed
-from edoras_tools.structs.files import LAYOUT_FILE, load_layout
+from edoras_tools.structs.files import LAYOUT_FILE, dumps, load_layout
 from edoras_tools.structs.packets import FPRIME_KEY
 from edoras_tools.structs.shapes import StructLayout
-from edoras_tools.structs.writing import dumps
 from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from edoras_tools.structs.files import type_text
 from edoras_tools.structs.messages import parts
-from edoras_tools.structs.writing import type_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.structs.counting import MOST_VALUES, Counter
 from edoras_tools.structs.messages import HEADER_FIELDS, parts
 from edoras_tools.structs.packets import SHIPPED
-from edoras_tools.structs.transcode import HEAD, StructPlan
+from edoras_tools.structs.transcode import HEAD, MOST_VALUES, Counter, StructPlan
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
 

@@ -1,4 +1,4 @@
-"""Reads layout files: structs and their packets, as YAML or JSON."""
+"""Reads and writes layout files: structs and their packets, as YAML or JSON."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.structs.arrange import Wanted, arrange
 from edoras_tools.structs.packets import UDP_KEY
 from edoras_tools.structs.shapes import (
     BASIC,
@@ -22,6 +21,8 @@ from edoras_tools.structs.shapes import (
     Member,
     Struct,
     StructLayout,
+    Wanted,
+    arrange,
 )
 from edoras_tools.wire.msg_id import VERSION_1, VERSION_2
 
@@ -391,3 +392,54 @@ def is_package(name: str) -> bool:
 def _refuse(raw: Any) -> NoReturn:
     msg_ids = "0x0801, from 1 to 0x1fff, nor one with a function code as 0x1880/6, nor a port as udp:8585"
     raise ConfigError(f"{_shown(raw)} is not a MsgId as {msg_ids}")
+
+
+_WORDS: Final = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})
+
+
+def dumps(layout: StructLayout) -> str:
+    """Return the text of a layout file, with every offset."""
+    lines = [
+        f"edoras_structs: {LAYOUT_VERSION}",
+        f"byte_order: {layout.byte_order}",
+        f"package: {layout.package}",
+    ]
+    if layout.bindings:
+        lines.append("bind:")
+        lines += [f"  {key}: {_name(name)}" for key, name in sorted(layout.bindings.items(), key=_order)]
+    if layout.enums:
+        lines.append("enums:")
+        for item in layout.enums.values():
+            lines += [f"  {_name(item.name)}:", f"    type: {item.basic}", "    values:"]
+            lines += [f"      {_name(label)}: {value}" for value, label in item.names.items()]
+            if not item.names:
+                lines[-1] += " {}"
+    lines.append("structs:" + ("" if layout.structs else " {}"))
+    for struct in layout.structs.values():
+        lines += [f"  {_name(struct.name)}:", f"    size: {struct.size}"]
+        lines += [f"    header: {struct.header}"] * bool(struct.header)
+        lines += ["    union: true"] * struct.union
+        lines += [f"    doc: {json.dumps(struct.doc)}"] * bool(struct.doc)
+        lines.append("    members:" + ("" if struct.members else " {}"))
+        lines += [f"      {_name(item.name)}: {_member_text(item)}" for item in struct.members]
+    return "\n".join(lines) + "\n"
+
+
+def _name(name: str) -> str:
+    """Return a name as YAML, in quotes where YAML would read another type."""
+    return f"'{name}'" if name.lower() in _WORDS else name
+
+
+def _order(item: tuple[Key, str]) -> tuple[int, int]:
+    return item[0].msg_id, -1 if item[0].function_code is None else item[0].function_code
+
+
+def _member_text(member: Member) -> str:
+    text = type_text(member) + f" @{member.offset}" + (f".{member.bit}" if member.bits else "")
+    return f"{{type: '{text}', doc: {json.dumps(member.doc)}}}" if member.doc else text
+
+
+def type_text(member: Member) -> str:
+    """Return a member's type as in a layout file, without its offset."""
+    dims = "".join(f"[{size or ''}]" for size in member.dims)
+    return f"{member.type}{dims}" + f":{member.bits}" * bool(member.bits) + " hex" * (member.base == 16)

@@ -23,8 +23,7 @@ from edoras_tools.render.doctor.report.page import Made, page
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types.grammar import parse_definition
 from edoras_tools.structs.debug_info.dwarf import DebugInfo
-from edoras_tools.structs.files import parse_layout
-from edoras_tools.structs.writing import dumps
+from edoras_tools.structs.files import dumps, parse_layout
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable

@@ -1,5 +1,7 @@
 """How many processors are free, by what the kernel counts."""
 
+from __future__ import annotations
+
 import os
 import subprocess
 import sys
@@ -9,7 +11,7 @@ import pytest
 from waiting import until
 
 from edoras_tools.io import processors
-from edoras_tools.io.processors import spare_processors
+from edoras_tools.io.processors import Precedence, spare_processors
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells")
@@ -47,3 +49,91 @@ def test_one_that_computes_takes_a_processor():
         for item in busy:
             item.kill()
             item.wait()
+
+
+MS = 1_000_000
+FIRST, USUAL = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.SCHED_OTHER
+
+
+@pytest.fixture
+def system(monkeypatch):
+    """Two processors, clocks that stand still, and what was asked for."""
+
+    class System:
+        asked, now, busy, error = [], 0, 0, None
+
+        def after(self, busy_ms, ms=20):
+            self.now += ms * MS
+            self.busy += busy_ms * MS
+
+    made = System()
+    made.asked = []
+
+    def take(_thread, policy, _parameter):
+        if made.error:
+            raise made.error
+        made.asked.append(policy)
+
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(os, "sched_setscheduler", take)
+    monkeypatch.setattr(processors.time, "monotonic_ns", lambda: made.now)
+    monkeypatch.setattr(processors.time, "thread_time_ns", lambda: made.busy)
+    return made
+
+
+def test_who_takes_much_of_a_processor_loses_it_until_it_takes_little(system):
+    with Precedence() as precedence:
+        assert system.asked == [FIRST]
+        for busy_ms, asked in [
+            (2, []),
+            (13, []),
+            (15, [USUAL]),
+            (13, []),
+            (11, []),
+            (9, [FIRST]),
+            (19, [USUAL]),
+        ]:
+            before = len(system.asked)
+            system.after(busy_ms)
+            precedence.look()
+            assert system.asked[before:] == asked
+    assert system.asked[-1] == USUAL
+
+
+def test_it_is_given_back_at_the_end_and_not_asked_for_again(system):
+    with Precedence() as precedence:
+        pass
+    assert system.asked == [FIRST, USUAL]
+    system.after(0)
+    precedence.look()
+    assert system.asked == [FIRST, USUAL]
+
+
+def test_nothing_is_judged_from_a_short_time(system):
+    with Precedence() as precedence:
+        system.after(10, ms=10)
+        precedence.look()
+        assert system.asked == [FIRST]
+
+
+def test_where_it_is_not_allowed_it_is_asked_for_once(system):
+    system.error = PermissionError()
+    with Precedence() as precedence:
+        system.error = None
+        system.after(0)
+        precedence.look()
+    assert system.asked == []
+
+
+def test_the_only_processor_is_left_to_all(system, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
+    with Precedence():
+        pass
+    assert system.asked == []
+
+
+def test_this_system_gives_it_or_not_and_has_it_back():
+    before = os.sched_getscheduler(0)
+    with Precedence():
+        assert os.sched_getscheduler(0) in {before, FIRST}
+    assert os.sched_getscheduler(0) == before

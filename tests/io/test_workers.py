@@ -29,7 +29,7 @@ from edoras_tools.io.formats import stream
 from edoras_tools.io.formats.mcap import writer
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.recording import RecordingOptions
+from edoras_tools.io.formats.split import RecordingOptions
 from edoras_tools.io.workers import Workers
 from edoras_tools.mission import Mission
 from edoras_tools.model import SourceStatistics

@@ -14,10 +14,9 @@ from c_structs import HEAD, draw, program
 
 from edoras_tools.structs import Structs
 from edoras_tools.structs.debug_info.dwarf import DebugInfo
-from edoras_tools.structs.files import parse_layout
+from edoras_tools.structs.files import dumps, parse_layout
 from edoras_tools.structs.shapes import Key
 from edoras_tools.structs.transcode import HEAD as HEAD_BYTES
-from edoras_tools.structs.writing import dumps
 
 SIZE = 512
 """Bytes that each struct is filled with."""

@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.structs.files import load_layout, parse_key, parse_layout
+from edoras_tools.structs.files import dumps, load_layout, parse_key, parse_layout
 from edoras_tools.structs.shapes import BASIC, Key, Member
-from edoras_tools.structs.writing import dumps
 
 ROVER = """
 byte_order: big

@@ -9,9 +9,8 @@ import pytest
 
 from edoras_tools.structs import Structs
 from edoras_tools.structs.debug_info.dwarf import DebugInfo
-from edoras_tools.structs.files import parse_layout
+from edoras_tools.structs.files import dumps, parse_layout
 from edoras_tools.structs.shapes import Key
-from edoras_tools.structs.writing import dumps
 
 SOURCE = """
 typedef unsigned char u8; typedef signed char i8; typedef unsigned short u16; typedef short i16;

@@ -21,7 +21,7 @@ from edoras_tools.emulator.messages import command_length
 from edoras_tools.emulator.scheduler import Receive, Work
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.packet import function_code_of, length_of, msg_id_of, whole_packet
+from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of, whole_packet
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -11,7 +11,7 @@ from edoras_tools.emulator.messages import FixedStruct
 from edoras_tools.emulator.scheduler import Receive, Work
 from edoras_tools.errors import WireError
 from edoras_tools.wire import cfe
-from edoras_tools.wire.packet import function_code_of, length_of, msg_id_of
+from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

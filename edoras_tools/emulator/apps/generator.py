@@ -16,8 +16,8 @@ from edoras_tools.emulator.messages import FixedStruct, bus_id, command_length, 
 from edoras_tools.emulator.scheduler import Receive, SleepUntil, Work
 from edoras_tools.units import MICROSECOND, SECOND
 from edoras_tools.wire import cfe
+from edoras_tools.wire.cfe import function_code_of, whole_packet
 from edoras_tools.wire.msg_id import VERSION_1
-from edoras_tools.wire.packet import function_code_of, whole_packet
 
 if TYPE_CHECKING:
     from edoras_tools.emulator.cfs import Cfs

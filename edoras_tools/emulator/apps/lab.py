@@ -13,7 +13,7 @@ from edoras_tools.emulator.services.telemetry_output import TelemetryOutput
 from edoras_tools.model import Endpoint
 from edoras_tools.units import MICROSECOND, MILLISECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.packet import msg_id_of
+from edoras_tools.wire.cfe import msg_id_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

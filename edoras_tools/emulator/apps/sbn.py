@@ -13,7 +13,7 @@ from edoras_tools.emulator.scheduler import Receive, Work
 from edoras_tools.emulator.services.sbn_node import Actions, SbnNode
 from edoras_tools.model import Endpoint
 from edoras_tools.wire import cfe
-from edoras_tools.wire.packet import function_code_of, length_of
+from edoras_tools.wire.cfe import function_code_of, length_of
 
 if TYPE_CHECKING:
     from edoras_tools.cfs.event_services import EventText

@@ -15,7 +15,7 @@ from edoras_tools.cfs import command_ingest as facts
 from edoras_tools.emulator.messages import bus_id, command_length, from_link, headers_of
 from edoras_tools.emulator.services.events import Event
 from edoras_tools.wire import cfe
-from edoras_tools.wire.packet import function_code_of, length_of
+from edoras_tools.wire.cfe import function_code_of, length_of
 
 if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile

@@ -19,14 +19,14 @@ from edoras_tools.sessions.sbn.events import (
     Connected,
     Disconnected,
     Subscriptions,
+    Trigger,
     UnknownType,
     Version,
 )
 from edoras_tools.sessions.sbn.habits import STOCK
-from edoras_tools.sessions.sbn.states import Trigger
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.packet import length_of, whole_packet
+from edoras_tools.wire.cfe import length_of, whole_packet
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

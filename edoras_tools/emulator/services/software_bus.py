@@ -21,7 +21,7 @@ from edoras_tools.emulator.services.events import Event
 from edoras_tools.errors import ConfigError
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.wire import cfe
-from edoras_tools.wire.packet import length_of, msg_id_of, with_sequence_count
+from edoras_tools.wire.cfe import length_of, msg_id_of, with_sequence_count
 
 if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile

@@ -11,7 +11,7 @@ from edoras_tools.cfs import telemetry_output as facts
 from edoras_tools.emulator.messages import bus_id
 from edoras_tools.emulator.services.events import Event
 from edoras_tools.wire import cfe
-from edoras_tools.wire.packet import function_code_of, whole_packet
+from edoras_tools.wire.cfe import function_code_of, whole_packet
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

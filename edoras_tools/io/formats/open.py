@@ -12,8 +12,14 @@ from typing import TYPE_CHECKING
 from edoras_tools.errors import CaptureError, NoDatagramsError
 from edoras_tools.io.formats.cfe import CFE_MAGIC
 from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
-from edoras_tools.io.formats.settled import SettledFile, settled_file
-from edoras_tools.io.formats.stream import ByteStream, CompressedStream, FileStream, Window
+from edoras_tools.io.formats.stream import (
+    ByteStream,
+    CompressedStream,
+    FileStream,
+    SettledFile,
+    Window,
+    settled_file,
+)
 from edoras_tools.io.formats.table import CFE, MCAP, PCAPNG, READABLE, TOPIC_READERS
 
 if TYPE_CHECKING:

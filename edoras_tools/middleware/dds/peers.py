@@ -26,7 +26,7 @@ from edoras_tools.middleware.dds.presence import OLDER, OLDEST_DISTRO, PRESENCE_
 from edoras_tools.middleware.names import dds_name
 from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.ros.type_hash import HASH_VERSION
-from edoras_tools.wire.rtps.names import ros_name
+from edoras_tools.wire.rtps.parameters import ros_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.capture.device import DeviceSource
 from edoras_tools.io.formats.pcapng import LISTENED
-from edoras_tools.io.formats.recording import RecordingOptions
 from edoras_tools.io.formats.records import RecordSource
-from edoras_tools.io.formats.split import SplitCaptureSink
+from edoras_tools.io.formats.split import RecordingOptions, SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import Keep, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input

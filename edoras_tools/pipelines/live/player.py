@@ -11,7 +11,7 @@ import numpy as np
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.io.formats.open import kept_recording
-from edoras_tools.io.formats.settled import SettledFile
+from edoras_tools.io.formats.stream import SettledFile
 from edoras_tools.io.foxglove.playback import PlaybackState
 from edoras_tools.io.frames.fragmented import FragmentedSamples
 from edoras_tools.links.rtps.link import RTPS

@@ -27,7 +27,7 @@ from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.buffer import SLOTS, SPARE, make_buffer
 from edoras_tools.io.net.forward import Direction
 from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
-from edoras_tools.io.priority import Precedence
+from edoras_tools.io.processors import Precedence
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.proxy.clients import Clients, Routing
 from edoras_tools.pipelines.proxy.faults import FaultStage, Outbox

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.priority import Precedence
+from edoras_tools.io.processors import Precedence
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.sessions.outgoing import Changes, Outgoing
 from edoras_tools.sessions.pacing import Lateness, Timetable

@@ -21,8 +21,8 @@ from edoras_tools.sessions.bisection import Bisection
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
+from edoras_tools.wire.cfe import with_length
 from edoras_tools.wire.envelope import DEFAULT
-from edoras_tools.wire.packet import with_length
 
 if TYPE_CHECKING:
     from edoras_tools.emulator import Scenario

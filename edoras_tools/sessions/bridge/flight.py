@@ -12,11 +12,11 @@ from edoras_tools.sessions.sbn.events import (
     NotTaken,
     Refusal,
     Subscriptions,
+    Trigger,
     UnknownType,
     Version,
 )
 from edoras_tools.sessions.sbn.habits import BRIDGE
-from edoras_tools.sessions.sbn.states import Trigger
 from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.cfe import STANDARD, Headers

@@ -23,18 +23,20 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.errors import TruncatedError
 from edoras_tools.model import Peer
 from edoras_tools.sessions.sbn.events import (
+    TRANSITIONS,
     AppMessage,
     Connected,
+    ConnectionState,
     Disconnected,
     NotTaken,
     Refusal,
     Step,
     Subscriptions,
+    Trigger,
     UnknownType,
     Version,
 )
 from edoras_tools.sessions.sbn.habits import CLIENT
-from edoras_tools.sessions.sbn.states import TRANSITIONS, ConnectionState, Trigger
 from edoras_tools.wire import sbn
 from edoras_tools.wire.sbn import MsgType
 

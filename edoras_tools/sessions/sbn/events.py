@@ -1,14 +1,44 @@
-"""What an SBN connection reports to its owner: frozen values, in the order in which things happened."""
+"""The states of an SBN connection, and its events, which its owner gets in the order in which they happened.
+
+The diagram in ``docs/bridge.md`` is written from the table of transitions.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence  # noqa: TC003  annotations of named tuples are read at run time
 from enum import Enum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.model import Peer  # noqa: TC001  the same
-from edoras_tools.sessions.sbn.states import Trigger  # noqa: TC001  the same
 from edoras_tools.wire import sbn
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+class ConnectionState(Enum):
+    """Whether messages cross."""
+
+    DISCONNECTED = "disconnected"
+    CONNECTED = "connected"
+
+
+class Trigger(Enum):
+    """What changes the state; the value is the text for people."""
+
+    HEARD = "any datagram of the peer but DISCONNECT"
+    DISCONNECT = "DISCONNECT"
+    TIMEOUT = "nothing from the peer for 11 s"
+    RESTART = "PROTO again, 1 s or more after the last SUB"
+
+
+TRANSITIONS: Final[Mapping[tuple[ConnectionState, Trigger], ConnectionState]] = {
+    (ConnectionState.DISCONNECTED, Trigger.HEARD): ConnectionState.CONNECTED,
+    (ConnectionState.CONNECTED, Trigger.DISCONNECT): ConnectionState.DISCONNECTED,
+    (ConnectionState.CONNECTED, Trigger.TIMEOUT): ConnectionState.DISCONNECTED,
+    (ConnectionState.CONNECTED, Trigger.RESTART): ConnectionState.CONNECTED,
+}
+"""State and trigger to the next state. What is not listed changes nothing."""
 
 
 class Refusal(Enum):

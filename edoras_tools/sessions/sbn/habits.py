@@ -7,7 +7,7 @@ from typing import Final
 
 from edoras_tools.cfs import limits
 from edoras_tools.cfs import sbn as facts
-from edoras_tools.sessions.sbn.states import Trigger
+from edoras_tools.sessions.sbn.events import Trigger
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.sbn import MsgType
 

@@ -14,9 +14,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission.fprime import Entry, EventSeverity
-from edoras_tools.structs.arrange import Wanted, arrange
 from edoras_tools.structs.packets import FPRIME_KEY
-from edoras_tools.structs.shapes import BASIC, Basic, Enumeration, Key, Member, Struct, StructLayout
+from edoras_tools.structs.shapes import (
+    BASIC,
+    Basic,
+    Enumeration,
+    Key,
+    Member,
+    Struct,
+    StructLayout,
+    Wanted,
+    arrange,
+)
 from edoras_tools.wire import fprime
 from edoras_tools.wire.fprime import PacketType
 

@@ -10,7 +10,6 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Final, Literal
 
 from edoras_tools.wire.rtps.headers import GUID_BYTES
-from edoras_tools.wire.rtps.names import ros_name, ros_topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -150,3 +149,22 @@ def _text(value: bytes, order: Literal["big", "little"]) -> str:
     size = min(int.from_bytes(value[:4], order), LONGEST_TEXT)
     text = value[4 : 4 + size].split(b"\0", 1)[0].decode("utf-8", "replace")
     return text if text.isprintable() else "".join(item if item.isprintable() else "?" for item in text)
+
+
+_TOPIC: Final = "rt/"
+"""What ROS puts before the name of a topic; those of requests and replies keep theirs."""
+
+
+def ros_topic(topic: str) -> str:
+    """Return the ROS name of a topic of DDS; the name itself where it is of no ROS topic.
+
+    https://design.ros2.org/articles/topic_and_service_names.html
+    """
+    return topic.removeprefix(_TOPIC[:-1]) if topic.startswith(_TOPIC) else topic
+
+
+def ros_name(dds_type: str) -> str:
+    """Return the ROS name of a DDS type; the name itself where it is of no ROS type."""
+    parts = dds_type.split("::")
+    is_ros = len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_")
+    return f"{parts[0]}/{parts[1]}/{parts[3].removesuffix('_')}" if is_ros else dds_type

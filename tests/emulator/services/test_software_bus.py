@@ -10,7 +10,7 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.emulator.services.software_bus import Publication, SoftwareBus
 from edoras_tools.errors import ConfigError
 from edoras_tools.wire import cfe
-from edoras_tools.wire.packet import length_of, msg_id_of, whole_packet
+from edoras_tools.wire.cfe import length_of, msg_id_of, whole_packet
 
 
 def command(msg_id: int = 0x1827) -> bytes:

@@ -16,7 +16,7 @@ from places import ROOT
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from edoras_tools.io.formats.mcap.writer import McapSink
-from edoras_tools.io.formats.recording import RecordingOptions
+from edoras_tools.io.formats.split import RecordingOptions
 from edoras_tools.io.foxglove.server import ServerOptions
 from edoras_tools.io.foxglove.sink import FoxgloveSink
 from edoras_tools.io.topics.rows import Records

@@ -13,9 +13,17 @@ from edoras_tools.emulator.services.sbn_node import SbnNode
 from edoras_tools.emulator.services.software_bus import SoftwareBus
 from edoras_tools.model import Peer
 from edoras_tools.sessions.sbn.connection import SbnConnection
-from edoras_tools.sessions.sbn.events import AppMessage, Connected, Disconnected, NotTaken, Refusal
+from edoras_tools.sessions.sbn.events import (
+    TRANSITIONS,
+    AppMessage,
+    Connected,
+    ConnectionState,
+    Disconnected,
+    NotTaken,
+    Refusal,
+    Trigger,
+)
 from edoras_tools.sessions.sbn.habits import BRIDGE, CLIENT, PUBLIC_BRIDGE, STOCK
-from edoras_tools.sessions.sbn.states import TRANSITIONS, ConnectionState, Trigger
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
 

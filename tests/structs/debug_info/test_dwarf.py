@@ -11,8 +11,7 @@ from effort import examples
 from edoras_tools.errors import ConfigError
 from edoras_tools.pipelines.structs import take
 from edoras_tools.structs.debug_info.dwarf import DebugInfo
-from edoras_tools.structs.files import parse_layout
-from edoras_tools.structs.writing import dumps
+from edoras_tools.structs.files import dumps, parse_layout
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 

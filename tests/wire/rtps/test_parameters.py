@@ -1,5 +1,7 @@
 """Parameter lists of discovery: both byte orders, and any bytes."""
 
+from __future__ import annotations
+
 import struct
 
 import pytest
@@ -8,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rtps import PREFIX, TWIST, WRITER, announcement, parameter, text
 
+from edoras_tools.middleware.names import dds_name
+from edoras_tools.ros import TypeStore
 from edoras_tools.wire.rtps.parameters import (
     LONGEST_TEXT,
     MOST_PARAMETERS_READ,
@@ -15,6 +19,8 @@ from edoras_tools.wire.rtps.parameters import (
     read_announcement,
     read_parameters,
     read_status,
+    ros_name,
+    ros_topic,
 )
 
 
@@ -60,3 +66,25 @@ def test_long_names_and_endless_lists_end():
 def test_any_bytes(raw, head):
     found = read_announcement(head + raw)
     assert found is None or len(found.guid) == 16
+
+
+@pytest.mark.parametrize(
+    ("dds", "ros"),
+    [
+        ("rt/cmd_vel", "/cmd_vel"),
+        ("rt/rover_1/pose", "/rover_1/pose"),
+        ("rq/add_two_intsRequest", "rq/add_two_intsRequest"),
+        ("ros_discovery_info", "ros_discovery_info"),
+        ("rtx/a", "rtx/a"),
+        ("", ""),
+    ],
+)
+def test_topics(dds, ros):
+    assert ros_topic(dds) == ros
+
+
+def test_types():
+    for name in TypeStore().types():
+        assert ros_name(dds_name(name)) == name
+    assert ros_name("HelloWorld") == "HelloWorld"
+    assert ros_name("a::b::dds_::C") == "a::b::dds_::C"

@@ -14,8 +14,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.forked import killed
 from edoras_tools.io.formats.mcap.chunks import ChunkPress, ChunkWriter
 from edoras_tools.io.formats.mcap.file import McapFile
-from edoras_tools.io.formats.recording import RecordingOptions
-from edoras_tools.io.formats.split import part_path
+from edoras_tools.io.formats.split import RecordingOptions, part_path
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.recorded import RecordedStreams

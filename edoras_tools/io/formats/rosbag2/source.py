@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from mcap.summary import Summary
 
-    from edoras_tools.io.formats.settled import SettledFile
+    from edoras_tools.io.formats.stream import SettledFile
 
 _BATCH_BYTES: Final = 4 << 20
 _ROWS: Final = 8192

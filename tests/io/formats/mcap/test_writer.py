@@ -17,7 +17,7 @@ from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.io.formats.mcap import chunks as mcap_chunks
 from edoras_tools.io.formats.mcap.file import McapFile
 from edoras_tools.io.formats.mcap.writer import McapSink
-from edoras_tools.io.formats.recording import RecordingOptions
+from edoras_tools.io.formats.split import RecordingOptions
 from edoras_tools.io.topics.datagrams import NO_MESSAGE
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
