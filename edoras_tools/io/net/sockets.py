@@ -192,20 +192,23 @@ class SendResult(NamedTuple):
         return sum(self.errors.values())
 
 
-def send_one(opened: socket.socket, payload: bytes | memoryview, to: Address | None = None) -> SendResult:
+def send_one(
+    opened: socket.socket, payload: bytes | memoryview, to: Address | None = None, flags: int = 0
+) -> SendResult:
     """Send one datagram; on a non-blocking socket, without waiting.
 
     Args:
         payload: the bytes to send.
         to: the receiver; None for a connected socket.
+        flags: of ``send``.
     """
     refused = 0
     while True:
         try:
             if to is None:
-                opened.send(payload)
+                opened.send(payload, flags)
             else:
-                opened.sendto(payload, to.host)
+                opened.sendto(payload, flags, to.host)
         except (BlockingIOError, InterruptedError):
             return SendResult(0, refused, full=True)
         except OSError as error:

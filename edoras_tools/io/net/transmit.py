@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import errno
 import os
+import socket
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -22,6 +23,7 @@ import numpy as np
 from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.mmsg import SendMany, usable
 from edoras_tools.io.net.sockets import (
+    LINUX,
     SendResult,
     bind,
     connect,
@@ -33,8 +35,6 @@ from edoras_tools.io.net.sockets import (
 )
 
 if TYPE_CHECKING:
-    import socket
-
     from numpy.typing import NDArray
     from typing_extensions import Self
 
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 _MANY: Final = 512
 """Datagrams passed to the kernel at once."""
 _BUFFER_BYTES: Final = 4 << 20
+_MSG_PROBE: Final = 16
+"""Linux: ``send`` does all but make the datagram."""
 _INSTEAD: Final = "choose another with --listen"
 
 
@@ -130,6 +132,7 @@ class Transmitter(_Port):
         super().__init__(opened)
         self.target = address.endpoint
         self._many = SendMany(_MANY, waits=True) if usable() else None
+        self._rehearses = _probes()
 
     def send(self, payload: bytes | memoryview) -> bool:
         """Send one datagram; return whether the kernel accepted it."""
@@ -138,6 +141,14 @@ class Transmitter(_Port):
             sent = _dropped(sent)
         self.statistics.add(sent)
         return not sent.errors
+
+    def rehearse(self, payload: bytes | memoryview) -> None:
+        """Do what ``send`` does, up to the kernel's checks: then the caches hold it, and nothing was sent.
+
+        After a sleep they hold nothing of it, and the next datagram would leave up to 10 us later.
+        """
+        if self._rehearses:
+            send_one(self._socket, payload, flags=_MSG_PROBE)
 
     def send_many(self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> int:
         """Send datagrams in order, as fast as possible; return how many the kernel accepted.
@@ -192,6 +203,24 @@ class Listener(_Port):
     def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
         """Return the datagrams that have arrived, ``most`` at most, and their senders."""
         return list(received(self._socket, most))
+
+
+def _probes() -> bool:
+    """Return whether this system knows ``_MSG_PROBE``; another would send what is only rehearsed."""
+    if not LINUX:
+        return False
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+        own.setblocking(False)
+        try:
+            own.bind(("127.0.0.1", 0))
+            own.connect(own.getsockname())
+            own.send(b"", _MSG_PROBE)
+            own.recv(1)
+        except BlockingIOError:  # nothing came
+            return True
+        except OSError:
+            pass
+    return False
 
 
 def _dropped(sent: SendResult) -> SendResult:

@@ -80,6 +80,9 @@ class StreamTransmitter:
         """
         return bool(self._send(payload, 1))
 
+    def rehearse(self, payload: bytes | memoryview) -> None:
+        """Do nothing: no part of a message can be sent and not arrive; see ``Transmitter.rehearse``."""
+
     def send_many(self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]) -> int:
         """Send messages one behind the other; return how many; see ``Transmitter.send_many``.
 

@@ -87,6 +87,43 @@ def test_refusals_are_noticed(many, closed_port):
         assert sender.statistics.failed == sender.statistics.refused
 
 
+@pytest.mark.parametrize(("family", "host"), [(socket.AF_INET, HOST), (socket.AF_INET6, "::1")])
+def test_what_is_rehearsed_is_neither_sent_nor_counted(family, host):
+    with socket.socket(family, socket.SOCK_DGRAM) as receiver:
+        receiver.bind((host, 0))
+        receiver.settimeout(PATIENCE_S)
+        with Transmitter(Endpoint(host, receiver.getsockname()[1])) as sender:
+            for turn in range(5):
+                for _ in range(20):
+                    sender.rehearse(b"rehearsed")
+                assert sender.send(bytes([turn]))
+                assert receiver.recv(10) == bytes([turn])
+            assert (sender.statistics.sent, sender.statistics.failed) == (5, 0)
+            receiver.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                receiver.recv(10)
+
+
+def test_a_rehearsal_takes_no_refusal_away(closed_port):
+    with Transmitter(Endpoint(HOST, closed_port)) as sender:
+        sender.send(b"a")
+        for _ in range(20):
+            sender.rehearse(b"a")
+        assert sender.receive() == []
+        assert sender.statistics.refused == 1
+
+
+@pytest.mark.parametrize("flag", [0, socket.MSG_OOB])
+def test_where_the_system_does_not_know_rehearsals_there_are_none(flag, receiver, monkeypatch):
+    """Neither where it would send them, nor where it refuses the flag."""
+    monkeypatch.setattr(transmit, "_MSG_PROBE", flag)
+    assert not transmit._probes()
+    with Transmitter(Endpoint(HOST, receiver.getsockname()[1])) as sender:
+        sender.rehearse(b"rehearsed")
+        sender.send(b"sent")
+        assert receiver.recv(10) == b"sent"
+
+
 def test_answers_are_received(sender, receiver):
     receiver.connect((sender.local.address, sender.local.port))
     for payload in (b"one", b"", b"two"):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import os
 import socket
 
@@ -67,6 +68,28 @@ def test_one_and_many_are_sent(ends):
     assert wire.put(b"own")
     assert [other.recv(10) for _ in range(5)] == [*(bytes([index]) * 8 for index in range(1, 5)), b"own"]
     assert wire.statistics.sent == 5
+
+
+def test_sending_is_rehearsed_until_shortly_before_a_deadline(ends, monkeypatch):
+    wire, other, _, transmitter = ends
+    out, rehearsed = Outgoing.packets(CI, [Packet(b"first"), Packet(b"second")]), []
+    ticks = itertools.count(0, 1000)
+
+    def rehearse(payload):
+        rehearsed.append((bytes(payload), next(ticks)))
+        Transmitter.rehearse(transmitter, payload)
+
+    monkeypatch.setattr(wire, "now", lambda: next(ticks))
+    monkeypatch.setattr(transmitter, "rehearse", rehearse)
+    assert wire.wait(100_000)
+    assert not rehearsed  # nothing was sent yet
+    wire.send(out, 0, 1)
+    assert wire.wait(200_000)
+    wire.send(out, 1, 2)
+    assert {payload for payload, _ in rehearsed} == {b"first"}
+    assert 185_000 < rehearsed[-1][1] < 195_000
+    assert [other.recv(10), other.recv(10)] == [b"first", b"second"]
+    assert wire.statistics.sent == 2
 
 
 def test_the_garbage_collector_is_given_back_as_it_was():
