@@ -189,6 +189,7 @@ def test_what_a_stream_cannot_have_is_told_in_one_line(call, arguments):
 
 def test_tcp_is_relayed_and_counted(command):
     with socket.create_server((HOST, 0)) as server:
+        server.settimeout(PATIENCE_S)
         ends = ["--listen", f"{HOST}:0", "--target", f"{HOST}:{server.getsockname()[1]}"]
         arguments = ["racs2", *ends, "--fault", "delay:20ms,to=cfs", "--json"]
         with Program(command, "proxy", *arguments) as proxy:
@@ -197,10 +198,10 @@ def test_tcp_is_relayed_and_counted(command):
             port = int(told.split(",")[1].split()[0].rpartition(":")[2])
             with socket.create_connection((HOST, port)) as client:
                 client.settimeout(PATIENCE_S)
+                client.sendall(b"there")
                 accepted, _ = server.accept()
                 with accepted:
                     accepted.settimeout(PATIENCE_S)
-                    client.sendall(b"there")
                     assert accepted.recv(99) == b"there"
                     accepted.sendall(b"and back")
                     assert client.recv(99) == b"and back"

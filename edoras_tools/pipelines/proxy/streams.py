@@ -1,11 +1,14 @@
-"""A relay for TCP: every connection to it becomes one to the target, with faults that a stream can have.
+"""A relay for TCP: a connection to it becomes one to the target, with faults that a stream can have.
 
 Rules that it keeps:
 
 1. Bytes leave unchanged and in order. Where a peer reads slowly, the other one is read no faster.
 2. An end that stops sending is told to the other end once all its bytes have left; a broken connection breaks
    the other one too.
-3. One thread moves everything and sleeps until something arrives or is due.
+3. The target is connected when the client's first bytes are to leave, never before: a cFS with SBN over TCP
+   ends when a connection closes before its first message, as a port scan's does. On all links here the client
+   speaks first.
+4. One thread moves everything and sleeps until something arrives or is due.
 """
 
 from __future__ import annotations
@@ -41,9 +44,9 @@ class _Pipe:
     """One direction of a connection: bytes that wait, each with the time when they may leave."""
 
     source: socket.socket
-    target: socket.socket
     faults: StreamFaults
     counts: StreamCounts
+    target: socket.socket | None = None
     waiting: deque[tuple[int, bytes]] = field(default_factory=deque)
     size: int = 0
     ended: bool = False
@@ -65,14 +68,20 @@ class _Pipe:
                 self.waiting.append((self.faults.leave(now, len(data)), data))
                 self.size += len(data)
 
+    def due(self, now: int) -> bool:
+        """Return whether bytes may leave."""
+        return bool(self.waiting) and self.waiting[0][0] <= now
+
     def send(self, now: int) -> None:
-        """Send what may leave.
+        """Send what may leave, once there is a target.
 
         Raises:
             OSError: the connection is broken.
         """
-        while self.waiting and self.waiting[0][0] <= now:
-            due, data = self.waiting[0]
+        if self.target is None:
+            return
+        while self.due(now):
+            leave, data = self.waiting[0]
             try:
                 sent = self.target.send(data)
             except BlockingIOError:
@@ -80,7 +89,7 @@ class _Pipe:
             self.size -= sent
             self.counts.octets += sent
             if sent < len(data):
-                self.waiting[0] = due, data[sent:]
+                self.waiting[0] = leave, data[sent:]
                 return
             self.waiting.popleft()
         if self.ended and not self.waiting and not self.told:
@@ -102,12 +111,10 @@ class StreamCounts:
 
 @dataclass(slots=True, eq=False)
 class _Connection:
-    pipes: tuple[_Pipe, _Pipe]
-    opened: int
+    """A client, and the target once it is connected: ``pipes`` begins with the way to the target."""
 
-    @property
-    def sockets(self) -> tuple[socket.socket, socket.socket]:
-        return self.pipes[0].source, self.pipes[0].target
+    pipes: list[_Pipe]
+    opened: int
 
 
 class StreamProxy:
@@ -119,7 +126,7 @@ class StreamProxy:
 
     Attributes:
         endpoint: where it listens.
-        connections: how many were made.
+        connections: how many were made to the target.
         refused: how many the target did not take.
         cut: how many were cut on purpose.
         to_target: what went to the target.
@@ -136,7 +143,7 @@ class StreamProxy:
         for way in (True, False):
             StreamFaults(self._rules, to_cfs=way)
         self._struck = [0] * len(self._rules)
-        self.connections = self.refused = self.cut = 0
+        self.connections = self.refused = self.cut = self._accepted = 0
         self.to_target, self.to_client = StreamCounts(), StreamCounts()
         self._open: list[_Connection] = []
         self._stopping = False
@@ -155,6 +162,11 @@ class StreamProxy:
     def title(self) -> str:
         """What is relayed, for people."""
         return f"{self._plan.link.name} over TCP, {self.endpoint} to {self._plan.targets[0]}"
+
+    @property
+    def silent(self) -> int:
+        """How many clients sent nothing that was to leave: the target was not connected for them."""
+        return self._accepted - self.connections - self.refused
 
     def stop(self) -> None:
         """End ``run``; for any thread."""
@@ -185,6 +197,7 @@ class StreamProxy:
             **plan,
             "connections": self.connections,
             "refused": self.refused,
+            "silent": self.silent,
             "cut": self.cut,
             "bytes_to_target": self.to_target.octets,
             "bytes_to_client": self.to_client.octets,
@@ -202,25 +215,31 @@ class StreamProxy:
             client, _ = self._listen.accept()
         except BlockingIOError:
             return
+        self._accepted += 1
+        self._prepare(client)
+        faults = StreamFaults(self._rules, to_cfs=self._plan.to_cfs)
+        self._open.append(_Connection([_Pipe(client, faults, self.to_target)], self._now()))
+
+    def _prepare(self, end: socket.socket) -> None:
+        end.setblocking(False)
+        end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._selector.register(end, selectors.EVENT_READ)
+
+    def _connect(self, connection: _Connection) -> bool:
+        """Connect the target for a client; return whether it took the connection."""
         target = self._plan.targets[0]
         try:
             there = socket.create_connection((target.address, target.port), timeout=_CONNECT_S)
         except OSError:
             self.refused += 1
-            client.close()
-            return
-        for end in (client, there):
-            end.setblocking(False)
-            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._selector.register(end, selectors.EVENT_READ)
+            return False
+        self._prepare(there)
         self.connections += 1
-        way = self._plan.to_cfs
-        faults = [StreamFaults(self._rules, to_cfs=towards) for towards in (way, not way)]
-        pipes = (
-            _Pipe(client, there, faults[0], self.to_target),
-            _Pipe(there, client, faults[1], self.to_client),
-        )
-        self._open.append(_Connection(pipes, self._now()))
+        (to_target,) = connection.pipes
+        to_target.target = there
+        faults = StreamFaults(self._rules, to_cfs=not self._plan.to_cfs)
+        connection.pipes.append(_Pipe(there, faults, self.to_client, to_target.source))
+        return True
 
     def _move(self, connection: _Connection) -> None:
         now = self._now()
@@ -228,7 +247,14 @@ class StreamProxy:
             self.cut += 1
             self._end(connection, abort=True)
             return
+        first = connection.pipes[0]
         try:
+            first.receive(now)
+            if first.target is None:
+                left = first.ended and not first.waiting
+                if left or (first.due(now) and not self._connect(connection)):
+                    self._end(connection)
+                    return
             for pipe in connection.pipes:
                 pipe.receive(now)
                 pipe.send(now)
@@ -253,7 +279,7 @@ class StreamProxy:
         self._open.remove(connection)
         for place in range(len(self._struck)):
             self._struck[place] += sum(pipe.faults.struck[place] for pipe in connection.pipes)
-        for end in connection.sockets:
+        for end in (pipe.source for pipe in connection.pipes):
             with suppress(KeyError, ValueError):
                 self._selector.unregister(end)
             if abort:  # what waits is lost, and the peers are told: RST

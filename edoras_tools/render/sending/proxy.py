@@ -28,10 +28,8 @@ _MOST_CLIENTS: Final = 8
 
 def stream_lines(summary: Mapping[str, Any]) -> list[str]:
     """Return lines on what a relay of TCP did, from its summary."""
-    cut, refused = summary["cut"], summary["refused"]
-    ends = "".join(
-        f", {count} {what}" for count, what in ((cut, "cut"), (refused, "refused by the target")) if count
-    )
+    texts = {"cut": "cut", "refused": "refused by the target", "silent": "without a byte, so not made"}
+    ends = "".join(f", {summary[key]} {text}" for key, text in texts.items() if summary[key])
     bytes_ = f"{summary['bytes_to_target']:,} bytes to the target, {summary['bytes_to_client']:,} back"
     return [
         f"{plural(summary['connections'], 'connection')}{ends}: {bytes_}",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import struct
 import threading
 import time
 from contextlib import contextmanager, suppress
@@ -52,15 +53,17 @@ def server():
 
 @pytest.fixture
 def connected():
-    """A function: both ends of a connection through a relay."""
+    """A function: both ends of a connection through a relay, after the byte with which it begins."""
     ends = []
 
     def connect(made, server):
         client = socket.create_connection(("127.0.0.1", made.endpoint.port))
+        client.sendall(b"!")
         accepted, _ = server.accept()
         ends.extend((client, accepted))
         for end in ends:
             end.settimeout(PATIENCE_S)
+        assert accepted.recv(1) == b"!"
         return client, accepted
 
     yield connect
@@ -92,9 +95,9 @@ def test_every_byte_both_ways_and_each_end(server, connected):
         assert found["there"] == there
         until(lambda: not made._open)
     summary = made.summary()
-    assert summary["bytes_to_target"] == len(there)
+    assert summary["bytes_to_target"] == 1 + len(there)
     assert summary["bytes_to_client"] == len(back)
-    assert (summary["connections"], summary["cut"], summary["refused"]) == (1, 0, 0)
+    assert (summary["connections"], summary["cut"], summary["refused"], summary["silent"]) == (1, 0, 0, 0)
 
 
 def test_what_is_slow_to_read_is_not_kept_here(server, connected):
@@ -144,8 +147,43 @@ def test_a_target_that_is_not_there_is_counted():
         with relay(probe.getsockname()[1]) as made:
             with socket.create_connection(("127.0.0.1", made.endpoint.port)) as client:
                 client.settimeout(PATIENCE_S)
+                client.sendall(b"!")
                 assert client.recv(1) == b""
             until(lambda: made.refused == 1)
+    assert made.silent == 0
+
+
+@pytest.mark.parametrize("leave", ["close", "half-close", "reset", "reset while its bytes are held back"])
+def test_the_target_hears_nothing_of_a_client_that_sent_nothing(server, connected, leave):
+    held = leave.endswith("held back")
+    with relay(server.getsockname()[1], *(["delay:1h,to=cfs"] if held else [])) as made:
+        with socket.create_connection(("127.0.0.1", made.endpoint.port)) as scan:
+            until(lambda: made._open)
+            if held:
+                scan.sendall(b"!")
+                until(lambda: made._open[0].pipes[0].waiting)
+            if leave.startswith("reset"):
+                scan.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            if leave == "half-close":
+                scan.shutdown(socket.SHUT_WR)
+                scan.settimeout(PATIENCE_S)
+                assert scan.recv(1) == b""
+        until(lambda: not made._open)
+        assert made.silent == 1
+        server.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            server.accept()
+
+
+def test_bytes_before_the_end_reach_the_target_though_the_client_has_left(server):
+    with relay(server.getsockname()[1], "delay:50ms,to=cfs") as made:
+        with socket.create_connection(("127.0.0.1", made.endpoint.port)) as client:
+            client.sendall(b"all of it")
+        accepted, _ = server.accept()
+        with accepted:
+            accepted.settimeout(PATIENCE_S)
+            assert read_all(accepted) == b"all of it"
+    assert (made.connections, made.silent) == (1, 0)
 
 
 def test_racs2_bridges_through_it():
