@@ -19,6 +19,10 @@ OWN: Final = "Options"
 _WIDEST: Final = 100
 _NAMES: Final = 26
 """Columns for the names of options."""
+_OTHERS: Final = "Others"
+"""Heading of a command's own options that are named only."""
+_FEWEST: Final = 5
+"""So many options of its own are explained on the smallest screen."""
 _RESERVE: Final = 2
 """Lines for the shell's prompt below a help text."""
 
@@ -35,7 +39,9 @@ def command_help(command: Any, ctx: Any, *, everything: bool = False) -> str:
 
     Where the text would be longer than the screen, options that belong together are listed by their names
     only: the last ones first. A command's own options are always explained, if need be in their first words.
-    So are the commands of a group; if they are still too many, the first under each heading.
+    So are the commands of a group; if they are still too many, the first under each heading. On a screen that
+    is smaller still, only the first paragraph says what a command does, one line names what belongs together,
+    and the last of a command's own options are named only.
 
     Args:
         command: click's object.
@@ -48,9 +54,9 @@ def command_help(command: Any, ctx: Any, *, everything: bool = False) -> str:
     inner = _inner(command)
     left = [name for name in groups if (groups[name][0].names not in inner if inner else name != OWN)]
     folded: list[str] = []
-    brief = False
+    brief = tight = False
     while True:
-        lines = list(_lines(command, ctx, groups, folded, width, brief=brief))
+        lines = list(_lines(command, ctx, groups, folded, width, brief=brief, tight=tight))
         if everything or not terminal.interactive or len(lines) <= height:
             break
         if left:
@@ -59,6 +65,13 @@ def command_help(command: Any, ctx: Any, *, everything: bool = False) -> str:
             groups = {**groups, OWN: [_shortened(entry) for entry in groups[OWN]]}
         elif inner and not brief:
             brief = True
+        elif not inner and not tight:
+            tight = True
+        elif not inner and len(groups[OWN]) > _FEWEST:
+            last = next(entry for entry in reversed(groups[OWN]) if entry.names.startswith("-"))
+            groups = {**groups, OWN: [entry for entry in groups[OWN] if entry is not last]}
+            groups[_OTHERS] = [last, *groups.get(_OTHERS, ())]
+            folded = [_OTHERS, *(name for name in folded if name != _OTHERS)]
         else:
             break
     if not terminal.colour:
@@ -122,10 +135,12 @@ def _lines(
     width: int,
     *,
     brief: bool,
+    tight: bool,
 ) -> Iterator[str]:
     usage = " ".join([ctx.command_path, *command.collect_usage_pieces(ctx)])
     yield from textwrap.wrap(f"Usage: {usage}", width, subsequent_indent="  ")
-    for paragraph in (command.help or "").split("\n\n"):
+    paragraphs = (command.help or "").split("\n\n")
+    for paragraph in paragraphs[:1] if tight else paragraphs:
         yield ""
         yield from textwrap.wrap(" ".join(paragraph.split()), width)
     commands = {name: group for name, group in groups.items() if group[0].names in _inner(command)}
@@ -144,7 +159,14 @@ def _lines(
         for heading in [name for name in groups if name in folded]:
             short = ", ".join(item.names.partition(", ")[0].partition(" ")[0] for item in groups[heading])
             start = f"{'' if commands else '  '}{heading} "
-            yield from textwrap.wrap(f"{start:<{column}}{short}", width, subsequent_indent=" " * column)
+            yield from textwrap.wrap(
+                f"{start:<{column}}{short}",
+                width,
+                subsequent_indent=" " * column,
+                max_lines=1 if tight else None,
+                placeholder=" ...",
+                break_on_hyphens=False,
+            )
     if command.epilog:
         yield from [] if folded else [""]
         yield from textwrap.wrap(command.epilog, width)

@@ -71,6 +71,19 @@ def test_no_option_is_missing_on_a_terminal(path, shown):
         assert item.param_type_name == "argument" or there.intersection(item.opts), item.name
 
 
+@pytest.mark.parametrize("path", TREE)
+def test_a_screen_of_24_rows_has_the_most_usual_options_and_every_heading(path, shown):
+    lines = shown(path, interactive=True, rows=24)
+    assert len(lines) <= 22
+    assert max(map(len, lines)) <= COLUMNS
+    command, context = TREE[path]
+    for heading in usage.sections(command, context):
+        assert any(line.strip().startswith(heading) for line in lines), heading
+    for item in command.get_params(context):
+        if item.param_type_name == "argument":
+            assert any(line.strip().startswith(item.make_metavar(context)) for line in lines), item.name
+
+
 def test_the_list_of_commands_fits_a_small_screen(shown, monkeypatch):
     lines = shown("edoras", interactive=True, rows=24)
     assert len(lines) <= 22
