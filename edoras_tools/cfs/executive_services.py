@@ -20,10 +20,15 @@ STARTS: Final = {
     "CI_LAB_APP": ("/cf/ci_lab.so", "CI_LAB_AppMain"),
     "TO_LAB_APP": ("/cf/to_lab.so", "TO_LAB_AppMain"),
     "SCH_LAB_APP": ("/cf/sch_lab.so", "SCH_LAB_AppMain"),
+    "CI_LAB": ("/cf/ci_lab.so", "CI_LAB_AppMain"),
+    "TO_LAB": ("/cf/to_lab.so", "TO_LAB_AppMain"),
     "SBN": ("/cf/sbn.so", "SBN_AppMain"),
     "EDORAS_APP": ("/cf/edoras_app.so", "EdorasAppMain"),
 }
-"""Application to its file and its entry point, as the usual ``cfe_es_startup.scr`` names them."""
+"""Application to its file and its entry point, as the usual ``cfe_es_startup.scr`` names them.
+
+CI_LAB and TO_LAB are names of cFS 7.
+"""
 USUAL_STACK_BYTES: Final = 65536
 USUAL_PRIORITY: Final = 50
 RESTART_TYPES: Final = frozenset({1, 2})

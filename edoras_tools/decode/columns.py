@@ -181,7 +181,12 @@ class _Pass:
         self.present = set(np.flatnonzero(np.bincount(link)).tolist())
         for item in self.context.links:
             if item.receive_buffer and int(item) in self.present:
-                self.mark(item.over_receive_buffer, (link == item) & (length > item.receive_buffer))
+                over = np.flatnonzero((link == item) & (length > item.receive_buffer))
+                if item.to_cfs:  # cFS takes what the header says: what is cut behind that is no loss
+                    head = gather(self.batch.data, self.batch.offset[over], ccsds.PRIMARY.size)
+                    total = ccsds.PRIMARY.column("packet_data_length", head) + ccsds.LENGTH_BIAS
+                    over = over[total > item.receive_buffer]
+                self.out["findings"][over] |= np.uint32(item.over_receive_buffer)
         return self.locate()
 
     def finish(self, start: NDArray[np.int32]) -> Columns:

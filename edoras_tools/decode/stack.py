@@ -87,7 +87,9 @@ class _Dissection(Reading):
 
     def run(self) -> None:
         """Go through the layers, outermost first."""
-        if self.link.receive_buffer and len(self.data) > self.link.receive_buffer:
+        room = self.link.receive_buffer
+        # cFS takes what the header says: what is cut behind that is no loss.
+        if room and len(self.data) > room and not (self.link.to_cfs and length_of(self.data) <= room):
             self.findings |= self.link.over_receive_buffer
         start = protocol(self.link).dissect(self, self.context)
         if start is not None:

@@ -363,6 +363,19 @@ class Case:
             if (not apps or item.app in apps) and (not wanted or item.event_id in wanted)
         ]
 
+    @cached_property
+    def _names(self) -> dict[str, str]:
+        """Names that applications have elsewhere to those that this cFS gives them in its events."""
+        heard = {item.app for item in self.payloads.events}
+        both = command_ingest.NAMES, telemetry_output.NAMES
+        return {usual: other for usual, other in both if other in heard and usual not in heard}
+
+    def called(self, text: str) -> str:
+        """Return a text with applications named as this cFS does."""
+        for usual, other in self._names.items():
+            text = text.replace(usual, other)
+        return text
+
     def suppressed(self, span: tuple[int, int]) -> EventRecord | None:
         """Return the event by which Telemetry Output says that its socket failed, and it sends no more."""
         said = self.said(span[0] - SECOND, span[1] + SECOND, *telemetry_output.NAMES)

@@ -351,7 +351,7 @@ class Examination:
                 samples=self._samples.named(self.context.endpoints),
             )
         case = Case(self._recorder, self.profile, capture, proxied(faults))
-        found = judge(case, self.progress)
+        found = [_called(item, case) for item in judge(case, self.progress)]
         spans = [(item.first_ns, item.last_ns) for item in capture.files]
         spans += [(item.first_ns, item.last_ns) for item in capture.ground]
         spans += [(item.writer.first_ns, item.writer.last_ns) for item in capture.samples]
@@ -366,12 +366,24 @@ class Examination:
             end_ns=max((end_ns for _, end_ns in spans), default=case.end_ns),
             capture=capture,
             case=case if keep else None,
-            balance=(*(balance(case) if len(case.rows) else ()), *sample_rows(capture)),
+            balance=(
+                *(
+                    replace(row, hop=case.called(row.hop))
+                    for row in (balance(case) if len(case.rows) else ())
+                ),
+                *sample_rows(capture),
+            ),
             unnamed=tuple(unnamed(case.prepared.flows)),
             left_out=self._recorder.left_out + case.prepared.foreign + capture.cut - followed - frames - made,
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
             missing=self._missing(case),
         )
+
+
+def _called(verdict: Verdict, case: Case) -> Verdict:
+    """Return a verdict that names applications as the cFS of the capture does."""
+    reason, remedy = case.called(verdict.reason), case.called(verdict.remedy)
+    return replace(verdict, reason=reason, remedy=remedy, hop=verdict.hop and case.called(verdict.hop))
 
 
 def _at_once(judging: Callable[[], Diagnosis]) -> Callable[[], Diagnosis]:

@@ -316,6 +316,29 @@ def ci_cut(lab, tmp_path, msg_id):
     return lab.examine(lab.merged(lab.simulate()[0], command(lab, 5, 0x1827, bytes(800))))
 
 
+@pytest.mark.parametrize(
+    ("size", "length_field", "cut"), [(768, 800, 0), (769, 769, 1), (1400, 1400, 1), (1400, 2000, 1)]
+)
+def test_what_ci_cuts_is_what_the_header_says_of_more_than_it_holds(lab, size, length_field, cut):
+    _over(lab, size, length_field, cut)
+
+
+@pytest.mark.parametrize("length_field", [8, 76, 768])
+def test_a_datagram_that_is_longer_than_its_packet_loses_nothing_in_ci(lab, length_field):
+    """CI hands the packet on as its header says; the software bus takes so many bytes."""
+    bad = _over(lab, 1400, length_field, 0)
+    assert [(item.severity, item.lost) for item in bad] == [(Severity.WARNING, None)]
+
+
+def _over(lab, size, length_field, cut):
+    packet = bytearray(cfe.emit_command(0x1827, 1, bytes(size - 8)))
+    packet[4:6] = (length_field - 7).to_bytes(2, "big")
+    found = lab.examine(lab.merged(lab.simulate()[0], command(lab, 5, 0, data=bytes(packet))))
+    told = [item.lost for item in found.verdicts if item.rule == "ci_cut"]
+    assert sum(told) == cut
+    return [item for item in found.verdicts if item.rule == "bad_command"]
+
+
 @case
 def ci_backlog(lab, tmp_path, msg_id):
     return lab.examine(lab.simulate(hz=40.0, seconds=20)[0])
@@ -877,11 +900,15 @@ def test_what_command_ingest_of_cfs_7_refuses_is_told_by_its_own_words(lab):
         for line in item.evidence
         if "CI_LAB 8:" in line
     ]
+    # Packet 60 is as long, and its header says 8 bytes: the application reports its no-op.
     assert sorted(dropped) == [
+        (1, "cmd dropped - length mismatch, 1008 (hdr) / 768 (packet)"),
         (1, "cmd dropped - length mismatch, 20 (hdr) / 8 (packet)"),
         (1, "cmd dropped, bad packet length=7"),
-        (2, "cmd dropped - length mismatch, 1008 (hdr) / 768 (packet)"),
     ]
+    names = {item.hop for item in found.verdicts} | {row.hop for row in found.balance}
+    assert names & {"CI_LAB", "CI_LAB_APP"} == {"CI_LAB"}
+    assert not any("_LAB_APP" in item.remedy + item.reason for item in found.verdicts)
     assert "Invalid MsgId(0x0)" in next(
         item.evidence[1] for item in told["bad_command"] if item.msg_id == 0x2827
     )

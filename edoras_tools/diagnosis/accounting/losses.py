@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from edoras_tools.cfs import sbn, telemetry_output
+from edoras_tools.cfs import command_ingest, sbn, telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays.proxied import UNTOUCHED
 from edoras_tools.diagnosis.matching.spans import Comb, Span, comb, spans
@@ -56,7 +56,8 @@ COUNTER_NAMES: Final[Mapping[PipeKind, str]] = {"limit": "MsgLimit", "overflow":
 PIPE_EVENTS: Final[Mapping[PipeKind, int]] = {"limit": 17, "overflow": 25}
 """The event of CFE_SB that names it."""
 APP: Final = "application pipe"
-CI_SOCKET: Final = "CI_LAB_APP socket"
+CI_SOCKETS: Final = tuple(f"{name} socket" for name in command_ingest.NAMES)
+CI_SOCKET: Final = CI_SOCKETS[0]
 BEFORE_CI: Final = "network before CI"
 SBN_SOCKET: Final = "SBN socket"
 BEHIND: Final = "between cFS and the capture"

@@ -123,7 +123,7 @@ _BAD_COMMANDS: Final = (
     BadCommandKind(
         Finding.LENGTH_MISMATCH,
         "packet data length disagrees with the datagram",
-        "accepted silently; what is missing is what CI's buffer held before",
+        "accepted silently; bytes that it lacks are what CI's buffer held before",
         False,
         refused_7=True,
     ),

@@ -228,11 +228,14 @@ def app_outage(case: Case) -> Iterator[Verdict]:
                 loss,
                 f"{lost_at(case, loss, 'commands')}: {_KINDS[loss.kind]}",
                 link="ci" if loss.stream is None else loss.stream.link.label,
-                remedy=_remedy(case, loss.hop),
+                remedy=_remedy(case, case.called(loss.hop)),
             )
     for item in case.outages:
         end_ns = item.end_ns if item.end_ns is not None else case.end_ns
-        if any(loss.hop == item.app and loss.start_ns <= end_ns + case.profile.ci_wake_ns for loss in told):
+        if any(
+            case.called(loss.hop) == item.app and loss.start_ns <= end_ns + case.profile.ci_wake_ns
+            for loss in told
+        ):
             continue
         back = (
             f"started again at {case.at(item.end_ns)}"
@@ -251,7 +254,7 @@ def app_outage(case: Case) -> Iterator[Verdict]:
         )
 
 
-def _remedy(case: Case, app: str | None) -> str:
+def _remedy(case: Case, app: str) -> str:
     """Return what helps: to start it again where it still does not run."""
     last = next((item for item in reversed(case.outages) if item.app == app), None)
     if app not in STARTS or last is None or last.end_ns is not None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import command_ingest
-from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
+from edoras_tools.diagnosis.accounting.losses import CI_SOCKETS
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
@@ -101,7 +101,7 @@ class Judge:
             taken = max(1, round((sent - by_cfs) / max(1, sent) * rate_hz * period_ns / SECOND))
             measured = replace(self._profile, app_msg_limit=taken)
             main = _main(self._divided(observer.diagnose(measured))[0]) or main
-        not_ingested = sum(verdict.lost or 0 for verdict in ours if verdict.hop == CI_SOCKET)
+        not_ingested = sum(verdict.lost or 0 for verdict in ours if verdict.hop in CI_SOCKETS)
         altered = (after.arrived - before.arrived) - (after.whole - before.whole)
         lost = min(sent, by_cfs + altered)
         hop = reason = ""
