@@ -17,7 +17,11 @@ PACKAGE = ROOT / "edoras_tools"
 
 SAME = (
     ("checksum", "diagnosis/rules/security.py wire/cfe.py", "the rule, named as its verdicts are"),
-    ("host_drops", "diagnosis/rules/ingest.py diagnosis/evidence/host.py", "the rule, and what it judges"),
+    (
+        "host_drops",
+        "diagnosis/rules/ingest.py diagnosis/evidence/uncaptured.py",
+        "the rule, and what it judges",
+    ),
     ("open_graph", "middleware/*", "what every middleware has, and what chooses one"),
     ("emit", "wire/*", "written and read through the header's module: ccsds.emit, sbn.emit"),
     ("live_table", "render/*", "the view of a command while it runs"),

@@ -278,7 +278,7 @@ def report(
     """Write one HTML page: runs over time, trends of losses and latencies, the worst of both."""
     from edoras_tools.io.outputs import check_new
     from edoras_tools.pipelines.archive.index import open_index
-    from edoras_tools.pipelines.archive.trends import write_archive_report
+    from edoras_tools.pipelines.archive.questions import write_archive_report
     from edoras_tools.render.doctor.report import Made
 
     check_new(output, [index], force=force)

@@ -184,8 +184,7 @@ def _list_lost(
     printing: options.PrintOptions,
     jobs: int,
 ) -> None:
-    from edoras_tools.pipelines.doctor.doctor import Pace, examine
-    from edoras_tools.pipelines.doctor.missing import list_missing
+    from edoras_tools.pipelines.doctor.doctor import Pace, examine, list_missing
 
     files = given.paths
     if not files or any(str(item) == "-" for item in files):
@@ -239,7 +238,7 @@ def _predict(settings: Settings, profile: SimProfile, scope: Scope, *, json: boo
 def _compare(
     settings: Settings, scope: Scope, files: list[Path], against: Path, printing: options.PrintOptions
 ) -> None:
-    from edoras_tools.pipelines.doctor.compare import diff
+    from edoras_tools.pipelines.doctor.against import diff
     from edoras_tools.pipelines.workbench import open_files
 
     if not files:
@@ -267,7 +266,7 @@ def _compare_bags(
     settings: Settings, scope: Scope, given: InputOptions, bags: list[Path], printing: options.PrintOptions
 ) -> None:
     from edoras_tools.diagnosis.chains import Chain, chains
-    from edoras_tools.pipelines.doctor.bags import against_bag, against_capture, bridge_counts
+    from edoras_tools.pipelines.doctor.against import against_bag, against_capture, bridge_counts
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
 
     files = given.paths

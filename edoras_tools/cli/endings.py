@@ -84,7 +84,7 @@ def lost(source: Source) -> None:
     statistics = source.statistics
     lines = statistics.warnings
     if statistics.outages:
-        from edoras_tools.render.capture.outage import outage_lines
+        from edoras_tools.render.capture.host import outage_lines
 
         lines = [*lines, *outage_lines(statistics.outages)]
     for line in lines:

@@ -218,7 +218,7 @@ def _opened(given: LiveOptions, bench: Workbench, *, every_port: bool) -> Source
 
 
 def _tell(outage: InterfaceOutage) -> None:
-    from edoras_tools.render.capture.outage import outage_news
+    from edoras_tools.render.capture.host import outage_news
 
     tell(outage_news(outage))
 

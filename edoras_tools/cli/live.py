@@ -332,7 +332,7 @@ def _keyboard(
         return
     from edoras_tools.pipelines.live.keys import HELP
     from edoras_tools.pipelines.sending.keys import Keys
-    from edoras_tools.render.bridge.playback import playback_line
+    from edoras_tools.render.bridge.foxglove import playback_line
 
     def show(state: PlaybackState) -> None:
         line = playback_line(state, player.range_ns, len(sink.server.clients), waiting=player.waiting)

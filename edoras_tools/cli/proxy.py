@@ -202,7 +202,7 @@ def _relay_streams(
 
 def _opened(plan: ProxyPlan, bench: Workbench, goal: Target | None, show: Show | None) -> Proxy:
     """Bind the ports, then start the recording and the Foxglove server."""
-    from edoras_tools.pipelines.faults.where import compiler
+    from edoras_tools.pipelines.faults.scenario import compiler
     from edoras_tools.pipelines.proxy.run import Proxy
 
     if goal is None and show is None:

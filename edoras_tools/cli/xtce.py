@@ -38,7 +38,7 @@ def xtce(
     Of the missions that -c names and the C structs of --structs: telemetry of Telemetry Output and of cFE
     itself, field by field; commands to Command Ingest of fixed size.
     """
-    from edoras_tools.pipelines.xtce import describe_packets
+    from edoras_tools.pipelines.codegen import describe_packets
     from edoras_tools.words import plural
 
     output = recordings.text_output(output, force=force)

@@ -27,10 +27,10 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from edoras_tools.diagnosis.accounting.closed import Unheard
     from edoras_tools.diagnosis.accounting.commands import Refused
     from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.accounting.losses import Loss, LossKind
-    from edoras_tools.diagnosis.accounting.unheard import Unheard
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
 

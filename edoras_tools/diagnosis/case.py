@@ -14,19 +14,23 @@ from edoras_tools.cfs.commands import inject_line
 from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.accounting.bus import Telemetry
 from edoras_tools.diagnosis.accounting.claims import Counts
+from edoras_tools.diagnosis.accounting.closed import Unheard, unheard
 from edoras_tools.diagnosis.accounting.commands import Commands, Refused
 from edoras_tools.diagnosis.accounting.ingest import Ingest, Sources, ingests, kernel_accounts
 from edoras_tools.diagnosis.accounting.losses import Known, Loss
 from edoras_tools.diagnosis.accounting.stops import Outage, outages
-from edoras_tools.diagnosis.accounting.unheard import Unheard, unheard
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
-from edoras_tools.diagnosis.evidence.counters import Track, tracks
-from edoras_tools.diagnosis.evidence.events import LossEvents, ReportedLoss, reported_losses
-from edoras_tools.diagnosis.evidence.holes import find_holes
-from edoras_tools.diagnosis.evidence.host import HostDrops, host_drops
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
+from edoras_tools.diagnosis.evidence.loss_reports import (
+    LossEvents,
+    ReportedLoss,
+    Track,
+    reported_losses,
+    tracks,
+)
 from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
+from edoras_tools.diagnosis.evidence.uncaptured import HostDrops, find_holes, host_drops
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.streams import Stream, find_robots, find_streams
 from edoras_tools.links.table import among

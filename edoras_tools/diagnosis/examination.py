@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from edoras_tools.decode import Context
-    from edoras_tools.diagnosis.choice import Choice
+    from edoras_tools.diagnosis.verdict import Choice
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.sessions.faults.fault import Fault
 

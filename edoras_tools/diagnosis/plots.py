@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.choice import Choice
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.diagnosis.verdict import Choice
 
 _BINS: Final = 240
 _MOST_POINTS: Final = 1500

@@ -1,4 +1,4 @@
-"""What a diagnosis says: one verdict per rule, route and span of time."""
+"""What a diagnosis says: one verdict per rule, route and span of time; and what of it is shown."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable  # noqa: TC003  for readers of the signatur
 from dataclasses import dataclass
 from enum import IntEnum
 from itertools import groupby
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Protocol
 
 Confidence = Literal["high", "medium", "low"]
 
@@ -138,3 +138,26 @@ def alike(groups: Iterable[list[Verdict]]) -> list[list[list[Verdict]]]:
     for members in groups:
         found.setdefault((members[0].severity, members[0].rule), []).append(members)
     return list(found.values())
+
+
+class Takes(Protocol):
+    """Tells whether what concerns a link's label and a MsgId, None where unknown, is shown.
+
+    Samples of DDS have a topic and no MsgId.
+    """
+
+    def __call__(self, link: str | None, msg_id: int | None, topic: str = "", /) -> bool:
+        """See the class."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Which links, MsgIds and topics of DDS are shown.
+
+    Attributes:
+        text: how people are told of it.
+        takes: tells what is shown.
+    """
+
+    text: str
+    takes: Takes

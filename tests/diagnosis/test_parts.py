@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.accounting.budget import limit, predict
 from edoras_tools.diagnosis.evidence import fingerprint
-from edoras_tools.diagnosis.evidence.counters import Track
-from edoras_tools.diagnosis.evidence.events import parse_loss_event
+from edoras_tools.diagnosis.evidence.loss_reports import Track, parse_loss_event
 from edoras_tools.diagnosis.evidence.payloads import EventRecord
 from edoras_tools.diagnosis.matching.spans import comb
 from edoras_tools.diagnosis.matching.streams import find_streams

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.evidence.counters import Track
+    from edoras_tools.diagnosis.evidence.loss_reports import Track
 
 
 @dataclass(slots=True)

@@ -1,7 +1,13 @@
-"""When the way out of a telemetry stream was closed, so that what is missing then was not sent."""
+"""What cFS sent where nobody heard it: ways out of a telemetry stream that were closed, and silent SBN peers.
+
+1. What is missing while the way out of a stream was closed was not sent.
+2. A peer that cFS gave up for its silence heard nothing since its last datagram: what was sent to it is lost.
+3. One that is silent when the capture ends may be there or not: what was sent since is unaccounted for.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,6 +24,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.losses import Known
     from edoras_tools.diagnosis.matching.streams import Stream
+
 
 _SILENT_WAKES: Final = 5
 _STOPS_NS: Final = 3 * SECOND
@@ -119,4 +126,43 @@ def silences(sent_ns: NDArray[np.int64], enabled_ns: Sequence[int], wake_ns: int
         inside = [when for when in enabled_ns if start_ns < when < end_ns]
         if inside and min(inside) > end_ns - _SILENT_WAKES * wake_ns:
             found.append((start_ns, end_ns))
+    return found
+
+
+@dataclass(slots=True)
+class Unheard:
+    """Messages of one stream that were sent to a silent peer.
+
+    Attributes:
+        peer: who, as ``66:3``.
+        lost: how many, to one that was given up.
+        unaccounted: how many, to one that was silent when the capture ended.
+        rows: those that are lost, as indices into the stream's rows.
+    """
+
+    peer: str
+    lost: int = 0
+    unaccounted: int = 0
+    rows: list[int] = field(default_factory=list)
+
+
+def unheard(known: Known) -> dict[int, Unheard]:
+    """Return it by the id of the stream; a stream is there if its peer was silent at all."""
+    found: dict[int, Unheard] = {}
+    party = known.network.party
+    for (peer, observer), connection in known.network.connections.items():
+        silences = list(connection.silences(known.end_ns))
+        for stream in known.streams:
+            ends = party(stream.receiver), party(stream.sender)
+            if not silences or not stream.link.peers or ends != (peer, observer):
+                continue
+            item = found.setdefault(id(stream), Unheard(connection.peer))
+            times = known.captured(stream)
+            for silence in silences:
+                inside = np.flatnonzero((times > silence.start_ns) & (times < silence.until_ns)).tolist()
+                if silence.given_up:
+                    item.lost += len(inside)
+                    item.rows += inside
+                else:
+                    item.unaccounted += len(inside)
     return found

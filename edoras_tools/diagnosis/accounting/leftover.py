@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.accounting.losses import Known, PipeKind
     from edoras_tools.diagnosis.accounting.pipes import Pipes
-    from edoras_tools.diagnosis.evidence.events import LossEvents, ReportedLoss
+    from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss
     from edoras_tools.diagnosis.matching.spans import Span
     from edoras_tools.diagnosis.matching.streams import Stream
 

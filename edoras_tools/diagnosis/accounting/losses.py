@@ -26,9 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.diagnosis.evidence.counters import Track
-    from edoras_tools.diagnosis.evidence.events import LossEvents, ReportedLoss
     from edoras_tools.diagnosis.evidence.instances import Instances
+    from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss, Track
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.peers import Network
     from edoras_tools.diagnosis.evidence.relays.proxied import Proxied, RouteWay

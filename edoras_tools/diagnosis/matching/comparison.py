@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.choice import Choice
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
+    from edoras_tools.diagnosis.verdict import Choice
     from edoras_tools.mission import Mission
     from edoras_tools.model import Link
 

@@ -8,7 +8,7 @@ from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.event_services import SQUELCHED, EventType
 from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
 from edoras_tools.diagnosis.accounting.losses import LEAD_NS
-from edoras_tools.diagnosis.evidence.events import parse_loss_event
+from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.emulator.bridges import GroundOperator
 from edoras_tools.emulator.robots import Arm, Rover
 from edoras_tools.errors import WireError
+from edoras_tools.io.foxglove.publishing import Publisher
 from edoras_tools.middleware import Qos
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from edoras_tools.emulator.robots import Robot
     from edoras_tools.middleware import Graph
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.demo.scheduler import CallScheduler
     from edoras_tools.pipelines.demo.trace import Leg
     from edoras_tools.ros import TypeStore
+
 
 _GIVES_WAY_NS: Final = 5 * SECOND
 """After a command of another node, the ground station sends none to that robot for this time."""
@@ -239,3 +241,13 @@ def make_robot(lane: Lane, index: int) -> Robot:
     """Return the robot of a lane."""
     now = time.time_ns()
     return Rover(now=now, y=float(index)) if "Twist" in lane.command.type else Arm(now=now, name=lane.robot)
+
+
+def commands(lanes: Sequence[Lane], types: TypeStore, graph: Graph) -> Publisher:
+    """Return a publisher that accepts the robots' commands and publishes them in the graph."""
+    topics = ", ".join(lane.command.topic for lane in lanes)
+    publisher = Publisher(types, lambda topic: f"{topic} is not a command topic; there are {topics}")
+    for lane in lanes:
+        topic, type_name = lane.command.topic, lane.command.type
+        publisher.accept(topic, type_name, graph.advertise(topic, type_name, Qos()))
+    return publisher

@@ -21,8 +21,7 @@ from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
 from edoras_tools.pipelines.bridge.run import Bridges
 from edoras_tools.pipelines.capture.record import Target, check_output
-from edoras_tools.pipelines.demo.nodes import AppRobot, GroundStation, RobotNode, make_robot
-from edoras_tools.pipelines.demo.publish import commands
+from edoras_tools.pipelines.demo.nodes import AppRobot, GroundStation, RobotNode, commands, make_robot
 from edoras_tools.pipelines.demo.router import router
 from edoras_tools.pipelines.demo.scene import (
     LAYOUTS,

@@ -7,13 +7,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.decode import Dissector
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.io.forked import Later
 from edoras_tools.io.formats.cfe.contents import message_limits, network_peers
-from edoras_tools.io.formats.merge import recorded_faults, recorded_host
+from edoras_tools.io.formats.jsonl.writer import json_value
+from edoras_tools.io.formats.merge import follow_streams, recorded_faults, recorded_host
 from edoras_tools.pipelines.clocks import OneByOne
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.jobs import jobs_for
@@ -23,10 +27,12 @@ from edoras_tools.words import did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from edoras_tools.diagnosis.missing import Missing
     from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.info import Counting
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress, Watcher
+
 
 _TABLES: Final = {"to_limits": message_limits, "sbn_table": network_peers}
 """The constants that are read from a file: an image of a table."""
@@ -241,3 +247,35 @@ def profile_with(constants: Sequence[str]) -> SimProfile:
         except ValueError:
             raise ConfigError(f"constant {text!r}: {value!r} is not a whole number; write {name}=8") from None
     return replace(profile, **changes)
+
+
+def list_missing(
+    diagnosis: Diagnosis,
+    source: Source,
+    bench: Workbench,
+    progress: Progress | None = None,
+) -> list[Missing]:
+    """Return the messages that were lost, with the values of those that the capture contains.
+
+    Args:
+        diagnosis: of the capture, with what is missing.
+        source: the same capture again, for the values; it is closed.
+        bench: decodes them.
+        progress: updated while the source is read.
+    """
+    choice = diagnosis.choice
+    found = [item for item in diagnosis.missing if choice is None or choice.takes(*item.concerns)]
+    wanted = {item.number: place for place, item in enumerate(found) if item.number is not None}
+    dissector = Dissector(bench.columns.context, detail=False)
+    follow_streams(source, bench.columns.context.framings)
+    try:
+        for batch in source.batches() if wanted else ():
+            if progress is not None:
+                progress.read(source)
+            for row in np.flatnonzero(np.isin(batch.number, list(wanted))).tolist():
+                message = dissector.dissect(batch[row]).message
+                place = wanted[int(batch.number[row])]
+                found[place] = replace(found[place], message=json_value(message.values) if message else None)
+    finally:
+        source.close()
+    return found

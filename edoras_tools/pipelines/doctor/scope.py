@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.diagnosis.choice import Choice
+from edoras_tools.diagnosis.verdict import Choice
 from edoras_tools.links import table
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.rtps.reader import named_submessages

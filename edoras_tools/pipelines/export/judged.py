@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.pipelines.clocks import open_aligned
-from edoras_tools.pipelines.doctor.doctor import examine
-from edoras_tools.pipelines.doctor.missing import list_missing
+from edoras_tools.pipelines.doctor.doctor import examine, list_missing
 from edoras_tools.pipelines.export.block import TopicBlock
 from edoras_tools.pipelines.workbench import open_files
 from edoras_tools.ros.cdr.columns import MessageColumns, Ragged

@@ -20,7 +20,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
+from edoras_tools.decode.filters.filter import Where
 from edoras_tools.errors import ConfigError
+from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
 from edoras_tools.mission.fields import suggestion
 from edoras_tools.mission.report import Mistakes, printable
 from edoras_tools.mission.tree import (
@@ -31,15 +35,19 @@ from edoras_tools.mission.tree import (
     Tree,
     parse_document,
 )
+from edoras_tools.model import Datagram, Endpoint, Link
 from edoras_tools.sessions.faults.kinds import FAULT_KINDS
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import make_rule, parse_profile, parse_rule
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
+    from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.faults.rules import Rule
+    from edoras_tools.sessions.faults.scopes import Predicate
+
 
 _SCENARIO_FORM: Final = "a scenario needs faults: with a list, e.g. - drop: 0.1"
 _KEYS: Final = ("seed", "profile", "faults")
@@ -219,3 +227,41 @@ def _text(value: Tree) -> str | None:
         texts = [item.text for item in value.items if isinstance(item, ScalarNode)]
         return "|".join(texts) if texts and len(texts) == len(value.items) else None
     return None
+
+
+def compiler(bench: Workbench) -> Callable[[str], Predicate]:
+    """Return a function that compiles filter expressions to predicates on payloads.
+
+    A fault sees only payloads: fields of frames and addresses have arbitrary values.
+    """
+    ends: dict[Link, Endpoint] = {link: _end(link, bench) for link in bench.columns.context.links}
+
+    def compile_where(text: str) -> Predicate:
+        where = Where(text, bench.columns.context)
+
+        def passes(payload: bytes, link: Link) -> bool:
+            datagram = Datagram(
+                number=0,
+                time_ns=0,
+                link_type=LINKTYPE_RAW,
+                frame=payload,
+                payload=payload,
+                payload_offset=0,
+                original_length=len(payload),
+                source=Endpoint("127.0.0.1", 0),
+                destination=ends[link],
+            )
+            return bool(where.judge([bench.dissector.dissect(datagram)])[0])
+
+        return passes
+
+    return compile_where
+
+
+def _end(link: Link, bench: Workbench) -> Endpoint:
+    """Return a destination that is read as this link: if possible a port that no other link claims."""
+    context = bench.columns.context
+    shared = np.flatnonzero(context.ports[link])
+    alone = [port for port in shared if len(context.claimants[context.claim[port]]) == 1]
+    ports = alone or shared
+    return Endpoint("127.0.0.1", int(ports[0]) if len(ports) else 0)

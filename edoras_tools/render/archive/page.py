@@ -43,7 +43,7 @@ _PARTS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class ArchiveTrends:
-    """What a report shows; rows are as the queries of ``pipelines.archive.trends`` name them.
+    """What a report shows; rows are as the queries of ``pipelines.archive.questions`` name them.
 
     Attributes:
         name: of the index.

@@ -1,4 +1,4 @@
-"""The summary of a Foxglove server as text."""
+"""The summary of a Foxglove server, and the state of its playback, as text."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+
+    from edoras_tools.io.foxglove.playback import PlaybackState
 
 
 def served(summary: Mapping[str, Any]) -> Iterator[str]:
@@ -28,3 +30,23 @@ def served(summary: Mapping[str, Any]) -> Iterator[str]:
         if client["dropped"]:
             of = client["dropped"] + client["sent"] + client["waiting"]
             yield f"{client['address']} was too slow for {client['dropped']:,} of {of:,} messages"
+
+
+def playback_line(state: PlaybackState, range_ns: tuple[int, int], clients: int, *, waiting: bool) -> str:
+    """Return a line such as ``playing 0:12.3 of 1:40.0, 2x, 1 client``.
+
+    Args:
+        range_ns: start and end of the recording, ns since 1970.
+        waiting: whether it waits for the first client.
+    """
+    start, end = range_ns
+    what = "waits for a client at" if waiting else state.status.lower()
+    return (
+        f"{what} {_clock(state.time_ns - start)} of {_clock(end - start)}, {state.speed:g}x, "
+        f"{plural(clients, 'client')}"
+    )
+
+
+def _clock(time_ns: int) -> str:
+    tenths = time_ns // 100_000_000
+    return f"{tenths // 600}:{tenths % 600 / 10:04.1f}"

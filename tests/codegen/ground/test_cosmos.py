@@ -26,9 +26,9 @@ from edoras_tools.codegen.ground.packets import PacketItem, identifier, route_pa
 from edoras_tools.decode import Options
 from edoras_tools.links import table
 from edoras_tools.mission import Route
+from edoras_tools.pipelines.codegen import describe_packets
 from edoras_tools.pipelines.sending.topics import Encoder
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.pipelines.xtce import describe_packets
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import WITH_EXTENDED

@@ -11,8 +11,8 @@ from rewriting import datagrams
 from waiting import HOST, PATIENCE_S, Program, free_ports, until
 from yamcs_server import HERE, WHY, api, asked, yamcs
 
+from edoras_tools.pipelines.codegen import describe_packets
 from edoras_tools.pipelines.sending.topics import Encoder
-from edoras_tools.pipelines.xtce import describe_packets
 from edoras_tools.wire import cfe
 
 INSTANCE = """

@@ -13,9 +13,9 @@ from yamcs_server import HERE, WHY, api, asked, yamcs
 
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.to import TO
+from edoras_tools.pipelines.codegen import describe_packets
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.pipelines.xtce import describe_packets
 
 INSTANCE = """
 services:

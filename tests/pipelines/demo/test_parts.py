@@ -17,8 +17,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.middleware.local import open_graph
 from edoras_tools.mission import load
 from edoras_tools.model import Endpoint, Peer
-from edoras_tools.pipelines.demo.nodes import RobotState
-from edoras_tools.pipelines.demo.publish import commands
+from edoras_tools.pipelines.demo.nodes import RobotState, commands
 from edoras_tools.pipelines.demo.scene import free_ports, lanes_of, profile, write_missions
 from edoras_tools.pipelines.demo.scheduler import CallScheduler
 from edoras_tools.pipelines.demo.trace import Leg, Trace

@@ -17,7 +17,7 @@ from edoras_tools.emulator import Simulation
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
-from edoras_tools.pipelines.doctor.bags import against_bag, against_capture, bridge_counts
+from edoras_tools.pipelines.doctor.against import against_bag, against_capture, bridge_counts
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.workbench import Settings

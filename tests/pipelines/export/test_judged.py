@@ -6,8 +6,7 @@ import pytest
 from places import CAPTURES, MISSIONS
 
 import edoras_tools
-from edoras_tools.pipelines.doctor.doctor import examine
-from edoras_tools.pipelines.doctor.missing import list_missing
+from edoras_tools.pipelines.doctor.doctor import examine, list_missing
 from edoras_tools.pipelines.export.judged import JUDGED
 from edoras_tools.pipelines.export.sources import open_topics
 from edoras_tools.pipelines.workbench import Settings, open_files
