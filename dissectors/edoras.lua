@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "fab32fe778b6b747"
+local DIGEST = "2eb0abbfbda3d966"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -5419,7 +5419,9 @@ end)()
 local edoras = P.edoras
 for _, link in ipairs(D.links) do
 	local what = "Further ports of the link " .. link.doc
-	edoras.prefs[link.label .. "_ports"] = Pref.range(link.name .. " ports", "", what, 65535)
+	if link.label ~= "frames" then  -- what these are like is for a mission to say
+		edoras.prefs[link.label .. "_ports"] = Pref.range(link.name .. " ports", "", what, 65535)
+	end
 end
 edoras.prefs.extended_header = Pref.bool(
 	"Extended header", D.extended_header, "Packets carry cFE's extended header"
@@ -5431,6 +5433,13 @@ edoras.prefs.msg_ids_of_version_2 = Pref.bool(
 	"MsgIds of version 2", D.msg_id_version == 2, "cFE builds MsgIds with the extended header's subsystem"
 )
 
+-- Return the ports of a link, those of its preference among them.
+local function ports_of(label, list)
+	local found = label == "frames" and {} or port_set(edoras.prefs[label .. "_ports"])
+	for _, port in ipairs(list) do found[port] = true end
+	return found
+end
+
 local registered, streams = {}, {}
 local STREAMS = {sbn = "tcp.port", fprime = "tcp.port", racs2 = "ws.port"}  -- where Wireshark looks for who reads what a stream holds
 
@@ -5439,8 +5448,7 @@ local function register_streams()
 	for _, entry in ipairs(streams) do DissectorTable.get(entry[1]):remove(entry[2], entry[3]) end
 	streams = {}
 	for label, list in pairs(D.stream_ports) do
-		stream_ports[label] = port_set(edoras.prefs[label .. "_ports"])
-		for _, port in ipairs(list) do stream_ports[label][port] = true end
+		stream_ports[label] = ports_of(label, list)
 		for port in pairs(STREAMS[label] and stream_ports[label] or {}) do
 			streams[#streams + 1] = {STREAMS[label], port, P[label]}
 			DissectorTable.get(STREAMS[label]):add(port, P[label])
@@ -5459,8 +5467,7 @@ local function register_ports()
 	for port in pairs(registered) do udp:remove(port, edoras) end
 	registered = {}
 	for label in pairs(ports) do
-		ports[label] = port_set(edoras.prefs[label .. "_ports"])
-		for _, port in ipairs(D.ports[label]) do ports[label][port] = true end
+		ports[label] = ports_of(label, D.ports[label])
 		for port in pairs(ports[label]) do registered[port] = true end
 	end
 	for port, name in pairs(D.left) do

@@ -218,9 +218,9 @@ def where(text: str) -> str:
 
 
 def link_port(text: str) -> tuple[Link, int]:
-    """Read ``LINK:PORT``, e.g. ``ci:5010``; 0 for ``rtps:any``."""
+    """Read ``LINK:PORT``, as ``ci:5010``; 0 for ``LINK:any`` of a link that four bytes tell: ``rtps:any``."""
     name, _, port = text.partition(":")
-    if port == "any" and name == "rtps":
+    if port == "any" and len(getattr(link(name), "magic", b"")) == 4:  # the kernel's filter compares as many
         return link(name), 0
     if not port.isdecimal() or not 0 < int(port) < 65536 or name == "other":
         raise typer.BadParameter(f"{text!r} is not LINK:PORT; write ci:5010, to:5011 or sbn:5012")

@@ -259,8 +259,8 @@ class LinkProtocol(Link):
         sender_port: whether the source port is enough where the destination port decides nothing.
         wireshark: name of Wireshark's own dissector, which is left the link's datagrams; empty for ours.
         framing: cuts its messages from TCP streams, where ``transport`` has them.
-        magic: how every datagram of it begins: it is recognised on any port that no other link has; empty
-            where nothing tells so much.
+        magic: how every datagram of it begins: it is recognised on any port that no other link has, and where
+            it is four bytes ``--port LINK:any`` captures it; empty where nothing tells so much.
     """
 
     layouts: ClassVar[tuple[Layout, ...]] = ()
