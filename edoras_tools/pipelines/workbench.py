@@ -55,6 +55,12 @@ class Workbench:
         context = Context(mission, self.types, options, structs)
         return _bench(mission, self.types, context)
 
+    def anew(self) -> Workbench:
+        """Return the same for another source: nothing is read again, and nothing decoded yet is known."""
+        old = self.columns.context
+        context = Context(self.mission, self.types, old.options, old.structs)
+        return _bench(self.mission, self.types, context)
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:

@@ -6,7 +6,6 @@ two groups, so a group can be done again, elsewhere, with the same result.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -27,18 +26,27 @@ from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.diagnosis.balance import Row
+    from edoras_tools.pipelines.doctor.doctor import Findings
     from edoras_tools.pipelines.reading import ReadLoop
-    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.pipelines.workbench import Settings, Workbench
+
+    IndexRows = dict[str, list[dict[str, Any]]]
+    """Name of a table to its rows."""
 
 _MOST_EVENTS: Final = 1_000_000
 """Of one capture; a warning tells of the rest."""
 _HASHED_BYTES: Final = 1 << 20
 READ_WHOLE, READ_IN_PART, NOT_READ, CHANGING = "whole", "cut", "unreadable", "changing"
 """States of a capture."""
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_ROUTE: Final = ("link", "msg_id", "topic", "name")
+_SENDERS: Final = (*_ROUTE, "sender", "receiver", "instance")
+_GONE: Final = ("superseded", "waiting", "not_captured", "unaccounted")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,29 +79,38 @@ class Done:
     misfit: str = ""
 
 
-def fingerprint(settings: Settings) -> str:
+def fingerprint(settings: Settings, bench: Workbench | None = None) -> str:
     """Return a hash of all that decides how a capture is read: options, and the contents of the named files.
+
+    Args:
+        bench: made of the settings, where it is at hand.
 
     Raises:
         EdorasError: a file cannot be read.
     """
-    told = settings.workbench()  # a mistake in a mission is told once, not for each capture
+    bench = bench or settings.workbench()  # a mistake in a mission is told once, not for each capture
     parts: list[Any] = [settings.distro, sorted(settings.options.described().items())]
-    parts += [(name, hashlib.sha256(data).hexdigest()) for name, data in sorted(told.mission.files.items())]
+    parts += [(name, sha256(data).hexdigest()) for name, data in sorted(bench.mission.files.items())]
     for folder in settings.msg_paths:
         files = sorted(item for item in folder.rglob("*") if item.suffix in {".msg", ".idl"})
         parts += [(str(item.relative_to(folder)), _hash(item)) for item in files]
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+    return sha256(json.dumps(parts).encode()).hexdigest()
 
 
 def examine_group(task: Task) -> Done:
     """Read a group of captures; what goes wrong with one is told in its row."""
-    if reason := _misfit(task):
-        return Done({}, misfit=reason)
+    try:
+        bench = task.settings.workbench()
+        here = fingerprint(task.settings, bench)
+    except (EdorasError, OSError) as error:
+        return Done({}, misfit=f"a worker cannot read the mission: {error}")
+    if here != task.fingerprint:
+        misfit = "a worker sees other mission files, or another edoras-tools, than this machine"
+        return Done({}, misfit=misfit)
     same: list[ListedFile] = []
     rows: IndexRows = {table.name: [] for table in TABLES.values()}
     for url, known in task.captures:
-        found = _examined(url, known, task)
+        found = _examined(url, known, task, bench)
         if isinstance(found, ListedFile):
             same.append(found)
             continue
@@ -110,18 +127,7 @@ def failed(urls: Sequence[str], reason: str, fingerprint: str) -> dict[str, Any]
     return {"captures": TABLES["captures"].arrow(rows)}
 
 
-def _misfit(task: Task) -> str:
-    """Return why this worker's results would not fit those of others; empty if they do."""
-    try:
-        own = fingerprint(task.settings)
-    except (EdorasError, OSError) as error:
-        return f"a worker cannot read the mission: {error}"
-    if own != task.fingerprint:
-        return "a worker sees other mission files, or another edoras-tools, than this machine"
-    return ""
-
-
-def _examined(url: str, known: str, task: Task) -> IndexRows | ListedFile:
+def _examined(url: str, known: str, task: Task, bench: Workbench) -> IndexRows | ListedFile:
     """Return the rows of a capture; or what it is now, if its contents are known."""
     digest, before = "", ListedFile(url, -1, "")
     try:
@@ -130,7 +136,7 @@ def _examined(url: str, known: str, task: Task) -> IndexRows | ListedFile:
             digest = _hash(path)
             if digest == known and before == listed_now(url):
                 return before
-            rows = _read(path, url, task.settings)
+            rows = _read(path, url, task.settings, bench)
         changed = f"{url}: changed while it was read; index it again when it is complete"
         state = {} if listed_now(url) == before else _bad(CHANGING, changed)
     except EdorasError as error:
@@ -167,15 +173,19 @@ class _Listening(Counting):
         return kept
 
 
-def _read(path: Path, url: str, settings: Settings) -> IndexRows:
+def _read(path: Path, url: str, settings: Settings, plain: Workbench) -> IndexRows:
     """Read a capture to its end, as far as that is possible.
+
+    Args:
+        plain: what reads a capture that carries no missions, types and options of its own.
 
     Raises:
         EdorasError: nothing of it can be read.
     """
     source = open_file(path, url)
+    own = source.info.attachments or source.info.definitions or source.info.read_with
     try:
-        bench = settings.workbench(source.info)
+        bench = settings.workbench(source.info) if own else plain.anew()
     except EdorasError:
         source.close()
         raise
@@ -191,27 +201,11 @@ def _read(path: Path, url: str, settings: Settings) -> IndexRows:
 
 
 def _hash(path: Path) -> str:
-    digest = hashlib.sha256()
+    digest = sha256()
     with path.open("rb") as file:
         for piece in iter(lambda: file.read(_HASHED_BYTES), b""):
             digest.update(piece)
     return digest.hexdigest()
-
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from edoras_tools.diagnosis.balance import Row
-    from edoras_tools.diagnosis.evidence.payloads import EventRecord
-    from edoras_tools.pipelines.doctor.doctor import Findings
-
-    IndexRows = dict[str, list[dict[str, Any]]]
-    """Name of a table to its rows."""
-
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
-_ROUTE: Final = ("link", "msg_id", "topic", "name")
-_SENDERS: Final = (*_ROUTE, "sender", "receiver", "instance")
-_GONE: Final = ("superseded", "waiting", "not_captured", "unaccounted")
 
 
 def rows_of(

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
 
 _MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 _SLOTS: Final = 18
-"""Bits of the lookup table that is used while distinct values are few."""
+"""Most bits of the lookup table that is used while distinct values are few."""
+_SLOTS_EACH: Final = 3
+"""Bits of it beyond those that number the rows: few rows do not pay for a large table."""
 
 
 def order_by(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
@@ -58,11 +60,12 @@ def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]
     rows = np.arange(len(values))
     least, most = (int(values.min()), int(values.max())) if len(values) else (0, 0)
     size = most - least + 1
-    if size <= 1 << _SLOTS:
+    bits = min(_SLOTS, len(values).bit_length() + _SLOTS_EACH)
+    if size <= 1 << bits:
         place = (values.astype(np.uint64) - np.uint64(least % (1 << 64))).astype(np.intp)
     else:
-        size = 1 << _SLOTS
-        spread = (values.astype(np.uint64) * _MIX) >> np.uint64(64 - _SLOTS)
+        size = 1 << bits
+        spread = (values.astype(np.uint64) * _MIX) >> np.uint64(64 - bits)
         place = spread.astype(np.intp)
     table = np.full(size, -1)
     table[place[::-1]] = rows[::-1]  # of several the last one stays: the first row

@@ -249,6 +249,23 @@ def test_a_file_that_changes_while_it_is_read_has_no_rows(folder, updated, monke
     assert updated(index, folder).report.read == 2, "the next update reads it"
 
 
+def test_captures_of_a_group_are_read_as_if_alone(call, tmp_path):
+    """Also after a recording that carries missions of its own."""
+    call("record", ROVER, "-c", MISSIONS / "rover_ground.yaml", "-o", tmp_path / "own.mcap", "-q")
+    files = [tmp_path / "own.mcap", *(CAPTURES / f"{name}.pcap" for name in (*NAMES, "a_rover"))]
+    plain = Settings()
+    mark = fingerprint(plain)
+    together, *alone = (
+        examine_group(Task(tuple((str(path), "") for path in some), plain, mark)).rows
+        for some in (files, *([path] for path in files))
+    )
+    assert set(together) == {name for own in alone for name in own}
+    for name, rows in together.items():
+        assert rows.to_pylist() == [row for own in alone if name in own for row in own[name].to_pylist()], (
+            name
+        )
+
+
 def test_a_worker_with_another_mission_is_refused(folder, updated, monkeypatch):
     assert "other mission files" in examine_group(Task(((str(ROVER), ""),), SETTINGS, "other")).misfit
     monkeypatch.setattr("edoras_tools.pipelines.archive.update.fingerprint", lambda _settings: "other")
