@@ -1,4 +1,4 @@
-"""Measure the proxy on loopback: added latency, throughput with and without recording, bytes left alone.
+"""Measure the proxy on loopback: throughput with and without recording, bytes left alone.
 
 Sender, proxy and receiver are three processes that share the machine's processors. Called by run.py; alone:
 python benchmarks/proxy.py [--datagrams N]
@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from paths import EDORAS
+from rounds import busy_ns
 
 from edoras_tools.io.net.buffer import make_buffer
 from edoras_tools.io.net.sockets import kernel_drops, open_bound, open_socket
@@ -31,7 +32,6 @@ from edoras_tools.wire.envelope import DEFAULT
 
 LISTEN, TARGET = 47234, 47235
 BYTES, STAMP = 200, slice(68, 76)
-LATENCY_RATE, LATENCY_SECONDS = 10_000, 5
 RATES, RECORDING_RATES, SECONDS = (100_000, 150_000, 200_000, 250_000), (50_000, 75_000, 100_000), 5
 QUIET_S = 1.0
 RANDOM_BLOCK, MOST_BYTES, LARGEST = 1 << 22, 1473, 65507
@@ -135,7 +135,10 @@ def through(
     digests: bool = False,
     by: list[str] | None = None,
 ) -> dict[str, object]:
-    """Send through a proxy, directly, or ``by`` another relay; return what everybody reports."""
+    """Send through a proxy, directly, or ``by`` another relay; return what everybody reports.
+
+    ``busy_s`` is the processor time of the proxy or the other relay while datagrams came.
+    """
     receiver = role("receive", TARGET, int(digests))
     receiver.stdout.readline()
     relay = other = None
@@ -151,8 +154,11 @@ def through(
             text=True,
         )
         relay.stderr.readline()
+    between = relay or other
+    before = busy_ns(between.pid) if between else 0
     sent = json.loads(role(sender[0], TARGET if direct else LISTEN, *sender[1:]).communicate()[0])
     received = json.loads(receiver.communicate()[0])
+    busy_s = (busy_ns(between.pid) - before) / 1e9 if between else 0.0
     report = {}
     if other:
         other.kill()
@@ -160,25 +166,7 @@ def through(
     if relay:
         relay.send_signal(signal.SIGINT)
         report = json.loads(relay.communicate()[0])
-    return {"sent": sent, "received": received, "report": report}
-
-
-def latency() -> dict[str, object]:
-    """What the proxy adds, at a rate that leaves it idle most of the time."""
-    sender = ["stamped", LATENCY_RATE, LATENCY_SECONDS, 1]
-    directly, relayed = through(sender, direct=True), through(sender)
-    before, after = directly["received"], relayed["received"]
-    inside = relayed["report"]["ways"][0]["latency_us"]
-    return {
-        "rate_hz": LATENCY_RATE,
-        "direct_p50_us": before["p50_us"],
-        "relayed_p50_us": after["p50_us"],
-        "added_p50_us": round(after["p50_us"] - before["p50_us"], 1),
-        "added_p99_us": round(after["p99_us"] - before["p99_us"], 1),
-        "inside_p50_us": inside["p50"],
-        "inside_p99_us": inside["p99"],
-        "lost": relayed["sent"]["sent"] - after["received"],
-    }
+    return {"sent": sent, "received": received, "report": report, "busy_s": busy_s}
 
 
 def throughput(folder: Path, *, recording: bool) -> list[dict[str, object]]:
@@ -218,7 +206,6 @@ def byte_exact(datagrams: int) -> dict[str, object]:
 def measure(folder: Path, datagrams: int = 1_000_000) -> dict[str, object]:
     """Measure everything."""
     return {
-        "latency": latency(),
         "throughput": throughput(folder, recording=False),
         "throughput_recording": throughput(folder, recording=True),
         "byte_exact": byte_exact(datagrams),

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 PORT = 47334
 RATES, MANY = (20, 100, 1000, 5000), (50_000,)
+RELAYED = (10_000, 1), (50_000, 1), (50_000, 50)
+"""Datagrams a second, and how many of them are sent at once."""
 SETTLE_S = 2.0
 
 
@@ -156,28 +158,45 @@ def inject(folder: Path) -> dict[str, object]:
 
 
 def relays(folder: Path) -> dict[str, object]:
-    """Latency through the proxy beside a relay in C, and beside no relay, us; recording at the last rate."""
+    """Latency through the proxy and a relay in C, us: what each adds to the direct way, and the whole."""
     relay = folder / "relay"
     compiled = shutil.which("cc")
     if compiled:
         subprocess.run(["cc", "-O2", HERE / "relay.c", "-o", relay], check=True)
 
-    def through(rate: int, *options: str, **how: object) -> dict[str, float]:
-        told = proxy.through(["stamped", rate, 1, max(1, rate // 1000)], *options, **how)
-        received = told["received"]
-        return {"p50_us": received["p50_us"], "p99_us": received["p99_us"]} | {
-            "lost": told["sent"]["sent"] - received["received"]
+    def through(rate: int, at_once: int, *options: str, **how: object) -> dict[str, float]:
+        told = proxy.through(["stamped", rate, 1, at_once], *options, **how)
+        sent, received = told["sent"]["sent"], told["received"]
+        return {
+            "p50_us": received["p50_us"],
+            "p99_us": received["p99_us"],
+            "cpu_us": told["busy_s"] / sent * 1e6,
+            "lost": sent - received["received"],
         }
 
     found: dict[str, object] = {}
-    for rate in (10_000, 50_000):
-        ways = {"direct": partial(through, rate, direct=True), "edoras": partial(through, rate)}
+    for rate, at_once in RELAYED:
+        ways = {"direct": partial(through, rate, at_once, direct=True)}
+        ways["edoras"] = partial(through, rate, at_once)
         if compiled:
-            ways["C relay"] = partial(through, rate, by=[str(relay), str(proxy.LISTEN), str(proxy.TARGET)])
-        if rate == 50_000:
-            ways["edoras recording"] = partial(through, rate, "--force", "-o", str(folder / "relayed.mcap"))
-        found[f"{rate}/s"] = alternated(ways)
+            by = [str(relay), str(proxy.LISTEN), str(proxy.TARGET)]
+            ways["C relay"] = partial(through, rate, at_once, by=by)
+        if rate == RELAYED[-1][0]:
+            recording = ["--force", "-o", str(folder / "relayed.mcap")]
+            ways["edoras recording"] = partial(through, rate, at_once, *recording)
+        found[f"{rate}/s, {at_once} at once"] = with_added(alternated(ways))
     return found | ({} if compiled else {"C relay": "no C compiler"})
+
+
+def with_added(found: dict[str, dict[str, list[float]]]) -> dict[str, object]:
+    """Say first what each way adds to the direct one: least to least, median to median."""
+    for name in found.keys() - {"rounds", "direct"}:
+        added = {}
+        for key in ("p50_us", "p99_us"):
+            pairs = zip(found[name][key], found["direct"][key], strict=True)
+            added[f"added_{key}"] = [round(whole - direct, 1) for whole, direct in pairs]
+        found[name] = {**added, **found[name]}
+    return found
 
 
 def programs(folder: Path) -> dict[str, list[object]]:
