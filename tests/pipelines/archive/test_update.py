@@ -30,6 +30,7 @@ from edoras_tools.pipelines.archive.tables import TABLES
 from edoras_tools.pipelines.archive.update import Update, UpdateReport, _Run, bring_up_to_date
 from edoras_tools.pipelines.archive.work import Task, examine_group, fingerprint
 from edoras_tools.pipelines.capture.info import inspect
+from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings, open_files
 
@@ -249,10 +250,11 @@ def test_a_file_that_changes_while_it_is_read_has_no_rows(folder, updated, monke
     assert updated(index, folder).report.read == 2, "the next update reads it"
 
 
-def test_captures_of_a_group_are_read_as_if_alone(call, tmp_path):
+def test_captures_of_a_group_are_read_as_if_alone(tmp_path):
     """Also after a recording that carries missions of its own."""
-    call("record", ROVER, "-c", MISSIONS / "rover_ground.yaml", "-o", tmp_path / "own.mcap", "-q")
-    files = [tmp_path / "own.mcap", *(CAPTURES / f"{name}.pcap" for name in (*NAMES, "a_rover"))]
+    source, own = open_files([ROVER]), tmp_path / "own.mcap"
+    record(source, SETTINGS.workbench(source.info), Target(own))
+    files = [own, *(CAPTURES / f"{name}.pcap" for name in (*NAMES, "a_rover"))]
     plain = Settings()
     mark = fingerprint(plain)
     together, *alone = (
@@ -260,10 +262,11 @@ def test_captures_of_a_group_are_read_as_if_alone(call, tmp_path):
         for some in (files, *([path] for path in files))
     )
     assert set(together) == {name for own in alone for name in own}
+    assert together["missions"]["capture"].to_pylist() == [str(own)]
     for name, rows in together.items():
-        assert rows.to_pylist() == [row for own in alone if name in own for row in own[name].to_pylist()], (
-            name
-        )
+        assert rows.to_pylist() == [
+            row for other in alone if name in other for row in other[name].to_pylist()
+        ], name
 
 
 def test_a_worker_with_another_mission_is_refused(folder, updated, monkeypatch):
