@@ -255,7 +255,8 @@ class Held:
     def _heads(self) -> NDArray[np.void]:
         heads = np.empty(len(self.rows), HEAD)
         for field in HEADER_FIELDS:
-            heads[field.name] = np.maximum(self._columns(field.name)[self.rows], 0)
+            values = self._columns(field.name)[self.rows]
+            heads[field.name] = values if values.dtype.kind == "u" else np.maximum(values, 0)
         return heads
 
 

@@ -8,7 +8,8 @@ strided copies over all packets; nothing runs in Python per packet.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from itertools import takewhile
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -310,12 +311,23 @@ class StructPlan:
         turn = element if order == "big" else 1
         target = self._room(size, element)
         copies = self._block.copies
-        last = copies[-1] if copies else None
-        follows = last and source - last.source == target - last.target == last.size and last.turn == turn
-        if last is not None and follows:
-            copies[-1] = last._replace(size=last.size + size)
-        else:
-            copies.append(Copy(source, target, size, turn))
+        if copies and turn == copies[-1].turn:
+            last = copies[-1]
+            end = last.target + last.size
+            # One copy goes on over bytes that are written after all copies.
+            joins = target == end or (turn == 1 and target - end == self._later(end))
+            if joins and source - last.source == target - last.target:
+                copies[-1] = last._replace(size=target - last.target + size)
+                return
+        copies.append(Copy(source, target, size, turn))
+
+    def _later(self, start: int) -> int:
+        """Return how many bytes of the block from ``start`` on are not copied, but computed or constant."""
+        block = self._block
+        computed = ((item.target, item.into) for item in reversed(block.bits))
+        constant = ((at, len(value)) for at, value in reversed(block.constants.items()))
+        behind = (takewhile(lambda place: place[0] >= start, places) for places in (computed, constant))
+        return sum(size for places in behind for _, size in places)
 
 
 def _fill(out: NDArray[np.uint8], block: Block, window: NDArray[np.uint8]) -> None:
@@ -327,29 +339,31 @@ def _fill(out: NDArray[np.uint8], block: Block, window: NDArray[np.uint8]) -> No
         out[:, item.target : item.target + item.size] = source
     for bits in block.bits:
         value = _read(bits, window)
-        raw = value.astype("<u8").view(np.uint8).reshape(len(window), 8)
+        raw = value.astype(value.dtype.newbyteorder("<"), copy=False)[:, None].view(np.uint8)
         out[:, bits.target : bits.target + bits.into] = raw[:, : bits.into]
     for place, constant in block.constants.items():
         out[:, place : place + len(constant)] = np.frombuffer(constant, np.uint8)
 
 
-def _read(bits: Bits, window: NDArray[np.uint8]) -> NDArray[np.uint64]:
-    """Return the values of a bit-field, signs extended to 64 bits."""
+def _read(bits: Bits, window: NDArray[np.uint8]) -> NDArray[np.unsignedinteger[Any]]:
+    """Return the values of a bit-field in words that hold it and what is written, signs extended."""
     taken = window[:, bits.source : bits.source + bits.size]
     if bits.order == ">":
         taken = taken[:, ::-1]
-    value: NDArray[np.uint64] = np.zeros(len(window), np.uint64)
+    size = min(1 << (max(bits.size, bits.into) - 1).bit_length(), 8)
+    word = np.dtype(f"u{size}").type
+    value = np.zeros(len(window), word)
     for index in range(bits.size):
-        octet, move = taken[:, index].astype(np.uint64), 8 * index - bits.shift
-        value |= octet << np.uint64(move) if move >= 0 else octet >> np.uint64(-move)
-    if bits.width < 64:
-        value &= np.uint64((1 << bits.width) - 1)
+        octet, move = taken[:, index].astype(word), 8 * index - bits.shift
+        value |= octet << word(move) if move >= 0 else octet >> word(-move)
+    spare = 8 * size - bits.width
+    if spare:
+        value &= word((1 << bits.width) - 1)
     if bits.truth:
-        value = np.minimum(value, np.uint64(1))
-    if bits.signed and bits.width < 64:
-        spare = np.int64(64 - bits.width)
-        extended: NDArray[np.int64] = (value << np.uint64(spare)).view(np.int64) >> spare
-        value = extended.view(np.uint64)
+        value = np.minimum(value, word(1))
+    if bits.signed and spare:
+        extended = (value << word(spare)).view(f"i{size}") >> spare
+        value = extended.view(word)
     return value
 
 

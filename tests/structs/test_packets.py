@@ -152,6 +152,17 @@ def structs_of(text):
     return Context(structs=Structs([parse_layout(text.encode(), "f")]))
 
 
+def test_what_lies_between_values_stays_out_and_truth_is_one():
+    # Filled up where Half stands; nothing between Ok and Next, so those are one copy.
+    members = "{A: uint16, B: uint32, C: uint8, Ok: bool, Next: uint16, D: uint8, Half: bool, E: uint32}"
+    text = f"package: p\nbind: {{0x0890: Gap}}\nstructs: {{Gap: {{members: {members}}}}}\n"
+    bound = structs_of(text).structs.bound_to(0x0890)[0]
+    encoded = bound.encode_one(b"\xff" * bound.size, (0, 0, 0, 0, 0))
+    assert encoded.hex(" ", 1) == " ".join(
+        ["00 01 00 00", *["00"] * 10, "ff ff", "ff ff ff ff", "ff 01 ff ff", "ff 01 00 00", "ff ff ff ff"]
+    )
+
+
 def test_of_empty_structs_there_is_no_end():
     where = structs_of("bind: {0x890: A}\nstructs: {E: {members: {}}, A: {members: {n: uint8, e: 'E[]'}}}")
     assert dissect(wire.emit_telemetry(0x0890, b"\5"), where).message.values["n"] == 5
