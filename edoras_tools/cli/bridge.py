@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options
-from edoras_tools.cli.endings import finish_relay, tell
-from edoras_tools.cli.listening import tell_reach
+from edoras_tools.cli.endings import say, tell, tell_reach
 from edoras_tools.cli.live import RelayOutputOptions
 from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.cli.relays import finish_relay, run_relay
 from edoras_tools.cli.sending import Yes, confirm_targets
-from edoras_tools.errors import EdorasError
 from edoras_tools.older import StrEnum
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from edoras_tools.pipelines.bridge.plan import BridgePlan
     from edoras_tools.pipelines.bridge.run import Bridges
-    from edoras_tools.pipelines.recorder import RelayRecorder
 
 
 class BridgeKind(StrEnum):
@@ -144,16 +139,18 @@ def bridge(
     confirm_targets(*(station.target for station in plan.stations), confirmed=running.yes)
 
     shows = not quiet and not json and look(sys.stderr).interactive
+    names = (f"{item.kind} bridge {item.listen} to {item.target}" for item in plan.stations)
     bridges = Bridges(
         plan,
         request,
         ros=way,
         domain=domain,
         options=given,
-        recorder=_recorder(plan, outputs),
+        recorder=outputs.recorder(plan.workbench, ", ".join(names), kind="bridge"),
         say=None if shows else _say,
     )
-    failure = _run(bridges, output, running.duration or 0, shows=shows)
+    table = partial(view.live_table, output=output) if shows else None
+    failure = run_relay(bridges, partial(_begin, bridges), running.duration, table)
     for note in bridges.notes if shows else ():
         _say(note)
     finish_relay(bridges, view.outcome, view.losses, output, printing, failure)
@@ -168,49 +165,20 @@ def _options(way: str, given: list[Any] | None, outputs: RelayOutputOptions) -> 
     return pairs
 
 
-def _recorder(plan: BridgePlan, outputs: RelayOutputOptions) -> Callable[[], RelayRecorder] | None:
-    """Return what makes the recorder, its target already checked; None if nothing is recorded or shown."""
-    if outputs.output is None and outputs.live is None:
-        return None
-    from edoras_tools.pipelines.recorder import RelayRecorder
-
-    goal = outputs.target()
-    bench = plan.workbench()
-    name = ", ".join(f"{item.kind} bridge {item.listen} to {item.target}" for item in plan.stations)
-    show = outputs.shown(bench)
-    return lambda: RelayRecorder(goal, bench, name, "bridge", show=show)
-
-
-def _run(bridges: Bridges, output: Path | None, duration_ns: int, *, shows: bool) -> EdorasError | None:
-    """Run until the end; return the error that stopped it early, or None."""
-    from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.render.bridge.bridge import live_table
-    from edoras_tools.render.terminal.console import error_console
-
-    with ExitStack() as stack:
-        stack.enter_context(on_interrupt(bridges.stop))  # before the user reads that Ctrl-C ends it
-        for station in bridges.stations:
-            count = len(station.machine.routes)
-            sys.stderr.write(
-                f"bridging {count} topic{'' if count == 1 else 's'} through {bridges.ros}: "
-                f"{station.plan.name}, {station.plan.kind}, {station.endpoint} to {station.plan.target}; "
-                "Ctrl-C ends\n"
-            )
-            tell_reach(station.endpoint, "send what is published in ROS 2")
-        if bridges.ros in {Ros.DDS, Ros.RCLPY}:
-            _say(
-                "the ROS 2 domain is open: every node on its network can publish messages that are bridged; "
-                "--ros zenoh listens on this machine only"
-            )
-        sys.stderr.flush()
-        table = stack.enter_context(live_table(error_console(), output)) if shows else None
-        try:
-            bridges.run(duration_ns=duration_ns, watcher=table)
-        except EdorasError as error:
-            return error
-        finally:
-            bridges.close()
-    return None
+def _begin(bridges: Bridges) -> None:
+    """Say what is bridged, and who can reach it."""
+    for station in bridges.stations:
+        topics = plural(len(station.machine.routes), "topic")
+        say(
+            f"bridging {topics} through {bridges.ros}: {station.plan.name}, {station.plan.kind}, "
+            f"{station.endpoint} to {station.plan.target}; Ctrl-C ends"
+        )
+        tell_reach(station.endpoint, "send what is published in ROS 2")
+    if bridges.ros in {Ros.DDS, Ros.RCLPY}:
+        _say(
+            "the ROS 2 domain is open: every node on its network can publish messages that are bridged; "
+            "--ros zenoh listens on this machine only"
+        )
 
 
 def _say(text: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
@@ -11,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.endings import LOST, tell
+from edoras_tools.cli.endings import LOST, say, tell
 from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.cli.relays import run_relay
 from edoras_tools.cli.sim import Scenario
-from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.errors import ConfigError
 from edoras_tools.io.outputs import in_the_way, path_beside
 from edoras_tools.older import StrEnum
 
@@ -179,8 +179,9 @@ def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> N
 
     json, quiet = printing
     shows = not quiet and not json and look(sys.stderr).interactive
-    with Demo(plan, None if shows or quiet else tell) as running:
-        failure = _run(running, duration_ns, shows=shows, quiet=quiet)
+    running = Demo(plan, None if shows or quiet else tell)
+    table = partial(view.live_table, output=plan.output) if shows else None
+    failure = run_relay(running, partial(_begin, running, quiet=quiet), duration_ns, table) or running.failure
     summary = running.summary()
     if json:
         print_json(summary)
@@ -192,27 +193,17 @@ def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> N
         raise typer.Exit(LOST)
 
 
-def _run(running: Demo, duration_ns: int, *, shows: bool, quiet: bool) -> EdorasError | None:
-    """Run it; return the error that stopped it early, or None."""
-    from edoras_tools.render.demo import view
-    from edoras_tools.render.terminal.console import error_console
+def _begin(running: Demo, *, quiet: bool) -> None:
+    """Say what is emulated, and where it is shown."""
+    if quiet:
+        return
+    from edoras_tools.render.demo.view import beside
 
-    if not quiet:
-        sys.stderr.write(
-            f"emulated {running.plan.scenario}, recorded to {running.plan.output}; Ctrl-C ends\n"
-        )
-        sys.stderr.write(f"{view.beside(running.summary())}\n")
-        if running.foxglove:
-            server = running.foxglove.server
-            sys.stderr.write(f"Foxglove: {server.app_url}\nor in a browser: {server.page_url}\n")
-        sys.stderr.flush()
-    with ExitStack() as stack:
-        table = stack.enter_context(view.live_table(error_console(), running.plan.output)) if shows else None
-        try:
-            running.run(duration_ns=duration_ns, watcher=table)
-        except EdorasError as error:
-            return error
-    return running.failure
+    say(f"emulated {running.plan.scenario}, recorded to {running.plan.output}; Ctrl-C ends")
+    say(beside(running.summary()))
+    if running.foxglove:
+        server = running.foxglove.server
+        say(f"Foxglove: {server.app_url}\nor in a browser: {server.page_url}")
 
 
 def _where(port: int | None) -> Endpoint:

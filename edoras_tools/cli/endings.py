@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import sys
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
-from edoras_tools.cli.output import print_json
 from edoras_tools.errors import CaptureError
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Sequence
 
-    from rich.console import Group
-
-    from edoras_tools.cli.options import PrintOptions
     from edoras_tools.decode import Context
-    from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
     from edoras_tools.io.formats.watched import OutputLoss
-    from edoras_tools.pipelines.bridge.run import Bridges
+    from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.capture.record import CaptureReport
     from edoras_tools.pipelines.export.sources import TopicSource
-    from edoras_tools.pipelines.proxy.run import Proxy
 
 LOST = 3
 """Exit code: finished, but data was lost or found lost."""
@@ -95,10 +88,23 @@ def lost(source: Source) -> None:
         raise typer.Exit(LOST)
 
 
+def say(line: str) -> None:
+    """Print a line on standard error, without the program's name."""
+    sys.stderr.write(f"{line}\n")
+    sys.stderr.flush()
+
+
 def tell(line: str) -> None:
     """Print a line on standard error while a command runs."""
-    sys.stderr.write(f"edoras: {line}\n")
-    sys.stderr.flush()
+    say(f"edoras: {line}")
+
+
+def tell_reach(endpoint: Endpoint, may: str, **words: str) -> None:
+    """Print who may send to a port, before any traffic; not of one on loopback. See ``reach_note``."""
+    from edoras_tools.io.net.address import reach_note
+
+    if note := reach_note(endpoint, may, **words):
+        tell(note)
 
 
 def lost_outputs(losses: Sequence[OutputLoss]) -> None:
@@ -151,45 +157,6 @@ def no_messages(source: Source, shown: int) -> None:
         raise CaptureError(f"{source.info.name}: no message in it")
     if not shown:
         tell(f"none of the {there:,} messages was selected")
-
-
-def finish_relay(
-    relay: Bridges | Proxy,
-    show: Callable[[Mapping[str, Any], int, Path | None], Group],
-    notes: Callable[[Mapping[str, Any]], Iterable[str]],
-    output: Path | None,
-    printing: PrintOptions,
-    failure: EdorasError | None,
-) -> None:
-    """End a command that passed traffic on: print its summary, as JSON or for people.
-
-    Raises:
-        EdorasError: it ended early.
-        typer.Exit: with code 3, if anything was lost.
-    """
-    from edoras_tools.render.bridge.foxglove import served
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.text import clean
-
-    summary, recorder, (json, quiet) = relay.summary(), relay.recorder, printing
-    shown = recorder.recorded.shown if recorder else None
-    if json:
-        print_json({**summary, "foxglove": shown})
-    elif not quiet:
-        console = error_console()
-        console.print(show(summary, console.width, output))
-        for line in served(shown) if shown else ():
-            sys.stderr.write(f"{line}\n")
-    if json or quiet:
-        for line in notes(summary):
-            tell(clean(line))  # it may contain text that a peer sent
-    if failure is None and recorder is not None:
-        failure = recorder.failure
-    if failure is not None:
-        raise failure
-    lost_outputs(recorder.recorded.losses if recorder else ())
-    if summary["lost"]:
-        raise typer.Exit(LOST)
 
 
 def finish(report: CaptureReport, *, live: bool) -> None:

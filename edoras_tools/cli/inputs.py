@@ -204,7 +204,7 @@ def _opened(given: LiveOptions, bench: Workbench, *, every_port: bool) -> Source
         return open_live(
             interface, ports, streams=streams, begins=begins, ready=ready, told=_tell, wait=waits
         )
-    from edoras_tools.cli.listening import tell_reach
+    from edoras_tools.cli.endings import tell_reach
     from edoras_tools.io.net.address import parse_endpoint
     from edoras_tools.io.net.receive import UdpSource
 

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings, sending
-from edoras_tools.cli.endings import finish, tell
+from edoras_tools.cli.endings import finish, say, tell, tell_reach
 from edoras_tools.cli.inputs import InputOptions, open_input
-from edoras_tools.cli.listening import tell_reach
 from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.cli.sim import Scenario
 from edoras_tools.errors import ConfigError
@@ -36,12 +35,10 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.live.player import RecordingPlayer
     from edoras_tools.pipelines.live.publish import CommandPublisher, Send
     from edoras_tools.pipelines.reading import Limits
+    from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.sending.options import Receiver
     from edoras_tools.pipelines.workbench import Settings, Workbench
-
-Show = Callable[["SourceInfo", "SourceStatistics"], "FoxgloveSink"]
-"""Starts a Foxglove server for a pipeline that is about to run."""
 
 _SHORTEST_TOKEN = 8
 _publishing = partial(typer.Option, rich_help_panel="Publishing")
@@ -102,25 +99,35 @@ class RelayOutputOptions(NamedTuple):
     allow_origin: Origins = None
     token: Token = None
 
-    def target(self) -> Target | None:
-        """Return what is recorded to, checked; None for nothing."""
-        return recordings.recording_target(self.output, force=self.force)
+    def recorder(
+        self, workbench: Callable[[], Workbench], name: str, **how: Any
+    ) -> Callable[[], RelayRecorder] | None:
+        """Return what starts the recorder, its target already checked; None if nothing is recorded or shown.
 
-    def shown(self, bench: Workbench) -> Show | None:
-        """Return a function that starts a Foxglove server and prints its address; None without --live."""
-        if self.live is None:
+        Args:
+            workbench: gives what the recorder decodes with.
+            how: see ``RelayRecorder``.
+        """
+        if self.output is None and self.live is None:
             return None
-        check = _origin_check(self.allow_origin)
+        from edoras_tools.pipelines.recorder import RelayRecorder
 
-        def show(info: SourceInfo, statistics: SourceStatistics) -> FoxgloveSink:
-            from edoras_tools.pipelines.live.run import attach
+        goal, bench = recordings.recording_target(self.output, force=self.force), workbench()
+        show = (
+            partial(self._serve, bench, _origin_check(self.allow_origin)) if self.live is not None else None
+        )
+        return lambda: RelayRecorder(goal, bench, name, show=show, **how)
 
-            word = self.token or ""
-            sink = attach(bench, info, listen=self.live, statistics=statistics, origins=check, token=word)
-            _say(info.name, sink)
-            return sink
+    def _serve(
+        self, bench: Workbench, origins: OriginCheck, info: SourceInfo, statistics: SourceStatistics
+    ) -> FoxgloveSink:
+        """Start a Foxglove server, and print its address."""
+        from edoras_tools.pipelines.live.run import attach
 
-        return show
+        word = self.token or ""
+        sink = attach(bench, info, listen=self.live, statistics=statistics, origins=origins, token=word)
+        _say(info.name, sink)
+        return sink
 
 
 class SourceOptions(NamedTuple):
@@ -277,7 +284,8 @@ def live(
     if json:
         print_json(summary)
     elif not quiet:
-        sys.stderr.write("".join(f"{line}\n" for line in served(summary["foxglove"])))
+        for line in served(summary["foxglove"]):
+            say(line)
     if failure is not None:
         raise failure
     if report is not None:
@@ -314,7 +322,7 @@ def _play(
         if not quiet:
             begins = "when play is pressed" if playback.paused else "when a client has subscribed"
             begins = begins if playback.wait else "now"
-            _write(f"plays {units.duration((end_ns - start_ns) / 1e9)} {begins}; Ctrl-C ends")
+            say(f"plays {units.duration((end_ns - start_ns) / 1e9)} {begins}; Ctrl-C ends")
         with _keyboard(player, sink, quiet=quiet) as (keys, show):
             player.run(sink, duration_ns=limits.duration_ns, keys=keys, show=show)
     summary = {"source": info.name, "kind": info.kind, "start_ns": start_ns, "end_ns": end_ns}
@@ -405,21 +413,16 @@ def _origin_check(origins: Sequence[str] | None) -> OriginCheck:
     return OriginCheck(tuple(origins or ()), tell)
 
 
-def _write(line: str) -> None:
-    sys.stderr.write(f"{line}\n")
-    sys.stderr.flush()
-
-
 def _say(name: str, sink: ServedSink, publishes: Sequence[str] = ()) -> None:
     """Print the address first, because scripts wait for this line; then our own page, and who may connect."""
     server, may = sink.server, "watch"
     if publishes:
         may += f" and publish {', '.join(publishes)} into cFS"
     if server.asks_token:
-        _write(f"{name} in Foxglove: open a connection to {server.url}/?token=... with your token")
-        _write(f"or in a browser: {server.page_url}?token=...")
+        say(f"{name} in Foxglove: open a connection to {server.url}/?token=... with your token")
+        say(f"or in a browser: {server.page_url}?token=...")
         tell_reach(server.endpoint, may, who="every client that can reach it and has the token")
     else:
-        _write(f"{name} in Foxglove: {server.app_url}")
-        _write(f"or in a browser: {server.page_url}")
+        say(f"{name} in Foxglove: {server.app_url}")
+        say(f"or in a browser: {server.page_url}")
         tell_reach(server.endpoint, may, instead="with --token, clients must give a token")

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options
-from edoras_tools.cli.endings import finish_relay
-from edoras_tools.cli.listening import tell_reach
-from edoras_tools.cli.live import RelayOutputOptions, Show
+from edoras_tools.cli.endings import say, tell_reach
+from edoras_tools.cli.live import RelayOutputOptions
 from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.cli.relays import finish_relay, run_relay
 from edoras_tools.cli.sending import DryRun, Yes, confirm_targets, endpoint
-from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from edoras_tools.pipelines.capture.record import Target
     from edoras_tools.pipelines.proxy.plan import ProxyPlan
     from edoras_tools.pipelines.proxy.run import Proxy
-    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.pipelines.proxy.streams import StreamProxy
 
 _IDLE_NS = 60_000_000_000
 _NEVER_NS = 1 << 62
@@ -121,8 +118,11 @@ def proxy(
     Programs send to the proxy instead of the target. Keys 1 to 9 switch faults on and off, q quits.
     """
     from edoras_tools.links.table import named
+    from edoras_tools.pipelines.faults.scenario import compiler
     from edoras_tools.pipelines.proxy.plan import ProxyPlan, as_relayed, limit_rule
+    from edoras_tools.pipelines.proxy.run import Proxy
     from edoras_tools.render.sending import proxy as view
+    from edoras_tools.render.terminal.terminal import look
 
     settings, injected = decoding.settings(), faults.plan()
     (json, quiet), output = printing, outputs.output
@@ -152,11 +152,15 @@ def proxy(
             print_view(view.plan(plan.summary(), output))
         return
     asks = confirm_targets(*plan.targets, confirmed=yes)
-    relay = _opened(plan, bench, outputs.target(), outputs.shown(bench))
+    name = f"{link.label} {plan.listen} to {target}"
+    recorder = outputs.recorder(lambda: bench, name, apart=True)
+    relay = Proxy(plan, recorder=recorder, where=compiler(bench))
     tell_reach(relayed.listen, f"send to {target} through it")
     if relayed.bind:
         tell_reach(relayed.bind, "answer as the target")
-    failure = _run(relay, output, times.duration or 0, keyboard=asks, quiet=quiet or json)
+    shows = not (quiet or json) and look(sys.stderr).interactive
+    table = partial(view.live_table, output=output, keys=asks) if shows else None
+    failure = run_relay(relay, partial(_begin, relay), times.duration, table, keyboard=asks)
     finish_relay(relay, view.outcome, view.notes, output, printing, failure)
 
 
@@ -170,7 +174,6 @@ def _relay_streams(
     confirmed: bool,
 ) -> None:
     """Relay TCP connections until the end, and print what was relayed."""
-    from edoras_tools.pipelines.interrupt import on_interrupt
     from edoras_tools.pipelines.proxy.streams import StreamProxy
     from edoras_tools.render.sending.proxy import stream_lines
 
@@ -185,60 +188,17 @@ def _relay_streams(
     confirm_targets(*plan.targets, confirmed=confirmed)
     relay = StreamProxy(plan, relayed.cut or 0)
     tell_reach(relayed.listen, f"connect to {plan.targets[0]} through it")
-    with on_interrupt(relay.stop):
-        sys.stderr.write(f"relaying {relay.title}; Ctrl-C ends\n")
-        sys.stderr.flush()
-        try:
-            relay.run(duration_ns=times.duration or 0)
-        finally:
-            relay.close()
+    failure = run_relay(relay, partial(_begin, relay), times.duration)
+    if failure is not None:
+        raise failure
     json, quiet = printing
     if json:
         print_json(relay.summary())
     elif not quiet:
         for line in stream_lines(relay.summary()):
-            sys.stderr.write(f"{line}\n")
+            say(line)
 
 
-def _opened(plan: ProxyPlan, bench: Workbench, goal: Target | None, show: Show | None) -> Proxy:
-    """Bind the ports, then start the recording and the Foxglove server."""
-    from edoras_tools.pipelines.faults.scenario import compiler
-    from edoras_tools.pipelines.proxy.run import Proxy
-
-    if goal is None and show is None:
-        return Proxy(plan, where=compiler(bench))
-    from edoras_tools.pipelines.recorder import RelayRecorder
-
-    name = f"{plan.link.label} {plan.listen} to {plan.targets[0]}"
-
-    def recorder() -> RelayRecorder:
-        return RelayRecorder(goal, bench, name, show=show, apart=True)
-
-    return Proxy(plan, recorder=recorder, where=compiler(bench))
-
-
-def _run(
-    relay: Proxy, output: Path | None, duration_ns: int, *, keyboard: bool, quiet: bool
-) -> EdorasError | None:
-    """Relay until the end; return what ended it early, if anything did."""
-    from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.pipelines.sending.keys import Keys
-    from edoras_tools.render.sending.proxy import live_table
-    from edoras_tools.render.terminal.console import error_console
-    from edoras_tools.render.terminal.terminal import look
-
-    with ExitStack() as stack:
-        stack.enter_context(on_interrupt(relay.stop))  # from the moment that it is told
-        sys.stderr.write(f"relaying {relay.title}; Ctrl-C ends\n")
-        sys.stderr.flush()
-        table = keys = None
-        if not quiet and look(sys.stderr).interactive:
-            keys = stack.enter_context(Keys()) if keyboard else None
-            table = stack.enter_context(live_table(error_console(), output, keys=keyboard))
-        try:
-            relay.run(duration_ns=duration_ns, watcher=table, keys=keys)
-        except EdorasError as error:
-            return error
-        finally:
-            relay.close()
-    return None
+def _begin(relay: Proxy | StreamProxy) -> None:
+    """Say what is relayed."""
+    say(f"relaying {relay.title}; Ctrl-C ends")

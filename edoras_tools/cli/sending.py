@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.endings import LOST, lost_outputs, tell
-from edoras_tools.cli.listening import tell_reach
+from edoras_tools.cli.endings import LOST, lost_outputs, tell, tell_reach
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.errors import ConfigError, EdorasError
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options
-from edoras_tools.cli.listening import tell_reach
+from edoras_tools.cli.endings import tell_reach
 from edoras_tools.older import StrEnum
 
 
