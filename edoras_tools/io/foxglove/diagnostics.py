@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.io.topics.rows import RECORD, Messages, fill_record
+from edoras_tools.io.topics.rows import Messages, bodies_of
 from edoras_tools.io.topics.streams import Topic
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding
+from edoras_tools.units import SECOND
+from edoras_tools.wire.cdr import ENCAPSULATION
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -25,7 +27,6 @@ DIAGNOSTICS: Final = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
 OK: Final = 0
 WARN: Final = 1
 ERROR: Final = 2
-_SECOND_NS: Final = 1_000_000_000
 _MOST: Final = 256
 """Garbage may contain any number of MsgIds; those above this number share one status."""
 _BITS: Final = 32
@@ -63,11 +64,11 @@ class Diagnostics:
     def messages(self, batch: PacketBatch, columns: Columns, channel_id: int) -> Messages:
         """Add a batch of at least one row; return the message of a second, if the batch completes one."""
         end = int(batch.time_ns[-1])
-        self._until = self._until or int(batch.time_ns[0]) + _SECOND_NS
+        self._until = self._until or int(batch.time_ns[0]) + SECOND
         self._add(batch, columns)
         if end < self._until:
-            return _nothing()
-        self._until = end + _SECOND_NS - (end - self._until) % _SECOND_NS
+            return bodies_of([], [], channel_id)
+        self._until = end + SECOND - (end - self._until) % SECOND
         return self._message(end, channel_id, len(batch) - 1)
 
     def _add(self, batch: PacketBatch, columns: Columns) -> None:
@@ -89,7 +90,7 @@ class Diagnostics:
             counts[_BITS] += int(rows.sum())
 
     def _message(self, time_ns: int, channel_id: int, row: int) -> Messages:
-        seconds, rest = divmod(time_ns, _SECOND_NS)
+        seconds, rest = divmod(time_ns, SECOND)
         statuses = [self._status(*owner, counts) for owner, counts in sorted(self._counts.items())]
         if self._statistics is not None:
             statuses.insert(0, self._capture(self._statistics))
@@ -99,20 +100,8 @@ class Diagnostics:
             "header": {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": ""},
             "status": statuses,
         }
-        cdr = np.frombuffer(self._types.encode(DIAGNOSTICS.type, values), np.uint8)
-        heads = np.zeros(1, np.dtype(RECORD))
-        length, log_time = np.array([len(cdr)]), np.array([time_ns])
-        fill_record(heads, channel_id, length, 0, log_time, log_time)
-        return Messages(
-            np.array([row]),
-            channel_id,
-            log_time,
-            heads.itemsize,
-            heads.__getitem__,
-            cdr,
-            np.zeros(1, np.int64),
-            length,
-        )
+        body = self._types.encode(DIAGNOSTICS.type, values)[ENCAPSULATION.size :]
+        return bodies_of([body], [time_ns], channel_id, np.array([row]))
 
     def _status(self, link: int, msg_id: int, counts: NDArray[np.int64]) -> dict[str, Any]:
         label = table.link(link).label
@@ -153,10 +142,3 @@ class Diagnostics:
                 {"key": "skipped", "value": str(statistics.skipped)},
             ],
         }
-
-
-def _nothing() -> Messages:
-    nothing = np.zeros(0, np.int64)
-    heads = np.zeros(0, np.dtype(RECORD))
-    pool = np.zeros(1, np.uint8)
-    return Messages(nothing, 0, nothing, heads.itemsize, heads.__getitem__, pool, nothing, nothing)

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.cfs.executive_services import NAME
-from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record, no_messages
+from edoras_tools.io.topics.rows import RECORD, Messages, no_messages, whole_messages
 from edoras_tools.links.resets import RESETS
 from edoras_tools.links.table import among
+from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, cfe_file
 from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at
 
@@ -87,19 +88,14 @@ def software_bus_messages(
     if not len(rows):
         return no_messages(channel_id, _SOFTWARE_BUS)
     heads = np.zeros(len(rows), dtype=_SOFTWARE_BUS)
-    log_time = batch.time_ns[rows]
-    fill_record(heads, channel_id, 0, columns.sequence_count[rows], log_time, published[rows])
-    heads["encapsulation"] = CDR_LE_WORD
     stamp(heads, published[rows])
     heads["processor_id"] = columns.processor_id[rows]
     heads["link"] = columns.link[rows]
     for name in _HOUSEKEEPING.names or ():
         if name != "spare":
             heads[name] = payload[name]
-    nothing = np.zeros(len(rows), dtype=np.int64)
-    return Messages(
-        rows, channel_id, log_time, heads.itemsize, heads.__getitem__, batch.data, nothing, nothing
-    )
+    sequence, log_time = columns.sequence_count[rows], batch.time_ns[rows]
+    return whole_messages(rows, heads, channel_id, sequence, log_time, published[rows])
 
 
 def event_messages(
@@ -116,15 +112,8 @@ def event_messages(
     rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, _EVENT)
     if not len(rows):
         return no_messages(channel_id, _LOG)
-    heads = np.zeros(len(rows), dtype=_LOG)
-    data, offset, length = _log_strings(payload, heads.itemsize)
-    log_time = batch.time_ns[rows]
-    fill_record(heads, channel_id, length, columns.sequence_count[rows], log_time, published[rows])
-    heads["encapsulation"] = CDR_LE_WORD
-    stamp(heads, published[rows])
-    kinds = payload["event_type"]
-    heads["level"] = _LEVELS[np.where(kinds < len(_LEVELS), kinds, 0)]
-    return Messages(rows, channel_id, log_time, heads.itemsize, heads.__getitem__, data, offset, length)
+    times = batch.time_ns[rows], published[rows]
+    return _logs(rows, payload, channel_id, times, columns.sequence_count[rows])
 
 
 def reset_messages(batch: PacketBatch, columns: Columns, channel_id: int) -> Messages:
@@ -139,14 +128,8 @@ def reset_messages(batch: PacketBatch, columns: Columns, channel_id: int) -> Mes
     payload["app_name"][:, : len(NAME)] = np.frombuffer(NAME.encode(), np.uint8)
     width = min(payload["message"].shape[1], entries["description"].shape[1])
     payload["message"][:, :width] = entries["description"][:, :width]
-    heads = np.zeros(len(rows), dtype=_LOG)
-    data, offset, length = _log_strings(payload, heads.itemsize)
     log_time = batch.time_ns[rows]
-    fill_record(heads, channel_id, length, 0, log_time, log_time)
-    heads["encapsulation"] = CDR_LE_WORD
-    stamp(heads, log_time)
-    heads["level"] = _LEVELS[0]
-    return Messages(rows, channel_id, log_time, heads.itemsize, heads.__getitem__, data, offset, length)
+    return _logs(rows, payload, channel_id, (log_time, log_time))
 
 
 def outage_messages(outages: Sequence[InterfaceOutage], channel_id: int) -> Messages:
@@ -164,20 +147,34 @@ def outage_messages(outages: Sequence[InterfaceOutage], channel_id: int) -> Mess
         for name, words in (("app_name", "edoras"), ("message", f"{outage.interface} {what}")):
             text = np.frombuffer(words.encode("ascii", "replace")[: row[name].size - 1], np.uint8)
             row[name][: len(text)] = text
-    heads = np.zeros(len(outages), dtype=_LOG)
-    data, offset, length = _log_strings(payload, heads.itemsize)
     time_ns = np.array([outage.end_ns or outage.start_ns for outage in outages], dtype=np.int64)
-    fill_record(heads, channel_id, length, 0, time_ns, time_ns)
-    heads["encapsulation"] = CDR_LE_WORD
-    stamp(heads, time_ns)
-    heads["level"] = _LEVELS[0]
-    rows = np.arange(len(outages))
-    return Messages(rows, channel_id, time_ns, heads.itemsize, heads.__getitem__, data, offset, length)
+    return _logs(np.arange(len(outages)), payload, channel_id, (time_ns, time_ns))
 
 
 def stamp(heads: NDArray[np.void], time_ns: NDArray[np.int64]) -> None:
     """Write the ``builtin_interfaces/msg/Time`` columns ``stamp_sec`` and ``stamp_nanosec``."""
-    heads["stamp_sec"], heads["stamp_nanosec"] = np.divmod(time_ns, 1_000_000_000)
+    heads["stamp_sec"], heads["stamp_nanosec"] = np.divmod(time_ns, SECOND)
+
+
+def _logs(
+    rows: NDArray[np.int64],
+    payload: NDArray[np.void],
+    channel_id: int,
+    times: tuple[NDArray[np.int64], NDArray[np.int64]],
+    sequence: NDArray[np.uint16] | int = 0,
+) -> Messages:
+    """Return one ``rcl_interfaces/msg/Log`` for each event.
+
+    Args:
+        payload: the events; an ``event_type`` that cFE does not have has the level of 0.
+        times: when each was captured, and its stamp.
+    """
+    heads = np.zeros(len(rows), dtype=_LOG)
+    kinds = payload["event_type"]
+    heads["level"] = _LEVELS[np.where(kinds < len(_LEVELS), kinds, 0)]
+    stamp(heads, times[1])
+    rest = _log_strings(payload, heads.itemsize)
+    return whole_messages(rows, heads, channel_id, sequence, *times, rest)
 
 
 def _telemetry(

@@ -14,7 +14,7 @@ from edoras_tools.io.topics.rows import (
     RECORD,
     RECORD_BYTES,
     Messages,
-    fill_record,
+    whole_messages,
 )
 from edoras_tools.model import Finding
 from edoras_tools.wire.arrays.order import by_value
@@ -178,10 +178,9 @@ def ros_messages(
     )
     heads = np.empty(len(rows), dtype=np.dtype(RECORD))
     channel_id: NDArray[np.uint16] | int = channel_ids[columns.route[rows]] if len(rows) else 0
-    length, log_time = columns.cdr_length[rows], batch.time_ns[rows]
-    fill_record(heads, channel_id, length, columns.sequence_count[rows], log_time, published[rows])
-    offset = columns.cdr_offset[rows]
-    return Messages(rows, channel_id, log_time, RECORD_BYTES, heads.__getitem__, batch.data, offset, length)
+    rest = batch.data, columns.cdr_offset[rows], columns.cdr_length[rows]
+    sequence, log_time = columns.sequence_count[rows], batch.time_ns[rows]
+    return whole_messages(rows, heads, channel_id, sequence, log_time, published[rows], rest)
 
 
 assert DATAGRAM.itemsize == RECORD_BYTES + 4 + 72

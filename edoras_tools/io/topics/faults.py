@@ -6,9 +6,10 @@ import struct
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import WireError
-from edoras_tools.io.topics.rows import bodies_of
+from edoras_tools.io.topics.rows import Messages, bodies_of
 from edoras_tools.links import table
 from edoras_tools.sessions.faults.fault import Fault
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,7 +34,7 @@ def fault_messages(faults: Sequence[Fault], channel_id: int) -> Messages:
 
 def _body(fault: Fault) -> bytes:
     """Return a message's CDR without its encapsulation."""
-    seconds, rest = divmod(fault.time_ns, 1_000_000_000)
+    seconds, rest = divmod(fault.time_ns, SECOND)
     body = bytearray(_FIXED.pack(seconds, rest, fault.msg_id, fault.link, fault.to_cfs))
     for text in (fault.kind, fault.detail, fault.rule):
         data = text.encode(errors="replace") + b"\0"
@@ -63,5 +64,5 @@ def fault_of(cdr: bytes) -> Fault:
     except struct.error as error:
         raise WireError(f"{FAULTS_TOPIC}: a message of {len(cdr)} bytes ends too early") from error
     kind, detail, rule = (part.rstrip(b"\0").decode(errors="replace") for part in parts[:3])
-    time_ns = seconds * 1_000_000_000 + rest
+    time_ns = seconds * SECOND + rest
     return Fault(time_ns, kind, detail, parts[3], table.link(link), to_cfs, msg_id, rule)

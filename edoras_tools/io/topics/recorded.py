@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, bodies_of, fill_record
+from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, whole_messages
 from edoras_tools.io.topics.streams import LatchedTopics, PreparedBatch, Topic
 from edoras_tools.structs import Structs
 
@@ -57,13 +57,11 @@ class RecordedStreams:
     def _messages(self, batch: PacketBatch) -> Messages:
         assert batch.recorded is not None, "they are messages of a recording"
         heads = np.empty(len(batch), np.dtype(RECORD))
-        recorded, length = batch.recorded, batch.length
+        recorded = batch.recorded
         channels = self._ids[recorded["topic"]]
-        fill_record(heads, channels, length, recorded["sequence"], batch.time_ns, recorded["publish_ns"])
-        rows = np.arange(len(batch))
-        return Messages(
-            rows, channels, batch.time_ns, RECORD_BYTES, heads.__getitem__, batch.data, batch.offset, length
-        )
+        rest = batch.data, batch.offset, batch.length
+        times = batch.time_ns, recorded["publish_ns"]
+        return whole_messages(np.arange(len(batch)), heads, channels, recorded["sequence"], *times, rest)
 
     def latched(self, time_ns: int) -> Messages:
         """Return the last message of each latched topic again, for a new file; all belong to row 0."""

@@ -63,51 +63,65 @@ class Messages:
         return len(self.rows)
 
 
-def fill_record(
+def whole_messages(
+    rows: NDArray[np.int64],
     heads: NDArray[Any],
-    channel_id: NDArray[np.integer[Any]] | int,
-    length: NDArray[np.integer[Any]] | int,
+    channel_id: NDArray[np.uint16] | int,
     sequence: NDArray[np.integer[Any]] | int,
-    log_time: NDArray[np.integer[Any]],
+    log_time: NDArray[np.int64],
     publish_time: NDArray[np.integer[Any]],
-) -> None:
-    """Write the record header columns of ``heads``.
+    rest: tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.integer[Any]]] | None = None,
+    *,
+    repeats: bool = False,
+) -> Messages:
+    """Return messages with these heads, whose record, and encapsulation if they have it, are filled here.
 
     Args:
+        rows: see ``Messages``, as for ``channel_id``, ``log_time`` and ``repeats``.
         heads: structured, starts with ``RECORD``.
-        length: bytes of message data that follow the head.
         sequence: u32.
-        log_time: ns since 1970.
         publish_time: ns since 1970.
+        rest: what follows the heads: a buffer, where each starts in it, and its bytes; None: nothing.
     """
+    if rest is None:
+        nothing = np.zeros(len(rows), np.int64)
+        rest = np.zeros(1, np.uint8), nothing, nothing
+    data, offset, length = rest
     heads["opcode"] = OPCODE_MESSAGE
     heads["record_length"] = length + (heads.itemsize - RECORD_PREFIX_BYTES)
     heads["channel_id"] = channel_id
     heads["sequence"] = sequence
     heads["log_time"] = log_time
     heads["publish_time"] = publish_time
+    if "encapsulation" in (heads.dtype.names or ()):
+        heads["encapsulation"] = CDR_LE_WORD
+    return Messages(
+        rows, channel_id, log_time, heads.itemsize, heads.__getitem__, data, offset, length, repeats
+    )
 
 
-def bodies_of(bodies: Sequence[bytes], times_ns: Sequence[int], channel_id: int) -> Messages:
-    """Return whole messages, each in its own row.
+def bodies_of(
+    bodies: Sequence[bytes],
+    times_ns: Sequence[int],
+    channel_id: int,
+    rows: NDArray[np.int64] | None = None,
+    *,
+    repeats: bool = False,
+) -> Messages:
+    """Return whole messages.
 
     Args:
         bodies: CDR, little-endian, without the encapsulation.
         times_ns: of each, ns since 1970.
+        rows: that they belong to; by default each to one of its own, from 0.
+        repeats: see ``Messages``.
     """
     length = np.array([len(body) for body in bodies], dtype=np.int64)
     heads = np.zeros(len(bodies), dtype=_WHOLE)
     time_ns = np.array(times_ns, dtype=np.int64)
-    fill_record(heads, channel_id, length, 0, time_ns, time_ns)
-    heads["encapsulation"] = CDR_LE_WORD
-    pool = np.frombuffer(b"".join(bodies), dtype=np.uint8)
-    offset = np.cumsum(length) - length
-    rows = np.arange(len(bodies))
-    return Messages(rows, channel_id, time_ns, heads.itemsize, heads.__getitem__, pool, offset, length)
-
-
-_NOWHERE = np.zeros(0, np.int64)
-_NOTHING = np.zeros(1, np.uint8)
+    rest = np.frombuffer(b"".join(bodies), dtype=np.uint8), np.cumsum(length) - length, length
+    rows = np.arange(len(bodies)) if rows is None else rows
+    return whole_messages(rows, heads, channel_id, 0, time_ns, time_ns, rest, repeats=repeats)
 
 
 def no_messages(channel_id: int, head: np.dtype[np.void]) -> Messages:
@@ -116,10 +130,8 @@ def no_messages(channel_id: int, head: np.dtype[np.void]) -> Messages:
     Args:
         head: the record that each would begin with.
     """
-    heads = np.zeros(0, head)
-    return Messages(
-        _NOWHERE, channel_id, _NOWHERE, head.itemsize, heads.__getitem__, _NOTHING, _NOWHERE, _NOWHERE
-    )
+    nowhere = np.zeros(0, np.int64)
+    return whole_messages(nowhere, np.zeros(0, head), channel_id, 0, nowhere, nowhere)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.io.topics.cfe import stamp
-from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, bodies_of, fill_record, no_messages
+from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, no_messages, whole_messages
 from edoras_tools.links import table
 from edoras_tools.model import HostCounters, SocketCounters
 from edoras_tools.sessions.sequence import SequenceCounts
@@ -134,8 +134,6 @@ class LinkStatistics:
         length = np.array([len(name) for name in names], dtype=np.int64)
         offset = (np.cumsum(length) - length)[which]
         heads = np.zeros(len(groups), dtype=_LINK_STATISTICS)
-        fill_record(heads, channel_id, length[which], 0, time_ns, time_ns)
-        heads["encapsulation"] = CDR_LE_WORD
         stamp(heads, time_ns)
         heads["rate_hz"] = groups["count"]
         heads["kernel_drops"] = (self._statistics.kernel_drops or 0) if self._statistics else 0
@@ -146,17 +144,8 @@ class LinkStatistics:
         heads["msg_id"] = (groups["flow"] & _MSG_ID_MASK) - 1
         heads["topic_length"] = length[which]
         pool = np.frombuffer(b"".join(names) or b"\0", dtype=np.uint8)
-        return Messages(
-            rows,
-            channel_id,
-            time_ns,
-            heads.itemsize,
-            heads.__getitem__,
-            pool,
-            offset,
-            length[which],
-            repeats=True,
-        )
+        rest = pool, offset, length[which]
+        return whole_messages(rows, heads, channel_id, 0, time_ns, time_ns, rest, repeats=True)
 
     def _name(self, flow: int) -> bytes:
         """Return the topic of a route, or ``LINK/MSG_ID``, NUL-terminated like CDR strings."""

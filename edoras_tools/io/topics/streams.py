@@ -18,7 +18,7 @@ from edoras_tools.io.topics.clock import MissionClock
 from edoras_tools.io.topics.datagrams import DatagramWriter, ros_messages, without_trailing
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, FAULTS_TYPE
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
-from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
+from edoras_tools.io.topics.rows import RECORD, Messages, whole_messages
 from edoras_tools.io.topics.statistics import HOST_TOPIC, HOST_TYPE, LinkStatistics
 from edoras_tools.io.topics.structs import log_messages, struct_messages
 from edoras_tools.io.topics.transforms import TF_TOPIC, TF_TYPE, Transforms
@@ -86,12 +86,13 @@ class LatchedTopics:
         channels = channel_ids[list(self._last)] if kept else np.zeros(0, np.uint16)
         sequence, published = (np.array([item[at] for item in kept], np.int64) for at in (1, 2))
         log_time = np.full(len(kept), time_ns, np.int64)
-        fill_record(heads, channels, length, sequence, log_time, published)
-        pool = np.frombuffer(b"".join(data for data, _, _ in kept), np.uint8)
-        rows, offset = np.zeros(len(kept), np.int64), np.cumsum(length) - length
-        return Messages(
-            rows, channels, log_time, RECORD_BYTES, heads.__getitem__, pool, offset, length, repeats=True
+        rest = (
+            np.frombuffer(b"".join(data for data, _, _ in kept), np.uint8),
+            np.cumsum(length) - length,
+            length,
         )
+        rows = np.zeros(len(kept), np.int64)
+        return whole_messages(rows, heads, channels, sequence, log_time, published, rest, repeats=True)
 
 
 EVENTS_TOPIC: Final = "/edoras/events"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, bodies_of, fill_record
+from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, bodies_of, whole_messages
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
@@ -52,30 +51,18 @@ def _messages(
 ) -> Messages:
     """Return the messages of one struct."""
     rows = held.rows
-    log_time = batch.time_ns[rows]
     encoded = None if held.size else held.encode()
     # Messages of the same length are part of their heads, and are copied with them.
     width = encoded.width if encoded else held.size
-    record = np.dtype([*RECORD, ("message", f"V{width}")])
-    nothing = np.zeros(len(rows), np.int64)
-    start, length = (encoded.start, encoded.size) if encoded and not width else (nothing, nothing)
-    heads = np.zeros(len(rows), record)
+    heads = np.zeros(len(rows), [*RECORD, ("message", f"V{width}")])
     if encoded is None:
         held.fill(heads.view(np.uint8).reshape(len(rows), -1)[:, RECORD_BYTES:])
     elif width:
         heads["message"] = encoded.data.view(f"V{width}")
-    fill_record(heads, channel_id, length, columns.sequence_count[rows], log_time, published[rows])
-    return Messages(
-        rows,
-        channel_id,
-        log_time,
-        record.itemsize,
-        heads.__getitem__,
-        encoded.data if encoded else batch.data,
-        start,
-        length,
-        repeats=held.repeats,
-    )
+    rest = (encoded.data, encoded.start, encoded.size) if encoded and not width else None
+    times = batch.time_ns[rows], published[rows]
+    sequence = columns.sequence_count[rows]
+    return whole_messages(rows, heads, channel_id, sequence, *times, rest, repeats=held.repeats)
 
 
 def log_messages(
@@ -118,5 +105,5 @@ def log_messages(
             told.append((row, at, types.encode("rcl_interfaces/msg/Log", log)[ENCAPSULATION.size :]))
     told.sort()
     rows = np.array([row for row, _, _ in told], np.int64)
-    messages = bodies_of([body for _, _, body in told], batch.time_ns[rows].tolist(), channel_id)
-    return replace(messages, rows=rows, repeats=True)
+    bodies = [body for _, _, body in told]
+    return bodies_of(bodies, batch.time_ns[rows].tolist(), channel_id, rows, repeats=True)

@@ -6,13 +6,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, fill_record
+from edoras_tools.io.topics.rows import RECORD, Messages, whole_messages
 from edoras_tools.ros.types.schema import full_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from numpy.typing import NDArray
 
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch
@@ -70,9 +68,7 @@ class Transforms:
             for frame in sorted({*names[read.valid].tolist()} - {"", child}):
                 these = np.flatnonzero(read.valid & (names == frame))
                 heads = np.zeros(len(these), _record(frame.encode(), child.encode()))
-                log_time = batch.time_ns[rows[these]]
-                fill_record(heads, channel_id, 0, columns.sequence_count[rows[these]], log_time, log_time)
-                heads["encapsulation"], heads["count"] = CDR_LE_WORD, 1
+                heads["count"] = 1
                 for name in ("sec", "nanosec"):
                     heads[name] = np.asarray(read.fields[f"header.stamp.{name}"])[these]
                 for name, text in (("frame", frame.encode()), ("child", child.encode())):
@@ -80,7 +76,9 @@ class Transforms:
                 for index, name in enumerate(_VALUES):
                     field = f"{_POSES[type_name]}.{name}"
                     heads["values"][:, index] = np.asarray(read.fields[field])[these]
-                yield _whole(heads, rows[these], channel_id, log_time)
+                own = rows[these]
+                sequence, log_time = columns.sequence_count[own], batch.time_ns[own]
+                yield whole_messages(own, heads, channel_id, sequence, log_time, log_time)
 
 
 def _record(frame: bytes, child: bytes) -> np.dtype[np.void]:
@@ -106,12 +104,3 @@ def _record(frame: bytes, child: bytes) -> np.dtype[np.void]:
 
 def _up(size: int, to: int) -> int:
     return -(-size // to) * to
-
-
-def _whole(
-    heads: NDArray[np.void], rows: NDArray[np.int64], channel_id: int, log_time: NDArray[np.int64]
-) -> Messages:
-    """Return messages that are all head."""
-    nothing = np.zeros(len(rows), np.int64)
-    pool = np.zeros(1, np.uint8)
-    return Messages(rows, channel_id, log_time, heads.itemsize, heads.__getitem__, pool, nothing, nothing)

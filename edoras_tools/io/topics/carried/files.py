@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
+from edoras_tools.io.topics.rows import RECORD, Messages, whole_messages
 from edoras_tools.sessions.cfdp import Follower, Transaction
 from edoras_tools.wire.arrays.window import PADDING
 from edoras_tools.wire.envelope import detect
@@ -114,7 +114,4 @@ class FileMessages:
         count = np.array([item.transaction_sequence_number & 0xFFFFFFFF for item in chosen])
         row = np.minimum(np.searchsorted(batch.time_ns, time_ns), len(batch) - 1)
         heads, number = np.empty(len(chosen), np.dtype(RECORD)), channel(topic)
-        fill_record(heads, number, size, count, time_ns, time_ns)
-        return Messages(
-            *(row, number, time_ns, RECORD_BYTES, heads.__getitem__, data, offset, size), repeats=True
-        )
+        return whole_messages(row, heads, number, count, time_ns, time_ns, (data, offset, size), repeats=True)

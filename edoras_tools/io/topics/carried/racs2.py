@@ -13,13 +13,12 @@ The rules that this file keeps:
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from edoras_tools.errors import FieldError
-from edoras_tools.io.topics.rows import CDR_LE_WORD, RECORD, Messages, bodies_of, fill_record
+from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, whole_messages
 from edoras_tools.links.racs2 import RACS2
 from edoras_tools.model import Finding
 from edoras_tools.wire import cfe, racs2
@@ -130,7 +129,7 @@ class BridgeMessages:
             bodies.append(cdr[ENCAPSULATION.size :])
             rows.append(row)
         where = np.array(rows, np.int64)
-        return replace(bodies_of(bodies, batch.time_ns[where].tolist(), channel_id), rows=where)
+        return bodies_of(bodies, batch.time_ns[where].tolist(), channel_id, where)
 
 
 def _targets(batch: PacketBatch, columns: Columns) -> Iterator[_Target]:
@@ -158,10 +157,9 @@ def _user_messages(target: _Target, batch: PacketBatch, channel_id: int) -> Mess
     pool = np.empty(int(size.sum()), np.uint8)
     copy_rows(pool, start, batch.data, batch.offset[rows] + racs2.BRIDGE_HEADER, size)
     heads = np.zeros(len(rows), _USER)
-    fill_record(heads, channel_id, size, 0, log_time, log_time)
-    heads["encapsulation"], heads["cfs_message_id"] = CDR_LE_WORD, target.msg_id
-    heads["body_data_length"] = heads["count"] = size
-    return Messages(rows, channel_id, log_time, heads.itemsize, heads.__getitem__, pool, start, size)
+    heads["cfs_message_id"], heads["body_data_length"] = target.msg_id, size
+    heads["count"] = size
+    return whole_messages(rows, heads, channel_id, 0, log_time, log_time, (pool, start, size))
 
 
 def _values(target: _Target, batch: PacketBatch) -> Iterator[tuple[str, str, list[tuple[int, Any]]]]:

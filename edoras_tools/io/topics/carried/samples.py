@@ -8,7 +8,7 @@ import numpy as np
 
 from edoras_tools.decode.samples import known_samples
 from edoras_tools.io.topics.names import APART
-from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, fill_record
+from edoras_tools.io.topics.rows import RECORD, Messages, whole_messages
 from edoras_tools.links.protocol import MOST_ENDPOINTS
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
@@ -103,5 +103,7 @@ class SampleMessages:
         log_ns = batch.time_ns[row]
         written_ns = np.where(item.written_ns[whole] >= 0, item.written_ns[whole], log_ns)
         heads = np.empty(len(whole), np.dtype(RECORD))
-        fill_record(heads, number, size, item.sequence_number[whole] & _LOW, log_ns, written_ns)
-        return Messages(row, number, log_ns, RECORD_BYTES, heads.__getitem__, data, start, size, repeats=True)
+        sequence = item.sequence_number[whole] & _LOW
+        return whole_messages(
+            row, heads, number, sequence, log_ns, written_ns, (data, start, size), repeats=True
+        )
