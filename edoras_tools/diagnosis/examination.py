@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import chain
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode.conversations import Unnamed, unnamed
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from edoras_tools.decode import Context
+    from edoras_tools.decode.conversations import Conversations, Flow
     from edoras_tools.diagnosis.verdict import Choice
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.sessions.faults.fault import Fault
@@ -55,7 +55,8 @@ class Diagnosis:
         start_ns: the first.
         end_ns: the last.
         capture: what is known of the capture itself.
-        case: what it was judged by, for plots; of a long capture the last chapter.
+        case: what it was judged by, for plots; of a long capture the last chapter; None where other processes
+            judge.
         balance: what became of the messages of every route at every hop.
         left_out: datagrams that belong to no link, are another program's, or were left out for their time.
         unnamed: of these, what looks like a link's, on ports that nobody named.
@@ -212,6 +213,33 @@ class Diagnosis:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class Chapter:
+    """What a chapter is judged with, besides what was kept of its datagrams.
+
+    Attributes:
+        capture: what is known of the capture itself.
+        faults: what was done on purpose up to its end.
+        flows: every conversation up to its end, as of ``Conversations``.
+        left_out: its datagrams that belong to no link.
+    """
+
+    capture: Capture
+    faults: Sequence[Fault]
+    flows: dict[tuple[Any, ...], Flow]
+    left_out: int
+
+
+class Apart(Protocol):
+    """Other processes that keep and judge chapters, one after the other."""
+
+    def keep(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take datagrams of the chapter that is read; see ``Recorder.keep``."""
+
+    def judge(self, chapter: Chapter) -> Callable[[], Diagnosis]:
+        """Judge the chapter, and begin the next one; return what waits for the result."""
+
+
 def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: None) -> list[Verdict]:
     """Ask every rule: first those about single messages, whose figures the balance needs.
 
@@ -268,7 +296,6 @@ class Examination:
         progress: see ``judge``.
         faults: what a proxy or a replay did on purpose, as the recording says.
         listing: whether to list every message that was lost.
-        apart: takes what judges a chapter, and returns what waits for the result; by default it runs at once.
     """
 
     def __init__(self, context: Context, profile: SimProfile | None = None) -> None:
@@ -276,7 +303,7 @@ class Examination:
         self.progress: Callable[[int, int], None] = lambda _done, _of: None
         self.faults: Sequence[Fault] = ()
         self.listing = False
-        self.apart: Callable[[Callable[[], Diagnosis]], Callable[[], Diagnosis]] = _at_once
+        self._apart: Apart | None = None
         self.context = context
         self.profile = profile or SimProfile()
         self._recorder = Recorder(context)
@@ -311,14 +338,33 @@ class Examination:
         faults = [item for item in self.faults if item.time_ns <= until_ns]
         self.faults = [item for item in self.faults if item.time_ns > until_ns]
         capture = Capture(zero_ns=self._zero_ns())
-        self._before.append(self.apart(partial(self._chapter, capture, faults, keep=False)))
-        self._recorder = Recorder(self.context, self._recorder.conversations)
+        self._before.append(self._judged(capture, faults, last=False))
+        self._recorder = self._begun(self._recorder.conversations)
+
+    def let(self, apart: Apart) -> None:
+        """Let other processes keep and judge the chapters, and diagnose once; before anything was taken."""
+        self._apart = apart
+        self._recorder = self._begun(self._recorder.conversations)
 
     def diagnose(self, capture: Capture | None = None) -> Diagnosis:
         """Judge all that was taken."""
         capture = capture or Capture()
         zero_ns = self._zero_ns() if capture.zero_ns is None else capture.zero_ns
-        last = self._chapter(replace(capture, zero_ns=zero_ns), self.faults, keep=True)
+        files = self._files
+        whole = replace(
+            capture,
+            zero_ns=zero_ns,
+            files=tuple(files.transactions),
+            corrupt_pdus=files.corrupt,
+            corrupt_ns=files.corrupt_ns,
+            ground=tuple(self._ground.streams),
+            samples=self._samples.named(self.context.endpoints),
+        )
+        followed = files.pdus - files.packets + self._ground.datagrams + self._samples.datagrams
+        frames = sum(item.frames for item in capture.frames.channels) if capture.frames else 0
+        last = self._judged(whole, self.faults, last=True)()
+        left_out = last.left_out + capture.cut - followed - frames - self._samples.made
+        last = replace(last, datagrams=last.datagrams + followed, left_out=left_out)
         found = _joined([*(part() for part in self._before), last], capture) if self._before else last
         if self._scattered:
             told = too_many(found.start_ns, found.end_ns, MOST_SCATTERED * CHAPTER)
@@ -335,22 +381,23 @@ class Examination:
         found = [*(missing(case) if len(case.rows) else ()), *lost_samples(case.capture)]
         return tuple(sorted(found, key=attrgetter("time_ns")))
 
-    def _chapter(self, capture: Capture, faults: Sequence[Fault], *, keep: bool) -> Diagnosis:
-        followed = self._files.pdus - self._files.packets + self._ground.datagrams if keep else 0
-        followed += self._samples.datagrams if keep else 0
-        made = self._samples.made if keep else 0
-        frames = sum(item.frames for item in capture.frames.channels) if capture.frames else 0
-        if keep:
-            files = self._files
-            capture = replace(
-                capture,
-                files=tuple(files.transactions),
-                corrupt_pdus=files.corrupt,
-                corrupt_ns=files.corrupt_ns,
-                ground=tuple(self._ground.streams),
-                samples=self._samples.named(self.context.endpoints),
-            )
-        case = Case(self._recorder, self.profile, capture, proxied(faults))
+    def _begun(self, conversations: Conversations) -> Recorder:
+        return Recorder(self.context, conversations, self._apart.keep if self._apart else None)
+
+    def _judged(self, capture: Capture, faults: Sequence[Fault], *, last: bool) -> Callable[[], Diagnosis]:
+        """Judge what was taken since the last time, here or elsewhere; return what waits for the result."""
+        recorder = self._recorder
+        chapter = Chapter(capture, faults, recorder.conversations.flows, recorder.left_out)
+        if self._apart is not None:
+            return self._apart.judge(chapter)
+        found = self.judged(recorder, chapter)
+        found = found if last else replace(found, case=None)
+        return lambda: found
+
+    def judged(self, recorder: Recorder, chapter: Chapter) -> Diagnosis:
+        """Judge a chapter here, by what a recorder kept of it."""
+        capture = chapter.capture
+        case = Case(recorder, self.profile, capture, proxied(chapter.faults))
         found = [_called(item, case) for item in judge(case, self.progress)]
         spans = [(item.first_ns, item.last_ns) for item in capture.files]
         spans += [(item.first_ns, item.last_ns) for item in capture.ground]
@@ -361,11 +408,11 @@ class Examination:
             habits=tuple(item for item in found if item.severity is Severity.HABIT),
             routes=accounts(case) if len(case.rows) else [],
             peers=[item.as_json() for item in case.network.connections.values()],
-            datagrams=len(case.rows) + followed,
+            datagrams=len(case.rows),
             start_ns=min((start_ns for start_ns, _ in spans), default=case.start_ns),
             end_ns=max((end_ns for _, end_ns in spans), default=case.end_ns),
             capture=capture,
-            case=case if keep else None,
+            case=case,
             balance=(
                 *(
                     replace(row, hop=case.called(row.hop))
@@ -374,7 +421,7 @@ class Examination:
                 *sample_rows(capture),
             ),
             unnamed=tuple(unnamed(case.prepared.flows)),
-            left_out=self._recorder.left_out + case.prepared.foreign + capture.cut - followed - frames - made,
+            left_out=recorder.left_out + case.prepared.foreign,
             topics={index: route.topic for index, route in enumerate(case.mission.routes)},
             missing=self._missing(case),
         )
@@ -384,11 +431,6 @@ def _called(verdict: Verdict, case: Case) -> Verdict:
     """Return a verdict that names applications as the cFS of the capture does."""
     reason, remedy = case.called(verdict.reason), case.called(verdict.remedy)
     return replace(verdict, reason=reason, remedy=remedy, hop=verdict.hop and case.called(verdict.hop))
-
-
-def _at_once(judging: Callable[[], Diagnosis]) -> Callable[[], Diagnosis]:
-    found = judging()
-    return lambda: found
 
 
 def _sorted(verdicts: Any) -> tuple[Verdict, ...]:

@@ -10,13 +10,11 @@ import ctypes
 import gc
 import os
 import pickle
-import select
 import signal
 import socket
 import sys
 from contextlib import contextmanager, suppress
-from functools import partial
-from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.signals import ENDING
@@ -24,7 +22,6 @@ from edoras_tools.io.signals import ENDING
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-_Result = TypeVar("_Result")
 _LENGTH_BYTES: Final = 8
 """Bytes of the length before every message."""
 _PR_SET_PDEATHSIG: Final = 1
@@ -63,66 +60,6 @@ def fork(serve: Callable[[socket.socket], None]) -> tuple[int, socket.socket]:
                 serve(there)
             os._exit(0)
     return process, link
-
-
-class Later(Generic[_Result]):
-    """The result of a function that runs once in a forked process; call it to wait for it.
-
-    The function sees everything as it is now, and what it changes is lost. Where no process can be forked, it
-    runs in this one at once.
-
-    Args:
-        work: the function; its result is pickled.
-        what: what is killed if the process is, for the error.
-    """
-
-    def __init__(self, work: Callable[[], _Result], what: str) -> None:
-        self._what = what
-        self._failure: Exception | None = None
-        self._result: Any = None
-        self._link: socket.socket | None = None
-        try:
-            self._process, self._link = fork(partial(_answer, work))
-        except OSError:
-            self._result = work()
-
-    def __call__(self) -> _Result:
-        """Return the result.
-
-        Raises:
-            CaptureError: the process was killed.
-            Exception: what the function raised.
-        """
-        if self._link is not None:
-            link = self._link
-            select.select([link], [], [])
-            try:
-                with undisturbed():
-                    self._failure, self._result = receive(link)
-            except (OSError, EOFError):
-                self._failure = CaptureError(f"{self._what} was killed, perhaps because memory ran out")
-            self._link = None
-            link.close()
-            await_end(self._process)
-        if self._failure is not None:
-            raise self._failure
-        result: _Result = self._result
-        return result
-
-    @property
-    def done(self) -> bool:
-        """Whether the result was taken."""
-        return self._link is None
-
-
-def _answer(work: Callable[[], Any], link: socket.socket) -> None:
-    """Run a function in the forked process, and send what it returns or raises."""
-    failure, result = None, None
-    try:
-        result = work()
-    except Exception as error:  # noqa: BLE001  the one who takes the result gets it
-        failure = portable(error)
-    send(link, (failure, result))
 
 
 def await_end(process: int) -> None:

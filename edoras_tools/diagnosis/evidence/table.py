@@ -22,6 +22,8 @@ from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
     from typing_extensions import Self
 
@@ -127,6 +129,8 @@ class Recorder:
 
     Args:
         conversations: of all that came before, to go on with.
+        apart: keeps the datagrams that have a packet in place of this one, see ``keep``; they are still
+            counted here.
 
     Attributes:
         conversations: everything on any port, by who spoke to whom.
@@ -136,18 +140,25 @@ class Recorder:
         left_out: datagrams that belong to no link.
     """
 
-    def __init__(self, context: Context, conversations: Conversations | None = None) -> None:
+    def __init__(
+        self,
+        context: Context,
+        conversations: Conversations | None = None,
+        apart: Callable[[PacketBatch, Columns], None] | None = None,
+    ) -> None:
         self.context = context
+        self._apart = apart
         self.conversations = conversations or Conversations(context)
         self.endpoints: list[Endpoint] = []
         self.payloads = Payloads()
         self.samples: dict[tuple[int, int], dict[int, bytes]] = {}
         self._index: dict[tuple[int, str, int], int] = {}
         self._shared = robot.SharedFields(context)
+        self._times: list[NDArray[np.int64]] = []
         self._parts: list[Rows] = []
         self._sequences = SequenceCounts()
         self._told: list[SequenceRows] = []
-        self._count = 0
+        self._count = self._kept = 0
         self.left_out = 0
 
     def __len__(self) -> int:
@@ -156,12 +167,12 @@ class Recorder:
     @property
     def last_ns(self) -> int:
         """Capture time of the datagram that was taken last; 0 where there is none."""
-        return int(self._parts[-1].time_ns[-1]) if self._parts else 0
+        return int(self._times[-1][-1]) if self._times else 0
 
     @property
     def scattered(self) -> bool:
         """Whether records of any time stand anywhere, so that no part of what was taken stands by itself."""
-        times = np.concatenate([part.time_ns for part in self._parts])
+        times = np.concatenate(self._times)
         first, last = times[: len(times) // 4], times[-len(times) // 4 :]
         back = int((np.diff(times) < 0).sum())
         return bool(back * SCATTERED > len(times) and len(first) and last.min() < first.max())
@@ -176,7 +187,13 @@ class Recorder:
             return
         if len(chosen) < len(batch):
             batch, columns = batch.take(chosen), columns.take(chosen)
-        self.payloads.add(batch, columns, self._count)
+        self._count += len(batch)
+        self._times.append(batch.time_ns)
+        (self._apart or self.keep)(batch, columns)
+
+    def keep(self, batch: PacketBatch, columns: Columns) -> None:
+        """Keep what is needed of the datagrams of a batch, all of which carry a packet or a command."""
+        self.payloads.add(batch, columns, self._kept)
         offset, length, space, claimed = self._messages(batch, columns)
         plain, stamped = self._fingerprints(batch, columns, offset, length)
         whole = of_bytes(batch.data, batch.offset, batch.length)
@@ -232,21 +249,16 @@ class Recorder:
             )
         )
         self._sample(batch, columns, offset, length)
-        self._count += len(batch)
+        self._kept += len(batch)
 
     def rows(self) -> Rows:
         """Return all rows so far."""
         if not self._parts:
             return _none()
         if len(self._parts) > 1:
-            self._parts = [
-                Rows(
-                    **{
-                        item.name: np.concatenate([getattr(part, item.name) for part in self._parts])
-                        for item in fields(Rows)
-                    }
-                )
-            ]
+            parts = {item.name: [getattr(part, item.name) for part in self._parts] for item in fields(Rows)}
+            self._parts.clear()  # so that no more than one column is there twice
+            self._parts.append(Rows(**{name: np.concatenate(parts.pop(name)) for name in list(parts)}))
         return _counting(self._parts[0], self._sequences.whole(self._told))
 
     def _endpoints(

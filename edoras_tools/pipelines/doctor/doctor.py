@@ -14,11 +14,11 @@ from edoras_tools.decode import Dissector
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.errors import ConfigError, EdorasError
-from edoras_tools.io.forked import Later
 from edoras_tools.io.formats.cfe.contents import message_limits, network_peers
 from edoras_tools.io.formats.jsonl.writer import json_value
 from edoras_tools.io.formats.merge import follow_streams, recorded_faults, recorded_host
 from edoras_tools.pipelines.clocks import OneByOne
+from edoras_tools.pipelines.doctor.apart import judged_apart
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.jobs import jobs_for
 from edoras_tools.pipelines.reading import Limits, reading
@@ -135,8 +135,6 @@ def examine(
         source.close()
         raise
     pace = pace or Pace(lambda: 0)
-    if (count := jobs_for(source, pace.jobs)) > 1:
-        examination.apart = _Judges(examination, count, source.info.name)
     host = tuple(recorded_host(source))
 
     def diagnose() -> Diagnosis:
@@ -157,9 +155,12 @@ def examine(
     judged, pause = pace.clock(), pace.every_ns
     limits = Limits(duration_ns=pace.duration_ns, clock=pace.clock)
     conversing = counting is not None
-    with reading(
-        source, bench, limits=limits, examined=scope.period, keeps_failure=True, conversing=conversing
-    ) as loop:
+    with (
+        judged_apart(examination, source, jobs_for(source, pace.jobs)),
+        reading(
+            source, bench, limits=limits, examined=scope.period, keeps_failure=True, conversing=conversing
+        ) as loop,
+    ):
         part, faults = 0, recorded_faults(source)
         for rows in loop:
             if isinstance(source, OneByOne) and source.part != part:
@@ -186,36 +187,7 @@ def examine(
                 judged = pace.clock()
                 # Judging takes at most a fifth of the time, however large the capture is.
                 pause = max(pace.every_ns, 5 * (judged - now))
-    return Findings(diagnose(), source, loop.failure, loop.interrupted)
-
-
-class _Judges:
-    """Lets other processes judge chapters while this one reads on: that takes less time, so it mostly waits.
-
-    Args:
-        examination: whose chapters they are.
-        count: how many judge at the same time.
-        name: of the source, for errors.
-    """
-
-    def __init__(self, examination: Examination, count: int, name: str) -> None:
-        self._examination, self._count, self._name = examination, count, name
-        self._judging: list[Later[Diagnosis]] = []
-
-    def __call__(self, judging: Callable[[], Diagnosis]) -> Callable[[], Diagnosis]:
-        """Begin to judge a chapter; return what waits for the result."""
-
-        def work() -> Diagnosis:
-            self._examination.progress = lambda _done, _of: None  # one process shows the progress
-            return judging()
-
-        self._judging = [item for item in self._judging if not item.done]
-        while len(self._judging) >= self._count:
-            self._judging.pop(0)()
-        self._judging.append(
-            Later(work, f"{self._name}: a process that examined part of it (--jobs 1 needs only one)")
-        )
-        return self._judging[-1]
+        return Findings(diagnose(), source, loop.failure, loop.interrupted)
 
 
 def profile_with(constants: Sequence[str]) -> SimProfile:

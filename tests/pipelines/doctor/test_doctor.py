@@ -6,6 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 from places import ROOT
+from rewriting import Udp, write
+from transfer_frames import Maker, space_packet
 
 from edoras_tools import doctor
 from edoras_tools.diagnosis import examination
@@ -168,13 +170,14 @@ def test_constants_are_named():
 CAPTURES = sorted((ROOT / "samples/captures").glob("*.pcap"))
 
 
-def chapters(monkeypatch, path, jobs, *, listing=False):
+def chapters(monkeypatch, path, jobs, *, listing=False, configs=()):
     """What is found in chapters of some hundred datagrams."""
     monkeypatch.setattr("edoras_tools.pipelines.jobs._LARGE", 1)
     monkeypatch.setattr(examination, "CHAPTER", 150)
     source = open_files([path])
     parts = _Parts(source, 100)
-    return examine(parts, Settings().workbench(source.info), pace=Pace(lambda: 0, jobs=jobs), listing=listing)
+    bench = Settings(configs).workbench(source.info)
+    return examine(parts, bench, pace=Pace(lambda: 0, jobs=jobs), listing=listing)
 
 
 class _Parts:
@@ -211,4 +214,41 @@ def test_a_process_that_is_killed_while_it_judges_is_told(monkeypatch):
 
     monkeypatch.setattr(examination, "judge", killed)
     with pytest.raises(CaptureError, match=r"a_rover\.pcap: a process that examined .* was killed, perhaps"):
+        chapters(monkeypatch, ROOT / "samples/captures/a_rover.pcap", 2)
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+def test_what_is_followed_over_chapters_comes_to_the_one_that_judges(monkeypatch, tmp_path):
+    maker, packets = Maker("tm", 60), [space_packet(1, bytes([number % 256]) * 80) for number in range(400)]
+    frames = [frame for frame, _ in maker.carry(packets)]
+    ends = ("10.0.0.2", 5000), ("10.0.0.1", 5001)
+    path = write(tmp_path / "f.pcap", [Udp(at, *ends, item) for at, item in enumerate(frames) if at != 2])
+    config = tmp_path / "f.yaml"
+    told = f"{{port: 5001, kind: tm, length: {maker.length}}}"
+    config.write_text(f"link: {{ros__parameters: {{frames: {{down: {told}}}}}}}")
+    one, two = (chapters(monkeypatch, path, jobs, configs=[config]) for jobs in (1, 2))
+    assert one.summary() == two.summary()
+    assert "frames_lost" in [item.rule for item in two.diagnosis.verdicts]
+    assert two.diagnosis.capture.frames.channels
+
+
+@pytest.mark.parametrize("what", ["os.fork", "mmap.mmap"])
+def test_where_there_is_no_other_process_this_one_judges(monkeypatch, what):
+    path = ROOT / "samples/captures/a_rover.pcap"
+    alone = chapters(monkeypatch, path, 1)
+
+    def none(*_):
+        raise BlockingIOError("Resource temporarily unavailable")
+
+    monkeypatch.setattr(what, none)
+    assert chapters(monkeypatch, path, 2).summary() == alone.summary()
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+def test_what_one_that_judges_raises_is_raised_here(monkeypatch):
+    def fails(*_):
+        raise CaptureError("no.pcap: bad")
+
+    monkeypatch.setattr(examination, "judge", fails)
+    with pytest.raises(CaptureError, match=r"^no\.pcap: bad$"):
         chapters(monkeypatch, ROOT / "samples/captures/a_rover.pcap", 2)
