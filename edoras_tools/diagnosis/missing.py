@@ -41,6 +41,7 @@ _CAUSES: Final[dict[LossKind, str]] = {
     "down": "cFS was down",
     "restart": "{hop} was restarted",
     "stopped": "{hop} was stopped",
+    "ci_stopped": "{hop} was stopped",
     "away": "the SBN peer was away",
     "sbn_socket": "SBN's socket was full",
 }

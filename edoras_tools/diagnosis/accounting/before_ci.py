@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.losses import Known
 
 
+_OUTAGES: Final = frozenset({"down", "restart"})
+
+
 class BeforeCi:
     """Shares out the accounts of CI.
 
@@ -31,6 +34,7 @@ class BeforeCi:
 
     def __init__(self, known: Known, fates: Sequence[Fate], losses: list[Loss]) -> None:
         self._known, self._fates, self.losses = known, fates, losses
+        self._told: dict[int, int] = {}
 
     def share(self, account: Ingest) -> None:
         """Share out all that was lost before a CI."""
@@ -63,15 +67,33 @@ class BeforeCi:
         if before.cause == "network" and left > self._missing(account, fates, before.end_ns):
             return  # more than did not come out: its counts are late, as over a slow link, and tell no loss
         evidence = self._before_evidence(account, before)
+        if before.cause in _OUTAGES and (unheard := self._unheard(before, fates)):
+            left += unheard
+            self._told[id(before)] = unheard
+            evidence.append(f"{unheard:,} more did not come out, and its counts leave room for them")
+        if before.said:
+            for fate in fates:  # nor will it come
+                never = fate.waits & (self._known.captured(fate.stream) > before.since_ns)
+                fate.open |= never
+                fate.waits &= ~never
         # What did not come out is the likelier; what is lost first may have been before the first count.
         seen = [fate for fate in fates if fate.seen]
-        spans = [(seen, before.since_ns), (fates, before.since_ns), (fates, 0)]
-        if before is account.losses[0]:
+        spans = [(seen, before.since_ns), (fates, before.since_ns), (fates, 0)][: 2 if before.said else None]
+        if before is account.losses[0] and not before.said:
             spans.insert(1, (seen, 0))
         for those, since_ns in spans:
             left -= self._spread(those, before, since_ns, left, evidence)
         if left and before.cause != "unknown":
             self._nobodys(before, left, evidence)
+
+    def _unheard(self, before: Before, fates: Sequence[Fate]) -> int:
+        """Return how many more did not come out of a CI that was away, and have room in its counts."""
+        missing = sum(
+            int((fate.open & (times > before.since_ns) & (times <= before.end_ns)).sum())
+            for fate in fates
+            if fate.seen and len(times := self._known.captured(fate.stream))
+        )
+        return max(0, min(before.more, missing - before.lost))
 
     def _missing(self, account: Ingest, fates: Sequence[Fate], end_ns: int) -> int:
         """Return the most that can be lost of what was sent to a CI until a time: what did not come out."""
@@ -105,9 +127,11 @@ class BeforeCi:
 
     def _more_before_ci(self, account: Ingest) -> int:
         """Tell lost, in CI's last span of loss, what did not come out and its counts leave room for."""
-        if not account.losses or not account.more:
+        if not account.more:
             return 0
-        last = account.losses[-1]
+        last = [item for item in account.losses if item.cause != "ci_stopped"][-1]
+        if last.cause in _OUTAGES:
+            return self._told.get(id(last), 0)
         seen = [fate for fate in self._to(account) if fate.seen]
         evidence = ["they did not come out, later ones did, and CI's counts leave room for them"]
         # What is lost first may have been before the first count.
@@ -152,6 +176,8 @@ class BeforeCi:
         )
 
     def _before_evidence(self, account: Ingest, before: Before) -> list[str]:
+        if before.said:
+            return [before.said]
         taken = account.taken
         if account.by_kernel:
             of = f"{before.lost:,} of {len(account.rows):,} datagrams"

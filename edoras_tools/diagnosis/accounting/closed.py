@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _SILENT_WAKES: Final = 5
 _STOPS_NS: Final = 3 * SECOND
-"""After a command that stops it, packets of Telemetry Output come for so long, also over a slow network."""
+"""After a command that stops them, packets come for so long, also over a slow network."""
 
 
 def closed_at(known: Known, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bool_]:
@@ -49,7 +49,7 @@ def closed_at(known: Known, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.
     for index, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
         out[index] = bool(
             (connection and connection.broken_within(start, end))
-            or known.network.unsubscribed_within(stream.msg_id, start, end)
+            or known.network.unsubscribed_within(stream.msg_id, start - _STOPS_NS, end)
         )
     return out
 

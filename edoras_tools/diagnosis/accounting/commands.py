@@ -134,13 +134,25 @@ class Commands:
 
     def _pass_on(self, fate: Fate) -> None:
         """Take those that came out of the application and were lost behind it, which is told there."""
-        behind = {id(hop.out) for hop in fate.hops if hop.rewritten}
-        left = sum(loss.lost for loss in self._telemetry if id(loss.stream) in behind)
-        left += sum(self._closed.get(key, 0) for key in behind)
-        rows = np.flatnonzero(fate.open & ~fate.newer)
-        number = min(left, len(rows))
-        fate.passed_on = fate.claim(rows[np.linspace(0, len(rows) - 1, number).round().astype(np.intp)])
-        fate.owed = min(left - fate.passed_on, int((fate.open & fate.newer).sum()))
+        hops = [hop for hop in fate.hops if hop.rewritten]
+        behind = {id(hop.out) for hop in hops}
+        times, delay = self._known.captured(fate.stream), max((hop.last_ns for hop in hops), default=0)
+        left = sum(self._closed.get(key, 0) for key in behind)
+        for loss in self._telemetry:
+            if id(loss.stream) in behind:
+                # What was lost behind it in one span of time went in just before.
+                inside = (times >= loss.start_ns - delay - WAITS_NS) & (times <= loss.end_ns)
+                left += loss.lost - self._spread(fate, loss.lost, inside)
+        left -= self._spread(fate, left, fate.open)
+        fate.owed = min(left, int((fate.open & fate.newer).sum()))
+
+    @staticmethod
+    def _spread(fate: Fate, number: int, inside: NDArray[np.bool_]) -> int:
+        """Take up to so many of some messages that did not come out as lost behind; return how many."""
+        rows = np.flatnonzero(fate.open & ~fate.newer & inside)
+        number = min(number, len(rows))
+        fate.passed_on += fate.claim(rows[np.linspace(0, len(rows) - 1, number).round().astype(np.intp)])
+        return number
 
     def _unfollowed(self, fate: Fate) -> None:
         """Count what nobody can follow, of what nothing else has told."""

@@ -178,5 +178,6 @@ LOST_AT: Final[Mapping[str, str]] = {
     "socket": CI_SOCKET,
     "down": command_ingest.NAME,
     "restart": command_ingest.NAME,
+    "ci_stopped": command_ingest.NAME,
 }
 """Kind of a loss before CI to where it is."""

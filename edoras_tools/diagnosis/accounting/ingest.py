@@ -19,8 +19,9 @@ Rules:
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
 
-Cause = Literal["socket", "network", "down", "restart", "unknown"]
+Cause = Literal["socket", "network", "down", "restart", "ci_stopped", "unknown"]
 _SLACK_NS: Final = 100 * MILLISECOND
 """Tasks on a busy host wake up so late."""
 _UNDER_WAY_NS: Final = 2 * SECOND
@@ -52,6 +53,7 @@ _STARTS_NS: Final = 5 * SECOND
 _ONE_NS: Final = 15 * SECOND
 _ENDS_NS: Final = 750 * MILLISECOND
 """An application that is told to stop runs on for up to a second and a half."""
+_NAMED: Final = re.compile(rf"\b(?:{'|'.join(map(re.escape, command_ingest.NAMES))})\b")
 DRAINS_NS: Final = 15 * SECOND
 """So long after it was sent CI may read a datagram: what waits in its socket then."""
 _MODULUS: Final = 1 << 32
@@ -70,12 +72,16 @@ class Before:
         lost: how many.
         start_ns: the first of them was sent after this.
         end_ns: and the last not after this.
+        more: of those that may wait behind it, as many may have been lost with it: counts alone cannot tell.
+        said: what cFS said of it.
     """
 
     cause: Cause
     lost: int
     start_ns: int
     end_ns: int
+    more: int = 0
+    said: str = ""
 
     @property
     def since_ns(self) -> int:
@@ -309,13 +315,41 @@ def _account(
         # What was sent before the capture began may wait, and is not lost here.
         high = high - before if first else np.minimum(high - before, sent[part])
         run = _Run(seen[part], low - before, high, drained, busy, 2 * most, unread)
+        told = account.losses[-1:]
         lost = _follow(account, run, lost, begin)
+        account.more = account.losses[-1].more if account.losses[-1:] != told else 0
         if not first and before and unread is None and account.losses and not busy[1:2].any():
             least = _sent_until(sources, sent_ns, int(emptied_ns[0])) - own[0].count
             account.unsure = max(0, before - least)
         account.waiting = max(0, int(run.high[-1]) - lost)
     account.taken = int(sent[-1]) - lost - account.waiting
+    if stopped := _stopped(sources, own[-1]):
+        said, since_ns = stopped
+        if unread := int((sent_ns > since_ns).sum()):
+            account.losses.append(Before("ci_stopped", unread, since_ns, int(sent_ns[-1]), said=said))
     return account
+
+
+def _stopped(sources: Sources, last: _Sample) -> tuple[str, int] | None:
+    """Return what said that a CI was stopped, and since when it read nothing; None where it started again."""
+    found = None
+    for record in sources.payloads.events:
+        own = record.app == executive_services.NAME and sources.instances.saying(record) == last.instance
+        if own and record.time_ns > last.seen_ns - _LATE_NS and _NAMED.search(record.message):
+            told = _told_ns(sources, last.seen_ns - SECOND, record.time_ns)
+            stops = record.event_id == executive_services.STOPPED
+            found = (f"event {record}", max(told, default=record.time_ns)) if stops else None
+    return found
+
+
+def _told_ns(sources: Sources, start_ns: int, end_ns: int) -> list[int]:
+    """Return until when CI may have read on after commands that end it, of those between two times."""
+    told = [
+        int(sources.rows.time_ns[item.row]) + _ENDS_NS
+        for item in sources.payloads.executive
+        if item.app in command_ingest.NAMES and item.function_code in executive_services.ENDS_APP
+    ]
+    return [when for when in told if start_ns < when < end_ns]
 
 
 def _sent_until(sources: Sources, sent_ns: NDArray[np.int64], time_ns: int) -> int:
@@ -398,12 +432,7 @@ def _ended_ns(sources: Sources, endpoint: int, last: _Sample, first: _Sample) ->
     if last.instance != first.instance:
         ended_ns = max(last.seen_ns, sources.instances.items[last.instance].last_ns)
     else:
-        told = [
-            int(sources.rows.time_ns[item.row]) + _ENDS_NS
-            for item in sources.payloads.executive
-            if item.app in command_ingest.NAMES and item.function_code in executive_services.ENDS_APP
-        ]
-        between = [when for when in told if last.seen_ns - SECOND < when < first.seen_ns]
+        between = _told_ns(sources, last.seen_ns - SECOND, first.seen_ns)
         ended_ns = max(between, default=last.seen_ns)
     arrived = sources.arrived_ns.get(endpoint)
     if arrived is None:
@@ -463,6 +492,7 @@ def _levels(run: _Run, lost: int, most: int) -> tuple[list[_Level], int]:
 def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int]) -> int:
     """Go through a run, add what is lost in it to the account; return all that is lost until its end."""
     # What a first count does not have is older than the capture.
+    before = account.losses[-1:]
     levels, shown_less = _levels(run, lost, 0 if begin[0] == "network" else _MODULUS)
     account.not_captured += shown_less
     for level in levels:
@@ -487,5 +517,6 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int]) -> 
             if number > lost:
                 account.add(Before(cause, number - lost, min(since_ns, until_ns), until_ns))
         lost = number
-    account.more = max(0, levels[-1].high - lost)
+    if account.losses[-1:] != before:
+        account.losses[-1] = replace(account.losses[-1], more=max(0, levels[-1].high - lost))
     return lost

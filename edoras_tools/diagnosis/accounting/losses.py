@@ -40,7 +40,18 @@ if TYPE_CHECKING:
 PipeKind = Literal["limit", "overflow"]
 LossKind = (
     PipeKind
-    | Literal["after", "unknown", "network", "socket", "down", "restart", "stopped", "away", "sbn_socket"]
+    | Literal[
+        "after",
+        "unknown",
+        "network",
+        "socket",
+        "down",
+        "restart",
+        "ci_stopped",
+        "stopped",
+        "away",
+        "sbn_socket",
+    ]
 )
 """Over a limit or out of a full pipe; behind cFS; on the way to CI; in CI's socket; while cFS or CI was down;
 while the application was; while an SBN peer was away; unknown: nothing tells where, or of which MsgId."""

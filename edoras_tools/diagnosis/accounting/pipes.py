@@ -98,14 +98,16 @@ class Pipes:
             ]
             for fate in fates
         }
-        for group in _joined(into.values()):
+        groups = _joined(into.values())
+        # Which were lost behind the application is not known: what an event names may be any of them.
+        for group, anywhere in [(group, False) for group in groups] + [(group, True) for group in groups]:
             claims: list[Claim] = []
             whose: list[_Own] = []
             parts = [self._counts[instance] for instance in group]
             counts = Counts.together(parts)
             for fate in fates:
-                if set(into[id(fate)]) & set(group):
-                    self._claims(fate, group, counts, claims, whose)
+                if set(into[id(fate)]) & set(group) and (fate.passed_on or not anywhere):
+                    self._claims(fate, group, counts, claims, whose, anywhere=anywhere)
             # What events name comes first, and what no newer one can have superseded.
             for turn in range(_TURNS):
                 settle(counts, [claim for claim in claims if claim.key % _TURNS == turn])
@@ -126,6 +128,8 @@ class Pipes:
         counts: Counts,
         claims: list[Claim],
         whose: list[_Own],
+        *,
+        anywhere: bool,
     ) -> None:
         kinds = [
             kind
@@ -133,6 +137,8 @@ class Pipes:
             if any(self._named(fate.stream, kind, instance)[0] for instance in group)
         ]
         named = bool(kinds)
+        if anywhere and not named:
+            return
         kinds += [kind for kind in COUNTERS if kind not in kinds]
         times = self._known.captured(fate.stream)
         cut = fate.spans
@@ -144,6 +150,8 @@ class Pipes:
             turn = _ORDER.index((named, place))
             first = counts.seconds(np.maximum(times[rows] - LEAD_NS, since_ns))
             last = counts.seconds(times[rows] + delay + LATE_NS)
+            if anywhere:
+                first, last = np.zeros_like(first), np.full_like(last, len(counts.times) - 1)
             if place == _MAY_WAIT:
                 sure = counts.often(first, last)
                 rows, first, last = rows[sure], first[sure], last[sure]

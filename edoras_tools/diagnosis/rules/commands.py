@@ -136,6 +136,7 @@ _BAD_COMMANDS: Final = (
 )
 
 
+_MISMATCH: Final = next(item for item in _BAD_COMMANDS if item.refused_7)
 _SHORT = BadCommandKind(
     Finding.TRUNCATED,
     "ends before its message does",
@@ -182,6 +183,8 @@ def bad_command(case: Case) -> Iterator[Verdict]:
         bad.tolist(), findings.tolist(), size.tolist(), rows.msg_id[bad].tolist(), strict=True
     ):
         kind = _kind(bits, length)
+        if bits & _MISMATCH.finding and kind is not _MISMATCH and refusals(case, row, int(rows.length[row])):
+            kind = _MISMATCH  # CI of cFS 7 looks at this first, and nobody else gets it
         found.setdefault((kind.what, msg_id), []).append((row, kind))
     told = {row for members in found.values() for row, _ in members}
     for row, kind in _refused(case, told):
@@ -259,7 +262,7 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
         f"{which}{kind.what}; {done}",
         msg_id=msg_id,
         link="ci",
-        hop="CI_LAB_APP" if kind.finding is Finding.TRUNCATED else None,
+        hop="CI_LAB_APP" if kind.finding is Finding.TRUNCATED or refused else None,
         lost=lost,
         of=len(members),
         span=case.span(members),

@@ -16,6 +16,7 @@ from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_ROUTE
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -65,11 +66,23 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     evidence = [f"{int(fate.arrived.sum()):,} came out {', '.join(ways)} with the same values"]
     if fate.superseded:
         evidence.append(f"{fate.superseded:,} more gave way to a newer one, and are not counted here")
-    evidence.append(
-        "the counters of 0x803 and 0x884 explain no more than is told elsewhere"
-        if visible
-        else "0x803 is not in the capture, so the software bus cannot be cleared or blamed"
-    )
+    accounts = [item for item in case.ingests if item.endpoint == stream.receiver]
+    last_ns = max((item.last_ns for item in accounts), default=case.end_ns)
+    behind = int((missing > last_ns).sum())
+    if visible and behind < len(missing):
+        evidence.append("the counters of 0x803 and 0x884 explain no more than is told elsewhere")
+    elif not visible:
+        evidence.append("0x803 is not in the capture, so the software bus cannot be cleared or blamed")
+    if behind:
+        evidence.append(
+            f"{behind:,} of them were sent after the last count of CI here, at {case.at(last_ns)}: whether "
+            "CI, cFS or the application was away then, nothing tells"
+        )
+    if fate.doubled and (extra := sum(item.not_captured for item in accounts)):
+        evidence.append(
+            f"{fate.doubled:,} came out more than once, and CI counted {extra:,} more than were sent here: "
+            "the network may have lost these before CI, and doubled those"
+        )
     return Verdict(
         Severity.ERROR,
         f"{fate.unaccounted:,} of {len(stream):,} messages that went into cFS on {into} are not accounted "
@@ -81,7 +94,7 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
         span=(int(missing[0]), int(missing[-1])),
         evidence=(*evidence, *case.drops_text()),
         remedy="look at the application's own counters and console: it received them and did not pass them "
-        "on, or its task was not there",
+        "on, or its task was not there; a capture on the cFS host shows which of them arrive there",
         confidence="medium" if visible else "low",
     )
 
@@ -237,8 +250,8 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
         if loss.kind == "unknown" and loss.stream is None:
             yield Verdict(
                 Severity.ERROR,
-                f"{loss.lost:,} messages lost on the software bus of {case.label(loss.instance)}; which "
-                "ones is not observable from here",
+                f"{plural(loss.lost, 'message')} lost on the software bus of {case.label(loss.instance)}; "
+                "which ones is not observable from here",
                 hop="software bus",
                 lost=loss.lost,
                 span=(loss.start_ns, loss.end_ns),

@@ -211,7 +211,11 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
         )
 
 
-_KINDS = {"restart": "CI_LAB_APP was restarted", "stopped": "the application was stopped"}
+_KINDS = {
+    "restart": "CI_LAB_APP was restarted",
+    "ci_stopped": "CI_LAB_APP was stopped",
+    "stopped": "the application was stopped",
+}
 
 
 def app_outage(case: Case) -> Iterator[Verdict]:

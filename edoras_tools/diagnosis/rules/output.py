@@ -12,6 +12,7 @@ from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
+from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import OutputCommand
 
 _WAIT_NS: Final = 3 * SECOND
+_ENDS_NS: Final = 5 * SECOND
+_ENDS_ROUNDS: Final = 6
+"""Telemetry that does not come for so long, and for so many of its usual rounds, has ended."""
+_LEAST: Final = 4
 
 
 def to_not_enabled(case: Case) -> Iterator[Verdict]:
@@ -43,7 +48,7 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
         ]
         reason = (
             f"Telemetry Output was enabled for {enables[-1].address!r} and nothing of it is seen here: it "
-            "sends elsewhere, or its datagrams do not cross this capture point"
+            "sends elsewhere, its datagrams do not cross this capture point, or it does not run"
         )
     else:
         reason = "Telemetry Output sends nothing here, and no command in the capture enables it"
@@ -54,7 +59,7 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
         hop="TO_LAB_APP",
         evidence=tuple(evidence),
         remedy=f"{case.inject(ENABLE_OUTPUT)}; to see telemetry, capture on the host that it is enabled for, "
-        "UDP port 1235",
+        "UDP port 1235; on the console of cFS, look for TO_LAB_APP's first event",
         confidence="medium",
     )
 
@@ -121,11 +126,11 @@ def _fight(case: Case, members: list[OutputCommand]) -> Verdict:
     senders = {case.endpoints[rows.source[item.row]].address for item in members}
     changes = sum(a.address != b.address for a, b in pairwise(members))
     fighting = changes > 1
+    who = "two ground stations fight over Telemetry Output: it" if len(senders) > 1 else "Telemetry Output"
     return Verdict(
         Severity.WARNING,
         (
-            f"two ground stations fight over Telemetry Output: it was redirected {changes} times, and sends "
-            "to one address at a time"
+            f"{who} was redirected {changes} times, and sends to one address at a time"
             if fighting
             else "Telemetry Output was redirected: the first ground station gets nothing from then on"
         ),
@@ -231,6 +236,41 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
                 f"Output drops what comes until it is enabled again: {case.inject(ENABLE_OUTPUT)}",
                 confidence="high" if failed else "medium",
             )
+    yield from _ended(case)
+
+
+def _ended(case: Case) -> Iterator[Verdict]:
+    """Say that no telemetry comes any more, while commands go on: nothing else can tell of that time."""
+    rows = case.rows
+    times = rows.time_ns[rows.link == TO]
+    rounds = np.diff(times)[np.diff(times) > case.profile.to_wake_ns // 4]
+    if len(rounds) < _LEAST:
+        return
+    last_ns = int(times[-1])
+    length = case.end_ns - last_ns
+    commands = int(((rows.link == CI) & (rows.time_ns > last_ns + SECOND)).sum())
+    removed = any(
+        item.function_code in telemetry_output.STOPS
+        and item.msg_id < 0
+        and abs(int(rows.time_ns[item.row]) - last_ns) < _WAIT_NS
+        for item in case.payloads.output
+    )
+    if removed or not commands or length < max(_ENDS_NS, _ENDS_ROUNDS * int(np.median(rounds))):
+        return
+    robot = int(((rows.link == ROBOT) & (rows.time_ns > last_ns + SECOND)).sum())
+    came = (f"{plural(robot, 'datagram')} to the robot since then: the application ran, at least at times",)
+    yield Verdict(
+        Severity.WARNING,
+        f"Telemetry Output sends nothing from {case.at(last_ns)} to the end, {length / SECOND:.1f} s, while "
+        "commands go on: no counter and no event tells what became of them",
+        link="to",
+        hop=telemetry_output.NAME,
+        span=(last_ns, case.end_ns),
+        evidence=(f"{plural(commands, 'datagram')} to CI since then", *(came if robot else ())),
+        remedy="see whether cFS and its Telemetry Output run; one that started again has forgotten that it "
+        f"was enabled: {case.inject(ENABLE_OUTPUT)}",
+        confidence="medium",
+    )
 
 
 def to_taken_over(case: Case) -> Iterator[Verdict]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from edoras_tools.cfs import command_ingest, telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
@@ -49,21 +51,35 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
             link=None,
             remedy="see whether the application that reads this pipe runs",
         )
+    every = f"{period // 1_000_000} ms"
     reason = (
         f"{least}{lost_at(case, loss, 'commands')}: more than {limit} of one MsgId waiting while {who} "
-        f"delivers in {period // 1_000_000} ms bursts"
+        f"delivers in {every} bursts"
     )
     evidence = list(loss.evidence)
-    if loss.span is not None and loss.span.rate_hz:
-        evidence.append(f"sent at {loss.span.rate_hz:.1f} Hz; {clean:g} Hz is the highest clean rate")
+    remedy = f"send at most {clean:g} Hz ({limit} every {every})"
+    if loss.span is not None and loss.stream is not None and loss.span.rate_hz:
+        times = case.known.captured(loss.stream)[loss.span.first : loss.span.last + 1]
+        most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
+        sent = f"sent at {loss.span.rate_hz:.1f} Hz"
+        if loss.span.rate_hz > clean and times[-1] - times[0] > period:
+            evidence.append(f"{sent}; {clean:g} Hz is the highest clean rate")
+        elif most > limit:
+            evidence.append(f"up to {most:,} were sent within {every}; {limit} are clean")
+        else:
+            evidence.append(
+                f"{sent}, at most {most} within {every}, which is clean where the pipe is read at once: "
+                f"{who} or the application came to it later than that"
+            )
+            remedy = "see what keeps the application's task from its pipe (its console, the load of its host)"
     return loss_verdict(
         case,
         loss,
         reason,
         link="sbn" if over_network else "ci",
         evidence=evidence,
-        remedy=f"send at most {clean:g} Hz ({limit} every {period // 1_000_000} ms), or have the application "
-        "subscribe with a higher message limit (CFE_SB_SubscribeEx)",
+        remedy=f"{remedy}, or have the application subscribe with a higher message limit "
+        "(CFE_SB_SubscribeEx)",
     )
 
 

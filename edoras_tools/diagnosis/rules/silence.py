@@ -303,6 +303,10 @@ def _alive(case: Case, stream: Stream, start_ns: int, length: int) -> bool:
     return bool((inside & (rows.link == stream.link.code) & (rows.msg_id != stream.msg_id)).any())
 
 
+def _hz(value: float, digits: int) -> str:
+    return f"{value:,.0f} Hz" if value >= 10**digits else f"{value:.{digits}g} Hz"
+
+
 def _verdict(case: Case, stream: Stream, start_ns: int, until_ns: int | None, rate: Rate | None) -> Verdict:
     end_ns = until_ns or _ends(case, stream)
     seconds = (end_ns - start_ns) / SECOND
@@ -317,10 +321,10 @@ def _verdict(case: Case, stream: Stream, start_ns: int, until_ns: int | None, ra
         told = "it came irregularly before, so how many are missing cannot be estimated"
     else:
         estimated = max(1, int(seconds * rate.hz) - (until_ns is not None))
-        came = f" came at {rate.hz:.2g} Hz and"
+        came = f" came at {_hz(rate.hz, 2)} and"
         told = f"about {plural(estimated, 'message')} would have come at that rate"
         evidence.append(
-            f"an estimate, in no figure of the balance: {rate.hz:.3g} Hz from {case.at(rate.start_ns)} to "
+            f"an estimate, in no figure of the balance: {_hz(rate.hz, 3)} from {case.at(rate.start_ns)} to "
             f"{case.at(rate.end_ns)}, for {seconds:.1f} s of silence"
         )
     evidence += [

@@ -31,6 +31,7 @@ CAUSES: Final = {
     "socket": "CI's socket full",
     "down": "cFS was down",
     "restart": "CI was restarted",
+    "ci_stopped": "CI was stopped",
     "stopped": "application stopped",
     "away": "peer away",
     "sbn_socket": "SBN's socket full",

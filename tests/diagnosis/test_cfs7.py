@@ -1,0 +1,114 @@
+"""What the doctor says of captures of cFS 7, held to what was sent and what arrived."""
+
+from collections import Counter
+from contextlib import closing
+from functools import cache
+
+import pytest
+from places import ROOT
+
+from edoras_tools.decode import Options
+from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.ci import CI
+from edoras_tools.pipelines.workbench import Settings
+
+FOLDER = ROOT / "tests/captures/cfs7"
+
+
+PORTS = {"relay": Options(ports=((CI, 5234),))}
+
+
+@cache
+def examined(name):
+    bench = Settings(options=PORTS.get(name, Options())).workbench()
+    examination = Examination(bench.columns.context)
+    with closing(open_file(FOLDER / f"{name}.pcap.zst")) as source:
+        for batch in source.batches():
+            examination.add(batch, bench.columns.decode(batch))
+    return examination.diagnose()
+
+
+def found(diagnosis, rule):
+    return [item for item in diagnosis.verdicts if item.rule == rule]
+
+
+def chain(diagnosis, msg_id):
+    (item,) = [item for item in diagnosis.chains if item.as_json()["msg_id"] == msg_id]
+    return {hop["hop"]: hop for hop in item.as_json()["hops"]}
+
+
+def test_every_command_that_ci_or_cfs_did_not_hear_is_told_there():
+    diagnosis = examined("boots")
+    (outage,) = found(diagnosis, "app_outage")
+    assert (outage.lost, outage.of, outage.hop) == (26, 26, "CI_LAB_APP")
+    (restart,) = found(diagnosis, "cfs_restart")
+    assert restart.reason.endswith(": 8 commands sent meanwhile reached nobody")
+    assert not found(diagnosis, "app_pipe_limit")
+    hops = chain(diagnosis, "0x1827")
+    assert (hops["CI"]["lost"], hops["software bus"]["lost"]) == (34, 0)
+    assert (hops["application to robot"]["out"], hops["application to robot"]["unaccounted"]) == (183, 18)
+
+
+def test_telemetry_that_ends_is_told_and_what_was_sent_since_is_blamed_on_nobody():
+    diagnosis = examined("boots")
+    (ended,) = found(diagnosis, "to_stopped")
+    assert ended.reason.startswith("Telemetry Output sends nothing from 34.1 s to the end, 14.0 s")
+    assert ended.evidence[0] == "65 datagrams to CI since then"
+    (crossing,) = found(diagnosis, "crossing_loss")
+    assert any(
+        line.startswith("18 of them were sent after the last count of CI") for line in crossing.evidence
+    )
+    assert not any("explain no more" in line for line in crossing.evidence)
+
+
+def test_what_is_sent_to_a_ci_that_was_stopped_is_lost_there():
+    diagnosis = examined("apps_stopped")
+    lost = {item.hop: (item.lost, item.of) for item in found(diagnosis, "app_outage")}
+    assert lost == {"EDORAS_APP": (143, 143), "CI_LAB_APP": (36, 36)}
+    hops = chain(diagnosis, "0x1827")
+    assert (hops["CI"]["lost"], hops["application to robot"]["out"]) == (36, 31)
+    assert hops["application to robot"]["waiting"] == 0
+
+
+def test_what_a_relay_doubled_and_lost_is_not_laid_on_the_application_alone():
+    (verdict,) = found(examined("relay"), "crossing_loss")
+    assert verdict.reason.startswith("11 of 210 messages")
+    (line,) = [line for line in verdict.evidence if "more than once" in line]
+    assert line.startswith("16 came out more than once, and CI counted 5 more than were sent here")
+
+
+def test_an_application_that_reads_late_is_not_told_to_be_sent_less():
+    verdicts = found(examined("slow_app"), "app_pipe_limit")
+    assert sum(item.lost for item in verdicts) == 48
+    for item in verdicts:
+        assert any("which is clean where the pipe is read at once" in line for line in item.evidence)
+        assert item.remedy.startswith("see what keeps the application's task from its pipe")
+
+
+@pytest.mark.parametrize("packet", [340, 412, 484, 847])
+def test_what_ci_dropped_for_its_length_is_told_as_that(packet):
+    (verdict,) = [
+        item
+        for item in found(examined("bad_commands"), "bad_command")
+        if f"packet {packet}: packet data length disagrees with the datagram; CI drops it" in item.reason
+    ]
+    assert (verdict.lost, verdict.hop, verdict.confidence) == (1, "CI_LAB_APP", "high")
+
+
+def test_what_a_peer_unsubscribed_is_not_lost():
+    diagnosis = examined("sbn_peer")
+    assert not found(diagnosis, "lost_after_cfs")
+    (row,) = [row for row in diagnosis.routes if row["msg_id"] == "0x082a"]
+    assert row["lost"] == 42  # while the peer was silent
+
+
+def test_commands_that_came_out_and_were_lost_behind_that_leave_the_pipes_losses_to_their_own_time():
+    diagnosis = examined("sbn_rates")
+    verdicts = sorted(found(diagnosis, "app_pipe_limit"), key=lambda item: item.start_ns)
+    assert [item.lost for item in verdicts] == [63, 113]
+    assert Counter(item.rule for item in diagnosis.verdicts if item.lost) == {
+        "to_message_limit": 2,
+        "app_pipe_limit": 2,
+    }
+    assert diagnosis.lost == 2037 + 63 + 113
