@@ -37,13 +37,16 @@ def files(
     with file_progress(paths, quiet=quiet) as bar:
         source, bench = open_input(InputOptions(inputs), decoding.settings())
         report = take_out(source, bench, output, selection=chosen.selection(), limits=limits, progress=bar)
-    no_datagrams(source)
+    if report.failure is None:
+        no_datagrams(source)
     if printing.json:
         print_json(report.summary())
     elif not printing.quiet:
         from edoras_tools.render.capture.exported import files_lines
 
         sys.stdout.writelines(f"{line}\n" for line in files_lines(report.summary()))
+    if report.failure is not None:
+        raise report.failure
     if not all(item.good for item in report.files):
         raise typer.Exit(LOST)
     lost(source)

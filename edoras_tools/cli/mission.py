@@ -54,3 +54,5 @@ def draft(
         tell(note)
     if output is not None and not quiet:
         tell(f"{output}: {plural(made.topics, 'topic')}, {made.sure} with a type that alone fits")
+    if made.failure is not None:
+        raise made.failure

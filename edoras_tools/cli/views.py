@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 import typer
 
 from edoras_tools.cli.output import print_json
-from edoras_tools.errors import ConfigError
+from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.older import StrEnum
 from edoras_tools.render.units import TimeFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.io import Source
@@ -206,13 +207,33 @@ def print_sequence(blocks: Iterable[ColumnRows], bench: Workbench, diagram: Diag
     from edoras_tools.pipelines.capture.conversation import Conversation
     from edoras_tools.render.capture.sequence import DIAGRAMS
 
-    conversation, shown = Conversation(bench.columns.context), 0
-    for rows in blocks:
+    conversation, shown, read = Conversation(bench.columns.context), 0, _UntilFailure(blocks)
+    for rows in read:
         conversation.add(rows)
         shown += len(rows)
     if shown:
         sys.stdout.writelines(f"{line}\n" for line in DIAGRAMS[diagram.value](conversation.messages()))
+    read.end()
     return shown
+
+
+@dataclass(slots=True)
+class _UntilFailure:
+    """Blocks of a source, whose failure waits until what was read before it is shown."""
+
+    blocks: Iterable[ColumnRows]
+    failure: CaptureError | None = None
+
+    def __iter__(self) -> Iterator[ColumnRows]:
+        try:
+            yield from self.blocks
+        except CaptureError as error:
+            self.failure = error
+
+    def end(self) -> None:
+        """Raise the failure, if there was one."""
+        if self.failure is not None:
+            raise self.failure
 
 
 def print_statistics(
@@ -221,13 +242,16 @@ def print_statistics(
     """Print tables of counts; return the number of packets."""
     from edoras_tools.pipelines.capture.statistics import Statistics
 
-    counted = Statistics(bench)
-    for rows in blocks:
+    counted, read = Statistics(bench), _UntilFailure(blocks)
+    for rows in read:
         counted.add(rows)
+    if not counted.ledger.datagrams:
+        read.end()
     for note in counted.ledger.notes:
         sys.stderr.write(f"edoras: {note}\n")
     if json:
         print_json({kind.value: counted.table(kind.value) for kind in kinds})
+        read.end()
         return counted.ledger.datagrams
     from edoras_tools.render.capture.statistics import statistics
     from edoras_tools.render.terminal.console import output_console
@@ -240,4 +264,5 @@ def print_statistics(
         console.print(
             statistics(kind.value, found, counted.ledger.datagrams, console.width) if found else "-"
         )
+    read.end()
     return counted.ledger.datagrams

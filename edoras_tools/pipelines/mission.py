@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -172,12 +172,14 @@ class MissionDraft:
         topics: how many it has.
         sure: how many of them have a type that alone fits.
         notes: what it does not have, a line each.
+        failure: why the capture ended early, if it did; the draft is of what is before.
     """
 
     text: str
     topics: int
     sure: int
     notes: Sequence[str]
+    failure: CaptureError | None = None
 
 
 def draft_mission(source: Source, bench: Workbench, *, progress: Progress | None = None) -> MissionDraft:
@@ -187,12 +189,14 @@ def draft_mission(source: Source, bench: Workbench, *, progress: Progress | None
         CaptureError: the source cannot be read, or holds no EDORAS message under such a MsgId.
     """
     traffic = _Traffic(bench.mission.msg_ids)
-    with reading(source, bench) as loop:
+    with reading(source, bench, keeps_failure=True) as loop:
         for rows in loop:
             traffic.add(rows)
             if progress is not None:
                 progress.read(source)
-    return _Writer(traffic, bench).draft(source.info.name)
+    if loop.failure is not None and not traffic.streams:
+        raise loop.failure
+    return replace(_Writer(traffic, bench).draft(source.info.name), failure=loop.failure)
 
 
 class _Writer:

@@ -204,7 +204,8 @@ class TypeStore:
         found = self._library.find(name)
         if found is None:
             near = " or ".join(self.nearest(name))
-            hint = f"did you mean {near}?" if near else "give its definition with --msg-path"
+            hint = f"did you mean {near}? If not, " if near else ""
+            hint += "give its definition with --msg-path"
             raise RouteError(f"type {name!r} is not known to ROS 2 {self.distro}; {hint}")
         return found
 

@@ -65,6 +65,40 @@ def test_cut_captures(suffix, ends, whole, call, frames, tmp_path):
         assert there == 0 or frames(out) == chosen[:there], length
 
 
+@pytest.mark.parametrize("suffix", [".pcap", ".pcapng", ".mcap"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "sniff --stat routes",
+        "sniff --stat routes --json",
+        "sniff --sequence mermaid",
+        "mission draft",
+        "files",
+    ],
+)
+def test_what_was_read_before_the_cut_is_reported(command, suffix, whole, call, tmp_path):
+    data = whole[0][suffix]
+    cut, full = tmp_path / f"cut{suffix}", tmp_path / f"full{suffix}"
+    full.write_bytes(data)
+    size = len(data) - 1 if suffix != ".mcap" else struct.unpack_from("<Q", data, len(data) - 28)[0] - 13
+    cut.write_bytes(data[:size])
+    done, good = (call(*command.split(), path) for path in (cut, full))
+    assert (done.code, len(done.err)) == (1, 1), done.err
+    assert ": cut" not in done.out.replace(str(cut), "")
+    assert abs(len(done.out.splitlines()) - len(good.out.splitlines())) <= 1
+    assert done.out.strip()
+
+
+def test_a_recording_with_its_end_is_damaged_not_cut_off(whole, call, tmp_path):
+    data, place = bytearray(whole[0][".mcap"]), 8
+    while data[place] != 6:  # the first chunk
+        place += 9 + struct.unpack_from("<Q", data, place + 1)[0]
+    struct.pack_into("<Q", data, place + 1, 1 << 40)
+    (tmp_path / "x.mcap").write_bytes(data)
+    (line,) = call("info", tmp_path / "x.mcap").err
+    assert f"is damaged at byte {place} of {len(data)}" in line
+
+
 def test_cut_recordings(whole, call, frames, tmp_path):
     """Of a recording's chunk that is cut as much as decompresses may come back, in order and unharmed.
 

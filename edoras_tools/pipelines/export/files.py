@@ -99,12 +99,14 @@ class FilesReport:
         files: one for each transaction, in order of their first PDU.
         left_out: PDUs of transactions beyond the limit.
         corrupt: PDUs with a wrong CRC, which are not taken.
+        failure: why the input ended early, if it did.
     """
 
     source: Source
     files: list[TakenFile] = field(default_factory=list)
     left_out: int = 0
     corrupt: int = 0
+    failure: CaptureError | None = None
 
     def summary(self) -> dict[str, Any]:
         """Return the report in the form of ``files --json``."""
@@ -137,11 +139,11 @@ def take_out(
 
     Raises:
         ConfigError: something is in the folder, or the selection has an error.
-        CaptureError: the input ended early, or the folder cannot be written.
+        CaptureError: the folder cannot be written.
     """
     report = FilesReport(source)
     with ExitStack() as opened:
-        loop = opened.enter_context(reading(source, bench, selection, limits))
+        loop = opened.enter_context(reading(source, bench, selection, limits, keeps_failure=True))
         spool = opened.enter_context(_Spool(folder)) if folder else None
         follower = Follower(spool.keep if spool else None, bench.mission.pdu_msg_ids)
         for rows in loop:
@@ -149,6 +151,7 @@ def take_out(
             if progress is not None:
                 progress.read(source)
         report.left_out, report.corrupt = follower.left_out, follower.corrupt
+        report.failure = loop.failure
         for item in follower.transactions:
             taken = TakenFile(item, item.checksum_right)
             if spool:

@@ -67,7 +67,10 @@ def verify(
         if not report.whole and not sum(report.messages.values()):
             known = any(loss.messages for loss in report.losses) or report.left_out
             if not known and file.read(0, len(MAGIC)) != MAGIC:
-                raise CaptureError(f"{source}: is not an MCAP file, or one without any complete record")
+                raise CaptureError(
+                    f"{source}: is not an MCAP file, or one without any complete record; what is whole of a "
+                    "pcap or pcapng, edoras record -r copies"
+                )
             raise CaptureError(f"{source}: it contains nothing to recover{_why(report)}")
     return report
 

@@ -201,7 +201,7 @@ def test_what_cannot_be_recovered(tmp_path, recording):
         with pytest.raises(CaptureError, match=message):
             recover(tmp_path / name, tmp_path / "made.mcap")
         assert not (tmp_path / "made.mcap").exists()
-    with pytest.raises(CaptureError, match="cannot be read: No such file"):
+    with pytest.raises(CaptureError, match="there is no such file; check the name"):
         recover(tmp_path / "missing", tmp_path / "made.mcap")
     with pytest.raises(CaptureError, match="cannot be read: Is a directory"):
         recover(tmp_path, tmp_path / "made.mcap")

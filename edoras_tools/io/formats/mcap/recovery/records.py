@@ -126,4 +126,10 @@ class FileBytes:
         return value
 
     def _failure(self, error: OSError) -> CaptureError:
-        return CaptureError(f"{self.path}: cannot be read: {error.strerror or error}")
+        missing = isinstance(error, FileNotFoundError)
+        why = (
+            "there is no such file; check the name"
+            if missing
+            else f"cannot be read: {error.strerror or error}"
+        )
+        return CaptureError(f"{self.path}: {why}")
