@@ -57,41 +57,11 @@ class SelectedMessages(NamedTuple):
 
 
 def is_indexed(summary: Summary | None) -> bool:
-    """Tell whether indices lead to every message of a file, so that ``chunk_messages`` can read it."""
+    """Tell whether indices lead to every message of a file, so that ``chunk_content`` reads all of it."""
     if summary is None or summary.statistics is None or not summary.chunk_indexes:
         return False
     every = len(summary.chunk_indexes) == summary.statistics.chunk_count
     return every and all(item.message_index_offsets for item in summary.chunk_indexes)
-
-
-def chunk_messages(
-    file: IO[bytes], name: str, summary: Summary, channels: Collection[int]
-) -> Iterator[SelectedMessages]:
-    """Yield the messages of some channels, in the order of the file.
-
-    Args:
-        summary: of the file, which ``is_indexed``.
-
-    Raises:
-        CaptureError: a chunk is damaged; after all those before it.
-    """
-    parts: list[SelectedMessages] = []
-    failure: CaptureError | None = None
-    for index in sorted(summary.chunk_indexes, key=lambda item: item.chunk_start_offset):
-        if not any(channel in channels for channel in index.message_index_offsets):
-            continue
-        try:
-            parts.append(chunk_content(file, name, index, channels))
-        except CaptureError as error:
-            failure = error
-            break
-        if sum(len(part.data) for part in parts) >= _BATCH_BYTES:
-            yield joined_messages(parts)
-            parts = []
-    if parts:
-        yield joined_messages(parts)
-    if failure is not None:
-        raise failure
 
 
 def chunk_content(

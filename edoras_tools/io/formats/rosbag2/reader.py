@@ -1,41 +1,61 @@
-"""Reads recordings of other tools as ROS messages: rosbag2 directories, ``.db3`` files, and any MCAP.
+"""Reads the files of recordings of other tools: rosbag2 directories, ``.db3`` files, and any MCAP.
 
-The recorded CDR is not decoded: it goes into a space packet unchanged.
+The rules that this file keeps:
+
+1. Every message of every topic is read, whatever its encoding. Its bytes are not decoded; those that rosbag2
+   compressed one by one are unpacked.
+2. Messages of a file are in order of time. Chunks whose times overlap are held back until nothing earlier can
+   come, up to ``_MOST_HELD`` bytes; without an index they come as they are in the file.
+3. What is damaged is said after all that could be read.
 """
 
 from __future__ import annotations
 
 import sqlite3
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from contextlib import closing, contextmanager, suppress
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+import zstandard
 from mcap.reader import make_reader
+from mcap.records import Channel, Schema
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.messages import chunk_messages, is_indexed
+from edoras_tools.io.formats.mcap.messages import (
+    SelectedMessages,
+    chunk_content,
+    is_indexed,
+    joined_messages,
+    scanned,
+)
+from edoras_tools.io.formats.stream import SettledFile
 from edoras_tools.io.topics.names import MAGIC
+from edoras_tools.mission.model import RecordedTopic
 from edoras_tools.mission.report import printable
+from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     from mcap.reader import McapReader
+    from mcap.summary import Summary
     from numpy.typing import NDArray
 
 METADATA: Final = "metadata.yaml"
 """The file that every rosbag2 directory has."""
-_SQLITE = b"SQLite format 3\0"
-_ZSTD = b"\x28\xb5\x2f\xfd"
-_CDR = "cdr"
-_ROS2MSG = "ros2msg"
-_ROWS = 16384
-_BYTES = 4 << 20
-"""Messages that are read one by one are put together up to one of these."""
+_SQLITE: Final = b"SQLite format 3\0"
+_ZSTD: Final = b"\x28\xb5\x2f\xfd"
+_BATCH_BYTES: Final = 4 << 20
+_ROWS: Final = 8192
+"""Rows of a database that are read at once."""
+_MOST_HELD: Final = 128 << 20
+_LARGEST: Final = 256 << 20
+"""Bytes of a message at the most that is compressed on its own."""
 
 
 class RecordedMessage(NamedTuple):
@@ -72,53 +92,39 @@ class RecordedBlock(NamedTuple):
     length: NDArray[np.int32]
 
 
-@dataclass(frozen=True, slots=True)
 class Rosbag:
-    """A recording made by any ROS 2 tool.
+    """The ROS messages of a recording: those in CDR whose type is named.
 
     Attributes:
         path: a rosbag2 directory, or one file of it.
         files: the files, in order.
     """
 
-    path: Path
-    files: tuple[Path, ...]
+    def __init__(self, path: Path, files: Sequence[Path]) -> None:
+        self.path, self.files = path, files
+
+    @cached_property
+    def _opened(self) -> list[tuple[TopicFile, dict[int, RecordedTopic]]]:
+        """The files, each with those of its topics by channel.
+
+        Raises:
+            CaptureError: one cannot be read, or not all of it.
+        """
+        opened = [open_topic_file(SettledFile(file, str(file))) for file in self.files]
+        for failure in filter(None, (file.failure for file in opened)):
+            raise CaptureError(str(failure).removesuffix("; all before was read")) from failure
+        return [
+            (file, {at: item for at, item in file.topics.items() if item.encoding == "cdr" and item.type})
+            for file in opened
+        ]
 
     def topics(self) -> dict[str, str]:
-        """Return the topics that have CDR messages, with their types.
+        """Return the topics with their types.
 
         Raises:
             CaptureError: a file cannot be read.
         """
-        found: dict[str, str] = {}
-        for file in self.files:
-            found |= _database_topics(file) if storage_of(file) == "db3" else _mcap_topics(file)
-        return found
-
-    def definitions(self) -> dict[str, str]:
-        """Return the complete ``ros2msg`` texts that the recording holds, by type.
-
-        Raises:
-            CaptureError: a file cannot be read.
-        """
-        found: dict[str, str] = {}
-        for file in self.files:
-            if storage_of(file) == "db3":
-                found |= _database_definitions(file)
-                continue
-            with readable(file) as reader:
-                summary = reader.get_summary()
-                schemas = summary.schemas.values() if summary is not None else ()
-                found |= {item.name: item.data.decode() for item in schemas if item.encoding == _ROS2MSG}
-        return found
-
-    def start_ns(self) -> int:
-        """Return the time of the first message, ns since 1970; 0 if there is none.
-
-        Raises:
-            CaptureError: a file cannot be read.
-        """
-        return min((start for file in self.files if (start := _start_ns(file))), default=0)
+        return {item.topic: item.type for _, topics in self._opened for item in topics.values()}
 
     def messages(self, topics: Collection[str]) -> Iterator[RecordedMessage]:
         """Yield the messages of some topics, file by file, in order of time within each file.
@@ -126,20 +132,28 @@ class Rosbag:
         Raises:
             CaptureError: a file is damaged or cut off; after all messages before that place.
         """
-        for file in self.files:
-            yield from _database(file, topics) if storage_of(file) == "db3" else _mcap(file, topics)
+        for file, there in self._opened:
+            wanted = {at: item for at, item in there.items() if item.topic in topics}
+            parts = map(unpacked, file.messages(wanted))
+            for found in parts if file.ordered else _all_sorted(parts):
+                columns = (found.channel_id, found.log_time, found.offset, found.length)
+                for channel, time_ns, start, size in zip(*(item.tolist() for item in columns), strict=True):
+                    cdr = found.data[start : start + size].tobytes()
+                    yield RecordedMessage(time_ns, wanted[channel].topic, wanted[channel].type, cdr)
 
     def blocks(self, topics: Collection[str]) -> Iterator[RecordedBlock]:
-        """Yield the messages of some topics as ``messages``, many at a time; of MCAP in the file's order.
+        """Yield the messages of some topics, many at a time.
 
         Raises:
             CaptureError: as ``messages``.
         """
-        for file in self.files:
-            if storage_of(file) == "db3":
-                yield from _gathered(_database(file, topics))
-            else:
-                yield from _mcap_blocks(file, topics)
+        for file, there in self._opened:
+            wanted = {at: item.topic for at, item in there.items() if item.topic in topics}
+            for found in map(unpacked, file.messages(wanted)):
+                for channel in np.unique(found.channel_id).tolist():
+                    own = found.take(found.channel_id == channel)
+                    length = own.length.astype(np.int32)
+                    yield RecordedBlock(wanted[channel], own.log_time, own.data, own.offset, length)
 
 
 def open_rosbag(path: str | Path) -> Rosbag:
@@ -193,88 +207,258 @@ def storage_of(path: Path) -> str:
     raise CaptureError(f"{path}: contains no ROS messages; give a rosbag2 directory, .db3 or .mcap file")
 
 
-def _mcap_topics(path: Path) -> dict[str, str]:
-    with readable(path) as reader:
-        summary = reader.get_summary()
-        if summary is not None and summary.channels:
-            pairs = [
-                (summary.schemas.get(channel.schema_id), channel) for channel in summary.channels.values()
-            ]
-        else:
-            pairs = [(schema, channel) for schema, channel, _ in reader.iter_messages()]
-        return {
-            channel.topic: schema.name
-            for schema, channel in pairs
-            if channel.message_encoding == _CDR and schema is not None
-        }
+class TopicFile(ABC):
+    """One file of a recording.
+
+    Attributes:
+        topics: by channel.
+        ordered: whether its messages are in order of time.
+        failure: why not all topics are known; told again when the messages are read.
+        start_ns: time of its first message; 0 if it has none.
+        size: in bytes.
+        position: how much of it was read.
+    """
+
+    def __init__(self, file: SettledFile) -> None:
+        self._file = file
+        self.topics: dict[int, RecordedTopic] = {}
+        self.ordered = True
+        self.failure: CaptureError | None = None
+        self.start_ns = self.position = 0
+        self.size = file.path.stat().st_size
+
+    @abstractmethod
+    def messages(self, channels: Collection[int] | None = None) -> Iterator[SelectedMessages]:
+        """Yield the messages of some channels, in order of time as far as they fit into memory.
+
+        Args:
+            channels: of ``topics``; None: all.
+
+        Raises:
+            CaptureError: it is damaged or cut off; after all that could be read.
+        """
+
+    def close(self) -> None:
+        """Remove the temporary copy, if it is one."""
+        self._file.close()
 
 
-def _mcap(path: Path, topics: Collection[str]) -> Iterator[RecordedMessage]:
-    with readable(path) as reader:
-        for schema, channel, message in reader.iter_messages(topics):
-            if channel.message_encoding == _CDR and schema is not None:
-                yield RecordedMessage(message.log_time, channel.topic, schema.name, message.data)
+class _Mcap(TopicFile):
+    def __init__(self, file: SettledFile) -> None:
+        super().__init__(file)
+        self._summary: Summary | None = None
+        with suppress(CaptureError), readable(file.path) as reader:
+            summary = reader.get_summary()
+            self._summary = summary if is_indexed(summary) else None
+        if self._summary is not None:
+            assert self._summary.statistics is not None, "it is indexed"
+            self.start_ns = self._summary.statistics.message_start_time
+            for channel in self._summary.channels.values():
+                self._learn_channel(channel, self._summary.schemas)
+            return
+        self.ordered = False
+        schemas: dict[int, Schema] = {}
+        times = []
+        try:
+            for found in scanned(file.path, file.name):
+                if isinstance(found, Schema):
+                    schemas[found.id] = found
+                elif isinstance(found, Channel):
+                    self._learn_channel(found, schemas)
+                else:
+                    times.append(int(found.log_time.min()))
+        except CaptureError as error:
+            self.failure = error
+        self.start_ns = min(times, default=0)
+
+    def _learn_channel(self, channel: Channel, schemas: Mapping[int, Schema]) -> None:
+        schema = schemas.get(channel.schema_id)
+        self.topics[channel.id] = RecordedTopic(
+            channel.topic,
+            schema.name if schema else "",
+            channel.message_encoding,
+            schema.encoding if schema else "",
+            schema.data if schema else b"",
+            dict(channel.metadata),
+        )
+
+    def messages(self, channels: Collection[int] | None = None) -> Iterator[SelectedMessages]:
+        wanted = self.topics if channels is None else channels
+        return self._scanned(wanted) if self._summary is None else self._indexed(self._summary, wanted)
+
+    def _scanned(self, wanted: Collection[int]) -> Iterator[SelectedMessages]:
+        for found in scanned(self._file.path, self._file.name):
+            if isinstance(found, SelectedMessages):
+                self.position += len(found.data)
+                known = np.isin(found.channel_id, list(self.topics))
+                ready, _ = _released([found.take(np.isin(found.channel_id, list(wanted)))], None)
+                if ready is not None:
+                    yield ready
+                if not known.all():
+                    raise CaptureError(
+                        f"{self._file.name}: is damaged: a message of no channel; all before was read"
+                    )
+
+    def _indexed(self, summary: Summary, wanted: Collection[int]) -> Iterator[SelectedMessages]:
+        indexes = sorted(
+            (
+                item
+                for item in summary.chunk_indexes
+                if not item.message_index_offsets.keys().isdisjoint(wanted)
+            ),
+            key=lambda item: (item.message_start_time, item.chunk_start_offset),
+        )
+        held: list[SelectedMessages] = []
+        failure: CaptureError | None = None
+        with readable(self._file.path), self._file.path.open("rb") as file:
+            for place, index in enumerate(indexes, 1):
+                try:
+                    held.append(chunk_content(file, self._file.name, index, wanted))
+                except CaptureError as error:
+                    failure = failure or error
+                self.position += index.chunk_length
+                size = sum(len(part.data) for part in held)
+                if size < _BATCH_BYTES and place < len(indexes):
+                    continue
+                until = indexes[place].message_start_time if place < len(indexes) else None
+                ready, held = _released(held, None if size > _MOST_HELD else until)
+                if ready is not None:
+                    yield ready
+        if failure is not None:
+            raise failure
 
 
-def _start_ns(path: Path) -> int:
-    if storage_of(path) == "db3":
+class _Database(TopicFile):
+    def __init__(self, file: SettledFile) -> None:
+        super().__init__(file)
+        path = file.path
         first = next(query(path, "SELECT min(timestamp) FROM messages", ()))[0]
-        return first if isinstance(first, int) else 0
-    with readable(path) as reader:
-        summary = reader.get_summary()
-        if summary is not None and summary.statistics is not None:
-            return summary.statistics.message_start_time
-        return min((message.log_time for _, _, message in reader.iter_messages()), default=0)
-
-
-def _mcap_blocks(path: Path, topics: Collection[str]) -> Iterator[RecordedBlock]:
-    with readable(path) as reader:
-        summary = reader.get_summary()
-    if summary is None or not is_indexed(summary):
-        yield from _gathered(_mcap(path, topics))
-        return
-    channels = {
-        item.id: item.topic
-        for item in summary.channels.values()
-        if item.topic in topics and item.message_encoding == _CDR
-    }
-    with readable(path), path.open("rb") as file:
-        for found in chunk_messages(file, str(path), summary, channels):
-            for channel in np.unique(found.channel_id).tolist():
-                rows = np.flatnonzero(found.channel_id == channel)
-                length = found.length[rows].astype(np.int32)
-                yield RecordedBlock(
-                    channels[channel], found.log_time[rows], found.data, found.offset[rows], length
+        self.start_ns = first if isinstance(first, int) else 0
+        texts: dict[str, tuple[str, str]] = {}
+        if list(query(path, "SELECT name FROM sqlite_master WHERE name = 'message_definitions'", ())):
+            found = query(
+                path, "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions", ()
+            )
+            texts = {str(kind): (str(encoding), str(text)) for kind, encoding, text in found}
+        columns = [row[1] for row in query(path, "PRAGMA table_info(topics)", ())]
+        offered = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
+        rows = query(path, f"SELECT id, name, type, serialization_format, {offered} FROM topics", ())  # noqa: S608  a name of ours
+        for number, name, kind, encoding, qos in rows:
+            if not all(isinstance(word, str) for word in (name, kind, encoding)):
+                raise CaptureError(
+                    f"{path}: is not a readable rosbag2 database: the name or type of a topic is not text"
                 )
+            schema_encoding, text = texts.get(kind, ("", ""))
+            metadata = {"offered_qos_profiles": str(qos)} if qos else {}
+            self.topics[number] = RecordedTopic(
+                name, kind, encoding, schema_encoding, text.encode(), metadata
+            )
+
+    def messages(self, channels: Collection[int] | None = None) -> Iterator[SelectedMessages]:
+        rows: list[tuple[int, int, bytes]] = []
+        size = 0
+        chosen = "" if channels is None else f"WHERE topic_id IN ({','.join('?' * len(channels))})"
+        text = f"SELECT topic_id, timestamp, data FROM messages {chosen} ORDER BY timestamp, id"  # noqa: S608  only question marks are put in
+        failure: CaptureError | None = None
+        try:
+            for topic, time_ns, data in query(self._file.path, text, tuple(channels or ())):
+                rows.append(self._checked(topic, time_ns, data))
+                size += len(data)
+                if len(rows) >= _ROWS or size >= _BATCH_BYTES:
+                    self.position += size
+                    yield _of_rows(rows)
+                    rows, size = [], 0
+        except CaptureError as error:
+            failure = error
+        if rows:
+            yield _of_rows(rows)
+        if failure is not None:
+            raise failure
+
+    def _checked(self, topic: Any, time_ns: Any, data: Any) -> tuple[int, int, bytes]:
+        """Return a row; SQLite does not enforce types.
+
+        Raises:
+            CaptureError: it is no message.
+        """
+        if topic in self.topics and isinstance(time_ns, int) and isinstance(data, bytes):
+            return topic, time_ns, data
+        raise CaptureError(
+            f"{self._file.name}: is not a readable rosbag2 database: a message has no bytes, time or topic"
+        )
 
 
-def _gathered(messages: Iterator[RecordedMessage]) -> Iterator[RecordedBlock]:
-    """Put messages together by topic; what came before a failure is yielded before it is raised."""
-    waiting: dict[str, list[RecordedMessage]] = {}
-    size: dict[str, int] = {}
-    failure: CaptureError | None = None
-    try:
-        for message in messages:
-            topic = message.topic
-            waiting.setdefault(topic, []).append(message)
-            size[topic] = size.get(topic, 0) + len(message.cdr)
-            if len(waiting[topic]) >= _ROWS or size[topic] >= _BYTES:
-                size[topic] = 0
-                yield _joined_messages(waiting.pop(topic))
-    except CaptureError as error:
-        failure = error
-    for rest in waiting.values():
-        yield _joined_messages(rest)
-    if failure is not None:
-        raise failure
+def open_topic_file(file: SettledFile) -> TopicFile:
+    """Open one file of a recording.
+
+    Raises:
+        CaptureError: it cannot be read at all.
+    """
+    return _Database(file) if storage_of(file.path) == "db3" else _Mcap(file)
 
 
-def _joined_messages(messages: Sequence[RecordedMessage]) -> RecordedBlock:
-    length = np.array([len(message.cdr) for message in messages], np.int32)
-    offset = np.cumsum(length, dtype=np.int64) - length
-    data = np.frombuffer(b"".join(message.cdr for message in messages), np.uint8)
-    time_ns = np.array([message.time_ns for message in messages], np.int64)
-    return RecordedBlock(messages[0].topic, time_ns, data, offset, length)
+def _of_rows(rows: Sequence[tuple[int, int, bytes]]) -> SelectedMessages:
+    topics, times, messages = zip(*rows, strict=True)
+    length = np.array([len(data) for data in messages], np.int64)
+    time_ns = np.array(times, np.int64)
+    data = np.frombuffer(b"".join((*messages, bytes(PADDING))), np.uint8)
+    none = np.zeros(len(rows), np.uint32)
+    return SelectedMessages(
+        np.array(topics), time_ns, data, np.cumsum(length) - length, length, none, time_ns
+    )
+
+
+def _released(
+    held: Sequence[SelectedMessages], until: int | None
+) -> tuple[SelectedMessages | None, list[SelectedMessages]]:
+    """Return messages before a time, in order of time, and the others; None for all."""
+    if not held:
+        return None, []
+    joined = joined_messages(held)
+    order = np.argsort(joined.log_time, kind="stable")
+    count = len(order) if until is None else int(np.searchsorted(joined.log_time[order], until, "left"))
+    rest = order[count:]
+    ready = joined.take(order[:count]) if count else None
+    return ready, [_compact(joined.take(rest))] if len(rest) else []
+
+
+def _compact(found: SelectedMessages) -> SelectedMessages:
+    """Return messages over a buffer that holds them alone."""
+    offset = np.cumsum(found.length) - found.length
+    data = np.zeros(int(found.length.sum()) + PADDING, np.uint8)
+    copy_rows(data, offset, found.data, found.offset, found.length)
+    return found._replace(data=data, offset=offset)
+
+
+def unpacked(found: SelectedMessages) -> SelectedMessages:
+    """Unpack the messages that rosbag2 compressed one by one: CDR never begins as they do.
+
+    Raises:
+        CaptureError: one is damaged.
+    """
+    head = gather(found.data, found.offset, len(_ZSTD)).view("<u4").reshape(-1)
+    packed = np.flatnonzero((head == int.from_bytes(_ZSTD, "little")) & (found.length > len(_ZSTD)))
+    if not len(packed):
+        return found
+    unpacker, messages = zstandard.ZstdDecompressor(), []
+    for row in packed.tolist():
+        start = int(found.offset[row])
+        try:
+            data = found.data[start : start + int(found.length[row])].tobytes()
+            messages.append(unpacker.decompress(data, max_output_size=_LARGEST))
+        except zstandard.ZstdError as error:
+            raise CaptureError(f"a message that is compressed on its own is damaged: {error}") from None
+    offset, length = found.offset.copy(), found.length.copy()
+    length[packed] = [len(data) for data in messages]
+    offset[packed] = len(found.data) + np.cumsum(length[packed]) - length[packed]
+    added = np.frombuffer(b"".join((*messages, bytes(PADDING))), np.uint8)
+    return found._replace(data=np.concatenate([found.data, added]), offset=offset, length=length)
+
+
+def _all_sorted(parts: Iterable[SelectedMessages]) -> list[SelectedMessages]:
+    """Return all messages in order of time, in one piece; none if there is none."""
+    ready, _ = _released([*parts], None)
+    return [] if ready is None else [ready]
 
 
 @contextmanager
@@ -293,41 +477,7 @@ def readable(path: Path) -> Iterator[McapReader]:
         raise CaptureError(f"{path}: is damaged or cut off: {str(error) or type(error).__name__}") from None
 
 
-def _database_topics(path: Path) -> dict[str, str]:
-    rows = list(query(path, "SELECT name, type FROM topics WHERE serialization_format = ?", (_CDR,)))
-    if not all(isinstance(word, str) for row in rows for word in row):
-        raise CaptureError(
-            f"{path}: is not a readable rosbag2 database: the name or type of a topic is not text"
-        )
-    return dict(rows)
-
-
-def _database_definitions(path: Path) -> dict[str, str]:
-    """Return what databases hold from ROS 2 Iron on."""
-    if not list(query(path, "SELECT name FROM sqlite_master WHERE name = 'message_definitions'", ())):
-        return {}
-    text = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = ?"
-    rows = query(path, text, (_ROS2MSG,))
-    return {kind: said for kind, said in rows if isinstance(kind, str) and isinstance(said, str)}
-
-
-def _database(path: Path, topics: Collection[str]) -> Iterator[RecordedMessage]:
-    chosen = list(topics)
-    marks = ",".join("?" * len(chosen))
-    text = (
-        "SELECT messages.timestamp, topics.name, topics.type, messages.data FROM messages "  # noqa: S608  only question marks are put in
-        "JOIN topics ON topics.id = messages.topic_id "
-        f"WHERE topics.serialization_format = ? AND topics.name IN ({marks}) ORDER BY messages.timestamp"
-    )
-    for time_ns, topic, kind, data in query(path, text, (_CDR, *chosen)):
-        if not isinstance(time_ns, int) or not isinstance(data, bytes):  # SQLite does not enforce types
-            raise CaptureError(
-                f"{path}: is not a readable rosbag2 database: {topic} has a message without bytes"
-            )
-        yield RecordedMessage(time_ns, topic, kind, data)
-
-
-def query(path: Path, text: str, values: tuple[str, ...]) -> Iterator[Any]:
+def query(path: Path, text: str, values: tuple[Any, ...]) -> Iterator[Any]:
     """Yield the rows that a query of a database gives.
 
     Raises:
