@@ -195,11 +195,12 @@ class Builds:
 
 def conversations(batch: PacketBatch) -> NDArray[np.intp]:
     """Return the place of each datagram's conversation, less than ``PLACES``; of IPv6 by its ports alone."""
-    fourth = batch.ip_version == 4
-    source, target = (np.where(fourth, item, 0) for item in (batch.source_address, batch.destination_address))
+    source, target = batch.source_address, batch.destination_address
+    if not (fourth := batch.ip_version == 4).all():
+        source, target = (np.where(fourth, item, np.uint32(0)) for item in (source, target))
     ports = batch.source_port.astype(np.uint32) << 16 | batch.destination_port
     parts = zip((source, target, ports), _MIX, strict=True)
-    first, second, third = (item.astype(np.uint32) * np.uint32(factor) for item, factor in parts)
+    first, second, third = (item * np.uint32(factor) for item, factor in parts)
     stirred: NDArray[np.intp] = (
         (first ^ second >> np.uint32(7) ^ third) * np.uint32(_MIX[0]) >> np.uint32(16)
     ).astype(np.intp)

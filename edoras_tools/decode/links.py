@@ -98,8 +98,8 @@ class _Rows:
 
 def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
     """Return the link of every datagram of a batch, u8 (n,). Fragments without a payload belong to none."""
-    claim = context.claim[batch.destination_port]
-    link = context.decided[claim]
+    claim = context.claim.take(batch.destination_port)
+    link = context.decided.take(claim)
     undecided = np.flatnonzero(link == 0)
     for index, members in by_value(claim[undecided]):
         if context.claimants[index]:
@@ -114,7 +114,8 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
         taken = np.flatnonzero((batch.original_length < 0) & (link == 0))
         link[taken] = context.framed_links[batch.source_port[taken]]
     if context.by_sender.any():
-        link = np.where(link == 0, context.by_sender[context.claim[batch.source_port]], link)
+        left = np.flatnonzero(link == 0)
+        link[left] = context.by_sender[context.claim[batch.source_port[left]]]
     for item in context.by_magic:
         link[beginning(batch, np.flatnonzero(link == OTHER), item.magic)] = item
     if batch.streams is not None:

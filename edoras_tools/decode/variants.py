@@ -165,8 +165,9 @@ class Variants:
         self, batch: PacketBatch, rows: NDArray[np.intp], link: NDArray[np.uint8]
     ) -> None:
         """Count for some packets of each conversation which headers alone explain them."""
-        place = conversations(batch)[rows]
-        fresh = np.flatnonzero(self._left[place] > 0)[:_MOST]
+        place = conversations(batch)
+        place = place if len(rows) == len(place) else place[rows]
+        fresh = np.flatnonzero((self._left > 0).take(place))[:_MOST]
         self._passed += len(rows)
         self._since += len(rows)
         # Every batch is sampled where there are several builds, else a few batches in all: another build is

@@ -69,7 +69,7 @@ def payloads(
         data: u8, what they point into.
     """
     key = columns("msg_id")
-    held, bare = structs.has[key], _last_hops()[columns("link")]
+    held, bare = structs.has.take(key), _last_hops().take(columns("link"))
     if structs.dictionary is None and not np.count_nonzero(held) and not np.count_nonzero(bare):
         return _NOTHING  # as in most small batches of a live link
     rows = np.flatnonzero(held)

@@ -27,8 +27,6 @@ _WASTE: Final = 4
 """Limit for the bytes moved, as a multiple of the bytes asked for."""
 _BLOCK: Final = 2048
 """Rows moved together: few enough to stay in the first-level cache."""
-_KEEP: Final = np.array([(1 << 64) - 1, *((1 << 8 * count) - 1 for count in range(1, 8))], "<u8")
-"""Masks that keep the first 1 to 7 bytes of a word, by their number; by 0, all 8."""
 
 PADDING = 64
 """Bytes that must be readable behind the last byte in use, so that header windows never leave a buffer."""
@@ -166,22 +164,25 @@ def _widths(lengths: NDArray[np.integer[Any]]) -> Iterator[tuple[int, NDArray[np
 def xor_bytes(
     data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
 ) -> NDArray[np.uint8]:
-    """Return the XOR of the bytes of each range ``offset : offset + length``, u8 (n,)."""
-    out = np.zeros(len(offset), np.uint8)
-    for size, rows in by_value(length + 7 >> 3):
-        if size <= 0:
-            continue
-        words = gather(data, offset[rows], 8 * size).view(np.uint64)
-        words[:, -1] &= _KEEP[length[rows] & 7]
-        folded = words[:, 0].copy()
-        if len(rows) < size:
-            np.bitwise_xor.reduce(words, axis=1, out=folded)
-        else:
-            for column in range(1, size):
-                folded ^= words[:, column]
-        for shift in (32, 16, 8):
-            folded ^= folded >> np.uint64(shift)
-        out[rows] = folded.astype(np.uint8)
+    """Return the XOR of the bytes of each range ``offset : offset + length``, u8 (n,).
+
+    What lies between two ranges is read too, and forgotten: so they are taken in their order in ``data``.
+    """
+    if not len(data) or not len(offset):
+        return np.zeros(len(offset), np.uint8)
+    if (offset[1:] < offset[:-1]).any():
+        order = np.argsort(offset, kind="stable")
+        out = np.empty(len(offset), np.uint8)
+        out[order] = xor_bytes(data, offset[order], length[order])
+        return out
+    last = len(data) - 1
+    end = offset + length
+    most = int(end.max())
+    bounds = np.minimum(np.stack([offset, end], axis=1), last)
+    out = np.bitwise_xor.reduceat(data[: most + 1], bounds.reshape(-1))[::2]
+    out = out * (bounds[:, 0] < bounds[:, 1])
+    if most > last:  # a bound must be inside, so the last byte is added
+        out ^= data[last] * ((end > last) & (length > 0))
     return out
 
 
