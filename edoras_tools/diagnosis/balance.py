@@ -16,7 +16,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKET
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
@@ -182,10 +182,13 @@ class Headline:
 def sent(rows: Iterable[Row]) -> int:
     """Return how many messages were sent or published: what went into the first hop of each route."""
     first: dict[tuple[Any, ...], str] = {}
-    # A cFS that was started again has rows of its own for the same hops.
-    return sum(
-        row.came for row in rows if row.hop == first.setdefault((row.route, row.link, row.msg_id), row.hop)
-    )
+    number = 0
+    for row in rows:
+        # Each peer has a pipe of its own, and a cFS that was started again rows of its own for the same hops.
+        hop = "SBN" if sbn.PEER_PIPE.fullmatch(row.hop) else row.hop
+        if hop == first.setdefault((row.route, row.link, row.msg_id), hop):
+            number += row.came
+    return number
 
 
 def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:

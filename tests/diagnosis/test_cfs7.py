@@ -112,3 +112,21 @@ def test_commands_that_came_out_and_were_lost_behind_that_leave_the_pipes_losses
         "app_pipe_limit": 2,
     }
     assert diagnosis.lost == 2037 + 63 + 113
+
+
+def test_two_cfs_that_started_together_on_one_host_are_two_and_lost_what_the_counter_says():
+    diagnosis = examined("two_tcp")
+    first, *_ = diagnosis.case.tracks.values()
+    counted = first.growth("msg_limits")
+    of_first = sum(
+        item.lost for item in diagnosis.verdicts if item.rule in {"to_message_limit", "sbn_peer_pipe"}
+    )
+    assert of_first == counted == 2635
+    (restart,) = found(diagnosis, "cfs_restart")
+    assert restart.reason.startswith("cFS 66:2 restarted between 32.2 s and 45.6 s")
+    assert all(line.arrived is None or line.arrived <= line.sent for line in diagnosis.headlines)
+
+
+def test_a_topic_that_goes_on_over_a_new_tcp_connection_is_not_silent_to_the_end():
+    told = [item for item in found(examined("two_tcp"), "topic_silent") if item.msg_id == 0x827]
+    assert [("until 45.8 s" in item.reason, "to the end" in item.reason) for item in told] == [(True, False)]

@@ -260,10 +260,10 @@ def _publishers(
     members = np.sort(members)
     output = members[among(rows.link[members], lambda link: link.only_from_cfs)]
     places = np.unique(hosts[rows.source[output]])
-    if len(places) < 2 and not _conflict(rows, members):
-        return [members]
     network = members[among(rows.link[members], lambda link: link.peers)]
     sender = rows.spacecraft_id[network].astype(np.uint64) << 32 | rows.processor_id[network]
+    if max(len(places), len(np.unique(sender))) < 2 and not _conflict(rows, members):
+        return [members]
     first, who = numbered(hosts[rows.source[network]], sender)
     names = [
         (host, f"{item >> 32}:{item & 0xFFFFFFFF}")

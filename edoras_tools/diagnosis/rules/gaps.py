@@ -295,15 +295,16 @@ def older_losses(case: Case) -> Iterator[Verdict]:
     for instance, track in case.tracks.items():
         limits, overflows = track.older.get("msg_limits", 0), track.older.get("pipe_overflows", 0)
         if limits or overflows:
+            first_ns = max(track.times[0], case.start_ns)  # it was made before it came
             yield Verdict(
                 Severity.NOTE,
                 f"{limits + overflows:,} losses that {case.label(instance)} counts are older than its first "
                 "0x803 in the capture: start-up, or earlier traffic",
                 hop="software bus",
-                span=(track.times[0], track.times[0]),
+                span=(first_ns, first_ns),
                 evidence=(
                     (
-                        f"the first 0x803, at {case.at(track.times[0])}: MsgLimit {limits:,}, PipeOverflow "
+                        f"the first 0x803, at {case.at(first_ns)}: MsgLimit {limits:,}, PipeOverflow "
                         f"{overflows:,}"
                     ),
                 ),

@@ -228,10 +228,11 @@ def _silences(case: Case, stream: Stream) -> Iterator[Verdict]:
     steps = np.diff(np.append(times, _ends(case, stream)))
     spans = case.known.spans(stream)
     for at in np.flatnonzero((steps > _WAIT_NS) & (stream.missing == 0)).tolist():
-        until_ns = int(times[at + 1]) if at + 1 < len(times) else None
+        start_ns = int(times[at])
+        until_ns = int(times[at + 1]) if at + 1 < len(times) else _again(case, stream, start_ns)
         before = [item for item in spans if item.first <= at]
         rate = _rate(stream, times, before, at)
-        start_ns, length = int(times[at]), int(steps[at])
+        length = until_ns - start_ns if until_ns else int(steps[at])
         if rate is None and not _surely_silent(stream, times[before[-1].first : at + 1], length):
             continue
         if rate is not None and length * rate.hz < _WAIT_PERIODS * SECOND:
@@ -240,6 +241,21 @@ def _silences(case: Case, stream: Stream) -> Iterator[Verdict]:
             case, stream, start_ns, length
         ):
             yield _verdict(case, stream, start_ns, until_ns, rate)
+
+
+def _again(case: Case, stream: Stream, start_ns: int) -> int | None:
+    """Return when a stream went on between the same peers, on a TCP connection of another port."""
+    if not stream.link.peers:
+        return None
+    party = case.network.party
+    ways = party(stream.sender), party(stream.receiver)
+    later = [
+        int(case.rows.time_ns[item.rows[0]])
+        for item in case.streams
+        if (item.link, item.msg_id) == (stream.link, stream.msg_id)
+        and (party(item.sender), party(item.receiver)) == ways
+    ]
+    return min((when for when in later if when > start_ns), default=None)
 
 
 def _rate(stream: Stream, times: NDArray[np.int64], before: Sequence[Span], at: int) -> Rate | None:
