@@ -23,19 +23,21 @@ LICENCES = {
         "polars-runtime-32 pytest pytest-xdist rich rich-click ruamel-yaml ruff setuptools "
         "textual typer six backrefs charset-normalizer mergedeep mkdocs-get-deps mkdocs-material "
         "tomli exceptiongroup pytz "  # on Python 3.10
-        "mkdocs-material-extensions paginate pymdown-extensions pyyaml pyyaml-env-tag urllib3 attrs cffi zipp"
+        "mkdocs-material-extensions paginate pymdown-extensions pyyaml pyyaml-env-tag urllib3 attrs cffi "
+        "zipp aioitertools blinker flask-cors jmespath py-partiql-parser xmltodict"
     ),
     "MIT, in its file LICENSE": "resvg-py",
     "BSD": (
         "click colorama grimp import-linter lz4 numpy pandas pygments python-dateutil websockets zstandard "
         "babel idna jinja2 markdown markupsafe mkdocs cloudpickle dask distributed fsspec locket lxml partd "
-        "psutil pycparser space-packet-parser tblib toolz zict"
+        "psutil pycparser space-packet-parser tblib toolz zict "
+        "flask itsdangerous s3fs werkzeug wrapt"
     ),
     "Apache-2.0": (
         "deprecation ghp-import junitparser pyarrow requests rosbags sortedcontainers spacepackets "
-        "types-pyyaml tzdata watchdog aiohttp aiosignal frozenlist importlib-metadata lazy-importer msgpack "
-        "async-timeout "  # on Python 3.10
-        "multidict propcache tornado yarl"
+        "types-pyyaml watchdog aiohttp aiosignal frozenlist importlib-metadata lazy-importer msgpack "
+        "async-timeout tzdata "  # on Python 3.10
+        "multidict propcache tornado yarl aiobotocore boto3 botocore moto responses s3transfer"
     ),
     "Apache-2.0 or BSD": "cryptography packaging",
     "EPL-2.0, or Apache-2.0, or BSD": "cyclonedds eclipse-zenoh",

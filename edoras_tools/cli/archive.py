@@ -49,6 +49,8 @@ Index = Annotated[
     ),
 ]
 _INDEX = Path("archive.duckdb")
+_MOST_TOLD = 50
+"""Captures that are not whole, of which an update tells; the index has all."""
 Csv = Annotated[bool, typer.Option("--csv", help="Print CSV.")]
 
 
@@ -167,8 +169,10 @@ def index_captures(
         print_json(summary)
     elif not quiet:
         sys.stderr.writelines(f"{line}\n" for line in update_lines(summary, str(index)))
-        for line in report.bad:
+        for line in report.bad[:_MOST_TOLD]:
             tell(line)
+        if (rest := len(report.bad) - _MOST_TOLD) > 0:
+            tell(f"and {rest:,} more that are not whole; 'edoras archive list' has them all")
     if report.interrupted:
         tell(f"interrupted: {report.left:,} captures are not read yet; run the same again to go on")
         raise typer.Exit(INTERRUPTED)

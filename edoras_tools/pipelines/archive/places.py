@@ -22,6 +22,8 @@ _PACKED: Final = ("", ".gz", ".zst")
 _SUFFIXES: Final = tuple(suffix + packed for suffix in FILE_SUFFIXES for packed in _PACKED)
 _ASKED_AT_ONCE: Final = 8
 _HINTS: Final = {"s3": "pip install s3fs", "gs": "pip install gcsfs", "abfs": "pip install adlfs"}
+_NOT_FOUND: Final = 404
+_NO_KEYS: Final = "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or name a profile with AWS_PROFILE"
 _VERSIONS: Final = ("ETag", "etag", "Last-Modified", "LastModified", "updated", "mtime")
 """What servers call the version of a file, the best first."""
 
@@ -55,10 +57,12 @@ def find_captures(roots: Iterable[str]) -> list[ListedFile]:
             scheme = root.partition(":")[0]
             hint = _HINTS.get(scheme, f"install what fsspec needs for {scheme}:")
             raise CaptureError(f"{root}: {error}; {hint}") from error
-        except FileNotFoundError as error:
-            raise CaptureError(f"{root}: there is no such file or folder; check the name") from error
         except Exception as error:  # each file system has errors of its own
-            raise CaptureError(f"{root}: cannot be listed: {reason_of(error)}") from error
+            cause = cause_of(error)
+            if isinstance(cause, FileNotFoundError):
+                raise CaptureError(f"{root}: there is no such file or folder; check the name") from error
+            hint = f"; {_NO_KEYS}" if type(cause).__name__ == "NoCredentialsError" else ""
+            raise CaptureError(f"{root}: cannot be listed: {reason_of(cause)}{hint}") from error
     return sorted(found.values(), key=lambda item: item.url)
 
 
@@ -72,9 +76,8 @@ def _under(root: str) -> Iterator[ListedFile]:
         raise FileNotFoundError(root)
     chosen = {name: item for name, item in there.items() if name.lower().endswith(_SUFFIXES)}
     if _is_local(system):
-        chosen = {
-            name: item for name, item in chosen.items() if Path(name).is_file()
-        }  # neither pipe nor device
+        # neither pipes nor devices
+        chosen = {name: item for name, item in chosen.items() if Path(name).is_file()}
     # A folder of a web server is a page: size and date of each file are told only when it is asked for.
     unknown = [name for name, item in chosen.items() if item.get("size") is None]
     with ThreadPoolExecutor(_ASKED_AT_ONCE) as pool:
@@ -132,12 +135,28 @@ def at_hand(url: str) -> Iterator[Path]:
         yield Path(copy.name)
 
 
+def is_remote(url: str) -> bool:
+    """Return whether a capture has to be fetched, by its URL."""
+    return "://" in url
+
+
 def root_of(text: str) -> str:
     """Return what a user named as a URL, or as an absolute path without a slash at its end."""
     system, path = url_to_fs(text)
     return str(path) if _is_local(system) else str(system.unstrip_protocol(path))
 
 
-def reason_of(error: Exception) -> str:
+def cause_of(error: BaseException) -> BaseException:
+    """Return what went wrong: fsspec says of whatever a web server does not give that it is not there."""
+    cause = error.__cause__
+    if not isinstance(error, FileNotFoundError) or cause is None or getattr(cause, "status", 0) == _NOT_FOUND:
+        return error
+    from_web = isinstance(cause, OSError) or type(cause).__module__.startswith("aiohttp.")
+    return cause_of(cause) if from_web else error
+
+
+def reason_of(error: BaseException) -> str:
     """Return what went wrong, in one line."""
+    if isinstance(error, FileNotFoundError):
+        return "it is no longer there"
     return (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0]

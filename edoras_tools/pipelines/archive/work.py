@@ -16,10 +16,17 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools import __version__
 from edoras_tools.diagnosis.balance import sent
 from edoras_tools.diagnosis.evidence.payloads import EventRecord, events_in
-from edoras_tools.errors import EdorasError
+from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.older import UTC
-from edoras_tools.pipelines.archive.places import ListedFile, at_hand, listed_now, reason_of
+from edoras_tools.pipelines.archive.places import (
+    ListedFile,
+    at_hand,
+    cause_of,
+    is_remote,
+    listed_now,
+    reason_of,
+)
 from edoras_tools.pipelines.archive.tables import TABLES, IndexTable
 from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.doctor.doctor import examine
@@ -41,6 +48,9 @@ if TYPE_CHECKING:
 _MOST_EVENTS: Final = 1_000_000
 """Of one capture; a warning tells of the rest."""
 _HASHED_BYTES: Final = 1 << 20
+_TRIES: Final = 3
+"""When so many captures in a row cannot be fetched, those after them in their group are not asked for: each
+may take many seconds, and the next update asks for all of them."""
 READ_WHOLE, READ_IN_PART, NOT_READ, CHANGING = "whole", "cut", "unreadable", "changing"
 """States of a capture."""
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -107,10 +117,11 @@ def examine_group(task: Task) -> Done:
     if here != task.fingerprint:
         misfit = "a worker sees other mission files, or another edoras-tools, than this machine"
         return Done({}, misfit=misfit)
+    group = _Group(task, bench)
     same: list[ListedFile] = []
     rows: IndexRows = {table.name: [] for table in TABLES.values()}
     for url, known in task.captures:
-        found = _examined(url, known, task, bench)
+        found = _examined(url, known, group)
         if isinstance(found, ListedFile):
             same.append(found)
             continue
@@ -127,27 +138,55 @@ def failed(urls: Sequence[str], reason: str, fingerprint: str) -> dict[str, Any]
     return {"captures": TABLES["captures"].arrow(rows)}
 
 
-def _examined(url: str, known: str, task: Task, bench: Workbench) -> IndexRows | ListedFile:
+@dataclass(slots=True)
+class _Group:
+    """A group that is being read.
+
+    Attributes:
+        bench: reads a capture that carries no missions, types and options of its own.
+        unfetched: captures in a row that could not be fetched.
+    """
+
+    task: Task
+    bench: Workbench
+    unfetched: int = 0
+
+    def check(self, url: str) -> None:
+        """Check that a capture is worth asking for.
+
+        Raises:
+            CaptureError: those before it could not be fetched.
+        """
+        if self.unfetched >= _TRIES:
+            raise CaptureError(f"{url}: not asked for, as {_TRIES} others could not be fetched; index again")
+
+
+def _examined(url: str, known: str, group: _Group) -> IndexRows | ListedFile:
     """Return the rows of a capture; or what it is now, if its contents are known."""
     digest, before = "", ListedFile(url, -1, "")
     try:
+        group.check(url)
         before = listed_now(url)
         with at_hand(url) as path:
             digest = _hash(path)
+            group.unfetched = 0
             if digest == known and before == listed_now(url):
                 return before
-            rows = _read(path, url, task.settings, bench)
+            rows = _read(path, url, group)
         changed = f"{url}: changed while it was read; index it again when it is complete"
         state = {} if listed_now(url) == before else _bad(CHANGING, changed)
     except EdorasError as error:
         rows, state = {}, _bad(NOT_READ, str(error))
     except Exception as error:  # noqa: BLE001  whatever is wrong with one capture, others are read
-        reason = f"{url}: cannot be read: {reason_of(error)}"
+        cause = cause_of(error)
+        if is_remote(url) and not digest and not isinstance(cause, FileNotFoundError | PermissionError):
+            group.unfetched += 1
+        reason = f"{url}: cannot be read: {reason_of(cause)}"
         rows, state = {}, _bad(NOT_READ, reason)
     if state.get("state") == CHANGING:
         rows, before = {}, ListedFile(url, -1, "")  # it is no capture yet: the next update reads it
     identity = {"size": before.size, "version": before.version, "sha256": digest or None, "gone": False}
-    identity |= {"settings": task.fingerprint, "made_by": __version__}
+    identity |= {"settings": group.task.fingerprint, "made_by": __version__}
     capture = rows.get("captures", [{}])[0]
     return {**rows, "captures": [{**capture, **state, **identity}]}
 
@@ -173,11 +212,8 @@ class _Listening(Counting):
         return kept
 
 
-def _read(path: Path, url: str, settings: Settings, plain: Workbench) -> IndexRows:
+def _read(path: Path, url: str, group: _Group) -> IndexRows:
     """Read a capture to its end, as far as that is possible.
-
-    Args:
-        plain: what reads a capture that carries no missions, types and options of its own.
 
     Raises:
         EdorasError: nothing of it can be read.
@@ -185,7 +221,7 @@ def _read(path: Path, url: str, settings: Settings, plain: Workbench) -> IndexRo
     source = open_file(path, url)
     own = source.info.attachments or source.info.definitions or source.info.read_with
     try:
-        bench = settings.workbench(source.info) if own else plain.anew()
+        bench = group.task.settings.workbench(source.info) if own else group.bench.anew()
     except EdorasError:
         source.close()
         raise

@@ -1,0 +1,189 @@
+"""Captures on an S3 server are indexed as local ones; what goes wrong with a server is told in one line."""
+
+from __future__ import annotations
+
+import http.server
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import s3fs
+from places import CAPTURES
+
+from edoras_tools.errors import CaptureError
+from edoras_tools.pipelines.archive.index import open_index
+from edoras_tools.pipelines.archive.places import find_captures, listed_now
+from edoras_tools.pipelines.archive.tables import TABLES
+from edoras_tools.pipelines.archive.work import Task, examine_group, fingerprint
+from edoras_tools.pipelines.workbench import Settings
+
+NAMES = ("a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect")
+SERVER = """
+import sys
+from moto.server import ThreadedMotoServer
+
+server = ThreadedMotoServer("127.0.0.1", int(sys.argv[1]), verbose=False)
+server.start()
+print(server.get_host_and_port()[1], flush=True)
+sys.stdin.read()
+"""
+FRESH = {"skip_instance_cache": True}
+
+
+@pytest.fixture
+def s3(monkeypatch, tmp_path):
+    """An S3 server with captures in a bucket: ``start``, ``stop``, and ``files``, to write others."""
+    own = SimpleNamespace(process=None, port=0)
+
+    def start():
+        own.process = subprocess.Popen(
+            [sys.executable, "-c", SERVER, str(own.port)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        own.port = int(own.process.stdout.readline())
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{own.port}")
+        s3fs.S3FileSystem.clear_instance_cache()
+        own.files = s3fs.S3FileSystem(**FRESH)
+        own.files.mkdir("fleet")
+        for name in NAMES:
+            own.files.put_file(str(CAPTURES / f"{name}.pcap"), f"fleet/day 1/{name}.pcap")
+        own.files.pipe_file("fleet/readme.txt", b"none")
+
+    def stop():
+        own.process.stdin.close()
+        own.process.terminate()
+        own.process.wait()
+        own.process.stdout.close()
+
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.setenv(name, "x")
+    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+    monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")  # nobody outside is asked for keys
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    start()
+    own.start, own.stop = start, stop
+    yield own
+    stop()
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+class Nothing(http.server.BaseHTTPRequestHandler):
+    """A web server without files."""
+
+    def do_HEAD(self):
+        self.send_error(404)
+
+    def do_GET(self):
+        self.do_HEAD()
+
+    def log_message(self, *arguments):
+        pass
+
+
+def archive(*arguments):
+    command = [Path(sys.executable).with_name("edoras"), "archive", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    return done.returncode, done.stdout, done.stderr.splitlines()
+
+
+def examined(urls):
+    """What a worker says of captures, each by its name."""
+    settings = Settings()
+    rows = examine_group(Task(tuple((url, "") for url in urls), settings, fingerprint(settings))).rows
+    return {row["capture"].rpartition("/")[2]: row for row in rows["captures"].to_pylist()}
+
+
+def test_a_bucket_is_indexed_as_a_folder(s3, tmp_path):
+    index = tmp_path / "x.duckdb"
+    command = ["s3://fleet", "--index", index, "--jobs", "1"]
+    assert archive(*command) == (0, "", [f"{index}: 4 captures: 4 read, 0 unchanged"])
+    local = examined([str(CAPTURES / f"{name}.pcap") for name in NAMES])
+    with open_index(index) as opened:
+        rows = {row["capture"]: row for row in opened.rows("SELECT * FROM captures")}
+    assert set(rows) == {f"s3://fleet/day 1/{name}.pcap" for name in NAMES}
+    for url, row in rows.items():
+        same = row.keys() - {"capture", "version"}
+        assert {name: row[name] for name in same} == {
+            name: local[url.rpartition("/")[2]][name] for name in same
+        }
+    s3.files.pipe_file("fleet/day 1/a_rover.pcap", (CAPTURES / "b_arm_single.pcap").read_bytes())
+    s3.files.put_file(str(CAPTURES / "b_arm_single.pcap"), "fleet/day 1/b_arm_single.pcap")
+    s3.files.pipe_file("fleet/day 1/new.pcap", b"")
+    s3.files.rm_file("fleet/day 1/e_ci_errors.pcap")
+    code, _, (told, error) = archive("s3://fleet/day 1/", *command[1:])
+    assert code == 3
+    assert told == f"{index}: 4 captures: 2 read, 2 unchanged, 1 no longer there"
+    assert error == "edoras: s3://fleet/day 1/new.pcap: is empty; a capture has at least a header"
+
+
+def test_what_cannot_be_listed_is_told(s3, monkeypatch, tmp_path):
+    def refused(root):
+        s3fs.S3FileSystem.clear_instance_cache()
+        with pytest.raises(CaptureError) as error:
+            find_captures([root])
+        assert "\n" not in str(error.value)
+        return str(error.value)
+
+    for root in ("s3://none", "s3://fleet/nothing", "s3://none/day 1/x.pcap"):
+        assert refused(root) == f"{root}: there is no such file or folder; check the name"
+    (found,) = find_captures(["s3://fleet/day 1/a_rover.pcap"])
+    assert found == listed_now("s3://fleet/day 1/a_rover.pcap")
+    monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
+    monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+    line = refused("s3://fleet")
+    assert line.startswith(
+        "s3://fleet: cannot be listed: Unable to locate credentials; set AWS_ACCESS_KEY_ID and "
+    )
+    assert archive("s3://fleet", "--index", tmp_path / "x.duckdb") == (1, "", [f"edoras: {line}"])
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "x")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "x")
+    s3.stop()
+    assert refused("s3://fleet").startswith(
+        "s3://fleet: cannot be listed: Could not connect to the endpoint URL"
+    )
+    s3.start()
+
+
+def test_a_server_that_goes_away_is_told_and_the_next_update_goes_on(s3, tmp_path):
+    index, command = tmp_path / "x.duckdb", ["s3://fleet", "--index", tmp_path / "x.duckdb", "--jobs", "1"]
+    urls = [item.url for item in find_captures(["s3://fleet"])]
+    s3.stop()
+    rows = examined(urls)
+    lines = told(rows)
+    assert all(line.startswith("cannot be read: Could not connect to the endpoint URL") for line in lines[:3])
+    assert lines[3:] == ["not asked for, as 3 others could not be fetched; index again"]
+    with open_index(index, write=True) as opened:
+        opened.replace([], [{"captures": TABLES["captures"].arrow(list(rows.values()))}])
+    s3.start()
+    assert archive(*command) == (0, "", [f"{index}: 4 captures: 4 read, 0 unchanged"])
+    with open_index(index) as opened:
+        assert opened.ask("SELECT state, count(*) FROM captures GROUP BY ALL") == [("whole", 4)]
+
+
+def told(rows):
+    """Why captures are unreadable, without their names."""
+    assert {row["state"] for row in rows.values()} == {"unreadable"}
+    return [row["error"].partition(".pcap: ")[2] for row in rows.values()]
+
+
+def test_a_web_server_that_goes_away_is_told():
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Nothing) as server:
+        root = f"http://127.0.0.1:{server.server_port}"
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        found = examined([f"{root}/{number}.pcap" for number in range(5)])
+        server.shutdown()
+        thread.join()
+    assert told(found) == 5 * ["cannot be read: it is no longer there"]
+    lines = told(examined([f"{root}/{number}.pcap" for number in range(5)]))
+    assert all(line.startswith("cannot be read: Connect call failed ('127") for line in lines[:3])
+    assert lines[3:] == 2 * ["not asked for, as 3 others could not be fetched; index again"]
+    with pytest.raises(CaptureError, match="/: cannot be listed: Connect call failed"):
+        find_captures([f"{root}/"])
