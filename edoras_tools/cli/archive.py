@@ -282,13 +282,15 @@ def report(
     """Write one HTML page: runs over time, trends of losses and latencies, the worst of both."""
     from edoras_tools.io.outputs import check_new
     from edoras_tools.pipelines.archive.index import open_index
-    from edoras_tools.pipelines.archive.questions import write_archive_report
+    from edoras_tools.pipelines.archive.questions import trends_of
+    from edoras_tools.render.archive.page import archive_page
     from edoras_tools.render.doctor.report import Made
 
     check_new(output, [index], force=force)
     with open_index(index) as opened:
         made = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
-        size = write_archive_report(opened, chosen.span(), output, made)
+        page = archive_page(trends_of(opened, chosen.span()), made)
+    size = recordings.write_page(page, output)
     if not quiet:
         sys.stderr.write(f"{output}: {size / 1024:.0f} KiB\n")
 

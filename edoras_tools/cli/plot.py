@@ -113,19 +113,14 @@ def _check(output: Path) -> None:
 
 def _write(figure: Figure, output: Path) -> int:
     """Write a picture; return its size in bytes."""
-    from edoras_tools.io.outputs import write_bytes
     from edoras_tools.render.plot.page import plot_page
     from edoras_tools.render.plot.svg import PLOT_WIDTH, plot_svg
     from edoras_tools.render.svg import png
 
     suffix = output.suffix.lower()
-    if suffix == ".html":
-        data = plot_page(figure).encode("utf-8", "replace")
-    else:
-        picture = plot_svg(figure)
-        data = png(picture, 2 * PLOT_WIDTH) if suffix == ".png" else picture.encode("utf-8", "replace")
-    write_bytes(output, data, folders=True)
-    return len(data)
+    picture = plot_page(figure) if suffix == ".html" else plot_svg(figure)
+    made = png(picture, 2 * PLOT_WIDTH) if suffix == ".png" else picture
+    return recordings.write_page(made, output)
 
 
 def _print(figure: Figure) -> None:

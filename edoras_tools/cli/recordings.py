@@ -66,4 +66,15 @@ def put_text(text: str, output: Path | None) -> None:
     if output is None:
         typer.echo(text, nl=False)
     else:
-        write_bytes(output, text.encode(), folders=True)
+        write_page(text, output)
+
+
+def write_page(page: str | bytes, output: Path) -> int:
+    """Write a page, a text or a picture, and missing folders; return its size in bytes.
+
+    Raises:
+        CaptureError: it cannot be written.
+    """
+    data = page if isinstance(page, bytes) else page.encode("utf-8", "replace")
+    write_bytes(output, data, folders=True)
+    return len(data)

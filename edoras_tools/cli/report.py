@@ -35,8 +35,7 @@ def report(
     """
     from edoras_tools.diagnosis.verdict import group_verdicts
     from edoras_tools.pipelines.doctor.doctor import examine, profile_with
-    from edoras_tools.pipelines.doctor.report import write_report
-    from edoras_tools.render.doctor.report import Made
+    from edoras_tools.render.doctor.report import Made, page
 
     files, scope, (json, quiet) = inputs.named(), part.scope(), printing
     profile = profile_with(constant or ())
@@ -50,7 +49,7 @@ def report(
     elif not findings.diagnosis.datagrams:
         raise findings.failure  # an empty page would say that nothing is wrong
     made = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
-    size = write_report(findings.diagnosis, source.info.name, path, made)
+    size = recordings.write_page(page(findings.diagnosis, source.info.name, made), path)
     if json:
         print_json({**findings.summary(), "output": str(path)})
     elif not quiet:

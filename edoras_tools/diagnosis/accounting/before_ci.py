@@ -9,8 +9,6 @@ import numpy as np
 from edoras_tools.diagnosis.accounting.claims import shares
 from edoras_tools.diagnosis.accounting.fates import LOST_AT, loss_of
 from edoras_tools.diagnosis.accounting.losses import Loss
-from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.model import NO_MSG_ID
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -161,13 +159,8 @@ class BeforeCi:
         self.losses.append(
             Loss(
                 kind=before.cause,
-                instance=NOBODY,
                 hop=LOST_AT[before.cause],
-                msg_id=NO_MSG_ID,
-                stream=None,
-                span=None,
                 lost=number,
-                of=None,
                 start_ns=before.start_ns,
                 end_ns=before.end_ns,
                 confidence="medium",

@@ -10,7 +10,6 @@ import numpy as np
 
 from edoras_tools.cfs import command_ingest
 from edoras_tools.diagnosis.accounting.losses import BEFORE_CI, CI_SOCKET, Among, Loss
-from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -158,11 +157,9 @@ def loss_of(
     start_ns, end_ns = int(own[rows].min()), int(own[rows].max())
     return Loss(
         kind=kind,
-        instance=NOBODY,
         hop=hop or LOST_AT[kind],
         msg_id=fate.stream.msg_id,
         stream=fate.stream,
-        span=None,
         lost=len(rows),
         of=int(((own >= start_ns) & (own <= end_ns)).sum()),
         start_ns=start_ns,

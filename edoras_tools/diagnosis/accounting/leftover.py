@@ -24,7 +24,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     Loss,
 )
 from edoras_tools.links.table import carrying
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -291,11 +291,7 @@ class Leftover:
                 kind="unknown",
                 instance=instance,
                 hop="software bus",
-                msg_id=NO_MSG_ID,
-                stream=None,
-                span=None,
                 lost=number,
-                of=None,
                 start_ns=start_ns,
                 end_ns=end_ns,
                 confidence="low",

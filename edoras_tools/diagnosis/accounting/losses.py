@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays.proxied import UNTOUCHED
 from edoras_tools.diagnosis.matching.spans import Comb, Span, comb, spans
 from edoras_tools.links.table import among
-from edoras_tools.model import Peer
+from edoras_tools.model import NO_MSG_ID, Peer
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
@@ -94,16 +94,16 @@ class Loss:
 
     Attributes:
         kind: why.
-        instance: the cFS that lost them.
         hop: where.
-        msg_id: which.
-        stream: where they were seen, or missed; None where they are not in the capture.
-        span: when; None for all of the capture.
         lost: how many.
-        of: of how many sent; None where unknown.
         start_ns: when it began.
         end_ns: when it ended.
         confidence: how sure that is.
+        instance: the cFS that lost them.
+        msg_id: which.
+        stream: where they were seen, or missed; None where they are not in the capture.
+        span: when; None for all of the capture.
+        of: of how many sent; None where unknown.
         evidence: what was seen.
         comb: the rounds in which the stream arrives.
         sender: application that sent them, as an event names it.
@@ -112,16 +112,16 @@ class Loss:
     """
 
     kind: LossKind
-    instance: int
     hop: str
-    msg_id: int
-    stream: Stream | None
-    span: Span | None
     lost: int
-    of: int | None
     start_ns: int
     end_ns: int
     confidence: Confidence
+    instance: int = NOBODY
+    msg_id: int = NO_MSG_ID
+    stream: Stream | None = None
+    span: Span | None = None
+    of: int | None = None
     evidence: list[str] = field(default_factory=list)
     comb: Comb | None = None
     sender: str = ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -22,7 +22,7 @@ from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
     from typing_extensions import Self
@@ -106,6 +106,13 @@ class Rows:
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    @classmethod
+    def of(cls, tables: Sequence[Any], **columns: NDArray[Any]) -> Self:
+        """Return rows with the columns that are given; the rest from ``tables``, later ones first."""
+        rest = [item.name for item in fields(cls) if item.name not in columns]
+        taken = {name: getattr(table, name) for name in rest for table in tables if hasattr(table, name)}
+        return cls(**taken, **columns)
 
     @classmethod
     def of_messages(cls, **columns: NDArray[Any]) -> Self:
@@ -210,38 +217,20 @@ class Recorder:
         told = self._sequences.follow(batch, columns)
         self._told.append(told)
         self._parts.append(
-            Rows(
-                number=batch.number,
-                time_ns=batch.time_ns,
-                link=columns.link,
+            Rows.of(
+                (batch, columns, told),
                 source=self._endpoints(batch, batch.source_address, batch.source_port),
                 destination=self._endpoints(batch, batch.destination_address, batch.destination_port),
-                sbn_msg_type=columns.sbn_msg_type,
-                processor_id=columns.processor_id,
-                spacecraft_id=columns.spacecraft_id,
-                msg_id=columns.msg_id,
                 known_id=cfe.known_ids(columns.msg_id, columns.headers),
-                sequence_count=columns.sequence_count,
-                function_code=columns.function_code,
-                mission_time_ns=columns.mission_time_ns,
-                length=batch.length,
-                packet_length=columns.packet_length,
-                header_length=columns.header_length,
                 cdr_length=length,
                 space=space,
                 claimed=claimed,
-                route=columns.route,
-                findings=columns.findings,
                 identification=identification,
                 tap=tap + life,
                 life=life,
                 streamed=np.zeros(len(batch), bool) if batch.streams is None else batch.streams,
                 bytes_print=whole,
                 counted=told.stream >= 0,
-                missing=told.missing,
-                duplicates=told.duplicates,
-                reordered=told.reordered,
-                restarts=told.restarts,
                 packet_print=packet,
                 value_print=plain,
                 stamped_print=stamped,
@@ -377,14 +366,7 @@ def followed(rows: Rows) -> Rows:
 
 def _counting(rows: Rows, told: SequenceRows) -> Rows:
     """Return rows with what was told of their sequence counts."""
-    return replace(
-        rows,
-        counted=told.stream >= 0,
-        missing=told.missing,
-        duplicates=told.duplicates,
-        reordered=told.reordered,
-        restarts=told.restarts,
-    )
+    return Rows.of((rows, told), counted=told.stream >= 0)
 
 
 def _none() -> Rows:

@@ -7,16 +7,13 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.outputs import write_bytes
 from edoras_tools.pipelines.names import fits_topic
-from edoras_tools.render.archive.page import BINS, ArchiveTrends, archive_page, bin_ns
+from edoras_tools.render.archive.page import BINS, ArchiveTrends, bin_ns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from edoras_tools.pipelines.archive.index import Index
-    from edoras_tools.render.doctor.report import Made
 
 
 _LISTED: Final = """
@@ -175,14 +172,3 @@ def trends_of(index: Index, span: ArchiveSpan) -> ArchiveTrends:
         index.rows(_RULES),
         [error for (error,) in bad],
     )
-
-
-def write_archive_report(index: Index, span: ArchiveSpan, path: Path, made: Made) -> int:
-    """Write the page; return its size in bytes.
-
-    Raises:
-        CaptureError: there is nothing to report, or the file cannot be written.
-    """
-    data = archive_page(trends_of(index, span), made).encode("utf-8", "replace")
-    write_bytes(path, data)
-    return len(data)
