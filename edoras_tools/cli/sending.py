@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings
-from edoras_tools.cli.endings import LOST, lost_outputs, tell, tell_reach
+from edoras_tools.cli.endings import INTERRUPTED, LOST, lost_outputs, tell, tell_reach
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.errors import ConfigError, EdorasError
 
@@ -242,7 +242,7 @@ def carry_out(
     Raises:
         EdorasError: it could not be sent.
         typer.Exit: with code 3, if a datagram was certainly lost, or more than may be, if something expected
-            did not come, or the recording was removed.
+            did not come, or the recording was removed; with code 130, if Ctrl-C ended it before it was done.
     """
     from edoras_tools.pipelines.sending.expect import AwaitedResults
     from edoras_tools.render.sending.status import send_status
@@ -297,6 +297,8 @@ def carry_out(
         tell(reason)
     if reasons or (send_options.max_loss is None and report.lost):
         raise typer.Exit(LOST)
+    if report.interrupted and keys is None and transmission.total:
+        raise typer.Exit(INTERRUPTED)
 
 
 def _print(summary: dict[str, Any], target: str = "") -> None:

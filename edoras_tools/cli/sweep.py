@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings, sending
-from edoras_tools.cli.endings import tell_reach
+from edoras_tools.cli.endings import INTERRUPTED, tell_reach
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.cli.sim import Scenario
 from edoras_tools.errors import ConfigError
@@ -244,6 +244,8 @@ def sweep(
         _draw(summary, charts)
     if found.failure is not None:
         raise found.failure
+    if found.interrupted:
+        raise typer.Exit(INTERRUPTED)
 
 
 def _draw(summary: dict[str, Any], charts: ChartOptions) -> None:

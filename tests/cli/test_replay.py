@@ -328,7 +328,7 @@ def test_ctrl_c_prints_the_report(command, captures, receiver, tmp_path):
     with Program(command, *arguments, "-o", tmp_path / "x.mcap") as program:
         sent = []
         program.until(lambda: sent.extend(take()) or len(sent) >= 3, "it sends")
-        report = held(json.loads(program.end()[0]), ["replay", "--json"])
+        report = held(json.loads(program.end(code=130)[0]), ["replay", "--json"])
     assert report["interrupted"]
     assert 3 <= report["sent"] == len(sent + take()) < 601
     port = f"ci:{target.rpartition(':')[2]}"
