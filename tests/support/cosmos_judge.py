@@ -1,6 +1,6 @@
 """Run by the Python of OpenC3 COSMOS: reads a target's file, then questions, a JSON object a line.
 
-``{"read": hex}`` is answered with ``{"packet", "items"}`` of the packet it is identified as, or ``null``;
+``{"read": hex}`` is answered with ``{"packet", "items", "named"}`` of the packet that it is, or ``null``;
 ``{"build": command, "values": {...}}`` with ``{"hex"}``. The first line out has the parser's warnings.
 """
 
@@ -30,7 +30,8 @@ def main(path, target, out):
                 packet = packet.clone()
                 packet.buffer = data
                 items = {name: plain(packet.read(name, "RAW")) for name in packet.items}
-                answer = {"packet": packet.packet_name, "items": items}
+                named = {name: packet.read(name) for name, item in packet.items.items() if item.states}
+                answer = {"packet": packet.packet_name, "items": items, "named": named}
         else:
             packet = commands.build_cmd(target, asked["build"], asked["values"])
             answer = {"hex": plain(packet.buffer)}

@@ -142,7 +142,9 @@ class _Items:
         self._bits += item.bits
         order = "" if item.little or item.bits <= 8 else " BIG_ENDIAN"
         head = f"  APPEND_{kind} {name or self._name(item)} {item.bits} {_TYPES[item.encoding]}{values}"
-        return f"{head} {_quoted(item.doc or item.name or 'alignment')}{order}"
+        states = {label.upper(): value for value, label in (item.enum.names.items() if item.enum else ())}
+        lines = [f"    STATE {_quoted(label)} {value}" for label, value in states.items()]
+        return "\n".join([f"{head} {_quoted(item.doc or item.name or 'alignment')}{order}", *lines])
 
 
 def _plain(text: str) -> str:

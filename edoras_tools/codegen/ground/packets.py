@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.ros.cdr.plan import CdrPlan, PlanStep
     from edoras_tools.structs.bound import Bound
     from edoras_tools.structs.messages import MessagePart
-    from edoras_tools.structs.shapes import Member, Struct, StructLayout
+    from edoras_tools.structs.shapes import Enumeration, Member, Struct, StructLayout
     from edoras_tools.wire.cfe import Headers
     from edoras_tools.wire.layout import Layout
 
@@ -64,6 +64,7 @@ class PacketItem:
         doc: one line.
         little: whether its least significant byte comes first.
         fixed: its bytes where a command always has the same; none where they are an argument.
+        enum: names of its values, if they have some.
     """
 
     name: str
@@ -72,6 +73,7 @@ class PacketItem:
     doc: str = ""
     little: bool = True
     fixed: bytes = b""
+    enum: Enumeration | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,5 +292,4 @@ def _elements(layout: StructLayout, member: Member, name: str) -> tuple[Items, b
     if member.count > _MOST_ELEMENTS:
         return (PacketItem(name, "bytes", bits * member.count, member.doc),), True
     enum = layout.enumeration(member)
-    doc = member.doc or ", ".join(f"{value} {label}" for value, label in (enum.names.items() if enum else ()))
-    return tuple(PacketItem(item, encoding, bits, doc, little) for item in names), True
+    return tuple(PacketItem(item, encoding, bits, member.doc, little, enum=enum) for item in names), True

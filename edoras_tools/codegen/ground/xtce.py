@@ -183,7 +183,7 @@ def _fixed(entries: ET.Element, value: bytes) -> None:
 
 def _type_name(item: PacketItem) -> str:
     order = "" if item.bits <= 8 or item.encoding in {"bytes", "text"} else "_le" if item.little else "_be"
-    return f"{item.encoding}{item.bits}{order}"
+    return f"{item.encoding}{item.bits}{order}{f'_{identifier(item.enum.name)}' if item.enum else ''}"
 
 
 def _length_of(string: StringItem) -> list[PacketItem]:
@@ -198,9 +198,16 @@ def _data_type(types: ET.Element, role: str, name: str, item: PacketItem) -> Non
         ET.SubElement(made, "FloatDataEncoding", {**bits, "encoding": "IEEE754_1985", **order})
     elif item.encoding in {"uint", "int"}:
         signed = item.encoding == "int"
-        made = ET.SubElement(types, f"Integer{role}Type", {"name": name, "signed": str(signed).lower()})
+        if item.enum:
+            made = ET.SubElement(types, f"Enumerated{role}Type", {"name": name})
+        else:
+            made = ET.SubElement(types, f"Integer{role}Type", {"name": name, "signed": str(signed).lower()})
         encoding = "twosComplement" if signed else "unsigned"
         ET.SubElement(made, "IntegerDataEncoding", {**bits, "encoding": encoding, **order})
+        if item.enum:
+            listed = ET.SubElement(made, "EnumerationList")
+            for value, label in item.enum.names.items():
+                ET.SubElement(listed, "Enumeration", {"value": str(value), "label": label})
     elif item.encoding == "text":
         made = ET.SubElement(types, f"String{role}Type", {"name": name})
         encoded = ET.SubElement(made, "StringDataEncoding", {"encoding": "UTF-8"})

@@ -180,8 +180,12 @@ def test_packets_of_c_structs_are_those_that_a_compiler_lays_out(order, tmp_path
     second, third, reset, read = ask(
         tmp_path,
         made.text,
-        [{"build": f"DRIVE_0X1890_{code}", "values": sent} for code in (2, 3)]
-        + [{"build": "RESET", "values": {}}, {"read": health.hex()}],
+        [
+            {"build": "DRIVE_0X1890_2", "values": sent},
+            {"build": "DRIVE_0X1890_3", "values": sent | {"MODE": "DRIVING"}},
+            {"build": "RESET", "values": {}},
+            {"read": health.hex()},
+        ],
     )
     for code, answer in ((2, second), (3, third)):
         expected = cfe.emit_command(0x1890, code, drive_payload(order), sequence_flags=0, with_checksum=False)
@@ -192,6 +196,7 @@ def test_packets_of_c_structs_are_those_that_a_compiler_lays_out(order, tmp_path
     assert (items["COUNT"], items["CHARGE_ON"], items["MODE"], items["NAME"]) == (7, charge, 1, "rove")
     assert [items[f"PATH_{place}_{axis}"] for place in (0, 1) for axis in "XY"] == [1.5, 2.5, 3.5, 4.5]
     assert items["WORD"] == WORD.hex()
+    assert read["named"] == {"MODE": "DRIVING"}
     assert "REST" not in items
 
 

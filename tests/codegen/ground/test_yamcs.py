@@ -82,7 +82,8 @@ def test_yamcs_reads_and_sends_what_we_do(tmp_path):
             (route,) = (item for item in bench.mission.routes if item.topic == "/cmd_vel")
             cdr = bench.types.encode(route.type, {"linear": {"x": 0.5}})
             assert ci.recv(2000) == Encoder.of(route, bench).packet(cdr, 0).packet
-            asked(f"{realtime}/commands/edoras/Drive_0x1890_3", {"args": DRIVE | {"word": WORD.hex()}})
+            chosen = DRIVE | {"mode": "DRIVING", "word": WORD.hex()}
+            asked(f"{realtime}/commands/edoras/Drive_0x1890_3", {"args": chosen})
             drive = cfe.emit_command(0x1890, 3, drive_payload("big"), sequence_flags=0, with_checksum=False)
             assert ci.recv(2000) == drive
             asked(f"{realtime}/commands/edoras/Reset", {})
