@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from edoras_tools.structs.bound import Bound, Held
     from edoras_tools.structs.fprime.table import EntryTable
     from edoras_tools.structs.payloads import StructPayloads
-    from edoras_tools.structs.shapes import Struct, StructLayout
+    from edoras_tools.structs.shapes import StructLayout
     from edoras_tools.wire.msg_id import MsgIds
 
 _NONE: Final = 3
@@ -99,10 +99,6 @@ class Structs:
     def definitions(self) -> Mapping[str, Definition]:
         """Every definition by type."""
         return self._bindings.definitions
-
-    def define(self, layout: StructLayout, struct: Struct, *, whole: bool) -> str:
-        """Make the definition of a struct's message, and of all that it uses; return its type in full."""
-        return self._bindings.define(layout, struct, whole=whole)
 
     @cached_property
     def types(self) -> TypeStore:

@@ -62,11 +62,6 @@ class SendStatistics:
     refused: int = 0
     errors: dict[str, int] = field(default_factory=dict)
 
-    @property
-    def failed(self) -> int:
-        """Datagrams that certainly did not arrive."""
-        return self.refused + sum(self.errors.values())
-
     def add(self, sent: SendResult) -> None:
         """Add the result of sending some datagrams."""
         self.sent += sent.taken

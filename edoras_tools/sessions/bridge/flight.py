@@ -75,11 +75,6 @@ class FlightSession:
         return self.connection.connected
 
     @property
-    def subscribed(self) -> set[int]:
-        """MsgIds that cFS has subscribed to."""
-        return self.connection.subscribed
-
-    @property
     def next_ns(self) -> int:
         """When ``service`` is due."""
         return self.connection.next_ns

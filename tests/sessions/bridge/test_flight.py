@@ -67,7 +67,7 @@ def test_it_asks_once_a_second_and_subscribes_when_somebody_answers(session):
     assert (at, said(answers)) == (-1, ["PROTO", "SUB 82a 82b"])
     assert (session.ready, session.notes) == (True, ["connected to peer 66:1"])
     assert session.receive_datagram(subscriptions(MsgType.SUB, 0x1829), now=SECOND + 6) == (-1, [])
-    assert session.subscribed == {0x1829}
+    assert session.connection.subscribed == {0x1829}
 
 
 def test_a_cfs_that_speaks_first_is_answered_and_its_own_proto_is_no_restart(session):
@@ -132,7 +132,7 @@ def test_eleven_silent_seconds_are_a_loss_and_it_asks_again_at_once(connected):
 
 def test_a_cfs_that_started_anew_meanwhile_is_told_all_once_more(connected):
     assert said(connected.receive_datagram(proto(), now=3 * SECOND)[1]) == ["SUB 82a 82b"]
-    assert connected.subscribed == set()
+    assert connected.connection.subscribed == set()
     assert connected.receive_datagram(proto(), now=3 * SECOND + 1) == (-1, [])
     assert connected.connections == 1
 
@@ -151,7 +151,7 @@ def test_another_build_of_sbn_is_told_and_its_wishes_are_heard(connected):
     connected.notes.clear()
     connected.receive_datagram(subscriptions(MsgType.SUB, 0x182A, ident="$Id: 0 $"), now=5)
     assert connected.notes == ["peer 66:1 is another SBN ($Id: 0 $): it will refuse our subscriptions"]
-    assert connected.subscribed == {0x1829, 0x182A}
+    assert connected.connection.subscribed == {0x1829, 0x182A}
 
 
 def test_the_older_header_is_told_and_not_understood(session):
@@ -262,7 +262,7 @@ def test_ten_minutes_have_one_sub_a_change_and_heartbeats_only_when_idle():
     assert meeting.count("HEARTBEAT", since=busy) == 0
     assert meeting.limits == {0x82B}
     assert meeting.session.connections == 1
-    assert meeting.session.subscribed == {0x1829}
+    assert meeting.session.connection.subscribed == {0x1829}
 
 
 def test_it_comes_back_after_a_cut_wire_a_goodbye_and_a_restart():
