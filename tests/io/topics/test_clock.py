@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from unittest import mock
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edoras_tools.io.topics import clock as module
 from edoras_tools.io.topics.clock import MissionClock
 
 SECOND = 1_000_000_000
@@ -49,12 +51,12 @@ PACKETS = st.lists(
 )
 
 
-@given(PACKETS, st.integers(0, 30))
-def test_columns_follow_the_rule_however_the_packets_are_cut_into_batches(packets, cut):
+@given(PACKETS, st.integers(0, 30), st.sampled_from([0, 16]))
+def test_columns_follow_the_rule_however_the_packets_are_cut_into_batches(packets, cut, few):
     clock = MissionClock()
-    published = [
-        time for part in (packets[:cut], packets[cut:]) for time in clock.publish_times(*rows(*part)).tolist()
-    ]
+    parts = packets[:cut], packets[cut:]
+    with mock.patch.object(module, "_FEW", few):
+        published = [time for part in parts for time in clock.publish_times(*rows(*part)).tolist()]
     assert published == one_by_one(packets)
 
 
