@@ -39,5 +39,6 @@ def written(path, make, *blocks):
     table = TableFile(path, make, HEAD, blocks[0])
     for block in blocks:
         table.write(make.piece(block), len(block[0]))
-    table.close()
+    table.complete()
+    table.keep()
     return table

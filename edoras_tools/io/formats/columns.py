@@ -128,10 +128,15 @@ class TableFile:
             self._writer.write(piece)
         self.rows += rows
 
-    def close(self) -> None:
-        """Complete the table, and rename the file."""
+    def complete(self) -> None:
+        """Write what is left of the table."""
         with self._removed_on_failure():
             self._writer.close()
+            self._new.file.flush()
+
+    def keep(self) -> None:
+        """Close the file, and give it its name."""
+        with self._removed_on_failure():
             self._new.keep()
 
     def remove(self) -> None:

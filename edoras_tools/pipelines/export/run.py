@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import queue
+import threading
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
 from edoras_tools.errors import CaptureError, ConfigError
@@ -17,7 +19,7 @@ from edoras_tools.pipelines.export.judged import JUDGED
 from edoras_tools.pipelines.export.tables import TableForm, check_fields, chosen_topics, has_field
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
     from edoras_tools.io.formats.table import Format
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.export.sources import TopicSource
     from edoras_tools.render.terminal.run import Progress
 
+_TASKS: Final = 32
+"""Pieces of tables that wait to be written, those of about two batches: limits memory."""
 _OWN = JUDGED | {item.name for item in (*OWN_TOPICS, FAULTS)}
 
 
@@ -172,6 +176,7 @@ def export(
             fits = block.topic in there or has_field(form.fields, _names(block))
             return make.piece(form.columns(block, zero_ns)) if len(block) and fits else None
 
+        writing = _Writing(apart=target.folder and source.shared(jobs))
         try:
             for topic, rows, item in source.made(wanted, piece, progress, jobs):
                 if item is None:
@@ -182,12 +187,20 @@ def export(
                     head = TableHead(topic, none.message.type, _told(source, topic))
                     columns = form.columns(none, 0)
                     tables[topic] = TableFile(target.place(topic), make, head, columns)
-                tables[topic].write(item, rows)
+                writing.do(tables[topic].write, item, rows)
+            writing.wait()
             source.check_found(tables, wanted)
+            for place, table in enumerate(tables.values()):
+                if place % 2:
+                    table.complete()
+                else:
+                    writing.do(table.complete)
+            writing.wait()
             for table in tables.values():
-                table.close()
+                table.keep()
                 report.files.append(table)
         except BaseException:
+            writing.stop()
             for table in tables.values():
                 table.remove()
             for folder in made:
@@ -195,6 +208,67 @@ def export(
                     folder.rmdir()
             raise
     return report
+
+
+class _Writing:
+    """Does what writes tables at once, or soon in a thread of its own, in order.
+
+    A library lays out, compresses and writes, and lets other threads run meanwhile.
+
+    Args:
+        apart: in a thread, which begins with the first thing to do: processes are forked before.
+    """
+
+    def __init__(self, *, apart: bool) -> None:
+        self._tasks: queue.Queue[tuple[Callable[..., None], tuple[Any, ...]]] | None = None
+        self._apart = apart
+        self._failure: BaseException | None = None
+
+    def do(self, work: Callable[..., None], *given: Any) -> None:
+        """Do it now or soon.
+
+        Raises:
+            CaptureError: this, or what came before, cannot be written.
+        """
+        if not self._apart:
+            work(*given)
+            return
+        if self._tasks is None:
+            self._tasks = queue.Queue(_TASKS)
+            threading.Thread(target=self._run, args=[self._tasks], daemon=True).start()
+        self._tasks.put((work, given))
+        self._raise()
+
+    def wait(self) -> None:
+        """Wait until all is done.
+
+        Raises:
+            CaptureError: something cannot be written.
+        """
+        if self._tasks is not None:
+            self._tasks.join()
+        self._raise()
+
+    def stop(self) -> None:
+        """Do nothing more, and wait until nothing is being done."""
+        self._failure = self._failure or CaptureError("stopped")
+        if self._tasks is not None:
+            self._tasks.join()
+
+    def _raise(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+
+    def _run(self, tasks: queue.Queue[tuple[Callable[..., None], tuple[Any, ...]]]) -> None:
+        while True:
+            work, given = tasks.get()
+            try:
+                if self._failure is None:
+                    work(*given)
+            except BaseException as error:  # noqa: BLE001  raised where the next thing is to be done
+                self._failure = error
+            finally:
+                tasks.task_done()
 
 
 def _names(block: TopicBlock) -> list[str]:

@@ -192,6 +192,10 @@ class TopicSource(ABC):
             loop.note()
             self.unnamed = bench.columns.context.unnamed
 
+    def shared(self, jobs: int) -> bool:
+        """Tell whether several processes share the work; see ``made``."""
+        return jobs_for(self._source, jobs, fixed=False) > 1
+
     def check_found(self, found: Collection[object], wanted: Collection[str]) -> None:
         """Check, once the whole input was read, that there was a message on a wanted topic.
 

@@ -18,7 +18,8 @@ def test_it_appears_when_it_is_whole(tmp_path):
     table.write(CsvWriter.piece(COLUMNS), 3)
     (part,) = tmp_path.iterdir()
     assert re.fullmatch(r"\.a\.csv\.\d+\.part", part.name)
-    table.close()
+    table.complete()
+    table.keep()
     assert [item.name for item in tmp_path.iterdir()] == ["a.csv"]
     assert table.rows == 3
 
@@ -56,7 +57,8 @@ def test_a_folder_that_is_not_there(tmp_path):
 def test_what_is_no_file_is_written_at_once():
     table = TableFile(Path("/dev/null"), CsvWriter, HEAD, COLUMNS)
     table.write(CsvWriter.piece(COLUMNS), 3)
-    table.close()
+    table.complete()
+    table.keep()
 
 
 @pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -11,11 +12,12 @@ from rtps import CAPTURES as DDS
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats import stream
+from edoras_tools.io.formats.columns import TableFile
 from edoras_tools.io.workers import Workers
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.run import ExportTarget, export
-from edoras_tools.pipelines.export.sources import open_topics
+from edoras_tools.pipelines.export.sources import CaptureTopics, open_topics
 from edoras_tools.pipelines.export.tables import TableForm
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
@@ -99,5 +101,40 @@ def test_a_process_that_was_killed_leaves_nothing(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Workers, "start", started)
     with pytest.raises(CaptureError, match=r"a process that made its tables was killed.*--jobs 1"):
+        exported(tmp_path, 2, ROVER, settings("a_rover"))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize(
+    ("what", "which"), [("write", 1), ("write", 40), ("complete", 1), ("complete", 2), ("complete", 9)]
+)
+def test_a_table_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch, jobs, what, which):
+    calls, real = [], getattr(TableFile, what)
+
+    def fails(self, *given):
+        calls.append(threading.current_thread())
+        if len(calls) == which:
+            raise CaptureError(f"{self.path}: cannot be written: no")
+        real(self, *given)
+
+    monkeypatch.setattr(TableFile, what, fails)
+    with pytest.raises(CaptureError, match=r"cannot be written: no$"):
+        exported(tmp_path, jobs, ROVER, settings("a_rover"))
+    assert not list(tmp_path.iterdir())
+    assert what == "complete" or (threading.main_thread() in calls) == (jobs == 1)
+
+
+def test_what_is_read_no_more_is_written_no_more(tmp_path, monkeypatch):
+    real = CaptureTopics.made
+
+    def interrupted(self, *given):
+        for number, item in enumerate(real(self, *given)):
+            if number == 20:
+                raise KeyboardInterrupt
+            yield item
+
+    monkeypatch.setattr(CaptureTopics, "made", interrupted)
+    with pytest.raises(KeyboardInterrupt):
         exported(tmp_path, 2, ROVER, settings("a_rover"))
     assert not list(tmp_path.iterdir())

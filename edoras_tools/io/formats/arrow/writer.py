@@ -78,12 +78,20 @@ class _Piece:
     """Some rows; between processes they are one Arrow message, which is copied where it arrives.
 
     Args:
-        batch: the rows.
+        rows: as a record batch, or as such a message, which is read when they are written.
         size: bytes of their values; 0: counted here.
     """
 
-    def __init__(self, batch: Any, size: int = 0) -> None:
-        self.batch, self.size = batch, size or batch.nbytes
+    def __init__(self, rows: Any, size: int = 0) -> None:
+        self._rows, self.size = rows, size or rows.nbytes
+
+    @property
+    def batch(self) -> Any:
+        """The rows."""
+        if not isinstance(self._rows, bytes):
+            return self._rows
+        with pa.ipc.open_stream(pa.py_buffer(self._rows)) as reader:
+            return reader.read_next_batch()
 
     def __reduce_ex__(self, _: Any) -> tuple[Any, ...]:
         """Return what the rows are made again from."""
@@ -94,8 +102,7 @@ class _Piece:
 
 
 def _received(data: Any, size: int) -> _Piece:
-    with pa.ipc.open_stream(pa.py_buffer(bytes(data))) as reader:
-        return _Piece(reader.read_next_batch(), size)
+    return _Piece(bytes(data), size)
 
 
 class _GroupWriter(ABC):
@@ -118,8 +125,9 @@ class _GroupWriter(ABC):
 
     def write(self, piece: _Piece) -> None:
         """Write some rows."""
-        self._batches.append(pa.RecordBatch.from_arrays(piece.batch.columns, schema=self._schema))
-        self._rows += len(piece.batch)
+        batch = piece.batch
+        self._batches.append(pa.RecordBatch.from_arrays(batch.columns, schema=self._schema))
+        self._rows += len(batch)
         self._bytes += piece.size
         if self._rows >= _ROWS or self._bytes >= _BYTES:
             self._flush()
