@@ -6,6 +6,7 @@ from functools import cache
 
 import pytest
 from places import ROOT
+from rewriting import datagrams, write
 
 from edoras_tools.decode import Options
 from edoras_tools.diagnosis.examination import Examination
@@ -21,9 +22,13 @@ PORTS = {"relay": Options(ports=((CI, 5234),))}
 
 @cache
 def examined(name):
-    bench = Settings(options=PORTS.get(name, Options())).workbench()
+    return examine(FOLDER / f"{name}.pcap.zst", PORTS.get(name, Options()))
+
+
+def examine(path, options):
+    bench = Settings(options=options).workbench()
     examination = Examination(bench.columns.context)
-    with closing(open_file(FOLDER / f"{name}.pcap.zst")) as source:
+    with closing(open_file(path)) as source:
         for batch in source.batches():
             examination.add(batch, bench.columns.decode(batch))
     return examination.diagnose()
@@ -60,6 +65,14 @@ def test_telemetry_that_ends_is_told_and_what_was_sent_since_is_blamed_on_nobody
         line.startswith("18 of them were sent after the last count of CI") for line in crossing.evidence
     )
     assert not any("explain no more" in line for line in crossing.evidence)
+
+
+def test_a_restart_in_frames_that_were_cut_is_told_though_nothing_names_its_cfs(tmp_path):
+    cut = write(tmp_path / "cut.pcap", datagrams(FOLDER / "boots.pcap.zst"), snap=96)
+    diagnosis = examine(cut, Options())
+    (restart,) = found(diagnosis, "cfs_restart")
+    assert (restart.lost, restart.reason[:28]) == (8, "cFS restarted between 18.6 s")
+    assert sum(item.lost or 0 for item in diagnosis.verdicts) == diagnosis.lost
 
 
 def test_what_is_sent_to_a_ci_that_was_stopped_is_lost_there():

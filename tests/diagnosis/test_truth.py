@@ -16,6 +16,7 @@ from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
+from edoras_tools.wire.robot import ROBOT_PORT
 
 
 def by_route(diagnosis):
@@ -346,3 +347,14 @@ def test_spans_of_one_pipe_count_each_loss_once(lab, msg_id):
     verdicts = [item for item in lab.examine(kept).verdicts if item.rule == "app_pipe_limit"]
     assert len(verdicts) > 2
     assert sum(item.lost for item in verdicts) <= counters.msg_limits
+
+
+def test_what_the_robots_side_lacks_at_two_hertz_did_not_give_way_to_a_newer_one(lab, tmp_path):
+    sent = datagrams(ROOT / "tests/captures/b_arm_single.pcap.zst")
+    to_robot = [at for at, item in enumerate(sent) if item.destination[1] == ROBOT_PORT]
+    lacking = set(to_robot[5:-5:9])
+    path = write(tmp_path / "lacks.pcap", [item for at, item in enumerate(sent) if at not in lacking])
+    diagnosis = lab.read(path)
+    (verdict,) = [item for item in diagnosis.verdicts if item.rule == "crossing_loss"]
+    assert verdict.reason.startswith(f"{len(lacking)} of 120 messages")
+    assert sum(row.superseded for row in diagnosis.balance) == 0

@@ -28,6 +28,8 @@ _LONGEST_NS: Final = 120 * SECOND
 """No message is under way for longer: a full socket at CI is read within a minute and a half."""
 _NEWER_NS: Final = 550 * MILLISECOND
 """Messages that go in further apart are taken in two rounds of CI."""
+_ROUND_NS: Final = 500 * MILLISECOND
+_OFTENER: Final = 2
 _BURST_NS: Final = 20 * MILLISECOND
 _FEW_TOGETHER: Final = 0.1
 _ALIKE: Final = 0.5
@@ -264,6 +266,9 @@ def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went
         next_ns = np.minimum.accumulate(np.where(arrived, in_ns, never)[::-1])[::-1]
         newer = ~arrived & (next_ns < never) & (came != 0)
         newer[newer] = next_ns[newer] - in_ns[newer] <= _NEWER_NS
+        # Of two that are half a round apart every other pair is taken in one; where more lack, they are lost.
+        together = np.clip(1 - np.diff(in_ns) / _ROUND_NS, 0, None).sum()
+        newer &= bool(newer.sum() <= _OFTENER * together + _LEAST_DIFFERENT)
     values, counts = np.unique(came, return_counts=True)
     single = np.isin(came[from_row], values[counts == 1])
     by_time = np.argsort(out_ns[goes_row][single], kind="stable")

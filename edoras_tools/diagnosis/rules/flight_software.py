@@ -43,13 +43,15 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
             ),
             None,
         )
-        if earlier is None or not (earlier.name or later.name):
+        if earlier is None:
             continue
         down = [
             loss
             for loss in case.losses
             if loss.kind == "down" and earlier.last_ns - SECOND <= loss.start_ns <= later.first_ns
         ]
+        if not (earlier.name or later.name or down):
+            continue  # frames that were cut name nobody
         lost = sum(loss.lost for loss in down)
         meanwhile = (
             f"{plural(lost, 'command')} sent meanwhile reached nobody" if lost else "counts begin again"
