@@ -32,6 +32,7 @@ from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.proxy.clients import Clients, Routing
 from edoras_tools.pipelines.proxy.faults import FaultStage, Outbox
 from edoras_tools.pipelines.threads import threads_take_turns, watched
+from edoras_tools.units import MILLISECOND
 
 if TYPE_CHECKING:
     import socket
@@ -51,9 +52,8 @@ _TURNS: Final = 4
 """How often a busy socket is read before the others are read."""
 _SPIN_NS: Final = 20_000
 """For this time after a datagram the sockets are polled without sleeping, so that bursts need no wake-ups."""
-_WAIT_MS: Final = 20
-"""Maximum delay until Ctrl-C, keys and idle clients are noticed."""
-_UPKEEP_NS: Final = 20_000_000
+_UPKEEP_NS: Final = 20 * MILLISECOND
+"""Period of the other work, and maximum delay until Ctrl-C, keys and idle clients are noticed."""
 _FINISH_NS: Final = 200_000_000
 """Maximum processor time for moving the rest at the end; time in which the machine stalls does not count."""
 
@@ -222,10 +222,11 @@ class Proxy:
     def _turn(self, now: int, until: int, keys: Keys | None) -> None:
         """Move the datagrams that have arrived or are due, or wait for them."""
         due = self.machine.next_ns
-        until = until if due is None else min(until, due)
         wait_ms = 0
         if now - self._active_ns > _SPIN_NS and not self.to_target[0].queued + self.to_client.queued:
-            wait_ms = min(max(until - now, 0) // 1_000_000, _WAIT_MS)
+            wait_ms = max(-(-(until - now) // MILLISECOND), 0)  # rather late than polling without sleep
+            if due is not None:
+                wait_ms = min(wait_ms, max(due - now, 0) // MILLISECOND)  # to the moment
         for fileno, _ in self._poll.poll(wait_ms):
             if fileno == self._listen.fileno():
                 self._from_clients()

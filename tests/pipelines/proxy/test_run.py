@@ -6,6 +6,7 @@ import os
 import random
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from effort import every
@@ -27,7 +28,7 @@ from edoras_tools.pipelines.proxy.run import Proxy
 from edoras_tools.pipelines.sending.keys import Keys
 from edoras_tools.pipelines.workbench import Workbench
 from edoras_tools.ros import TypeStore
-from edoras_tools.units import MILLISECOND
+from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe, envelope
 
 ANY = Endpoint(HOST, 0)
@@ -351,3 +352,29 @@ def test_whoever_would_hear_itself_is_refused(link, end):
     option = "client" if end == "client" else "target"
     with pytest.raises(ConfigError, match=rf"--{option} 127\.0\.0\.1:7 is --.* itself: .* in a loop"):
         ProxyPlan(link=link, **ends[end])
+
+
+@pytest.mark.parametrize(
+    ("upkeep_ns", "fault_ns", "since_ns", "wait_ms"),
+    [
+        (20 * MILLISECOND, None, SECOND, 20),
+        (1, None, SECOND, 1),  # rather late than polled without sleep
+        (-1, None, SECOND, 0),
+        (20 * MILLISECOND, 3_900_000, SECOND, 3),  # the rest is polled, for the moment of a fault
+        (20 * MILLISECOND, 900_000, SECOND, 0),
+        (1, 3_900_000, SECOND, 1),
+        (20 * MILLISECOND, None, 19_000, 0),  # a datagram has just come
+    ],
+)
+def test_how_long_it_sleeps(upkeep_ns, fault_ns, since_ns, wait_ms, monkeypatch):
+    proxy = Proxy(ProxyPlan(CI, ANY, (Endpoint(HOST, 9),)))
+    now, waits = 10 * SECOND, []
+    monkeypatch.setattr(proxy, "_now", lambda: now)
+    monkeypatch.setattr(proxy, "_active_ns", now - since_ns)
+    monkeypatch.setattr(proxy, "machine", SimpleNamespace(next_ns=fault_ns and now + fault_ns))
+    monkeypatch.setattr(proxy, "_upkeep_ns", now + SECOND)
+    monkeypatch.setattr(proxy, "_poll", SimpleNamespace(poll=lambda wait: waits.append(wait) or ()))
+    proxy._turn(now, now + upkeep_ns, None)
+    assert waits == [wait_ms]
+    monkeypatch.undo()
+    proxy.close()
