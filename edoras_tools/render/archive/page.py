@@ -20,6 +20,7 @@ from edoras_tools.render.doctor.report.parts import (
     heading,
     section,
 )
+from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -31,9 +32,14 @@ _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _MOST_WORST: Final = 20
 _MOST_ERRORS: Final = 200
 BINS: Final = 60
-"""Bars of a trend."""
+"""Most bars of a trend."""
 _MARKS: Final = 3
 _DAY_S: Final = 86_400
+_ROUND_S: Final = (
+    *(1, 2, 5, 10, 20, 30),
+    *(60 * item for item in (1, 2, 5, 10, 20, 30, 60, 120, 180, 360, 720)),
+    *(_DAY_S * item for item in (1, 2, 4, 7, 14, 28)),
+)
 _PARTS: Final = {
     "crossing": "through cFS",
     "delay": "from publication to the wire",
@@ -72,8 +78,9 @@ class ArchiveTrends:
 
 
 def bin_ns(totals: dict[str, Any]) -> int:
-    """Return how long a bin of the whole time is."""
-    return max(1, -(-(int(totals["end_ns"]) - int(totals["start_ns"])) // BINS))
+    """Return how long a bin of the whole time is: a round time, and bins are at most ``BINS``."""
+    least = max(1, -(-(int(totals["end_ns"]) - int(totals["start_ns"])) // BINS))
+    return next((step * SECOND for step in _ROUND_S if step * SECOND >= least), least)
 
 
 class _Calendar:
@@ -157,7 +164,14 @@ def _runs(found: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
         counts[min((row["start_ns"] - found.totals["start_ns"]) // found.bin_ns, len(counts) - 1)] += 1
     frame = _DateFrame(calendar, max(counts), "runs", "runs over time")
     frame.bars(counts, [0.0] * len(counts), found.bin_ns / 1e9, "seen other")
-    yield chart_card("Runs", frame.svg(), f"a bar is {units.duration(found.bin_ns / 1e9)}")
+    yield chart_card("Runs", frame.svg(), f"a bar is {_round_time(found.bin_ns / SECOND)}")
+
+
+def _round_time(seconds: float) -> str:
+    for unit, name in ((_DAY_S, "day"), (3600, "hour"), (60, "minute"), (1, "second")):
+        if seconds % unit == 0:
+            return plural(int(seconds // unit), name)
+    return units.duration(seconds)
 
 
 def _bins(found: ArchiveTrends) -> int:
@@ -201,14 +215,14 @@ def _routes(found: ArchiveTrends) -> str:
             row["route"],
             row["link"].upper(),
             f"{row['with_loss']:,} of {row['captures']:,}",
-            units.count(row["sent"]),
+            _percent(row["lost"] + row["unaccounted"], row["sent"]),
             units.count(row["lost"]),
             units.count(row["unaccounted"]),
-            _percent(row["lost"] + row["unaccounted"], row["sent"]),
+            units.count(row["sent"]),
         )
         for row in found.routes
     )
-    return _table(("route", "link", "runs with loss", "sent", "lost", "unaccounted", "missing"), rows)
+    return _table(("route", "link", "runs with loss", "missing", "lost", "unaccounted", "sent"), rows)
 
 
 def _worst(found: ArchiveTrends) -> str:
@@ -218,15 +232,15 @@ def _worst(found: ArchiveTrends) -> str:
             short(row["capture"]),
             units.utc(row["start_ns"], digits=0),
             row["worst"] or "",
-            units.count(row["datagrams"]),
+            _percent(row["lost"] + row["unaccounted"], row["sent"]),
             units.count(row["lost"]),
             units.count(row["unaccounted"]),
-            _percent(row["lost"] + row["unaccounted"], row["sent"]),
+            units.count(row["datagrams"]),
         )
         for row in runs[:_MOST_WORST]
         if row["lost"] + row["unaccounted"]
     )
-    return _table(("run", "began (UTC)", "worst", "datagrams", "lost", "unaccounted", "missing"), rows)
+    return _table(("run", "began (UTC)", "worst", "missing", "lost", "unaccounted", "datagrams"), rows)
 
 
 def _rules(found: ArchiveTrends) -> str:
