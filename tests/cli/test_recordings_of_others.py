@@ -227,6 +227,32 @@ def test_every_encoding_is_listed_with_its_count(folder, call):
     assert [row["inner.n"] for row in rows] == list(range(20))
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["sniff", "--where", "n > 1"],
+        ["sniff", "--fields", "n"],
+        ["export", "-o", "x.csv"],
+        ["export", "-o", "x/"],
+        ["export", "-o", "x.csv", "--topic", "/status"],
+        ["plot", "/status.n"],
+    ],
+)
+def test_that_topics_in_json_have_no_fields_is_said_by_whatever_asks_for_one(words, folder, call):
+    with (folder / "x.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("Status", "jsonschema", b'{"type": "object"}')
+        channel = writer.register_channel("/status", "json", schema)
+        writer.add_message(channel, 1, b'{"n": 1}', 1)
+        writer.finish()
+    done = call(words[0], "x.mcap", *words[1:])
+    assert done.code in {1, 2}
+    assert "json, not cdr: shown and copied, without fields to select, plot or export" in done.err[0]
+    assert "/status" in done.err[0]
+    assert "-c" not in done.err[0]
+
+
 def test_a_recording_without_a_message(folder, call):
     write_bag(folder / "empty", count=0)
     for words in (["info"], ["sniff"], ["record", "-o", "x.mcap"]):

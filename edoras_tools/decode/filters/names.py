@@ -17,6 +17,7 @@ from edoras_tools.ros.types.schema import full_name
 from edoras_tools.structs.packets import OWN_LAYERS
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import cfe
+from edoras_tools.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -93,6 +94,11 @@ class Names:
             if name.partition(".")[0] not in apart:
                 self._short.setdefault(name.rpartition(".")[2], []).append(name)
         self._messages = MessageFieldFinder(context)
+        self._unread = [
+            f"/{item.topic.removeprefix('/')} is {item.unread}"
+            for item in context.mission.recorded
+            if item.unread
+        ]
 
     def find(self, name: str) -> list[FilterField]:
         """Return the field of a name; several where message types or endpoints share it.
@@ -156,6 +162,8 @@ class Names:
         if near:
             why += f"did you mean {' or '.join(known[item] for item in near)}?"
             return why if self._messages else f"{why} ({with_mission})"
+        if self._unread and not self._messages:
+            return why + listed(self._unread, 3)
         if not self._messages:
             return why + with_mission
         layers = ", ".join(item for item in self._layers if "." not in item)

@@ -13,7 +13,7 @@ from edoras_tools.io.formats.columns import TableColumn
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.names import fits_topic
 from edoras_tools.ros.cdr.columns import Ragged
-from edoras_tools.words import did_you_mean
+from edoras_tools.words import did_you_mean, listed
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -85,6 +85,9 @@ def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collectio
     Raises:
         RouteError: a pattern fits no topic.
     """
+    if not source.topics and source.unread:
+        told = listed([f"{topic}: {why}" for topic, why in source.unread.items()], 3)
+        raise RouteError(f"{source.name}: {told}")
     if not patterns:
         return [topic for topic in source.topics if topic in usual]
     if any(sign in item for item in patterns for sign in "*?["):
