@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from edoras_tools.mission.report import printable
 from edoras_tools.mission.scalars import read_scalar
+from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
+    from pathlib import Path
 
     from edoras_tools.mission.report import Mistakes
 
@@ -122,13 +124,20 @@ def parse_yaml(text: str, report: Mistakes, form: str = BRIDGE_FILE_FORM) -> lis
     return list(_documents(iter(events)))
 
 
-def parse_document(content: bytes, report: Mistakes, form: str, one: str) -> Tree | None:
+def read_document(path: Path, report: Mistakes, form: str, *, one: str, instead: str) -> Tree | None:
     """Return the only document of a YAML file; None if it has none. What is wrong goes to the report.
 
     Args:
         form: what such a file contains, in a clause.
         one: that it is one document, in a clause.
+        instead: what to name, if it cannot be read.
     """
+    try:
+        with path.open("rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+    except OSError as error:
+        report.mistake(0, "", f"cannot be read ({error.strerror or error}); name {instead}")
+        return None
     text = yaml_text(content, report, form)
     documents = parse_yaml(text, report, form) if text is not None else []
     if not documents and not report.mistakes:
@@ -136,6 +145,34 @@ def parse_document(content: bytes, report: Mistakes, form: str, one: str) -> Tre
     for document in documents[1:]:
         report.mistake(document.line, "", f"a second document; {one}")
     return documents[0] if documents else None
+
+
+def named_entries(
+    tree: Tree, place: str, report: Mistakes, needed: str, known: Collection[str] = ()
+) -> Iterator[tuple[str, int, Tree]]:
+    """Yield the keys of a mapping, with line and value. Unknown ones are mistakes, as are repeated ones.
+
+    Args:
+        place: the key of the mapping; empty for a whole file.
+        needed: what has to be there where it is no mapping.
+        known: the keys that there are; empty: any.
+    """
+    if not isinstance(tree, MappingNode):
+        report.mistake(tree.line, place, needed)
+        return
+    seen: set[str] = set()
+    for key, value in tree.entries:
+        name = key.text if isinstance(key, ScalarNode) else ""
+        where = f"{place}.{name}" if place else name
+        if known and name not in known:
+            near = did_you_mean(name, known, 1)
+            what = f"no such key; {near and near + ' '}there are {', '.join(known)}"
+            report.mistake(key.line, where, what)
+            continue
+        if name in seen:
+            report.mistake(key.line, where, "given twice; once is enough")
+        seen.add(name)
+        yield name, key.line, value
 
 
 def _step(event: Any) -> int:

@@ -38,17 +38,9 @@ from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 from edoras_tools.decode.filters.syntax import WhereError, parse_filter
 from edoras_tools.diagnosis.rules import RULES
-from edoras_tools.errors import ConfigError
 from edoras_tools.mission.fields import suggestion
 from edoras_tools.mission.report import Mistakes
-from edoras_tools.mission.tree import (
-    LARGEST_FILE,
-    MappingNode,
-    ScalarNode,
-    SequenceNode,
-    Tree,
-    parse_document,
-)
+from edoras_tools.mission.tree import ScalarNode, SequenceNode, Tree, named_entries, read_document
 from edoras_tools.model import Finding
 from edoras_tools.pipelines.check.bounds import Tolerance, Unit, parse_bound
 from edoras_tools.sessions.faults.values import time_ns
@@ -169,14 +161,9 @@ def load_expectations(path: Path) -> Expectations:
         ConfigError: all errors at once, each with file, line and key.
     """
     report = Mistakes(str(path))
-    try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-    except OSError as error:
-        raise ConfigError(
-            f"{path}: cannot be read ({error.strerror or error}); name a file of expectations"
-        ) from error
-    document = parse_document(content, report, _FORM, "expectations are one document")
+    document = read_document(
+        path, report, _FORM, one="expectations are one document", instead="a file of expectations"
+    )
     made = _Reader(report).expectations(document) if document is not None else Expectations(str(path))
     report.raise_all()
     return made
@@ -292,25 +279,9 @@ class _Reader:
     def _entries(
         self, tree: Tree, place: str, known: Collection[str] = ()
     ) -> Iterator[tuple[str, int, Tree]]:
-        """Yield the keys of a mapping, with line and value; unknown and repeated ones are mistakes."""
-        if not isinstance(tree, MappingNode):
-            what = (
-                f"keys are needed: {', '.join(known)}" if known else "a name is needed, then what is expected"
-            )
-            self.report.mistake(tree.line, place, what if place else _FORM)
-            return
-        seen: set[str] = set()
-        for key, value in tree.entries:
-            name = key.text if isinstance(key, ScalarNode) else ""
-            where = f"{place}.{name}" if place else name
-            if known and name not in known:
-                what = f"no such key; {suggestion(name, known)}there are {', '.join(known)}"
-                self.report.mistake(key.line, where, what)
-            elif name in seen:
-                self.report.mistake(key.line, where, "given twice; once is enough")
-            else:
-                seen.add(name)
-                yield name, key.line, value
+        """Yield the keys of a mapping, with line and value."""
+        what = f"keys are needed: {', '.join(known)}" if known else "a name is needed, then what is expected"
+        return named_entries(tree, place, self.report, what if place else _FORM, known)
 
     def _texts(self, value: Tree, place: str) -> list[tuple[str, int]]:
         items = value.items if isinstance(value, SequenceNode) else (value,)

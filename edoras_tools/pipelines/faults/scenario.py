@@ -28,12 +28,12 @@ from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
 from edoras_tools.mission.fields import suggestion
 from edoras_tools.mission.report import Mistakes, printable
 from edoras_tools.mission.tree import (
-    LARGEST_FILE,
     MappingNode,
     ScalarNode,
     SequenceNode,
     Tree,
-    parse_document,
+    named_entries,
+    read_document,
 )
 from edoras_tools.model import Datagram, Endpoint, Link
 from edoras_tools.sessions.faults.kinds import FAULT_KINDS
@@ -97,7 +97,9 @@ def load_scenario(path: Path) -> FaultPlan:
         ConfigError: all errors at once, each with file, line and key.
     """
     report = Mistakes(str(path))
-    document = _read(path, report)
+    document = read_document(
+        path, report, _SCENARIO_FORM, one="a scenario is one document", instead="a readable file"
+    )
     plan = _plan(document, report) if document is not None else FaultPlan()
     report.raise_all()
     return plan
@@ -107,38 +109,19 @@ def _one(text: str) -> tuple[Rule, ...]:
     return (parse_rule(text),)
 
 
-def _read(path: Path, report: Mistakes) -> Tree | None:
-    try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-    except OSError as error:
-        report.mistake(0, "", f"cannot be read ({error.strerror or error}); name a readable file")
-        return None
-    return parse_document(content, report, _SCENARIO_FORM, "a scenario is one document")
-
-
 def _plan(tree: Tree, report: Mistakes) -> FaultPlan:
-    if not isinstance(tree, MappingNode):
-        report.mistake(tree.line, "", _SCENARIO_FORM)
-        return FaultPlan()
     rules: list[Rule] = []
     seed = 0
     seen: set[str] = set()
-    for key_tree, value in tree.entries:
-        key = key_tree.text if isinstance(key_tree, ScalarNode) else ""
-        if key in seen:
-            report.mistake(key_tree.line, key, "given twice; once is enough")
+    for key, _, value in named_entries(tree, "", report, _SCENARIO_FORM, _KEYS):
         seen.add(key)
         if key == "seed":
             seed = _seed(value, report)
         elif key == "profile":
             rules += _profile(value, report)
-        elif key == "faults":
-            rules += _rules(value, report)
         else:
-            what = f"no such key; {suggestion(key, _KEYS)}there are {', '.join(_KEYS)}"
-            report.mistake(key_tree.line, key, what)
-    if "faults" not in seen and "profile" not in seen and not report.mistakes:
+            rules += _rules(value, report)
+    if not seen & {"faults", "profile"} and not report.mistakes:
         report.mistake(tree.line, "", f"it contains no fault; {_SCENARIO_FORM}")
     return FaultPlan(tuple(rules), seed)
 
