@@ -36,8 +36,9 @@ def sniff(
     """
     from edoras_tools.cfs.names import MSG_ID_NAMES
     from edoras_tools.links import table
-    from edoras_tools.pipelines.capture.sniff import lines, packet_texts
+    from edoras_tools.pipelines.capture.sniff import ROWS
     from edoras_tools.pipelines.capture.sniff import sniff as packets
+    from edoras_tools.pipelines.reading import chosen as chosen_rows
     from edoras_tools.render.capture import packet
     from edoras_tools.render.capture import tree as tree_view
     from edoras_tools.render.capture.packet_list import COLUMNS, LEAST_WITH_TYPE, MESSAGE_COLUMNS, PacketList
@@ -79,9 +80,7 @@ def sniff(
             nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)
 
     if view.fields or view.sequence or view.stat:
-        from edoras_tools.pipelines.reading import chosen as chosen_rows
-
-        rows = chosen_rows(read, bench, selection=selection, limits=limits)
+        rows = chosen_rows(read, bench, selection, limits)
         if view.fields:
             shown = views.print_fields(
                 read.printed(rows), bench, view.fields, view.layout or views.FieldFormat.TABLE, flush=waits
@@ -115,11 +114,16 @@ def sniff(
     def named(line: PacketLine) -> tuple[str, ...]:
         return (clean(line.type.rpartition("/")[2]),) if typed else ()
 
-    if view.json:
-        blocks: Iterator[list[str]] = packet_texts(*taken)
-    elif view.hexdump or view.tree:
-        blocks = ([text(decoded)] for decoded in packets(*taken))
+    if view.hexdump or view.tree:
+        blocks: Iterator[list[str]] = ([text(decoded)] for decoded in packets(*taken))
+    elif view.json:
+        from edoras_tools.pipelines.capture.packet_json import PacketTexts
+
+        blocks = map(PacketTexts(bench.columns.context).of, chosen_rows(*taken, most=ROWS))
     else:
-        blocks = ([packet_list.line(line, values=named(line)) for line in some] for some in lines(*taken))
+        from edoras_tools.decode.lines import PacketLines
+
+        made, rows = PacketLines(bench.columns.context), chosen_rows(*taken, most=ROWS)
+        blocks = ([packet_list.line(line, values=named(line)) for line in made.of(some)] for some in rows)
     header = "" if view.json or view.hexdump or view.tree else packet_list.header()
     ended(views.print_packets(read.printed(blocks), header, flush=waits))

@@ -259,14 +259,18 @@ def reading(
 def chosen(
     source: Source,
     bench: Workbench,
-    *,
     selection: Selection,
     limits: Limits = Limits(),
+    started: Callable[[int], None] = lambda _: None,
+    *,
+    most: int = 0,
 ) -> Iterator[ColumnRows]:
     """Yield the selected rows of every batch that has any; the source is closed at the end.
 
     Args:
         limits: when to end; never by default.
+        started: called before each batch with the time of the source's first datagram, ns since 1970.
+        most: rows at once, so that Ctrl-C ends slow work soon; 0: all of a batch.
 
     Raises:
         CaptureError: the source ended early; everything before was yielded.
@@ -276,9 +280,11 @@ def chosen(
     with reading(source, bench, selection, limits, conversing=True) as loop:
         try:
             for rows in loop:
-                if loop.gives_up(len(rows)):
-                    return
-                if len(rows):
-                    yield rows
+                started(rows.begin_ns)
+                for first in range(0, max(len(rows), 1), most or max(len(rows), 1)):
+                    if loop.gives_up(len(rows) - first):
+                        return
+                    if len(rows):
+                        yield rows.take(np.arange(first, min(first + most, len(rows)))) if most else rows
         finally:
             loop.note()
