@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "2eb0abbfbda3d966"
+local DIGEST = "3c30df15242f91a4"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -2258,7 +2258,7 @@ D.findings = {
 		label = "over_ci_buffer",
 		severity = "error",
 		short = "over 768",
-		meaning = "The datagram is longer than CI's 768-byte buffer; CI cuts it to 768 and accepts it silently.",
+		meaning = "The packet is longer than CI's 768-byte buffer; CI cuts it to 768 and accepts it silently (cFS 7: drops it). A longer datagram whose header says 768 or less is taken whole.",
 	},
 	{
 		label = "over_bridge_buffer",
