@@ -36,7 +36,7 @@ def sniff(
     """
     from edoras_tools.cfs.names import MSG_ID_NAMES
     from edoras_tools.links import table
-    from edoras_tools.pipelines.capture.sniff import ROWS
+    from edoras_tools.pipelines.capture.sniff import AT_ONCE
     from edoras_tools.pipelines.capture.sniff import sniff as packets
     from edoras_tools.pipelines.reading import chosen as chosen_rows
     from edoras_tools.render.capture import packet
@@ -119,11 +119,11 @@ def sniff(
     elif view.json:
         from edoras_tools.pipelines.capture.packet_json import PacketTexts
 
-        blocks = map(PacketTexts(bench.columns.context).of, chosen_rows(*taken, most=ROWS))
+        blocks = map(PacketTexts(bench.columns.context).of, chosen_rows(*taken, most=AT_ONCE))
     else:
         from edoras_tools.decode.lines import PacketLines
 
-        made, rows = PacketLines(bench.columns.context), chosen_rows(*taken, most=ROWS)
+        made, rows = PacketLines(bench.columns.context), chosen_rows(*taken, most=AT_ONCE)
         blocks = ([packet_list.line(line, values=named(line)) for line in made.of(some)] for some in rows)
     header = "" if view.json or view.hexdump or view.tree else packet_list.header()
     ended(views.print_packets(read.printed(blocks), header, flush=waits))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
 
-ROWS: Final = 8192
+AT_ONCE: Final = 8192
 """So many packets are shown at once."""
 
 
@@ -28,7 +28,7 @@ def sniff(
     started: Callable[[int], None] = lambda _: None,
 ) -> Iterator[Decoded]:
     """Yield the selected packets of a source, decoded; all else as ``chosen``."""
-    for rows in chosen(source, bench, selection, limits, started, most=ROWS):
+    for rows in chosen(source, bench, selection, limits, started, most=AT_ONCE):
         for row in rows.indices().tolist():
             yield bench.dissector.dissect(rows.batch[row])
 
