@@ -241,6 +241,26 @@ def shares_of(every: dict[str, list[object]], rates: tuple[int, ...]) -> dict[st
     return found
 
 
+def highest(folder: Path) -> dict[str, object]:
+    """What record --listen loses as the rate rises, to the first loss."""
+    found: dict[str, object] = {}
+    for rate in (50_000, 100_000, 150_000, 200_000, 250_000):
+        with running(programs(folder)["record --listen"]) as process:
+            time.sleep(SETTLE_S)
+            before = busy_ns(process.pid)
+            sent = json.loads(proxy.role("stamped", PORT, rate, 3, rate // 1000).communicate()[0])["sent"]
+            time.sleep(SETTLE_S / 2)
+            cpu_us = (busy_ns(process.pid) - before) / sent / 1000
+        told = subprocess.run(
+            [EDORAS, "info", "--json", folder / "listen.mcap"], capture_output=True, check=False
+        )
+        lost = sent - json.loads(told.stdout)["datagrams"]
+        found[f"{rate}/s"] = {"sent": sent, "lost": lost, "cpu_us": round(cpu_us, 2)}
+        if lost:
+            break
+    return found
+
+
 def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, object]]]:
     """Return the measurements by name; so many packets are examined by the doctor."""
     return {
@@ -252,6 +272,7 @@ def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, obje
         "inject": partial(inject, folder),
         "relays": partial(relays, folder),
         "shares": partial(shares, folder),
+        "highest": partial(highest, folder),
     }
 
 
