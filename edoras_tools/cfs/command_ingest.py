@@ -13,6 +13,8 @@ PIPE: Final = "CI_LAB_CMD_PIPE"
 COMMAND_MSG_ID: Final = 0x1884
 REQUEST_MSG_ID: Final = 0x1885
 HOUSEKEEPING_MSG_ID: Final = 0x0884
+RESET_COUNTERS: Final = 1
+"""Function code."""
 PORT: Final = 1234
 """Of the first processor; the next has the next."""
 

@@ -116,6 +116,13 @@ def test_what_a_peer_unsubscribed_is_not_lost():
     assert row["lost"] == 42  # while the peer was silent
 
 
+def test_what_an_unknown_peer_sent_is_lost_once():
+    diagnosis = examined("sbn_peer")
+    (verdict,) = found(diagnosis, "unknown_peer")
+    (row,) = [row for row in diagnosis.balance if row.lost.get("unknown_peer")]
+    assert (verdict.lost, verdict.msg_id, row.msg_id, row.came, row.out) == (1, 0x1829, 0x1829, 1, 0)
+
+
 def test_commands_that_came_out_and_were_lost_behind_that_leave_the_pipes_losses_to_their_own_time():
     diagnosis = examined("sbn_rates")
     verdicts = sorted(found(diagnosis, "app_pipe_limit"), key=lambda item: item.start_ns)
@@ -143,3 +150,21 @@ def test_two_cfs_that_started_together_on_one_host_are_two_and_lost_what_the_cou
 def test_a_topic_that_goes_on_over_a_new_tcp_connection_is_not_silent_to_the_end():
     told = [item for item in found(examined("two_tcp"), "topic_silent") if item.msg_id == 0x827]
     assert [("until 45.8 s" in item.reason, "to the end" in item.reason) for item in told] == [(True, False)]
+
+
+def test_counters_that_were_set_to_0_by_command_are_no_restart():
+    diagnosis = examined("counters_reset")
+    assert not found(diagnosis, "app_outage")
+    # One was counted, and its count set to 0, between two 0x803.
+    assert diagnosis.lost == sum(item.lost for item in found(diagnosis, "app_pipe_limit")) == 17
+    hops = chain(diagnosis, "0x1827")
+    assert (hops["CI"]["lost"], hops["application to robot"]["out"]) == (0, 202)
+
+
+def test_a_processor_reset_is_a_restart_though_the_clock_goes_on():
+    diagnosis = examined("processor_reset")
+    (restart,) = found(diagnosis, "cfs_restart")
+    assert restart.reason.startswith("cFS restarted between 9.0 s and 18.1 s: counts begin again")
+    assert not found(diagnosis, "clock_jump")
+    assert sum(row.not_captured for row in diagnosis.balance) == 0
+    assert diagnosis.lost == 13

@@ -125,6 +125,8 @@ class Commands:
                 if left and (item.link, item.msg_id) == (fate.stream.link.label, fate.stream.msg_id):
                     times = self._known.captured(fate.stream)
                     free = (fate.open | fate.blind) & (times >= item.start_ns) & (times <= item.end_ns)
+                    if not ((times >= item.start_ns) & (times <= item.end_ns)).any():
+                        continue  # another sender's of the same MsgId
                     inside = np.flatnonzero(free)
                     if number := fate.claim(inside[:left]):
                         fate.refused[item.rule] += number

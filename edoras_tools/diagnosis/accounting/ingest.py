@@ -7,7 +7,8 @@ Rules:
 2. What was lost never becomes less, and what waits is not negative: a later sample bounds an earlier one.
 3. A wake-up that reads fewer than CI can read empties the socket: what was sent before it does not wait.
 4. A count that falls began anew: CI or cFS started again. Nobody counted what CI took last; it took what was
-   sent until it was told to restart, or until its cFS fell silent.
+   sent until it was told to restart, or until its cFS fell silent. If it was told to reset its counters, it
+   ran on.
 5. Loss while more wait than two wake-ups read, or while it mostly reads all that it can, is its full
    socket; at a rate that it can read, the network.
 6. CI takes datagrams in the order in which they came. What it takes before the first one of the capture
@@ -294,11 +295,15 @@ def _account(
         emptied_ns, busy = _emptied(sources.profile, seen[part], made[part], count[part])
         emptied_ns -= under_way_ns
         low = np.where(busy, -_MODULUS, np.searchsorted(sent_ns, emptied_ns, "right") - count[part])
-        if first:
+        if first and _reset(sources, endpoint, own[first - 1], own[first]):
+            # It ran on, and set its count to 0 by itself: nothing tells of a loss just then.
+            begin: tuple[Cause, int] = ("network", own[first - 1].seen_ns)
+            before = _older(low, high) - lost
+        elif first:
             ended_ns = _ended_ns(sources, endpoint, own[first - 1], own[first])
             before = int(np.searchsorted(sent_ns, ended_ns, "right")) - lost
             down = own[first - 1].instance != own[first].instance
-            begin: tuple[Cause, int] = ("down" if down else "restart", ended_ns)
+            begin = ("down" if down else "restart", ended_ns)
         else:
             begin = _first(sources, own[0], sent_ns)
             before = 0 if begin[0] == "down" else _older(low, high)
@@ -380,6 +385,15 @@ def _emptied(
 def _anew(before: _Sample, after: _Sample) -> bool:
     """Tell whether a count began anew between two samples."""
     return before.instance != after.instance or after.count < before.count
+
+
+def _reset(sources: Sources, endpoint: int, before: _Sample, after: _Sample) -> bool:
+    """Tell whether a CI was told to set its counters to 0 between two samples of one boot."""
+    rows = sources.rows
+    told = (rows.destination == endpoint) & (rows.known_id == command_ingest.COMMAND_MSG_ID)
+    told &= rows.function_code == command_ingest.RESET_COUNTERS
+    told &= (rows.time_ns > before.seen_ns - _LATE_NS) & (rows.time_ns < after.seen_ns)
+    return before.instance == after.instance and bool(told.any())
 
 
 def _older(low: NDArray[np.int64], high: NDArray[np.int64]) -> int:

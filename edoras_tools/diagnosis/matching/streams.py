@@ -203,8 +203,9 @@ def _stream(rows: Rows, members: NDArray[np.intp], instance: NDArray[np.int32]) 
         moved = np.flatnonzero(np.diff(rows.source[members])) + 1
         if len(moved):
             count = rows.sequence_count[members].astype(np.int64)
-            ahead = (count[moved] - count[moved - 1] - 1) % MODULUS % FORWARD
-            missing[moved] = np.where(rows.counted[members[moved]], ahead, 0)
+            ahead = (count[moved] - count[moved - 1] - 1) % MODULUS
+            # A step back is no wrap: whoever publishes it started again too.
+            missing[moved] = np.where(rows.counted[members[moved]] & (ahead < FORWARD), ahead, 0)
     return Stream(
         link=table.link(rows.link[first]),
         msg_id=int(rows.msg_id[first]),

@@ -9,6 +9,7 @@ import numpy as np
 from edoras_tools.decode.conversations import ConversationKind, foreign, unnamed
 from edoras_tools.diagnosis.balance import ON_PURPOSE
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
+from edoras_tools.diagnosis.rules.flight_software import counts_begun_again
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links import table
 from edoras_tools.links.fprime import FPRIME
@@ -298,8 +299,11 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
 
     Name every clock that was set; all times of this diagnosis are as if it had not been.
     """
+    again = counts_begun_again(case)
     for jump in case.jumps:
         when = int(case.rows.time_ns[jump.row])
+        if again and again[0] < when <= again[1] + SECOND:
+            continue  # it started again
         own = jump.clock == "capture"
         whose = "the capture's own clock" if own else f"the clock of cFS {jump.clock}, and not the capture's,"
         way = "back" if jump.by_ns < 0 else "ahead"

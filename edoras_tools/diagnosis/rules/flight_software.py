@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.event_services import SQUELCHED, EventType
 from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
@@ -14,6 +16,7 @@ from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.model import Finding
+from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.words import plural
@@ -29,8 +32,20 @@ if TYPE_CHECKING:
 def cfs_restart(case: Case) -> Iterator[Verdict]:
     """A cFS started anew while the capture ran: its clock, counts and counters began again.
 
-    Find boots of the same name, one after the other.
+    Find boots of the same name, one after the other; and one whose counts alone began again.
     """
+    if again := counts_begun_again(case):
+        yield Verdict(
+            Severity.WARNING,
+            f"cFS restarted between {case.at(again[0])} and {case.at(again[1])}: counts begin again, and its "
+            "clock went on, as after a processor reset",
+            hop="cFS",
+            span=again,
+            evidence=("most MsgIds count from lower on, and come from another port of Telemetry Output",),
+            remedy="see who restarts the processor (0x1806, function code 2); enable Telemetry Output again: "
+            f"{case.inject(ENABLE_OUTPUT)}",
+            confidence="medium",
+        )
     items, systems = case.instances.items, case.instances.systems
     order = sorted(range(len(items)), key=lambda index: items[index].first_ns)
     for at, index in enumerate(order):
@@ -76,6 +91,29 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
             remedy="commands sent in between reached nobody; enable Telemetry Output again: "
             f"{case.inject(ENABLE_OUTPUT)}",
         )
+
+
+def counts_begun_again(case: Case) -> tuple[int, int] | None:
+    """Return between which times a cFS started again whose clock went on, as after a processor reset.
+
+    Telemetry Output speaks from another port, and most MsgIds count from lower on: if it alone had started
+    again, they would go on.
+    """
+    rows, spans = case.rows, []
+    for stream in case.streams:
+        if stream.link is TO and stream.counted:
+            count = rows.sequence_count[stream.rows].astype(np.int64)
+            moved = np.flatnonzero(np.diff(rows.source[stream.rows]))
+            for at in moved.tolist():
+                fell = (count[at + 1] - count[at]) % MODULUS >= FORWARD
+                spans.append((fell, *rows.time_ns[stream.rows[at : at + 2]].tolist()))
+    fell = [(start, end) for down, start, end in spans if down]
+    if len(fell) < _LEAST_FELL or len(fell) * 2 <= len(spans):
+        return None
+    return max(start for start, _ in fell), min(end for _, end in fell)
+
+
+_LEAST_FELL: Final = 3
 
 
 def not_observable(case: Case) -> Iterator[Verdict]:

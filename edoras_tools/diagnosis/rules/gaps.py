@@ -167,7 +167,8 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
         of=of,
         span=(min(loss.start_ns for loss in members), max(loss.end_ns for loss in members)),
         evidence=(*evidence, *case.drops_text()),
-        remedy="capture on the cFS host itself: what is there and not here, the network lost",
+        remedy="capture on the cFS host itself: what is there and not here, the network lost; what is "
+        "missing there too, that host's own queue (tc -s qdisc)",
         confidence="low" if case.capture.drops else first.confidence,
     )
 

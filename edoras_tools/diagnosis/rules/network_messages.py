@@ -244,12 +244,14 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         members = np.flatnonzero(foreign & (identity == who))
         first, start_ns = int(members[0]), int(rows.time_ns[members[0]])
         peer = Peer(who >> 32, who & 0xFFFFFFFF)
+        carried = np.unique(rows.msg_id[members]).tolist()
         said = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
         yield Verdict(
             Severity.ERROR,
             f"{plural(len(members), 'SBN datagram')} from {peer}, which is not the peer known at "
             f"{case.endpoints[rows.source[first]]}: "
             + ("cFS refuses them" if said else "a cFS whose table does not name it refuses them"),
+            msg_id=carried[0] if len(carried) == 1 and carried[0] != NO_MSG_ID else None,
             link="sbn",
             hop="SBN",
             lost=len(members),

@@ -254,6 +254,7 @@ def _again(case: Case, stream: Stream, start_ns: int) -> int | None:
         for item in case.streams
         if (item.link, item.msg_id) == (stream.link, stream.msg_id)
         and (party(item.sender), party(item.receiver)) == ways
+        and (item.sender, item.receiver) != (stream.sender, stream.receiver)
     ]
     return min((when for when in later if when > start_ns), default=None)
 
