@@ -19,7 +19,7 @@ _JUMP_NS = 5_000_000_000
 """A change of a sender's offset that only a restart or a clock that was set can explain."""
 _MAX_SENDERS = 4096
 """Corrupt packets could name any number of senders; above this number the oldest are forgotten."""
-_FEW = 16
+_FEW = 128
 """Up to this many senders and jumps in a batch, one call for each is faster."""
 
 

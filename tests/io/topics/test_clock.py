@@ -51,7 +51,7 @@ PACKETS = st.lists(
 )
 
 
-@given(PACKETS, st.integers(0, 30), st.sampled_from([0, 16]))
+@given(PACKETS, st.integers(0, 30), st.sampled_from([0, 128]))
 def test_columns_follow_the_rule_however_the_packets_are_cut_into_batches(packets, cut, few):
     clock = MissionClock()
     parts = packets[:cut], packets[cut:]
