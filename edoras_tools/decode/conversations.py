@@ -141,8 +141,9 @@ class Conversations:
         key = (source * _MIX ^ target) * _MIX ^ ports << np.uint64(8) ^ batch.ip_version[rows]
         first, which = numbered(key)
         size = len(first)
-        sums = {name: np.bincount(which, marks[name], size).astype(np.int64) for name in _SUMS}
-        sums["datagrams"] = np.bincount(which, minlength=size)
+        total = np.bincount(which, minlength=size)
+        sums = {name: _count(which, marks[name], total) for name in _SUMS}
+        sums["datagrams"] = total
         first_ns, last_ns = _spans(batch.time_ns[rows], first, which)
         # Other programs have many conversations; only those that look like a link's are kept.
         alike = link[rows[first]] != OTHER
@@ -258,6 +259,13 @@ def unnamed(flows: Iterable[Flow]) -> list[Unnamed]:
         )
         for (link, port), count in sorted(counts.items())
     ]
+
+
+def _count(which: NDArray[np.intp], marked: NDArray[np.bool_], total: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return how many of each group are marked, of so many in all: mostly all, or none."""
+    if marked.all():
+        return total
+    return np.bincount(which[marked], minlength=len(total))
 
 
 def _spans(

@@ -176,12 +176,13 @@ def _perhaps_again(number: NDArray[np.uint64], time_ns: NDArray[np.int64]) -> bo
     table = np.empty(1 << _PLACES, np.int32)
     for shift in (0, _WITHIN_NS):  # two within 20 ms are in one window of 40 ms, of these or of those between
         window = ((time_ns + shift) // (2 * _WITHIN_NS)).astype(np.uint64)
-        place = (((number ^ window) * _MIX) >> np.uint64(64 - _PLACES)).astype(np.intp)
+        place = (((number ^ window) * _MIX) >> np.uint64(64 - _PLACES)).view(np.int64)
         rows = np.arange(len(number), dtype=np.int32)
         while len(rows):
-            table[place[rows]] = rows
-            last = table[place[rows]]
-            if (number[rows] == number[last]).sum() > (last == rows).sum():
+            table[place] = rows
+            last = table[place]
+            others = np.flatnonzero(last != rows)  # few: most have a place of their own
+            rows, place, last = rows[others], place[others], last[others]
+            if (number[rows] == number[last]).any():
                 return True
-            rows = rows[last != rows]
     return False
