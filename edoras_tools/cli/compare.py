@@ -45,7 +45,7 @@ def compare(
     if json:
         print_json(found.as_json())
     else:
-        from edoras_tools.render.doctor.runs import runs_view
+        from edoras_tools.render.doctor.tables import runs_view
 
         print_view(runs_view(found.good, found.bad, found.changes))
     for run in (found.good, found.bad):

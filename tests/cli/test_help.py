@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from edoras_tools.cli.man import page
+from edoras_tools.cli.help import page
 
 
 def test_help_of_a_command_is_all_of_it(call):

@@ -46,7 +46,7 @@ from edoras_tools.render.capture import packet as packet_view
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.doctor.doctor import diagnosis as view
 from edoras_tools.render.doctor.report.page import Made, page
-from edoras_tools.render.doctor.runs import runs_view
+from edoras_tools.render.doctor.tables import runs_view
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.arrays.window import PADDING
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,7 +17,9 @@ from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
 
     from edoras_tools.cfs.event_services import EventText
     from edoras_tools.diagnosis.case import Case
@@ -166,26 +168,45 @@ def wrong_ident(case: Case) -> Iterator[Verdict]:
     for row, said in zip(listed["row"][other].tolist(), listed["said"][other].tolist(), strict=True):
         found.setdefault((int(rows.source[row]), contents[said].ident), []).append(row)
     for (source, ident), members in found.items():
-        first = members[0]
-        start_ns = int(rows.time_ns[first])
-        said = answers(case, start_ns, facts.OTHER_IDENT.phrase)
-        yield Verdict(
-            Severity.ERROR,
+        yield _refused(
+            case,
+            members,
             f"{plural(len(members), 'subscription message')} of "
             f"{case.network.identity_of.get(source, 'a peer')}: another $Id than cFS's: refused, and its "
             "receive task ends and starts anew",
-            link="sbn",
-            hop="SBN",
-            lost=len(members),
-            of=len(members),
-            span=case.span(members),
-            evidence=(
-                f"packet {rows.number[first]} at {case.at(start_ns)}: {ident!r}, wanted {sbn.IDENT!r}",
-                *said,
-            ),
-            remedy="build bridge and cFS from the same SBN sources, or copy its $Id",
-            confidence="high" if said else "medium",
+            "build bridge and cFS from the same SBN sources, or copy its $Id",
+            answers(case, case.span(members)[0], facts.OTHER_IDENT.phrase),
+            f": {ident!r}, wanted {sbn.IDENT!r}",
         )
+
+
+def _refused(
+    case: Case,
+    members: Sequence[int] | NDArray[np.intp],
+    reason: str,
+    remedy: str,
+    said: list[str],
+    seen: str = "",
+) -> Verdict:
+    """Return a verdict on datagrams that SBN takes none of.
+
+    Args:
+        said: what SBN said about the first.
+        seen: what else is seen of it.
+    """
+    span = case.span(members)
+    return Verdict(
+        Severity.ERROR,
+        reason,
+        link="sbn",
+        hop="SBN",
+        lost=len(members),
+        of=len(members),
+        span=span,
+        evidence=(f"packet {case.rows.number[members[0]]} at {case.at(span[0])}{seen}", *said),
+        remedy=remedy,
+        confidence="high" if said else "medium",
+    )
 
 
 def wrong_protocol_version(case: Case) -> Iterator[Verdict]:
@@ -197,21 +218,14 @@ def wrong_protocol_version(case: Case) -> Iterator[Verdict]:
     wrong = (rows.link == SBN) & rows.has(Finding.SBN_VERSION_MISMATCH)
     for source in np.unique(rows.source[wrong]).tolist():
         members = np.flatnonzero(wrong & (rows.source == source))
-        first, start_ns = int(members[0]), int(rows.time_ns[members[0]])
-        said = answers(case, start_ns, facts.VERSION_MISMATCH.phrase)
-        yield Verdict(
-            Severity.ERROR,
+        yield _refused(
+            case,
+            members,
             f"{len(members):,} PROTO of {case.network.identity_of.get(source, 'a peer')} "
             f"{'names' if len(members) == 1 else 'name'} another "
             f"protocol version than {sbn.PROTOCOL_VERSION}: cFS reports an error and goes on",
-            link="sbn",
-            hop="SBN",
-            lost=len(members),
-            of=len(members),
-            span=case.span(members),
-            evidence=(f"packet {rows.number[first]} at {case.at(start_ns)}", *said),
-            remedy="build both sides from the same SBN version",
-            confidence="high" if said else "medium",
+            "build both sides from the same SBN version",
+            answers(case, case.span(members)[0], facts.VERSION_MISMATCH.phrase),
         )
 
 
@@ -242,26 +256,21 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
     identity = rows.spacecraft_id.astype(np.uint64) << 32 | rows.processor_id
     for who in np.unique(identity[foreign]).tolist():
         members = np.flatnonzero(foreign & (identity == who))
-        first, start_ns = int(members[0]), int(rows.time_ns[members[0]])
-        peer = Peer(who >> 32, who & 0xFFFFFFFF)
+        peer, start_ns = Peer(who >> 32, who & 0xFFFFFFFF), case.span(members)[0]
         carried = np.unique(rows.msg_id[members]).tolist()
         said = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
-        yield Verdict(
-            Severity.ERROR,
+        refused = _refused(
+            case,
+            members,
             f"{plural(len(members), 'SBN datagram')} from {peer}, which is not the peer known at "
-            f"{case.endpoints[rows.source[first]]}: "
+            f"{case.endpoints[rows.source[members[0]]]}: "
             + ("cFS refuses them" if said else "a cFS whose table does not name it refuses them"),
-            msg_id=carried[0] if len(carried) == 1 and carried[0] != NO_MSG_ID else None,
-            link="sbn",
-            hop="SBN",
-            lost=len(members),
-            of=len(members),
-            span=case.span(members),
-            evidence=(f"packet {rows.number[first]} at {case.at(start_ns)}", *said),
-            remedy="make spacecraft_id and processor_id of the bridge agree with cFS's SBN table "
-            "(sbn_conf_tbl)" + (_CRASH if rows.streamed[members].any() else ""),
-            confidence="high" if said else "medium",
+            "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
+            + (_CRASH if rows.streamed[members].any() else ""),
+            said,
         )
+        one = len(carried) == 1 and carried[0] != NO_MSG_ID
+        yield replace(refused, msg_id=carried[0]) if one else refused
 
 
 _LEAST: Final = 6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.text import Text
@@ -15,7 +16,7 @@ from edoras_tools.render.terminal.table import Column, build, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from rich.console import RenderableType
 
@@ -42,8 +43,18 @@ CAUSES: Final = {
     "host_drops": "socket full (kernel's counter)",
 }
 """Text for the cause of a loss; other causes are rules, and are shown by their ids."""
-FIGURES: Final = ("in", "duplicated", "out", "lost", "superseded", "waiting", "not_captured", "unaccounted")
-HEADS: Final = ("In", "Twice", "Out", "Lost", "Superseded", "Waiting", "Not seen", "Unaccounted")
+FIGURES: Final = {
+    "in": "In",
+    "duplicated": "Twice",
+    "out": "Out",
+    "lost": "Lost",
+    "superseded": "Superseded",
+    "waiting": "Waiting",
+    "not_captured": "Not seen",
+    "unaccounted": "Unaccounted",
+}
+"""Name of each figure to its head."""
+_ALWAYS: Final = frozenset({"in", "out", "lost"})
 
 
 def shown_rows(found: Diagnosis) -> list[dict[str, Any]]:
@@ -103,8 +114,7 @@ def _figure(name: str) -> Any:
     style = Level.ERROR.style if name in {"lost", "unaccounted"} else ""
 
     def cell(row: Mapping[str, Any]) -> Text:
-        always = name in {"in", "out", "lost"}
-        told = figure_text(row[name]) if row[name] or always else ""
+        told = figure_text(row[name]) if row[name] or name in _ALWAYS else ""
         return Text(told, style if row[name] else palette.DIM if name == "lost" else "")
 
     return cell
@@ -114,24 +124,10 @@ def _msg_id(row: Mapping[str, Any]) -> Text:
     return msg_id_text(row) if row["msg_id"] else Text("")
 
 
-_COLUMNS: Final = (
-    Column("MsgId", _msg_id, justify="left"),
-    Column("Topic", route_text, justify="left", elastic=True),
-    Column("Hop", lambda row: plain(row["hop"]), justify="left"),
-    *(
-        Column(head, _figure(name), rank=0 if name in {"in", "out", "lost"} else 1)
-        for head, name in zip(HEADS, FIGURES, strict=True)
-    ),
-    Column("Lost by", lambda row: plain(causes(row)), rank=2, justify="left"),
-)
-
-
 def balance_table(found: Diagnosis, width: int) -> RenderableType:
     """Return the table, without the columns that are empty in every row."""
-    rows = shown_rows(found)
-    empty = {head for head, name in zip(HEADS, FIGURES, strict=True) if not any(row[name] for row in rows)}
-    columns = [column for column in _COLUMNS if column.title not in empty - {"Lost"}]
-    return build(columns, rows, width, apart=lambda row: row["msg_id"])
+    last = "Lost by", causes
+    return _table(shown_rows(found), FIGURES, {"lost"}, last, width, lambda row: row["msg_id"])
 
 
 def chain_table(found: Sequence[Chain], width: int) -> RenderableType:
@@ -141,20 +137,39 @@ def chain_table(found: Sequence[Chain], width: int) -> RenderableType:
         for item in found
         for hop in item.hops
     ]
-    figures = {"in": "In", "entered": "Entered", **dict(zip(FIGURES, HEADS, strict=True))}
-    shown = {name for name in figures if any(row[name] for row in rows)} | {"in", "out", "lost"}
+    figures = {"in": "In", "entered": "Entered", **FIGURES}
+    last = "Counted", itemgetter("counted")
+    return _table(rows, figures, _ALWAYS, last, width, itemgetter("msg_id", "name"))
+
+
+def _table(
+    rows: Sequence[dict[str, Any]],
+    figures: Mapping[str, str],
+    kept: Collection[str],
+    last: tuple[str, Callable[[Any], Any]],
+    width: int,
+    apart: Callable[[Any], Any],
+) -> RenderableType:
+    """Return a table of hops.
+
+    Args:
+        figures: name of each figure to its head.
+        kept: the figures that have a column even if they are empty in every row.
+        last: head of the last column, and what gives its text.
+        apart: as ``build`` takes it.
+    """
     columns = [
         Column("MsgId", _msg_id, justify="left"),
         Column("Topic", route_text, justify="left", elastic=True),
         Column("Hop", lambda row: plain(row["hop"]), justify="left"),
         *(
-            Column(head, _figure(name), rank=0 if name in {"in", "out", "lost"} else 1)
+            Column(head, _figure(name), rank=0 if name in _ALWAYS else 1)
             for name, head in figures.items()
-            if name in shown
+            if name in kept or any(row[name] for row in rows)
         ),
-        Column("Counted", lambda row: plain(row["counted"]), rank=2, justify="left"),
+        Column(last[0], lambda row: plain(last[1](row)), rank=2, justify="left"),
     ]
-    return build(columns, rows, width, apart=lambda row: (row["msg_id"], row["name"]))
+    return build(columns, rows, width, apart=apart)
 
 
 def balance_lines(found: Diagnosis) -> Sequence[str]:

@@ -219,7 +219,7 @@ def _balance(found: Diagnosis) -> str:
     shown = balance.shown_rows(found)
     figures = [
         (name, head)
-        for name, head in zip(balance.FIGURES, balance.HEADS, strict=True)
+        for name, head in balance.FIGURES.items()
         if name in {"in", "out", "lost"} or any(row[name] for row in shown)
     ]
     titles = ("MsgId", "topic", "hop", *(head for _, head in figures), "lost by")
@@ -286,9 +286,7 @@ def _habits(found: Diagnosis) -> str:
 _MOST: Final = 12
 _MOST_NAMES: Final = 2
 _REST: Final = tuple(
-    (name, head.lower())
-    for name, head in zip(balance.FIGURES, balance.HEADS, strict=True)
-    if name not in {"in", "out"}
+    (name, head.lower()) for name, head in balance.FIGURES.items() if name not in {"in", "out"}
 )
 
 
