@@ -168,3 +168,16 @@ def test_a_processor_reset_is_a_restart_though_the_clock_goes_on():
     assert not found(diagnosis, "clock_jump")
     assert sum(row.not_captured for row in diagnosis.balance) == 0
     assert diagnosis.lost == 13
+
+
+def test_a_clock_that_is_set_three_times_leaves_the_counters_as_they_are():
+    diagnosis = examined("clock_set")
+    assert diagnosis.lost == 54
+    steps = [
+        item.reason.partition(" was set ")[2].partition(" at ")[0] for item in found(diagnosis, "clock_jump")
+    ]
+    assert [step.partition(" s ")[0] for step in steps] == [
+        "ahead by 998989.5",
+        "back by 500.0",
+        "ahead by 2.6 s",
+    ]

@@ -30,6 +30,9 @@ _BACK_NS: Final = SECOND
 _MOST: Final = 16
 _CYCLE_NS: Final = 500 * MILLISECOND
 _WINDOW_NS: Final = 2 * SECOND
+_JITTER_NS: Final = 100 * MILLISECOND
+"""A packet may be that much quicker than the level beside it."""
+_BESIDE_NS: Final = 5 * SECOND
 _SURE: Final = 4
 """Packets of a window of which one was hardly delayed."""
 _MODULUS: Final = 1 << 14
@@ -97,7 +100,7 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> NDArray[np
         beside = np.where(np.abs(beside - level) > 2 * _CYCLE_NS, beside, level)
         # Where the clock slipped within a window, each packet goes by the level that it fits.
         here = beside[:, np.repeat(np.arange(len(edges)), np.diff(np.append(edges, len(own))))]
-        moved[own] = np.where(here <= delay, here, 0).max(axis=0)
+        moved[own] = np.where(here <= delay + _JITTER_NS, np.minimum(here, delay), 0).max(axis=0)
         for at in np.flatnonzero(np.abs(np.diff(level)) > 2 * _CYCLE_NS)[:_MOST].tolist():
             step = int(level[at] - level[at + 1])
             jumps.append(Jump(instance.name or "cFS", int(own[edges[at + 1]]), step))
@@ -133,15 +136,22 @@ def _parted(rows: Rows, instances: Instances) -> Jump | None:
             named = first.name == second.name or not (first.name and second.name)
             if not named or first.last_ns > second.first_ns:
                 continue
-            by = second.offset_ns - first.offset_ns
-            low = int(np.flatnonzero(instances.of_row == before)[-1])
-            high = int(np.flatnonzero(instances.of_row == after)[0])
+            own, other = (np.flatnonzero(instances.of_row == index) for index in (before, after))
+            low, high = int(own[-1]), int(other[0])
+            # What either clock slipped by earlier or later is another jump.
+            own = own[rows.time_ns[own] > rows.time_ns[low] - _BESIDE_NS]
+            other = other[rows.time_ns[other] < rows.time_ns[high] + _BESIDE_NS]
+            by = _offset_ns(rows, other) - _offset_ns(rows, own)
             steps = np.diff(rows.time_ns[low : high + 1])
             widest = int(steps.argmax())
             if by > 0 and abs(int(steps[widest]) - by) < SECOND + by // 10:
                 return Jump("capture", low + widest + 1, by)
             return Jump(second.name or first.name or "cFS", high, -by)
     return None
+
+
+def _offset_ns(rows: Rows, own: NDArray[np.intp]) -> int:
+    return int((rows.time_ns[own] - rows.mission_time_ns[own]).min())
 
 
 def _first_and_last(rows: Rows, own: NDArray[np.intp]) -> list[dict[tuple[int, ...], int]]:
