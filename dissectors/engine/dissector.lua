@@ -70,9 +70,13 @@ function edoras.prefs_changed()
 	register_ports()
 end
 
+local begun = {}  -- by the two ends of a stream: that messages were found in it
+local skipped = {}  -- by frame and bytes that are at hand: those before the first message, or true where more are needed
+
 function edoras.init()
 	peers, sequences, analysis = {}, {}, {}
 	frames.forget()
+	begun, skipped = {}, {}
 	asked.last, passes[true].last, passes[false].last = math.huge, math.huge, math.huge
 end
 
@@ -247,7 +251,11 @@ end
 local function dissect_as(link, s, tvb, pinfo, tree, wanted, inner)
 	local visible, number, cut_off = wanted == "all", pinfo.number, reported_len(tvb) > #s
 	begin(s, link.label, pinfo, key_of(number, tvb, inner), has_columns(pinfo, visible, number), cut_off)
-	if link.receive_buffer and #s > link.receive_buffer then note(link.over_receive_buffer) end
+	local room = link.receive_buffer
+	-- cFS takes what the header says: what is cut behind that is no loss.
+	if room and #s > room and not (link.to_cfs and select(7, read.ccsds(s, 1)) + D.limits.length_bias <= room) then
+		note(link.over_receive_buffer)
+	end
 	local start = (HEADER_READERS[link.label] or read_headers)(s, link)
 	if start then space_packet(start) end
 	if cut_off then forgive() end
@@ -289,8 +297,22 @@ local function dissect(tvb, pinfo, tree)
 	return #s
 end
 
--- How messages that follow each other in a stream are told apart: bytes that tell the length of any, and the length
--- of the one that starts at a place; nil where none does, and what is left is taken for one.
+-- Tell whether a whole message looks like one of SBN: a known type, and a size that agrees with what it holds.
+local function likely_sbn(s)
+	local size, kind = read.sbn(s, 1)
+	local first, expected = L.sbn.size + 1, D.sbn.names[kind] and 0
+	if kind == D.sbn.APP then
+		expected = #s >= L.sbn.size + L.ccsds.size and select(7, read.ccsds(s, first)) + D.limits.length_bias
+	elseif kind == D.sbn.PROTO then
+		expected = L.sbn_proto.size
+	elseif kind == D.sbn.SUB or kind == D.sbn.UNSUB then
+		expected = #s >= L.sbn.size + L.sbn_sub.size and L.sbn_sub.size + read.sbn_sub(s, first) * L.subscription.size
+	end
+	return kind ~= D.sbn.NO_MSG and size == expected  -- zeros, of which payloads are full, would be messages
+end
+
+-- How messages that follow each other in a stream are told apart: bytes that tell the length of any, the length of the
+-- one that starts at a place (nil where none does, and what is left is taken for one), and whether one is likely.
 local FRAMINGS = {
 	sbn = {
 		head = function() return L.sbn.size end,
@@ -298,9 +320,46 @@ local FRAMINGS = {
 			local size = read.sbn(s, 1)
 			return size >= 0 and L.sbn.size + size or nil
 		end,
+		likely = likely_sbn,
 	},
 	frames = frames, fprime = fprime,
 }
+
+-- Its low bits: the SYN of either end was seen. Older versions do not have it.
+local known, from_start = pcall(function() return Field.new("tcp.completeness") end)
+from_start = known and from_start
+local LONGEST_SEARCH = 0x10000  -- bytes in which a message has to begin
+-- Return how many bytes of what is at hand are before the first message that is whole and likely, and that another one
+-- or the end follows; nil where there is none.
+local function first_message(framing, s, pinfo)
+	local head = framing.head(pinfo)
+	local function whole(at)
+		local length = #s - at + 1 >= head and framing.length(s:sub(at, at + head - 1), pinfo)
+		return length and length > 0 and at + length - 1 <= #s and length
+	end
+	for at = 1, #s - head + 1 do
+		local length = whole(at)
+		local behind = length and s:sub(at + length, at + length + head - 1)
+		if length and (#behind < head or framing.length(behind, pinfo))
+			and framing.likely(s:sub(at, at + length - 1), pinfo, behind) then
+			return at - 1
+		end
+	end
+end
+
+-- Return how many bytes are before the first message, where the capture begins inside a stream; true for more bytes.
+local function skip(framing, tvb, pinfo)
+	local s = raw(tvb)
+	local key = pinfo.number .. ":" .. #s
+	if pinfo.visited then return skipped[key] or 0 end
+	local ends = format("%s %d %s %d", pinfo.src, pinfo.src_port, pinfo.dst, pinfo.dst_port)
+	local seen = from_start and from_start()
+	if begun[ends] or seen and seen.value % 4 > 0 then return 0 end
+	local before = first_message(framing, s, pinfo)
+	begun[ends] = before ~= nil
+	skipped[key] = before or (pinfo.can_desegment == 0 or #s > LONGEST_SEARCH) and #s or true
+	return skipped[key]
+end
 
 -- Wireshark puts the stream in order.
 local function dissect_stream(framing)
@@ -310,7 +369,15 @@ local function dissect_stream(framing)
 	return function(tvb, pinfo, tree)
 		local head = framing.head(pinfo)
 		if not head then return 0 end
-		dissect_tcp_pdus(tvb, tree, head, message_length, dissect)
+		local before = framing.likely and skip(framing, tvb, pinfo) or 0
+		if before == true then
+			pinfo.desegment_offset, pinfo.desegment_len = 0, DESEGMENT_ONE_MORE_SEGMENT
+			return captured_len(tvb)
+		elseif before == captured_len(tvb) then
+			return before
+		end
+		dissect_tcp_pdus(before > 0 and tvb(before):tvb() or tvb, tree, head, message_length, dissect)
+		if before > 0 and pinfo.desegment_len > 0 then pinfo.desegment_offset = pinfo.desegment_offset + before end
 		return captured_len(tvb)
 	end
 end

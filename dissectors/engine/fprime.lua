@@ -325,4 +325,10 @@ HEADER_READERS.fprime = read_ground_frame
 
 return {
 	length = length_in_stream, head = function() return #PRIME.keep_alive end,
+	likely = function(s)
+		if s == PRIME.keep_alive then return true end
+		local own, _, tc, tm = shapes(s, #s)
+		if own then return crc32(s, 1, #s - 4) == unpack(">I4", s, #s - 3) end
+		return (tc or tm) and crc16(s, 1, #s) == 0
+	end,
 }

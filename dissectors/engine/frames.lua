@@ -6,6 +6,12 @@ local channels, noted = {}, {}  -- what is known of senders, and what was noted,
 local form  -- how the frame that is read is made
 local check = new_field("frames", "frames.frame_error_control", "uint16", "frame_error_control", base.HEX)
 
+-- The count by which frames of a kind follow each other, and its values.
+local COUNTS = {
+	tm = {"master_channel_frame_count", 0x100}, aos = {"virtual_channel_frame_count", 0x1000000},
+	tc = {"frame_sequence_number", 0x100},
+}
+
 -- Return how the bytes that come to a port are framed, or nil: by the destination's, of a stream by either end's.
 local function format_at(pinfo)
 	local stream = pinfo.port_type == TCP
@@ -184,4 +190,15 @@ return {
 		return found and L[found.layout].size
 	end,
 	length = function(s, pinfo) return stated_length(format_at(pinfo), s) end,
+	likely = function(s, pinfo, behind)
+		local found = format_at(pinfo)
+		if found.fecf then return crc16(s, 1, #s) == 0 end
+		local layout, count = L[found.layout], COUNTS[found.kind]
+		if #behind < layout.size then return false end
+		local one, other, place = {read[found.layout](s, 1)}, {read[found.layout](behind, 1)}, layout.place
+		local next_one = (other[place[count[1]]] - one[place[count[1]]]) % count[2] == 1
+		local same = other[place.virtual_channel_id] == one[place.virtual_channel_id]
+		return one[place.spacecraft_id] == other[place.spacecraft_id]
+			and (next_one or found.kind ~= "tm" and not same)
+	end,
 }

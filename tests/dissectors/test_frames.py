@@ -1,5 +1,6 @@
 """Transfer frames and F Prime in Wireshark: every field of every frame as our own decoder reads it."""
 
+import random
 from dataclasses import replace
 
 import pytest
@@ -162,6 +163,55 @@ def test_frames_over_tcp(link, agreed, tmp_path):
     assert compared > 500
     assert not gaps
     assert [item.packets for item in bench.frames.channels] == [len(packets)] * len(bench.frames.channels)
+
+
+COUNTS = {
+    "tm": "frames.tm_frame.master_channel_frame_count",
+    "aos": "frames.aos_frame.virtual_channel_frame_count",
+    "tc": "frames.tc_frame.frame_sequence_number",
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_connection_whose_capture_begins_inside_a_frame(seed, tshark, tmp_path):
+    """Every frame that is whole behind is shown, with a check or without."""
+    chance, segments, expected = random.Random(seed), [], {}
+    for number, maker in enumerate(FORMATS, 1):
+        if maker.kind == "tc" and not maker.fecf:
+            continue  # with bypass their counts stand still, so that nothing tells that one follows another
+        frames = [frame for frame, _ in replace(maker).carry(TELEMETRY[:40])]
+        stream, first = b"".join(frames), chance.randrange(1, len(frames[0]))
+        cuts = chance.sample(range(1, len(stream) - first), min(20, len(stream) // 40))
+        ends = CRAFT, ("10.0.0.1", 6000 + number)
+        _syn, *some = segments_of(stream[first:], cuts, source=ends[0], destination=ends[1])
+        segments += some
+        expected[6000 + number] = len(frames) - 1
+    write_segments(tmp_path / "tcp.pcap", segments)
+    asked = [word for name in ("tcp.dstport", *COUNTS.values()) for word in ("-e", name)]
+    how = ["-T", "fields", "-E", "occurrence=a", "-E", "aggregator=,"]
+    shown = tshark(mission(tmp_path, transport="tcp", link="to"), MISSION)
+    lines = shown.run("-r", tmp_path / "tcp.pcap", *how, *asked).decode().splitlines()
+    found = dict.fromkeys(expected, 0)
+    for line in lines:
+        port, *counts = line.split("\t")
+        found[int(port)] += sum(bool(item) for column in counts for item in column.split(","))
+    assert found == expected
+
+
+@pytest.mark.parametrize("first", [1, 5, 20, 33])
+@pytest.mark.parametrize("kind", ["own", "ccsds"])
+def test_a_connection_of_f_prime_whose_capture_begins_inside_a_frame(kind, first, tshark, tmp_path):
+    down = [own(packet) for packet in PACKETS]
+    if kind == "ccsds":
+        down = [item.payload for item in captured(CAPTURE) if item.destination[1] != 50000]
+    stream = b"".join(down)
+    first = min(first, len(down[0]) - 1)
+    _syn, *segments = segments_of(stream[first:], range(90, 9000, 211), source=ROVER, destination=GDS)
+    write_segments(tmp_path / "tcp.pcap", segments)
+    name = "fprime.start_word" if kind == "own" else "fprime.tm.master_channel_frame_count"
+    how = ["-T", "fields", "-E", "occurrence=a", "-E", "aggregator=,", "-e", name]
+    told = tshark(structs=(DICTIONARY,)).run("-r", tmp_path / "tcp.pcap", *how).decode()
+    assert len([item for item in told.replace(",", "\n").splitlines() if item]) == len(down) - 1
 
 
 def test_frames_that_the_capture_cut(agreed, write_pcap, tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import random
 import struct
 
 import pytest
@@ -46,6 +48,23 @@ def test_sbn_messages_of_any_segments(cuts, tshark, tmp_path):
     assert len(ours) == 60
     for name, values in zip(names, theirs, strict=False):
         assert [int(value, 0) for value in values] == [item[name] for item in headers]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_capture_that_begins_inside_a_message_shows_every_whole_one_behind(seed, tshark, tmp_path):
+    """In segments that begin anywhere, too; our own decoder starts with one of these messages."""
+    chance, messages = random.Random(seed), sbn_messages(60)
+    stream, first = b"".join(messages), chance.randrange(1, 1500)
+    cuts = chance.sample(range(1, len(stream) - first), 12)
+    _syn, *segments = segments_of(stream[first:], cuts)
+    ours = capture_of(segments, tmp_path / "cut.pcap")
+    ends = itertools.accumulate(map(len, messages))
+    whole = [message for end, message in zip(ends, messages, strict=True) if end - len(message) >= first]
+    (sizes,) = said(tshark, tmp_path / "cut.pcap", "sbn.msg_size")
+    assert [int(size) for size in sizes] == [len(message) - 11 for message in whole]
+    found = [bytes(item.datagram.payload) for item in ours if item.layers]
+    assert found
+    assert found == whole[-len(found) :]
 
 
 @pytest.mark.parametrize("deflate", [False, True])
