@@ -15,6 +15,7 @@ from edoras_tools.diagnosis.evidence.fingerprint import paired
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.arrays.order import quantiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -299,5 +300,5 @@ def latency_of(delay_ns: NDArray[np.int64]) -> Latency | None:
     """Return the figures of some delays; None where there are none."""
     if not len(delay_ns):
         return None
-    p50, p99, most = (round(float(value) / 1e6, 3) for value in np.quantile(delay_ns, (0.5, 0.99, 1.0)))
+    p50, p99, most = (round(value / 1e6, 3) for value in quantiles(delay_ns, 0.5, 0.99, 1.0))
     return Latency(len(delay_ns), p50, p99, most)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import quantiles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -164,7 +165,7 @@ def comb(times: NDArray[np.int64]) -> Comb:
         return Comb(0, 1, 0.0)
     begins = np.flatnonzero(np.diff(times, prepend=times[0] - SECOND) > _BURST_NS)
     sizes = np.diff(np.append(begins, len(times)))
-    most = int(np.quantile(sizes, 0.98))
+    most = int(quantiles(sizes, 0.98)[0])
     period = int(np.median(np.diff(times[begins]))) if len(begins) > 2 else 0
     share = float((sizes >= most).mean()) if len(sizes) else 0.0
     return Comb(period, max(most, 1), share)

@@ -17,7 +17,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import by_value, numbered, quantiles
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
@@ -232,6 +232,6 @@ def _pauses(times: NDArray[np.int64]) -> NDArray[np.bool_]:
     steps = np.diff(times)
     out = np.zeros(len(times), bool)
     if len(steps) > 2:
-        usual = float(np.quantile(steps, 0.9))
+        usual = quantiles(steps, 0.9)[0]
         out[:-1] = steps > max(_PAUSE_NS, _PAUSE_FACTOR * usual)
     return out

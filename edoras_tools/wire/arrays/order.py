@@ -93,3 +93,17 @@ def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
     ends = np.flatnonzero(np.diff(values[order])) + 1
     for rows in np.split(order, ends):
         yield int(values[rows[0]]), rows
+
+
+def quantiles(values: NDArray[Any], *shares: float) -> list[float]:
+    """Return ``numpy.quantile`` of at least one value, several times as fast while values are few."""
+    ranked = np.sort(values)
+    found = []
+    for share in shares:
+        place = (len(ranked) - 1) * share
+        low = int(place)
+        below, above = ranked[low], ranked[min(low + 1, len(ranked) - 1)]
+        part = place - low
+        step = above - below
+        found.append(float(above - step * (1 - part) if part >= 0.5 else below + step * part))
+    return found

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire.arrays.order import by_value, numbered, order_by
+from edoras_tools.wire.arrays.order import by_value, numbered, order_by, quantiles
 
 
 @pytest.mark.parametrize("values", [[3, 1, 3, 2, 1], [70_000, 1, 70_000, 65_536 + 1, 1], [], [5]])
@@ -70,3 +70,12 @@ def test_numbered_tells_values_apart_that_share_a_hash():
     first, which = numbered(values)
     assert len(first) == len(values)
     assert which.tolist() == list(range(len(values)))
+
+
+@given(
+    st.lists(st.integers(-(2**50), 2**50), min_size=1, max_size=60)
+    | st.lists(st.floats(-1e9, 1e9), min_size=1, max_size=60),
+    st.lists(st.sampled_from([0.0, 0.5, 0.9, 0.98, 0.99, 1.0]) | st.floats(0, 1), min_size=1, max_size=3),
+)
+def test_quantiles_are_those_of_numpy(values, shares):
+    assert quantiles(np.array(values), *shares) == np.quantile(values, shares).tolist()
