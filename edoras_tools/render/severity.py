@@ -123,8 +123,8 @@ EXPLANATIONS: Final = {
     Finding.OVER_CI_BUFFER: Explanation(
         _ERROR,
         "over 768",
-        "The packet is longer than CI's 768-byte buffer; CI cuts it to 768 and accepts it silently (cFS 7: "
-        "drops it). A longer datagram whose header says 768 or less is taken whole.",
+        "The packet is longer than CI's 768-byte buffer, by its header too; CI cuts it to 768 and accepts it "
+        "silently (cFS 7: drops it).",
     ),
     Finding.OVER_BRIDGE_BUFFER: Explanation(
         _WARNING,

@@ -249,7 +249,7 @@ USAGE = [
     ("sniff --listen 65536", 2, "--listen 65536: not an endpoint"),
     ("inject to-enable --target 10.9.0.2", 2, "Invalid value for '--target': 10.9.0.2: not an endpoint"),
     ("sniff --listen 192.0.2.1:47900", 1, "192.0.2.1:47900: cannot be bound: not an address of this machine"),
-    ("recover missing.mcap", 1, "missing.mcap: cannot be read: No such file"),
+    ("recover missing.mcap", 1, "missing.mcap: there is no such file"),
     ("recover folder", 1, "folder: cannot be read: Is a directory"),
     ("recover .", 1, ".: cannot be read: Is a directory"),
     ("recover ok.pcap", 1, "ok.pcap: is not an MCAP file"),
