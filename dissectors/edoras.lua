@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "9ac89e8df7f09648"
+local DIGEST = "a8b001aaf5f070be"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -2258,7 +2258,7 @@ D.findings = {
 		label = "over_ci_buffer",
 		severity = "error",
 		short = "over 768",
-		meaning = "The packet is longer than CI's 768-byte buffer; CI cuts it to 768 and accepts it silently (cFS 7: drops it). A longer datagram whose header says 768 or less is taken whole.",
+		meaning = "The packet is longer than CI's 768-byte buffer, by its header too; CI cuts it to 768 and accepts it silently (cFS 7: drops it).",
 	},
 	{
 		label = "over_bridge_buffer",
