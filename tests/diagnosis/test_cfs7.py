@@ -2,7 +2,9 @@
 
 from collections import Counter
 from contextlib import closing
+from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import pytest
 from places import ROOT
@@ -168,6 +170,24 @@ def test_a_processor_reset_is_a_restart_though_the_clock_goes_on():
     assert not found(diagnosis, "clock_jump")
     assert sum(row.not_captured for row in diagnosis.balance) == 0
     assert diagnosis.lost == 13
+
+
+def test_two_processor_resets_are_told_one_by_one(tmp_path):
+    first = datagrams(FOLDER / "processor_reset.pcap.zst")
+    period = (first[-1].time_ns - first[0].time_ns) // 10**9 + 1
+
+    def later(item):
+        payload, (address, port) = item.payload, item.source
+        if not payload[0] & 0x10:  # telemetry: its clock goes on, and Telemetry Output has a new port
+            clock = int.from_bytes(payload[6:10], "big") + period
+            payload, port = payload[:6] + clock.to_bytes(4, "big") + payload[10:], port + 1
+        return replace(item, time_ns=item.time_ns + period * 10**9, payload=payload, source=(address, port))
+
+    diagnosis = examine(write(tmp_path / "twice.pcap", [*first, *map(later, first)]), Options())
+    told = found(diagnosis, "cfs_restart")
+    assert len(told) == 3  # the two resets, and where the second copy begins
+    assert all(item.span[0] < item.span[1] for item in told)
+    assert all(one.span[1] <= next_.span[0] for one, next_ in pairwise(told))
 
 
 def test_a_clock_that_is_set_three_times_leaves_the_counters_as_they_are():

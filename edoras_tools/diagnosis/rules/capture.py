@@ -302,7 +302,7 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
     again = counts_begun_again(case)
     for jump in case.jumps:
         when = int(case.rows.time_ns[jump.row])
-        if again and again[0] < when <= again[1] + SECOND:
+        if any(start < when <= end + SECOND for start, end in again):
             continue  # it started again
         own = jump.clock == "capture"
         whose = "the capture's own clock" if own else f"the clock of cFS {jump.clock}, and not the capture's,"

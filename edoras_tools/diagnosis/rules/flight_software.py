@@ -34,7 +34,7 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
 
     Find boots of the same name, one after the other; and one whose counts alone began again.
     """
-    if again := counts_begun_again(case):
+    for again in counts_begun_again(case):
         yield Verdict(
             Severity.WARNING,
             f"cFS restarted between {case.at(again[0])} and {case.at(again[1])}: counts begin again, and its "
@@ -93,11 +93,11 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
         )
 
 
-def counts_begun_again(case: Case) -> tuple[int, int] | None:
+def counts_begun_again(case: Case) -> list[tuple[int, int]]:
     """Return between which times a cFS started again whose clock went on, as after a processor reset.
 
     Telemetry Output speaks from another port, and most MsgIds count from lower on: if it alone had started
-    again, they would go on.
+    again, they would go on. Each MsgId tells a time before and one after; those that overlap are one restart.
     """
     rows, spans = case.rows, []
     for stream in case.streams:
@@ -105,12 +105,19 @@ def counts_begun_again(case: Case) -> tuple[int, int] | None:
             count = rows.sequence_count[stream.rows].astype(np.int64)
             moved = np.flatnonzero(np.diff(rows.source[stream.rows]))
             for at in moved.tolist():
-                fell = (count[at + 1] - count[at]) % MODULUS >= FORWARD
-                spans.append((fell, *rows.time_ns[stream.rows[at : at + 2]].tolist()))
-    fell = [(start, end) for down, start, end in spans if down]
-    if len(fell) < _LEAST_FELL or len(fell) * 2 <= len(spans):
-        return None
-    return max(start for start, _ in fell), min(end for _, end in fell)
+                start, end = rows.time_ns[stream.rows[at : at + 2]].tolist()
+                if start < end:
+                    spans.append((end, start, (count[at + 1] - count[at]) % MODULUS >= FORWARD))
+    again = []
+    spans.sort()
+    while spans:
+        first_end = spans[0][0]
+        same = [item for item in spans if item[1] < first_end]
+        fell = [(start, end) for end, start, down in same if down]
+        if len(fell) >= _LEAST_FELL and len(fell) * 2 > len(same):
+            again.append((max(start for start, _ in fell), min(end for _, end in fell)))
+        spans = [item for item in spans if item[1] >= first_end]
+    return again
 
 
 _LEAST_FELL: Final = 3
