@@ -124,10 +124,10 @@ class Commands:
             for fate in self.fates.values():
                 if left and (item.link, item.msg_id) == (fate.stream.link.label, fate.stream.msg_id):
                     times = self._known.captured(fate.stream)
-                    free = (fate.open | fate.blind) & (times >= item.start_ns) & (times <= item.end_ns)
-                    if not ((times >= item.start_ns) & (times <= item.end_ns)).any():
+                    within = (times >= item.start_ns) & (times <= item.end_ns)
+                    if not within.any():
                         continue  # another sender's of the same MsgId
-                    inside = np.flatnonzero(free)
+                    inside = np.flatnonzero((fate.open | fate.blind) & within)
                     if number := fate.claim(inside[:left]):
                         fate.refused[item.rule] += number
                         self.placed[id(item)] = number, Among(fate.stream, inside)

@@ -299,7 +299,7 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
 
     Name every clock that was set; all times of this diagnosis are as if it had not been.
     """
-    again = counts_begun_again(case)
+    again = counts_begun_again(case) if case.jumps else []
     for jump in case.jumps:
         when = int(case.rows.time_ns[jump.row])
         if any(start < when <= end + SECOND for start, end in again):
