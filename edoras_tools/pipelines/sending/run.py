@@ -19,14 +19,14 @@ from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedul
 from edoras_tools.pipelines.sending.options import Receiver, Role
 from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.pipelines.sending.safety import check_allowed
-from edoras_tools.pipelines.sending.wait_for import conditions, count_known, only_enables
+from edoras_tools.pipelines.sending.wait_for import conditions, count_known, leaves_at_once, only_enables
 from edoras_tools.sessions.sbn.connection import SbnConnection
 from edoras_tools.sessions.sbn.habits import CLIENT, PUBLIC_BRIDGE, TCP_CLIENT
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from edoras_tools.io.net.wire import Wire
     from edoras_tools.mission import Mission
@@ -214,14 +214,8 @@ class Transmission:
             )
             wait_for = chain(wait_for, count_known(self.out, options, report.responses, wire))
             sending.run(wait_for, options.timeout_ns)
-        if report.to_ci and report.failure is None and not report.responses.telemetry:
-            advice = "usually Telemetry Output is not enabled: edoras inject to-enable"
-            if only_enables(self.out, options.headers):
-                advice = "Telemetry Output may answer later: listen longer with --linger 10s"
-            report.notes.append(
-                f"no telemetry came to {local}, so nothing can answer, and nothing shows whether cFS read "
-                f"what was sent; {advice}"
-            )
+        if report.to_ci and report.failure is None:
+            report.notes += self._unanswered(report.responses, local)
         if recorded is not None:
             try:
                 recorded.close()
@@ -229,6 +223,22 @@ class Transmission:
                 report.failure = report.failure or error
             report.losses = list(recorded.losses)
         return report
+
+    def _unanswered(self, responses: Responses, local: Endpoint) -> Iterator[str]:
+        """Yield why nothing shows whether cFS read what was sent to CI."""
+        if not responses.telemetry:
+            advice = "usually Telemetry Output is not enabled: edoras inject to-enable"
+            if only_enables(self.out, self.options.headers):
+                advice = "Telemetry Output may answer later: listen longer with --linger 10s"
+            yield (
+                f"no telemetry came to {local}, so nothing can answer, and nothing shows whether cFS read "
+                f"what was sent; {advice}"
+            )
+        elif responses.ingest.summary()["state"] == "unknown" and leaves_at_once(self.out, self.options):
+            yield (
+                "whether Command Ingest read it is not known; --max-loss 0 waits for its count "
+                "before and after"
+            )
 
     def _schedule(self) -> SendSchedule:
         options = self.options

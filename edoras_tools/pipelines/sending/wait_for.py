@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 _MOST_NAMED: Final = 4
 _ONE_REPORT_NS: Final = 4300 * MILLISECOND
 """CI reports its count as often as SCH_LAB asks: each 4 s as cFS comes, each second in the demos."""
-_ANYTHING_NS: Final = 1300 * MILLISECOND
-"""Where the demos' cFS sends telemetry, some comes each second."""
 _AFTER_ASKING_NS: Final = 8300 * MILLISECOND
 """The same, and a second report that repeats it: CI has read what asked for telemetry."""
 
@@ -167,10 +165,7 @@ def _enabled(options: SendOptions, responses: Responses, wire: Wire, local: Endp
 
 
 def count_known(out: Outgoing, options: SendOptions, responses: Responses, wire: Wire) -> Iterator[Condition]:
-    """Yield the wishes for CI's count to be known before the first datagram leaves, where CI can be followed.
-
-    Where no telemetry comes no count does: before one single datagram this shows soon enough, unless what
-    comes back is judged.
+    """Yield the wish for CI's count to be known before the first datagram leaves, where CI can be followed.
 
     Args:
         out: what will be sent; before the command that enables telemetry alone, nothing is waited for.
@@ -178,17 +173,19 @@ def count_known(out: Outgoing, options: SendOptions, responses: Responses, wire:
         responses: what was received so far.
         wire: what was sent so far; what asked for telemetry among it.
     """
-    if not options.follows_ci or "nothing" in options.wait_for or only_enables(out, options.headers):
-        return
-    single = len(out) == options.passes == 1 and not options.expect and options.max_loss is None
-    if single:
-        yield Condition("telemetry", lambda: responses.telemetry > 0, lambda _: "", patience_ns=_ANYTHING_NS)
-    yield Condition(
-        "count",
-        lambda: responses.ingest.is_known or (single and not responses.telemetry),
-        lambda _: "",
-        patience_ns=_AFTER_ASKING_NS if wire.statistics.sent else _ONE_REPORT_NS,
-    )
+    at_once = not options.follows_ci or "nothing" in options.wait_for or leaves_at_once(out, options)
+    if not at_once and not only_enables(out, options.headers):
+        yield Condition(
+            "count",
+            lambda: responses.ingest.is_known,
+            lambda _: "",
+            patience_ns=_AFTER_ASKING_NS if wire.statistics.sent else _ONE_REPORT_NS,
+        )
+
+
+def leaves_at_once(out: Outgoing, options: SendOptions) -> bool:
+    """Return whether it is one single datagram whose result is not judged: it is not worth waiting."""
+    return len(out) == options.passes == 1 and not options.expect and options.max_loss is None
 
 
 def only_enables(out: Outgoing, headers: cfe.Headers) -> bool:
