@@ -20,14 +20,13 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.types.schema import PLACEHOLDER, PRIMITIVES, STRINGS, Definition, MessageField, Shape
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Sequence
 
 MOST_STEPS: Final = 16_384
 """The most primitives and steps of one type; no sensible definition has more."""
@@ -40,6 +39,8 @@ UNLIMITED: Final = 1 << 31
 """More bytes than any message has."""
 WIDE_UNIT: Final = 4
 """Bytes of a ``wstring``'s UTF-16 unit: its CDR is that of ``wchar_t`` in every middleware of ROS 2."""
+_MANY_FIELDS: Final = 60
+"""Fields above which ``dict(zip())`` builds a dict of flat values faster than a dict display does."""
 _CPP_BOOL: Final = 16
 _MOST_COUNTED: Final = 256
 """Elements above which the excess of a sequence counts as unlimited."""
@@ -125,11 +126,17 @@ class CdrPlan:
 
     Attributes:
         steps: in wire order.
-        build: makes the nested value from the flat values of the steps, in wire order.
+        value: Python expression of the nested value; ``v`` holds the flat values of the steps, in wire order.
     """
 
     steps: tuple[PlanStep, ...]
-    build: Callable[[Iterator[Any]], Any]
+    value: str
+
+    @cached_property
+    def build(self) -> Callable[[Sequence[Any]], Any]:
+        """Makes the nested value from the flat values; as an expression three times as fast as by calls."""
+        made: Callable[[Sequence[Any]], Any] = eval(f"lambda v: {self.value}")  # noqa: S307  names are quoted
+        return made
 
     @cached_property
     def least(self) -> int:
@@ -257,85 +264,80 @@ class Compiler:
         """
         if name not in self._plans:
             steps = _Steps(name)
-            build = self._message(name, "", steps)
-            self._plans[name] = steps.finish(build)
+            self._plans[name] = steps.finish(self._message(name, "", steps))
         return self._plans[name]
 
-    def _message(self, name: str, prefix: str, steps: _Steps) -> Callable[[Iterator[Any]], Any]:
-        """Append the steps of a message; return what builds its dict."""
+    def _message(self, name: str, prefix: str, steps: _Steps) -> str:
+        """Append the steps of a message; return the expression of its dict."""
         if name in self._open or len(self._open) >= _MOST_DEPTH:
             raise ConfigError(f"{name}: the type contains itself: {' > '.join([*self._open[-4:], name])}")
         self._open.append(name)
         try:
-            definition = self._find(name)
-            parts = [
-                (item.name, self._field(item, prefix + item.name, name, steps)) for item in definition.fields
-            ]
+            parts = {
+                item.name: self._field(item, prefix + item.name, name, steps)
+                for item in self._find(name).fields
+            }
         finally:
             self._open.pop()
         if not parts:
             steps.primitive(prefix + PLACEHOLDER, "B", None)
-            return _empty
-        names = tuple(item for item, _ in parts)
-        if all(build is next for _, build in parts):
-            return lambda values: dict(zip(names, values, strict=False))  # stops at the last name
-        return lambda values: {item: build(values) for item, build in parts}
+        if len(parts) > _MANY_FIELDS and all(value.startswith("v[") for value in parts.values()):
+            return f"dict(zip({tuple(parts)}, v[{steps.values - len(parts)}:{steps.values}]))"
+        return f"{{{', '.join(f'{item!r}: {value}' for item, value in parts.items())}}}"
 
-    def _field(
-        self, field: MessageField, name: str, owner: str, steps: _Steps
-    ) -> Callable[[Iterator[Any]], Any]:
+    def _field(self, field: MessageField, name: str, owner: str, steps: _Steps) -> str:
         code = PRIMITIVES.get(field.type)
         if field.shape is Shape.SCALAR:
             return self._one(field, name, owner, steps)
         if code and field.shape is Shape.ARRAY:
-            steps.primitive(name, code, field.size)
-            return lambda values: list(islice(values, field.size))
+            return steps.primitive(name, code, field.size)
         element = _Steps(f"{owner}.{field.name}")
-        build = self._one(field, "", owner, element)
+        value = self._one(field, "", owner, element)
         count, bound = (field.size, 0) if field.shape is Shape.ARRAY else (None, field.size)
-        steps.append(Repeat(name, count, bound, element.finish(build)))
-        return next
+        return steps.append(Repeat(name, count, bound, element.finish(value)))
 
-    def _one(
-        self, field: MessageField, name: str, owner: str, steps: _Steps
-    ) -> Callable[[Iterator[Any]], Any]:
-        """Append one value of a field's type, whatever the field's shape."""
+    def _one(self, field: MessageField, name: str, owner: str, steps: _Steps) -> str:
+        """Append one value of a field's type, whatever the field's shape; return its expression."""
         if code := PRIMITIVES.get(field.type):
-            steps.primitive(name, code, None)
-            return next
+            return steps.primitive(name, code, None)
         if field.type in STRINGS:
-            steps.append(Text(name, field.string_bound, 1 if field.type == "string" else WIDE_UNIT))
-            return next
+            return steps.append(Text(name, field.string_bound, 1 if field.type == "string" else WIDE_UNIT))
         if "/" not in field.type:
             raise ConfigError(f"{owner}.{field.name}: ROS 2 sends no {field.type}")
         return self._message(field.type, f"{name}." if name else "", steps)
 
 
 class _Steps:
-    """Collects steps, and joins primitives into runs."""
+    """Collects steps, and joins primitives into runs; what is added returns the expression of its value."""
 
     def __init__(self, owner: str) -> None:
         self._owner = owner
         self._steps: list[PlanStep] = []
         self._leaves: list[Leaf] = []
         self._total = 0
+        self.values = 0
 
-    def primitive(self, name: str, code: str, count: int | None) -> None:
+    def primitive(self, name: str, code: str, count: int | None) -> str:
         self._count()
         size = struct.calcsize("<" + code)
         if self._leaves and size > self._leaves[0].size:
             self._close_run()
         offset = (self._leaves[-1].end + size - 1) & -size if self._leaves else 0
         self._leaves.append(Leaf(name, code, size, count, offset))
+        first = self.values
+        self.values += 1 if count is None else count
+        return f"v[{first}]" if count is None else f"[*v[{first}:{self.values}]]"
 
-    def append(self, step: Text | Repeat) -> None:
+    def append(self, step: Text | Repeat) -> str:
         self._count()
         self._close_run()
         self._steps.append(step)
+        self.values += 1
+        return f"v[{self.values - 1}]"
 
-    def finish(self, build: Callable[[Iterator[Any]], Any]) -> CdrPlan:
+    def finish(self, value: str) -> CdrPlan:
         self._close_run()
-        plan = CdrPlan(tuple(self._steps), build)
+        plan = CdrPlan(tuple(self._steps), value)
         if plan.least > _MOST_BYTES:
             raise ConfigError(
                 f"{self._owner}: its smallest message takes {plan.least} bytes; {_MOST_BYTES} is the most"
@@ -362,8 +364,3 @@ class _Steps:
         structs = struct.Struct("<" + layout), struct.Struct(">" + layout)
         self._steps.append(PrimitiveRun(self._leaves[0].size, size, tuple(self._leaves), structs))
         self._leaves = []
-
-
-def _empty(values: Iterator[Any]) -> dict[str, Any]:
-    next(values)
-    return {}

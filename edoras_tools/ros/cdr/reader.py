@@ -65,7 +65,7 @@ def decode(name: str, plan: CdrPlan, cdr: bytes) -> Any:
         end = -1
     if end < 0:
         value_spans(name, plan, cdr)  # raises with the position
-    return plan.build(iter(values))
+    return plan.build(values)
 
 
 def value_spans(name: str, plan: CdrPlan, cdr: bytes) -> list[ValueSpan]:
@@ -129,73 +129,67 @@ def _read(plan: CdrPlan, order: int, body: bytes, position: int, values: list[An
             values += step.structs[order].unpack_from(body, position)
             position += step.size
         elif isinstance(step, Text):
-            value, position = _text(step, order, body, position)
-            values.append(value)
+            position = _read_texts(step, order, body, position, 1, values)
         else:
             position = _read_repeat(step, order, body, position, values)
     return position
 
 
-def _text(step: Text, order: int, body: bytes, position: int) -> tuple[str, int]:
-    start = ((position + 3) & -4) + 4
-    (length,) = _COUNTS[order].unpack_from(body, start - 4)
-    end = start + length * step.width
-    if end > len(body) or (step.bound and _over(step, length)):
-        raise _Misfit
-    if step.width > 1:
-        return string_value(step, order, body[start:end]), end
-    if length and body[end - 1]:
-        raise _Misfit
-    return body[start : end - 1].decode("utf-8", "replace"), end  # without characters there is no NUL either
+def _read_texts(step: Text, order: int, body: bytes, position: int, times: int, values: list[Any]) -> int:
+    count_at, width, size = _COUNTS[order].unpack_from, step.width, len(body)
+    for _ in range(times):
+        start = (position + 7) & -4
+        (length,) = count_at(body, start - 4)
+        position = start + length * width
+        if position > size or (step.bound and _over(step, length)):
+            raise _Misfit
+        if width > 1:
+            values.append(string_value(step, order, body[start:position]))
+        elif length and body[position - 1]:
+            raise _Misfit
+        else:  # without characters there is no NUL either
+            values.append(body[start : position - 1].decode("utf-8", "replace"))
+    return position
 
 
 def _read_repeat(step: Repeat, order: int, body: bytes, position: int, values: list[Any]) -> int:
-    count = step.count
-    plan = step.plan
+    count, plan = step.count, step.plan
     if count is None:
-        count, position = _count(order, body, position)
+        position = (position + 7) & -4
+        (count,) = _COUNTS[order].unpack_from(body, position - 4)
         if step.bound and count > step.bound:
             raise _Misfit
+    if count and (run := plan.uniform):
+        position = (position + run.alignment - 1) & -run.alignment
+        end = position + count * run.size
+        if end > len(body):
+            raise _Misfit
+        leaf = plan.element
+        if leaf is None:
+            values.append(list(map(plan.build, run.structs[order].iter_unpack(body[position:end]))))
+        elif leaf.code == "B":
+            values.append(Octets(body[position:end]))
+        else:
+            values.append([*struct.unpack_from(f"{'<>'[order]}{count}{leaf.code}", body, position)])
+        return end
     if position + count * plan.least > len(body):
         raise _Misfit
-    run, only = plan.uniform, plan.steps[0]
-    if run is None or not count:
-        elements: list[Any] = []
-        if plan.single and isinstance(only, Text):
-            for _ in range(count):
-                value, position = _text(only, order, body, position)
-                elements.append(value)
-            count = 0
-        for _ in range(count):
-            flat: list[Any] = []
-            position = _read(plan, order, body, position, flat)
-            elements.append(plan.build(iter(flat)))
-        values.append(elements)
-        return position
-    position = (position + run.alignment - 1) & -run.alignment
-    end = position + count * run.size
-    if end > len(body):
-        raise _Misfit
-    values.append(_elements(plan, run, order, body[position:end]))
-    return end
-
-
-def _elements(plan: CdrPlan, run: PrimitiveRun, order: int, data: bytes) -> list[Any] | bytes:
-    """Read elements without gaps between them."""
-    if plan.element is not None:
-        return Octets(data) if plan.element.code == "B" else _numbers(plan.element, order, data)
-    return [plan.build(iter(flat)) for flat in run.structs[order].iter_unpack(data)]
+    elements: list[Any] = []
+    values.append(elements)
+    only = plan.steps[0]
+    if plan.single and isinstance(only, Text):
+        return _read_texts(only, order, body, position, count, elements)
+    for _ in range(count):
+        flat: list[Any] = []
+        position = _read(plan, order, body, position, flat)
+        elements.append(plan.build(flat))
+    return position
 
 
 def _numbers(leaf: Leaf, order: int, data: bytes) -> list[Any]:
     if leaf.code == "B":
         return list(data)
     return list(struct.unpack(f"{'<>'[order]}{len(data) // leaf.size}{leaf.code}", data))
-
-
-def _count(order: int, body: bytes, position: int) -> tuple[int, int]:
-    position = (position + 3) & -4
-    return _COUNTS[order].unpack_from(body, position)[0], position + 4
 
 
 def _unterminated(step: Text, data: bytes, end: int, length: int) -> bool:

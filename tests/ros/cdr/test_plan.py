@@ -55,3 +55,24 @@ def test_what_rclpy_writes(text):
     assert found.tolist() == [left] * 40
     short = TYPES.trailing(name, data, offset, np.full(40, len(cdr) - left - 1, np.int32))
     assert short.tolist() == [-1] * 40
+
+
+MANY = {
+    "at the threshold": ("int32 f{}\n", 59, 7),
+    "above it": ("int32 f{}\n", 60, 7),
+    "of two kinds": ("string f{}\n", 61, "x"),
+    "sequences": ("float64[] f{}\n", 61, [0.5]),
+    "fixed arrays": ("int16[2] f{}\n", 61, [1, -1]),
+    "messages of one field": ("std_msgs/Int8 f{}\n", 61, {"data": 3}),
+}
+
+
+@pytest.mark.parametrize(("line", "count", "value"), MANY.values(), ids=MANY)
+def test_a_type_of_many_fields(line, count, value):
+    one = "".join(line.format(index) for index in range(count))
+    inner, outer = "odd_msgs/msg/Inner", "odd_msgs/msg/Outer"
+    types = TypeStore(definitions={inner: f"uint8 first\n{one}", outer: "Inner a\nInner[] b\nInner c\n"})
+    values = {"first": 9} | {f"f{index}": value for index in range(count)}
+    every = {"a": values, "b": [values, values], "c": values | {"first": 8}}
+    for big in (False, True):
+        assert types.decode(outer, types.encode(outer, every, big_endian=big)) == every
