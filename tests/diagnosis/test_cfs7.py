@@ -201,3 +201,26 @@ def test_a_clock_that_is_set_three_times_leaves_the_counters_as_they_are():
         "back by 500.0",
         "ahead by 2.6 s",
     ]
+
+
+def test_two_commands_for_one_robot_are_each_found_again():
+    diagnosis = examined("slow_app")
+    came = [chain(diagnosis, msg_id)["application to robot"]["out"] for msg_id in ("0x1827", "0x1828")]
+    assert came == [57, 15]  # counted at the robot, by the MsgId in its values
+
+
+def test_what_ci_read_before_a_command_that_came_out_does_not_wait_in_its_socket():
+    assert not any(row.waiting for row in examined("chaos").balance if row.msg_id == 0x1806)
+    hops = chain(examined("long_commands"), "0x1829")
+    assert [hop["waiting"] for hop in hops.values()] == [0] * len(hops)
+
+
+def test_a_sender_that_is_named_by_his_processor_too_is_no_other():
+    (verdict,) = found(examined("network_bad"), "unknown_peer")
+    assert (verdict.lost, verdict.reason[:32]) == (1, "1 SBN datagram from 153:3, which")
+
+
+def test_a_topic_whose_commands_end_at_ci_was_not_overwritten():
+    diagnosis = examined("long_commands")
+    assert not found(diagnosis, "telemetry_vanished")
+    assert [item.msg_id for item in found(diagnosis, "topic_silent")] == [0x828]

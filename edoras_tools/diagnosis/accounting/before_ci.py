@@ -137,12 +137,18 @@ class BeforeCi:
         return self._spread(seen, last, since_ns, account.more, evidence)
 
     def _queue(self, account: Ingest, number: int) -> None:
-        """Tell which messages may wait in CI's socket at its last count: the latest of those that may."""
+        """Tell which messages may wait in CI's socket at its last count: the latest of those that may.
+
+        CI reads in order: what was sent before one that came out does not wait.
+        """
         rows = self._known.rows
-        free = np.ones(len(rows), bool)
+        free, read_ns = np.ones(len(rows), bool), -1
         for fate in self._to(account):
             free[fate.stream.rows] = fate.open | fate.waits
-        own = account.rows[(rows.time_ns[account.rows] <= account.last_ns) & free[account.rows]]
+            if fate.arrived.any():
+                read_ns = max(read_ns, int(self._known.captured(fate.stream)[fate.arrived].max()))
+        times = rows.time_ns[account.rows]
+        own = account.rows[(times > read_ns) & (times <= account.last_ns) & free[account.rows]]
         late = own[len(own) - min(number, len(own)) :]
         for fate in self._to(account):
             if not fate.seen:

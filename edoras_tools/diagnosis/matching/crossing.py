@@ -6,7 +6,7 @@ has another MsgId and another encoding, and the same values.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -101,13 +101,41 @@ class Hop:
 
 
 def find_hops(streams: Sequence[Stream], rows: Rows, follows: Callable[[Stream, Stream], bool]) -> list[Hop]:
-    """Find every pair of streams of which one is the other, further on; each way out has one way in.
+    """Find every pair of streams of which one is the other, further on.
+
+    Each way out has one way in, but for a robot's: several MsgIds may command it.
 
     Args:
         follows: tells whether one stream's receiver is the sender of another.
     """
     ways_in = [item for item in streams if item.link.to_cfs and item.link.packets]
     ways_out = [item for item in streams if item.link.from_cfs]
+    known = _Prints(rows)
+    hops: list[Hop] = []
+    every = list(ways_out)  # each is looked up by its id
+    while ways_out:
+        best = _ways_in(ways_in, ways_out, rows, known, follows)
+        rests = []
+        for out in ways_out:
+            if id(out) in best:
+                _, _, into, came, went = best[id(out)]
+                hops.append(_match(into, out, rows, came, went))
+                other = ~np.isin(went, came)
+                if out.link.last_hop and other.any():
+                    rests.append(replace(out, rows=out.rows[other]))
+        ways_out = rests
+        every += rests
+    return [hop for hop in hops if hop.matched]
+
+
+def _ways_in(
+    ways_in: Sequence[Stream],
+    ways_out: Sequence[Stream],
+    rows: Rows,
+    known: _Prints,
+    follows: Callable[[Stream, Stream], bool],
+) -> dict[int, tuple[float, int, Stream, NDArray[np.uint64], NDArray[np.uint64]]]:
+    """Return the likeliest way in of each way out, by its id: likeness, nearness, stream, fingerprints."""
     best: dict[int, tuple[float, int, Stream, NDArray[np.uint64], NDArray[np.uint64]]] = {}
     begin_ns, end_ns = (
         np.array([rows.time_ns[item.rows[place]] for item in ways_out], np.int64) for place in (0, -1)
@@ -119,7 +147,6 @@ def find_hops(streams: Sequence[Stream], rows: Rows, follows: Callable[[Stream, 
             (end_ns >= rows.time_ns[into.rows[0]]) & (begin_ns <= rows.time_ns[into.rows[-1]] + _LONGEST_NS)
         ).tolist()
     )
-    known = _Prints(rows)
     for into, out in pairs:
         if not _may_follow(into, out) or not follows(into, out):
             continue
@@ -130,12 +157,7 @@ def find_hops(streams: Sequence[Stream], rows: Rows, follows: Callable[[Stream, 
             near = -abs((into.msg_id & 0xF) - (out.msg_id & 0xF))
             if score >= _ALIKE and (score, near) > best.get(id(out), (0.0, 0))[:2]:
                 best[id(out)] = (score, near, into, *prints)
-    hops = []
-    for out in ways_out:
-        if id(out) in best:
-            _, _, into, came, went = best[id(out)]
-            hops.append(_match(into, out, rows, came, went))
-    return [hop for hop in hops if hop.matched]
+    return best
 
 
 def _may_follow(into: Stream, out: Stream) -> bool:

@@ -252,7 +252,9 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             same = (rows.processor_id[near] == processor) & np.isin(
                 rows.spacecraft_id[near], craft or rows.spacecraft_id[near]
             )
-            foreign[near[same]] = True
+            # Who is named by his processor alone may be one that was named in full just before.
+            if craft or not foreign[near[same]].any():
+                foreign[near[same]] = True
     identity = rows.spacecraft_id.astype(np.uint64) << 32 | rows.processor_id
     for who in np.unique(identity[foreign]).tolist():
         members = np.flatnonzero(foreign & (identity == who))

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.streams import Stream
 
 _FIRST: Final = itemgetter(0)
+_FEW: Final = 2
+_ABOUT: Final = 0.25
 _LEAST: Final = 5
 _WAIT_NS: Final = 5 * SECOND
 _WAIT_PERIODS: Final = 6
@@ -169,11 +171,13 @@ def _signs(
         )
         if errors > losses:
             yield f"0x803: {errors - losses} sends failed just after, and no pipe was to blame"
-        unheard = track.growth("no_subscribers", last_ns, alive_ns)
-        before = track.growth("no_subscribers", last_ns - (alive_ns - last_ns), last_ns)
-        usual = float(np.median(np.diff(case.rows.time_ns[stream.rows])))
-        if unheard > before + 2 and usual > 0 and unheard >= 0.5 * (alive_ns - last_ns) / usual:
-            yield f"0x803: from then on {unheard} messages have no subscriber, as many as are missing here"
+        before_ns = last_ns - max(track.times[0], 2 * last_ns - alive_ns)
+        before = track.growth("no_subscribers", last_ns - before_ns, last_ns)
+        more = track.growth("no_subscribers", last_ns, alive_ns)
+        more -= round(before * (alive_ns - last_ns) / before_ns) if before_ns > 0 else 0
+        missed = (alive_ns - last_ns) / float(np.median(np.diff(case.rows.time_ns[stream.rows])))
+        if more > _FEW and abs(more - missed) < _ABOUT * missed:
+            yield f"0x803: from then on {more} more have no subscriber, about as many as are missing here"
 
 
 def _longer(case: Case, last_ns: int) -> Iterator[str]:
