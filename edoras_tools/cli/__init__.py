@@ -2,7 +2,7 @@
 
 There is no logic here.
 
-Options that go together are a ``NamedTuple``, and a command takes it as one value: ``options.grouped`` makes
+Options that go together are a ``NamedTuple``, and a command takes it as one value: ``declare.grouped`` makes
 an option from each field. A group has a method that returns what pipelines take: ``decoding.settings()``. It
 is not a dataclass because creating a dataclass takes three times as long, at every start.
 

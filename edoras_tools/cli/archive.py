@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import INTERRUPTED, LOST, tell
 from edoras_tools.cli.main import Command, Group
 from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
@@ -40,61 +41,34 @@ archive = typer.Typer(
 )
 
 Index = Annotated[
-    Path,
-    typer.Option(
-        "--index",
-        metavar="FILE",
-        envvar="EDORAS_ARCHIVE",
-        help="The index, a DuckDB file; default archive.duckdb.",
-    ),
+    Path, typer.Option(envvar="EDORAS_ARCHIVE"), "FILE", "The index, a DuckDB file; default archive.duckdb."
 ]
 _INDEX = Path("archive.duckdb")
 _MOST_TOLD = 50
 """Captures that are not whole, of which an update tells; the index has all."""
-Csv = Annotated[bool, typer.Option("--csv", help="Print CSV.")]
+Csv = Annotated[bool, "Print CSV."]
 
 
 class WorkerOptions(NamedTuple):
     """Who reads the captures."""
 
     jobs: Annotated[
-        int | None,
-        typer.Option(
-            "--jobs",
-            metavar="N",
-            parser=options.counted,
-            help="Worker processes on this machine; default: one for each processor core.",
-        ),
+        options.Count, "Worker processes on this machine; default: one for each processor core."
     ] = None
     scheduler: Annotated[
         str | None,
-        typer.Option(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="Use the workers of a dask scheduler, e.g. tcp://10.0.0.5:8786, that see the same files.",
-        ),
+        "ADDRESS",
+        "Use the workers of a dask scheduler, e.g. tcp://10.0.0.5:8786, that see the same files.",
     ] = None
 
 
-@options.headed("Selection")
+@headed("Selection")
 class SpanOptions(NamedTuple):
     """Which captures, by their time."""
 
-    since: Annotated[
-        Any,
-        typer.Option(
-            metavar="DATE", parser=options.moment, help="Only captures that end at this time or later."
-        ),
-    ] = None
-    until: Annotated[
-        Any, typer.Option(metavar="DATE", parser=options.moment, help="Only captures that begin before.")
-    ] = None
-    tz: Annotated[
-        Any,
-        typer.Option(
-            metavar="ZONE", parser=options.zone, help="Zone of these times: UTC (default), local, or a name."
-        ),
-    ] = None
+    since: Annotated[options.Moment, "DATE", "Only captures that end at this time or later."] = None
+    until: Annotated[options.Moment, "DATE", "Only captures that begin before."] = None
+    tz: Annotated[options.Zone, "Zone of these times: UTC (default), local, or a name."] = None
 
     def span(self) -> ArchiveSpan:
         """Return these options in the form that pipelines take.
@@ -118,22 +92,18 @@ class SpanOptions(NamedTuple):
 
 
 @archive.command("index", cls=Command)
-@options.grouped
+@grouped
 def index_captures(
     *,
     places: Annotated[
         list[str],
-        typer.Argument(
-            metavar="DIR|URL...", help="Folders, with all below them, and files; also s3: and http:."
-        ),
+        typer.Argument(),
+        "DIR|URL...",
+        "Folders, with all below them, and files; also s3: and http:.",
     ],
     index: Index = _INDEX,
-    again: Annotated[
-        bool, typer.Option("--again", help="Read every capture, not only new and changed ones.")
-    ] = False,
-    forget: Annotated[
-        bool, typer.Option("--forget", help="Delete what the index has of captures that are no longer there.")
-    ] = False,
+    again: Annotated[bool, "Read every capture, not only new and changed ones."] = False,
+    forget: Annotated[bool, "Delete what the index has of captures that are no longer there."] = False,
     work: WorkerOptions,
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
@@ -181,7 +151,7 @@ def index_captures(
 
 
 @archive.command("list", cls=Command)
-@options.grouped
+@grouped
 def list_(
     *, index: Index = _INDEX, csv: Csv = False, json: options.Json = False, chosen: SpanOptions
 ) -> None:
@@ -195,22 +165,14 @@ def list_(
 
 
 @archive.command(cls=Command)
-@options.grouped
+@grouped
 def losses(
     *,
     index: Index = _INDEX,
     topic: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATTERN", help="Only topics, names or MsgIds that match, e.g. '/robot_*'; repeatable."
-        ),
+        list[str] | None, "PATTERN", "Only topics, names or MsgIds that match, e.g. '/robot_*'; repeatable."
     ] = None,
-    over: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SHARE", parser=options.share, help="Only where more than this share is missing, e.g. 1%."
-        ),
-    ] = None,
+    over: Annotated[options.Share, "Only where more than this share is missing, e.g. 1%."] = None,
     csv: Csv = False,
     json: options.Json = False,
     chosen: SpanOptions,
@@ -242,10 +204,10 @@ def _print_rows(what: str, rows: list[dict[str, Any]], *, csv: bool, json: bool)
 
 
 @archive.command(cls=Command)
-@options.grouped
+@grouped
 def query(
     *,
-    sql: Annotated[str, typer.Argument(metavar="SQL", help="A query; - reads it from standard input.")],
+    sql: Annotated[str, typer.Argument(), "SQL", "A query; - reads it from standard input."],
     index: Index = _INDEX,
     csv: Csv = False,
     json: options.Json = False,
@@ -270,11 +232,11 @@ def query(
 
 
 @archive.command(cls=Command)
-@options.grouped
+@grouped
 def report(
     *,
     index: Index = _INDEX,
-    output: Annotated[Path, options.output(help="Output file.")] = Path("archive.html"),
+    output: Annotated[Path, "--output -o FILE", "Output file."] = Path("archive.html"),
     force: recordings.Force = False,
     quiet: options.Quiet = False,
     chosen: SpanOptions,
@@ -296,12 +258,12 @@ def report(
 
 
 @archive.command(cls=Command)
-@options.grouped
+@grouped
 def export(
     *,
-    output: Annotated[Path, options.output(metavar="DIR", help="A new or empty folder.")],
+    output: Annotated[Path, "--output -o DIR", "A new or empty folder."],
     index: Index = _INDEX,
-    force: Annotated[bool, typer.Option("--force", help="Replace an earlier export.")] = False,
+    force: Annotated[bool, "Replace an earlier export."] = False,
     printing: options.PrintOptions,
 ) -> None:
     """Write the index as Parquet: a folder for each table, partitioned by date, link and topic."""

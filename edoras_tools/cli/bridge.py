@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import say, tell, tell_reach
 from edoras_tools.cli.live import RelayOutputOptions
 from edoras_tools.cli.output import print_json, print_view
@@ -39,19 +40,17 @@ class Ros(StrEnum):
     LOCAL = "local"
 
 
-@options.headed("Packets to cFS")
+@headed("Packets to cFS")
 class RosOptions(NamedTuple):
     """How to connect to the ROS 2 graph."""
 
     ros: Annotated[
         Ros | None,
-        typer.Option(
-            help="How to connect to ROS 2; default: dds, or zenoh if RMW_IMPLEMENTATION says so.",
-            show_default=False,
-        ),
+        typer.Option(show_default=False),
+        "How to connect to ROS 2; default: dds, or zenoh if RMW_IMPLEMENTATION says so.",
     ] = None
-    domain: Annotated[int | None, options.ros_domain()] = None
-    ros_options: Annotated[list[Any] | None, options.ros_option()] = None
+    domain: options.RosDomain = None
+    ros_options: options.RosOption = None
 
 
 class PacketOptions(NamedTuple):
@@ -59,17 +58,14 @@ class PacketOptions(NamedTuple):
 
     max_rate: Annotated[
         list[str] | None,
-        typer.Option(
-            "--max-rate",
-            metavar="[TOPIC=]HZ[,KEEP]",
-            help="Messages per second to cFS for each topic, one topic, or all=HZ; KEEP: latest, first.",
-        ),
+        "[TOPIC=]HZ[,KEEP]",
+        "Messages per second to cFS for each topic, one topic, or all=HZ; KEEP: latest, first.",
     ] = None
-    checksum: Annotated[bool, typer.Option("--checksum", help="Send real checksums in commands, not 0.")] = (
-        False
+    checksum: Annotated[bool, "Send real checksums in commands, not 0."] = False
+    sequence: Annotated[bool, "Send real sequence counts, not 0."] = False
+    enable: Annotated[bool, "--enable/--no-enable", "Command Telemetry Output to send to this machine."] = (
+        True
     )
-    sequence: Annotated[bool, typer.Option("--sequence", help="Send real sequence counts, not 0.")] = False
-    enable: Annotated[bool, typer.Option(help="Command Telemetry Output to send to this machine.")] = True
 
 
 class RunOptions(NamedTuple):
@@ -77,17 +73,16 @@ class RunOptions(NamedTuple):
 
     duration: options.Duration = None
     yes: Yes = False
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what would be bridged; open nothing.")] = (
-        False
-    )
+    dry_run: Annotated[bool, "Print what would be bridged; open nothing."] = False
 
 
-@options.grouped
+@grouped
 def bridge(
     *,
     kind: Annotated[
         BridgeKind | None,
-        typer.Argument(help="Only the ground or only the flight bridges of the files; default: all."),
+        typer.Argument(),
+        "Only the ground or only the flight bridges of the files; default: all.",
     ] = None,
     graph: RosOptions,
     packets: PacketOptions,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json, print_view
@@ -23,18 +24,14 @@ if TYPE_CHECKING:
 class CheckOptions(NamedTuple):
     """What is done with the expectations."""
 
-    init: Annotated[
-        bool, typer.Option("--init", help="Draft expectations from a good recording; EXPECT is not given.")
-    ] = False
-    output: Annotated[Path | None, options.output(help="With --init: write the draft here.")] = None
+    init: Annotated[bool, "Draft expectations from a good recording; EXPECT is not given."] = False
+    output: Annotated[Path | None, "--output -o FILE", "With --init: write the draft here."] = None
     force: recordings.Force = False
-    junit: Annotated[
-        Path | None, typer.Option("--junit", metavar="FILE", help="Also write the results as JUnit XML.")
-    ] = None
+    junit: Annotated[Path | None, "FILE", "Also write the results as JUnit XML."] = None
     constant: options.Constants = None
 
 
-@options.grouped
+@grouped
 def check(
     *,
     given: InputOptions,

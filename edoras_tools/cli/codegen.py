@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped
 
 
 class FolderOptions(NamedTuple):
     """Where the files go."""
 
     output: Annotated[
-        Path | None,
-        options.output(metavar="DIR", help="Folder for the files; default: edoras_msgs, or edoras_gen."),
+        Path | None, "--output -o DIR", "Folder for the files; default: edoras_msgs, or edoras_gen."
     ] = None
-    force: Annotated[
-        bool,
-        typer.Option("--force", help="Overwrite what an earlier run generated, and remove the rest of it."),
-    ] = False
+    force: Annotated[bool, "Overwrite what an earlier run generated, and remove the rest of it."] = False
 
 
 class BoundOptions(NamedTuple):
@@ -29,62 +26,42 @@ class BoundOptions(NamedTuple):
 
     bound: Annotated[
         list[str] | None,
-        typer.Option(
-            "--bound",
-            metavar="TYPE.FIELD=N",
-            help="Maximum elements of a sequence, or characters of a string; TYPE.FIELD[]=N for each "
-            "string in a sequence; repeatable.",
-        ),
+        "TYPE.FIELD=N",
+        "Maximum elements of a sequence, or characters of a string; TYPE.FIELD[]=N for each "
+        "string in a sequence; repeatable.",
     ] = None
-    strings: Annotated[int, typer.Option(metavar="N", min=1, help="Maximum characters of other strings.")] = (
-        64
-    )
-    sequences: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Maximum elements of other sequences.")
-    ] = 32
+    strings: Annotated[int, typer.Option(min=1), "N", "Maximum characters of other strings."] = 64
+    sequences: Annotated[int, typer.Option(min=1), "N", "Maximum elements of other sequences."] = 32
 
 
 class CoreOptions(NamedTuple):
     """How the functions of edoras_core behave."""
 
     pool: Annotated[
-        int,
-        typer.Option(metavar="N", min=1, help="Messages of one type that can be in use at the same time."),
+        int, typer.Option(min=1), "N", "Messages of one type that can be in use at the same time."
     ] = 4
-    envelope: Annotated[
-        str, typer.Option(metavar="FORMAT", help="EDORAS envelope: 8/8, 4/4 or 1/1, with le or be.")
-    ] = "8/8 le"
+    envelope: Annotated[str, "FORMAT", "EDORAS envelope: 8/8, 4/4 or 1/1, with le or be."] = "8/8 le"
     keep_values: Annotated[
-        bool,
-        typer.Option(
-            "--keep-values",
-            help="A get_ function that fails leaves the app's variable as it was; by default it writes 0.",
-        ),
+        bool, "A get_ function that fails leaves the app's variable as it was; by default it writes 0."
     ] = False
 
 
-@options.grouped
+@grouped
 def codegen(
     *,
     types: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[TYPE]...",
-            help="Message types, e.g. geometry_msgs/msg/Twist; a package name stands for all its types. "
-            "Or generator: a cFS app that publishes on command, for edoras sweep.",
-        ),
+        typer.Argument(),
+        "[TYPE]...",
+        "Message types, e.g. geometry_msgs/msg/Twist; a package name stands for all its types. "
+        "Or generator: a cFS app that publishes on command, for edoras sweep.",
     ] = None,
     folder: FolderOptions,
     config: options.Config = None,
     bounds: BoundOptions,
     core: CoreOptions,
     definitions: options.TypeOptions,
-    command_mid: Annotated[
-        Any,
-        typer.Option(
-            metavar="ID", parser=options.msg_id, help="generator: MsgId of its command; default 0x18F0."
-        ),
-    ] = None,
+    command_mid: Annotated[options.MsgId, "generator: MsgId of its command; default 0x18F0."] = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Write messages in C for flight software: no ROS, no heap.

@@ -8,20 +8,18 @@ from typing import Annotated
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, tell
 from edoras_tools.cli.output import file_progress, print_json, print_view
 
 
-@options.grouped
+@grouped
 def compare(
     *,
-    good: Annotated[Path, typer.Argument(metavar="GOOD", help="A good run.")],
-    bad: Annotated[Path, typer.Argument(metavar="BAD", help="The run to compare with it.")],
+    good: Annotated[Path, typer.Argument(), "GOOD", "A good run."],
+    bad: Annotated[Path, typer.Argument(), "BAD", "The run to compare with it."],
     tolerance: Annotated[
-        float,
-        typer.Option(
-            "--tolerance", metavar="PERCENT", min=0, help="Differences of rates and latencies to accept."
-        ),
+        float, typer.Option(min=0), "PERCENT", "Differences of rates and latencies to accept."
     ] = 10,
     json: options.Json = False,
     quiet: options.Quiet = False,

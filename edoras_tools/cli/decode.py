@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import print_json
@@ -16,29 +17,18 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import READ_PACKED
 
 
-@options.grouped
+@grouped
 def decode(
     *,
     arguments: Annotated[
         list[str],
-        typer.Argument(
-            metavar="FILE... N",
-            help=f"{READ_PACKED}; - is stdin; several are merged. N is the packet's number in sniff, from 1.",
-        ),
+        typer.Argument(),
+        "FILE... N",
+        f"{READ_PACKED}; - is stdin; several are merged. N is the packet's number in sniff, from 1.",
     ],
-    read: Annotated[
-        list[Path] | None,
-        typer.Option("--read", "-r", metavar="FILE", help="Same as FILE without -r; repeatable."),
-    ] = None,
-    layer: Annotated[
-        str,
-        typer.Option(
-            "--layer", "-l", metavar="NAME", help="Highlight a layer, or LAYER.FIELD, in the bytes."
-        ),
-    ] = "",
-    frame: Annotated[
-        bool, typer.Option("--frame", help="Dump the whole frame, not only the UDP payload.")
-    ] = False,
+    read: Annotated[list[Path] | None, "--read -r FILE", "Same as FILE without -r; repeatable."] = None,
+    layer: Annotated[str, "--layer -l NAME", "Highlight a layer, or LAYER.FIELD, in the bytes."] = "",
+    frame: Annotated[bool, "Dump the whole frame, not only the UDP payload."] = False,
     json: options.Json = False,
     decoding: options.DecodingOptions,
 ) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import LOST, say, tell
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.cli.relays import run_relay
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 _TOUR_S: Final = 6.0
 _DEMO_S: Final = 20.0
 _PANEL: Final = "The paper's demos"
-_demos = partial(typer.Option, rich_help_panel=_PANEL)
 
 
 class Ros(StrEnum):
@@ -38,60 +38,40 @@ class Ros(StrEnum):
     RCLPY = "rclpy"
 
 
+@headed(_PANEL)
 class DemoOptions(NamedTuple):
     """Options of the demos of the paper; the tour does not have them."""
 
-    ros: Annotated[
-        Ros, _demos(help="Middleware of the robots and the ground station; local: inside this process.")
-    ] = Ros.LOCAL
+    ros: Annotated[Ros, "Middleware of the robots and the ground station; local: inside this process."] = (
+        Ros.LOCAL
+    )
     rate: Annotated[
-        float,
-        _demos("--rate", metavar="HZ", min=0, max=1000, help="Commands per second for each robot; 0: none."),
+        float, typer.Option(min=0, max=1000), "HZ", "Commands per second for each robot; 0: none."
     ] = 10.0
     state_rate: Annotated[
         float | None,
-        _demos(
-            "--state-rate",
-            metavar="HZ",
-            min=0,
-            max=2000,
-            help="States per second that each of two robots publishes; default: 250, like Gazebo.",
-            show_default=False,
-        ),
+        typer.Option(min=0, max=2000, show_default=False),
+        "HZ",
+        "States per second that each of two robots publishes; default: 250, like Gazebo.",
     ] = None
     max_rate: Annotated[
-        float,
-        _demos(
-            "--max-rate",
-            metavar="HZ",
-            min=0,
-            help="States per second that the flight bridge forwards; 0: all.",
-        ),
+        float, typer.Option(min=0), "HZ", "States per second that the flight bridge forwards; 0: all."
     ] = 30.0
-    live: Annotated[bool, _demos("--live", help="Show it in Foxglove, and drive the robots from there.")] = (
-        False
-    )
+    live: Annotated[bool, "Show it in Foxglove, and drive the robots from there."] = False
     ws_port: Annotated[
         int | None,
-        _demos(
-            "--ws-port",
-            metavar="PORT",
-            min=0,
-            max=65535,
-            help="Port for Foxglove; default: 8765, or a free port if that is in use.",
-            show_default=False,
-        ),
+        typer.Option(min=0, max=65535, show_default=False),
+        "PORT",
+        "Port for Foxglove; default: 8765, or a free port if that is in use.",
     ] = None
     distro: Annotated[
         str,
-        _demos(
-            metavar="NAME",
-            envvar="ROS_DISTRO",
-            help="ROS 2 distribution; Zenoh connects only nodes of the same one.",
-        ),
+        typer.Option(envvar="ROS_DISTRO"),
+        "NAME",
+        "ROS 2 distribution; Zenoh connects only nodes of the same one.",
     ] = options.DISTRO
-    domain: Annotated[int | None, options.ros_domain(rich_help_panel=_PANEL)] = None
-    ros_options: Annotated[list[Any] | None, options.ros_option(rich_help_panel=_PANEL)] = None
+    domain: options.RosDomain = None
+    ros_options: options.RosOption = None
 
     def plan(self, scenario: ScenarioName, output: Path, *, replace: bool) -> DemoPlan:
         """Return these options in the form that pipelines take."""
@@ -113,29 +93,23 @@ class DemoOptions(NamedTuple):
         )
 
 
-@options.grouped
+@grouped
 def demo(
     *,
     scenario: Annotated[
-        Scenario | None, typer.Argument(help="A demo of the EDORAS paper; default: the tour.")
+        Scenario | None, typer.Argument(), "A demo of the EDORAS paper; default: the tour."
     ] = None,
     output: Annotated[
         Path | None,
-        options.output(
-            metavar="PATH",
-            parser=recordings.recording_path,
-            help="The recording; for the tour, the folder for its files.",
-        ),
+        typer.Option(parser=recordings.recording_path),
+        "--output -o PATH",
+        "The recording; for the tour, the folder for its files.",
     ] = None,
     force: recordings.Force = False,
     duration: Annotated[
-        int | None,
-        typer.Option(
-            *("--duration", "--seconds"),
-            metavar="TIME",
-            parser=options.duration,
-            help="How long it runs, e.g. 30 or 10m; default: 6 s for the tour, 20 s for a demo.",
-        ),
+        options.Time,
+        "--duration --seconds",
+        "How long it runs, e.g. 30 or 10m; default: 6 s for the tour, 20 s for a demo.",
     ] = None,
     demos: DemoOptions,
     printing: options.PrintOptions,

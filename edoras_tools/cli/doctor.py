@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
@@ -38,46 +39,27 @@ class TaskOptions(NamedTuple):
     """What to do; the default is a diagnosis."""
 
     against: Annotated[
-        Path | None,
-        typer.Option(
-            "--against",
-            metavar="FILE",
-            help="Only report how this second capture of the same traffic differs.",
-        ),
+        Path | None, "FILE", "Only report how this second capture of the same traffic differs."
     ] = None
     bag: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--bag",
-            metavar="FILE",
-            help="Only report how a rosbag2 folder or MCAP of the ROS side differs from the capture, or from "
-            "the first of several bags; repeatable.",
-        ),
+        "FILE",
+        "Only report how a rosbag2 folder or MCAP of the ROS side differs from the capture, or from "
+        "the first of several bags; repeatable.",
     ] = None
-    predict: Annotated[
-        bool, typer.Option("--predict", help="Only report how much each route of the mission can carry.")
-    ] = False
+    predict: Annotated[bool, "Only report how much each route of the mission can carry."] = False
     constant: options.Constants = None
     max_loss: Annotated[
-        float | None,
-        typer.Option(
-            "--max-loss",
-            metavar="SHARE",
-            parser=options.share,
-            help="Exit code 0 if no more than this is lost or unaccounted for of any route, e.g. 1%.",
-        ),
+        options.Share, "Exit code 0 if no more than this is lost or unaccounted for of any route, e.g. 1%."
     ] = None
     list_lost: Annotated[
         Listing | None,
-        typer.Option(
-            "--list-lost",
-            metavar="FORMAT",
-            help="Only list the messages that were lost, with time and values; table, csv or json.",
-        ),
+        "FORMAT",
+        "Only list the messages that were lost, with time and values; table, csv or json.",
     ] = None
 
 
-@options.grouped
+@grouped
 def doctor(
     *,
     given: InputOptions,

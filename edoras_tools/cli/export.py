@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import topics_read
 from edoras_tools.cli.inputs import FileOptions
 from edoras_tools.cli.output import file_progress, print_json
@@ -35,42 +36,24 @@ class TableOptions(NamedTuple):
     """The content and form of the tables."""
 
     fields: Annotated[
-        str | None,
-        typer.Option(
-            metavar="A,B,C", help="Only these fields, e.g. 'linear.*,angular.z'; time is always included."
-        ),
+        str | None, "A,B,C", "Only these fields, e.g. 'linear.*,angular.z'; time is always included."
     ] = None
-    explode: Annotated[
-        bool,
-        typer.Option(
-            "--explode", help="A row for each element of a list, a column for each of a fixed array."
-        ),
-    ] = False
+    explode: Annotated[bool, "A row for each element of a list, a column for each of a fixed array."] = False
     time: Annotated[
-        TimeForm,
-        typer.Option(
-            metavar="FORM",
-            help="Times as utc timestamps, ns since 1970, or seconds since the input's start.",
-        ),
+        TimeForm, "FORM", "Times as utc timestamps, ns since 1970, or seconds since the input's start."
     ] = TimeForm.UTC
     layout: Annotated[
-        str | None,
-        typer.Option(
-            "--format", metavar="FORMAT", parser=table_format, help=f"Files of a folder: {_FORMATS}."
-        ),
+        str | None, typer.Option(parser=table_format), "--format FORMAT", f"Files of a folder: {_FORMATS}."
     ] = None
     force: recordings.Force = False
 
 
-@options.grouped
+@grouped
 def export(
     *,
     inputs: FileOptions,
     output: Annotated[
-        str,
-        options.output(
-            metavar="FILE|DIR/", help=f"A file for one topic ({TABLES_WRITTEN}), a folder, or - for stdout."
-        ),
+        str, "--output -o FILE|DIR/", f"A file for one topic ({TABLES_WRITTEN}), a folder, or - for stdout."
     ],
     table: TableOptions,
     jobs: options.Jobs = None,

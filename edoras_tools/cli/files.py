@@ -9,17 +9,18 @@ from typing import Annotated
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, lost, no_datagrams
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json
 
 
-@options.grouped
+@grouped
 def files(
     *,
     inputs: FileOptions,
     output: Annotated[
-        Path | None, options.output(metavar="DIR", help="Write the files to DIR, a new or empty folder.")
+        Path | None, "--output -o DIR", "Write the files to DIR, a new or empty folder."
     ] = None,
     printing: options.PrintOptions,
     part: options.PartOptions,

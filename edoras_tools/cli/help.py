@@ -13,6 +13,7 @@ import typer
 
 from edoras_tools import __version__
 from edoras_tools.cli import recordings
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.usage import command_help, first_line, sections
 from edoras_tools.errors import ConfigError
 from edoras_tools.words import did_you_mean
@@ -94,19 +95,15 @@ def _named_commands(ctx: typer.Context, incomplete: str) -> list[str]:
     return [name for name, item in known.items() if name.startswith(incomplete) and not item.hidden]
 
 
+@grouped
 def help_(
     names: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[COMMAND]...",
-            help="A command, e.g. sniff, or wireshark run; all: what each command does.",
-            autocompletion=_named_commands,
-        ),
+        typer.Argument(autocompletion=_named_commands),
+        "[COMMAND]...",
+        "A command, e.g. sniff, or wireshark run; all: what each command does.",
     ] = None,
-    man: Annotated[
-        Path | None,
-        typer.Option("--man", metavar="DIR", help="Write all manual pages to a folder, e.g. man1."),
-    ] = None,
+    man: Annotated[Path | None, "DIR", "Write all manual pages to a folder, e.g. man1."] = None,
     force: recordings.Force = False,
 ) -> None:
     """Explain all options of a command, or write manual pages."""

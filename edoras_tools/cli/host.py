@@ -9,11 +9,12 @@ from dataclasses import asdict
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST
 from edoras_tools.cli.output import print_json
 
 
-@options.grouped
+@grouped
 def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> None:
     """Show what this machine's kernel dropped, and what to change.
 

@@ -10,19 +10,18 @@ from typing import Annotated
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, finish
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.errors import ConfigError
 
 
-@options.grouped
+@grouped
 def info(
     *,
     files: FileOptions,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="Only check every checksum of the recordings.")
-    ] = False,
+    verify: Annotated[bool, "Only check every checksum of the recordings."] = False,
     jobs: options.Jobs = None,
     printing: options.PrintOptions,
     part: options.PartOptions,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, sending
+from edoras_tools.cli.declare import grouped
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -25,60 +26,34 @@ def hexadecimal(text: str) -> bytes:
 class MessageOptions(NamedTuple):
     """What is sent."""
 
-    what: Annotated[
-        str, typer.Argument(metavar="[WHAT]", help="A topic, or a command: to-enable, to-add, noop ...")
-    ] = ""
+    what: Annotated[str, typer.Argument(), "[WHAT]", "A topic, or a command: to-enable, to-add, noop ..."] = (
+        ""
+    )
     values: Annotated[
-        str,
-        typer.Argument(metavar="[MESSAGE]", help="Its fields as YAML or JSON, or @FILE; or the argument."),
+        str, typer.Argument(), "[MESSAGE]", "Its fields as YAML or JSON, or @FILE; or the argument."
     ] = ""
-    to: Annotated[
-        str,
-        typer.Option("--to", metavar="TO", help="Send to ci, sbn or ground; default: the link of its route."),
-    ] = ""
+    to: Annotated[str, "TO", "Send to ci, sbn or ground; default: the link of its route."] = ""
     command: Annotated[
-        tuple[str, str] | None,
-        typer.Option(
-            "--command", metavar="MSGID CODE", help="Send a command packet with this MsgId and code."
-        ),
+        tuple[str, str] | None, "MSGID CODE", "Send a command packet with this MsgId and code."
     ] = None
     payload: Annotated[
-        Any,
-        typer.Option(
-            "--hex", metavar="BYTES", parser=hexadecimal, help="Bytes that follow the header of --command."
-        ),
+        Any, typer.Option(parser=hexadecimal), "--hex BYTES", "Bytes that follow the header of --command."
     ] = None
     code: Annotated[
-        int | None,
-        typer.Option(
-            "--code", metavar="N", parser=options.number, help="Function code of a message; default 1."
-        ),
+        int | None, typer.Option(parser=options.number), "N", "Function code of a message; default 1."
     ] = None
-    rate: Annotated[
-        float | None,
-        typer.Option("--hz", metavar="HZ", parser=sending.positive, help="Messages per second; default 1."),
-    ] = None
+    rate: Annotated[sending.Positive, "--hz HZ", "Messages per second; default 1."] = None
     times: Annotated[
-        int | None,
-        typer.Option(
-            "--count",
-            "-n",
-            metavar="N",
-            parser=options.counted,
-            help="How often to send it; default: once, or without end with --hz.",
-        ),
+        options.Count, "--count -n", "How often to send it; default: once, or without end with --hz."
     ] = None
     arbitrary: Annotated[
-        bool,
-        typer.Option(
-            "--every-field-random", help="Random values in all fields, new ones for each message; see --seed."
-        ),
+        bool, "--every-field-random", "Random values in all fields, new ones for each message; see --seed."
     ] = False
     limit: Annotated[
         int | None,
-        typer.Option(
-            metavar="N", min=1, max=255, help="to-add: messages of its MsgId that may wait; default 4."
-        ),
+        typer.Option(min=1, max=255),
+        "N",
+        "to-add: messages of its MsgId that may wait; default 4.",
     ] = None
 
     def injection(self, seed: int) -> Injection:
@@ -110,7 +85,7 @@ class MessageOptions(NamedTuple):
         )
 
 
-@options.grouped
+@grouped
 def inject(
     message: MessageOptions,
     ending: sending.EndingOptions,

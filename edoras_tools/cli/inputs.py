@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from edoras_tools.cli import options
+from edoras_tools.cli.declare import headed
 from edoras_tools.cli.endings import tell
 from edoras_tools.errors import ConfigError, EdorasError, NoDatagramsError
 from edoras_tools.io.formats.table import READ_PACKED
@@ -22,46 +22,27 @@ if TYPE_CHECKING:
     from edoras_tools.render.terminal.run import Progress
 
 
-@options.headed("Live traffic")
+@headed("Live traffic")
 class LiveOptions(NamedTuple):
     """Live traffic: packets on an interface, or datagrams sent to a port."""
 
-    interface: Annotated[
-        str | None, typer.Option("--interface", "-i", metavar="IFACE", help="Capture live from an interface.")
-    ] = None
+    interface: Annotated[str | None, "--interface -i IFACE", "Capture live from an interface."] = None
     listen: Annotated[
         list[str] | None,
-        typer.Option(
-            "--listen",
-            metavar="[HOST:]PORT",
-            help="Receive on a UDP port; loopback only unless HOST is given; needs no privilege; repeatable.",
-        ),
+        "[HOST:]PORT",
+        "Receive on a UDP port; loopback only unless HOST is given; needs no privilege; repeatable.",
     ] = None
-    wait_interface: Annotated[
-        bool,
-        typer.Option("--wait-interface", help="Wait for an interface that does not exist yet, or is down."),
-    ] = False
-    user: Annotated[
-        str | None,
-        typer.Option(
-            "--user",
-            metavar="NAME",
-            help="Run as this user once the capture is open.",
-        ),
-    ] = None
+    wait_interface: Annotated[bool, "Wait for an interface that does not exist yet, or is down."] = False
+    user: Annotated[str | None, "NAME", "Run as this user once the capture is open."] = None
 
 
 class FileOptions(NamedTuple):
     """Files to read, with or without ``-r``; several are merged in time order."""
 
     files: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="[FILE]...", help=f"{READ_PACKED}; - is stdin; several are merged."),
+        list[Path] | None, typer.Argument(), "[FILE]...", f"{READ_PACKED}; - is stdin; several are merged."
     ] = None
-    read: Annotated[
-        list[Path] | None,
-        typer.Option("--read", "-r", metavar="FILE", help="Same as FILE without -r; repeatable."),
-    ] = None
+    read: Annotated[list[Path] | None, "--read -r FILE", "Same as FILE without -r; repeatable."] = None
 
     @property
     def paths(self) -> list[Path]:

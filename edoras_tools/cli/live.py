@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings, sending
+from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import finish, say, tell, tell_reach
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json
@@ -41,8 +42,6 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Settings, Workbench
 
 _SHORTEST_TOKEN = 8
-_publishing = partial(typer.Option, rich_help_panel="Publishing")
-_playback = partial(typer.Option, rich_help_panel="Playback")
 
 
 def place(text: str) -> Endpoint:
@@ -52,11 +51,8 @@ def place(text: str) -> Endpoint:
 
 Origins = Annotated[
     list[str] | None,
-    typer.Option(
-        "--allow-origin",
-        metavar="ORIGIN",
-        help="Foxglove: also allow web pages of this origin, e.g. https://viz.example.org; repeatable.",
-    ),
+    "--allow-origin ORIGIN",
+    "Foxglove: also allow web pages of this origin, e.g. https://viz.example.org; repeatable.",
 ]
 
 
@@ -71,17 +67,13 @@ def token(text: str) -> str:
 
 Token = Annotated[
     Any,
-    typer.Option(
-        "--token",
-        metavar="WORD",
-        envvar="EDORAS_TOKEN",
-        parser=token,
-        help="Foxglove: accept only clients that give this token, as in ws://HOST:PORT/?token=TOKEN.",
-    ),
+    typer.Option(envvar="EDORAS_TOKEN", parser=token),
+    "WORD",
+    "Foxglove: accept only clients that give this token, as in ws://HOST:PORT/?token=TOKEN.",
 ]
 
 
-@options.headed("Outputs")
+@headed("Outputs")
 class RelayOutputOptions(NamedTuple):
     """Where a command that relays traffic also writes it: to a recording, and to Foxglove."""
 
@@ -89,12 +81,9 @@ class RelayOutputOptions(NamedTuple):
     force: recordings.Force = False
     live: Annotated[
         Any,
-        typer.Option(
-            "--live",
-            metavar="[HOST:]PORT",
-            parser=place,
-            help="Also show it in Foxglove, usually on port 8765; 0 for any free port.",
-        ),
+        typer.Option(parser=place),
+        "[HOST:]PORT",
+        "Also show it in Foxglove, usually on port 8765; 0 for any free port.",
     ] = None
     allow_origin: Origins = None
     token: Token = None
@@ -134,27 +123,15 @@ class SourceOptions(NamedTuple):
     """What is shown."""
 
     given: InputOptions = InputOptions()
-    sim: Annotated[
-        Scenario | None, typer.Option("--sim", help="An emulated cFS with its bridges and robots.")
-    ] = None
+    sim: Annotated[Scenario | None, "An emulated cFS with its bridges and robots."] = None
 
 
 class OutputOptions(NamedTuple):
     """Where it is shown and recorded."""
 
-    host: Annotated[
-        str,
-        typer.Option(metavar="ADDRESS", help="Address that Foxglove connects to; default: loopback."),
-    ] = "127.0.0.1"
+    host: Annotated[str, "ADDRESS", "Address that Foxglove connects to; default: loopback."] = "127.0.0.1"
     ws_port: Annotated[
-        int,
-        typer.Option(
-            "--ws-port",
-            metavar="PORT",
-            min=0,
-            max=65535,
-            help="Port that Foxglove connects to; 0 for any free port.",
-        ),
+        int, typer.Option(min=0, max=65535), "PORT", "Port that Foxglove connects to; 0 for any free port."
     ] = 8765
     allow_origin: Origins = None
     token: Token = None
@@ -162,41 +139,27 @@ class OutputOptions(NamedTuple):
     force: recordings.Force = False
 
 
+@headed("Playback")
 class PlaybackOptions(NamedTuple):
     """How a recording is played back."""
 
-    speed: Annotated[
-        float | None,
-        _playback(metavar="X", parser=sending.positive, help="Start at X times the recorded speed."),
-    ] = None
-    paused: Annotated[
-        bool, _playback("--paused", help="Start paused; press play in Foxglove, or space here.")
-    ] = False
-    loop: Annotated[bool, _playback("--loop", help="Start again at the end.")] = False
-    wait: Annotated[
-        bool, _playback("--wait/--no-wait", help="Start when the first client has subscribed, or at once.")
-    ] = True
+    speed: Annotated[sending.Positive, "Start at X times the recorded speed."] = None
+    paused: Annotated[bool, "Start paused; press play in Foxglove, or space here."] = False
+    loop: Annotated[bool, "Start again at the end."] = False
+    wait: Annotated[bool, "--wait/--no-wait", "Start when the first client has subscribed, or at once."] = (
+        True
+    )
 
 
+@headed("Publishing")
 class PublishingOptions(NamedTuple):
     """What Foxglove may publish, and where it is sent."""
 
     allow_publish: Annotated[
-        list[str] | None,
-        _publishing(metavar="PATTERN", help="Topics that Foxglove may publish into cFS; repeatable."),
+        list[str] | None, "PATTERN", "Topics that Foxglove may publish into cFS; repeatable."
     ] = None
-    target: Annotated[
-        Any,
-        _publishing(
-            "--target",
-            metavar="HOST:PORT",
-            parser=sending.endpoint,
-            help="Address of cFS; default: this machine.",
-        ),
-    ] = None
-    sender: Annotated[
-        Any, _publishing("--as", metavar="SC:CPU", parser=sending.peer, help="SBN: send as this peer.")
-    ] = None
+    target: Annotated[sending.Address, "Address of cFS; default: this machine."] = None
+    sender: Annotated[sending.Sender, "--as", "SBN: send as this peer."] = None
     yes: sending.Yes = False
 
     def commands(self, bench: Workbench, outlets: Mapping[Receiver, Send]) -> CommandPublisher | None:
@@ -221,7 +184,7 @@ class StopOptions(NamedTuple):
     every: options.EveryPort = False
 
 
-@options.grouped
+@grouped
 def live(
     source: SourceOptions,
     outputs: OutputOptions,

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.main import Command, Group
@@ -28,11 +29,11 @@ def _mission() -> None:
 
 
 @mission.command(cls=Command)
-@options.grouped
+@grouped
 def draft(
     *,
     files: FileOptions,
-    output: Annotated[Path | None, options.output(help="Write it here; default: standard output.")] = None,
+    output: Annotated[Path | None, "--output -o FILE", "Write it here; default: standard output."] = None,
     force: recordings.Force = False,
     quiet: options.Quiet = False,
     decoding: options.DecodingOptions,

@@ -6,17 +6,14 @@ lets a command take such a group as one value; a method of the group makes the v
 
 from __future__ import annotations
 
-import inspect
 import re
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import copy
-from functools import cache, partial, wraps
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import typer
 
+from edoras_tools.cli.declare import headed
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import ROWS
 from edoras_tools.middleware.graph import MOST_DOMAIN
@@ -31,8 +28,6 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.selection import ClockTime, Period, Selection
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.sessions.faults.machine import FaultPlan
-
-_Group = TypeVar("_Group", bound=type)
 
 LINKS = (*ROWS, "other")
 
@@ -260,119 +255,41 @@ def _named_topics(ctx: typer.Context, incomplete: str) -> list[str]:
         return []
 
 
-def headed(text: str) -> Callable[[_Group], _Group]:
-    """Give a group of options a heading of its own in help texts; groups inside it have the same."""
-
-    def mark(group: _Group) -> _Group:
-        group.heading = text  # type: ignore[attr-defined]
-        return group
-
-    return mark
-
-
-def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Let a command take options in groups: a parameter whose type is a ``NamedTuple`` stands for its fields.
-
-    Typer sees an option for each field, in place of the parameter, with the field's name, type and default. A
-    field may itself be a group. Help texts show its options under the group's heading, if it has one.
-    """
-    options = list(_options(command))
-
-    @wraps(command)
-    def call(**given: Any) -> None:
-        _filled(command, given)
-
-    call.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
-    call.__annotations__ = {item.name: item.annotation for item in options}
-    return call
-
-
-def _options(holder: Callable[..., Any], heading: str = "") -> Iterator[inspect.Parameter]:
-    """Yield the options of a command or a group; nested groups are replaced by their options."""
-    heading = getattr(holder, "heading", heading)
-    for item in _parameters(holder):
-        if _is_group(item.annotation):
-            yield from _options(item.annotation, heading)
-        elif heading:
-            kind, option = get_args(item.annotation)
-            option = copy(option)
-            option.rich_help_panel = heading
-            yield item.replace(annotation=Annotated[kind, option])
-        else:
-            yield item
-
-
-def _filled(holder: Callable[..., Any], given: Mapping[str, Any]) -> Any:
-    """Call a command, or make a group, with the values of its options."""
-    return holder(
-        **{
-            item.name: _filled(item.annotation, given) if _is_group(item.annotation) else given[item.name]
-            for item in _parameters(holder)
-        }
-    )
-
-
-@cache
-def _parameters(holder: Callable[..., Any]) -> list[inspect.Parameter]:
-    """Return keyword parameters with evaluated annotations, as typer needs them."""
-    hints = get_type_hints(holder, include_extras=True)
-    if sys.version_info < (3, 11):  # there a default of None makes ``X`` to ``X | None``
-        hints = {
-            name: next((item for item in get_args(hint) if hasattr(item, "__metadata__")), hint)
-            for name, hint in hints.items()
-        }
-    return [
-        item.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[item.name])
-        for item in inspect.signature(holder).parameters.values()
-    ]
-
-
-def _is_group(annotation: Any) -> bool:
-    return isinstance(annotation, type) and issubclass(annotation, tuple)
-
+Time = Annotated[int | None, typer.Option(metavar="TIME", parser=duration)]
+Size = Annotated[int | None, typer.Option(metavar="SIZE", parser=size)]
+Count = Annotated[int | None, typer.Option(metavar="N", parser=counted)]
+Share = Annotated[float | None, typer.Option(metavar="SHARE", parser=share)]
+MsgId = Annotated[Any, typer.Option(metavar="ID", parser=msg_id)]
+Moment = Annotated[Any, typer.Option(metavar="TIME", parser=moment)]
+Zone = Annotated[Any, typer.Option(metavar="ZONE", parser=zone)]
 
 Config = Annotated[
-    list[Path] | None,
-    typer.Option("--config", "-c", metavar="FILE", help="EDORAS bridge YAML, or a folder of it; repeatable."),
+    list[Path] | None, "--config -c FILE", "EDORAS bridge YAML, or a folder of it; repeatable."
 ]
-Duration = Annotated[
-    int | None,
-    typer.Option("--duration", metavar="TIME", parser=duration, help="Stop after this time, e.g. 30 or 10m."),
-]
+Duration = Annotated[Time, "--duration", "Stop after this time, e.g. 30 or 10m."]
 Unproved = Annotated[
-    bool,
-    typer.Option("--unproved", help="Also keep readable messages of damaged chunks that no checksum covers."),
+    bool, "--unproved", "Also keep readable messages of damaged chunks that no checksum covers."
 ]
 Jobs = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        parser=counted,
-        help="Processes that share the work on a large file; by default one a free core, at most 3.",
-    ),
+    Count, "Processes that share the work on a large file; by default one a free core, at most 3."
 ]
-EveryPort = Annotated[bool, typer.Option("--all", "-a", help="Live: also UDP that belongs to no link.")]
+EveryPort = Annotated[bool, "--all -a", "Live: also UDP that belongs to no link."]
 Constants = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="NAME=VALUE", help="A constant of your cFS, e.g. app_msg_limit=8; repeatable."
-    ),
+    list[str] | None, "--set NAME=VALUE", "A constant of your cFS, e.g. app_msg_limit=8; repeatable."
 ]
-output = partial(typer.Option, "--output", "-o", metavar="FILE")
-ros_domain = partial(
-    typer.Option, metavar="N", min=0, max=MOST_DOMAIN, help="ROS 2 domain; default: ROS_DOMAIN_ID, or 0."
-)
-ros_option = partial(
-    typer.Option,
-    "--ros-option",
-    metavar="NAME=VALUE",
-    parser=name_value,
-    help="Option of the middleware; repeatable.",
-)
-Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no summary.")]
+RosDomain = Annotated[
+    int | None, typer.Option(min=0, max=MOST_DOMAIN), "N", "ROS 2 domain; default: ROS_DOMAIN_ID, or 0."
+]
+RosOption = Annotated[
+    list[Any] | None,
+    typer.Option(parser=name_value),
+    "--ros-option NAME=VALUE",
+    "Option of the middleware; repeatable.",
+]
+Json = Annotated[bool, "Print JSON."]
+Quiet = Annotated[bool, "--quiet -q", "No progress, no summary."]
 VERBOSE: Final = "Also print versions, settings file and missions, on stderr."
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help=f"{VERBOSE} Show notes in lists.")]
+Verbose = Annotated[bool, "--verbose -v", f"{VERBOSE} Show notes in lists."]
 
 
 class LinkName(StrEnum):
@@ -403,16 +320,11 @@ class TypeOptions(NamedTuple):
 
     distro: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            envvar="ROS_DISTRO",
-            help=f"ROS 2 distribution whose message definitions are used; default: {DISTRO}.",
-        ),
+        typer.Option(envvar="ROS_DISTRO"),
+        "NAME",
+        f"ROS 2 distribution whose message definitions are used; default: {DISTRO}.",
     ] = None
-    msg_path: Annotated[
-        list[Path] | None,
-        typer.Option("--msg-path", metavar="DIR", help="Folder with more .msg or .idl files; repeatable."),
-    ] = None
+    msg_path: Annotated[list[Path] | None, "DIR", "Folder with more .msg or .idl files; repeatable."] = None
 
 
 @headed("Decoding")
@@ -423,43 +335,28 @@ class DecodingOptions(NamedTuple):
     types: TypeOptions = TypeOptions()
     port: Annotated[
         list[Any] | None,  # pairs of Link and port; the real type would need the import of numpy
-        typer.Option(
-            "--port",
-            metavar="LINK:PORT",
-            parser=link_port,
-            help=f"Another port of {', '.join(ROWS)} or an installed link; rtps:any: DDS, live; repeatable.",
-        ),
+        typer.Option(parser=link_port),
+        "LINK:PORT",
+        f"Another port of {', '.join(ROWS)} or an installed link; rtps:any: DDS, live; repeatable.",
     ] = None
     envelope: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FORMAT",
-            help="EDORAS envelope: 8/8, 4/4, 1/1, with le or be; or auto. Default: detected.",
-        ),
+        str | None, "FORMAT", "EDORAS envelope: 8/8, 4/4, 1/1, with le or be; or auto. Default: detected."
     ] = None
     extended_header: Annotated[
         bool | None,
-        typer.Option(help="Whether packets have cFE's extended header. Default: detected."),
+        "--extended-header/--no-extended-header",
+        "Whether packets have cFE's extended header. Default: detected.",
     ] = None
     telemetry_header: Annotated[
-        int | None,
-        typer.Option(
-            metavar="BYTES", help="cFE telemetry header: 16, or 12 in older builds. Default: detected."
-        ),
+        int | None, "BYTES", "cFE telemetry header: 16, or 12 in older builds. Default: detected."
     ] = None
     msg_id_version: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", help="How cFE builds MsgIds: 1, or 2, with the extended header alone. Default: 1."
-        ),
+        int | None, "N", "How cFE builds MsgIds: 1, or 2, with the extended header alone. Default: 1."
     ] = None
     structs: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--structs",
-            metavar="FILE",
-            help="Layout of C structs, written by 'edoras structs', or F Prime dictionary; repeatable.",
-        ),
+        "FILE",
+        "Layout of C structs, written by 'edoras structs', or F Prime dictionary; repeatable.",
     ] = None
 
     def settings(self) -> Settings:
@@ -489,40 +386,27 @@ class SelectionOptions(NamedTuple):
 
     link: Annotated[
         list[Any] | None,  # of Link; the real type would need the import of numpy
-        typer.Option(
-            "--link",
-            metavar="LINK",
-            parser=link,
-            autocompletion=_named_links,
-            help=f"Only {', '.join(LINKS)} or an installed link; repeatable.",
-        ),
+        typer.Option(parser=link, autocompletion=_named_links),
+        "LINK",
+        f"Only {', '.join(LINKS)} or an installed link; repeatable.",
     ] = None
     msg_id: Annotated[
         list[Any] | None,
-        typer.Option(
-            "--msg-id",
-            metavar="ID",
-            parser=packets,
-            autocompletion=_named_messages,
-            help="Only this MsgId, or a name that tables show, e.g. 0x827 or TO_CMD; repeatable.",
-        ),
+        typer.Option(parser=packets, autocompletion=_named_messages),
+        "ID",
+        "Only this MsgId, or a name that tables show, e.g. 0x827 or TO_CMD; repeatable.",
     ] = None
     topic: Annotated[
         list[str] | None,
-        typer.Option(
-            "--topic",
-            metavar="PATTERN",
-            autocompletion=_named_topics,
-            help="Only topics, or names that tables show, that match, e.g. '/robot_*'; repeatable.",
-        ),
+        typer.Option(autocompletion=_named_topics),
+        "PATTERN",
+        "Only topics, or names that tables show, that match, e.g. '/robot_*'; repeatable.",
     ] = None
     where: Annotated[
         str | None,
-        typer.Option(
-            metavar="EXPR",
-            parser=where,
-            help="Only packets that pass a filter, e.g. 'msg_id == 0x827 and pose.position.x > 1'.",
-        ),
+        typer.Option(parser=where),
+        "EXPR",
+        "Only packets that pass a filter, e.g. 'msg_id == 0x827 and pose.position.x > 1'.",
     ] = None
 
     def selection(self) -> Selection:
@@ -549,25 +433,11 @@ class TimeOptions(NamedTuple):
     """Which time of the input is used."""
 
     start: Annotated[
-        Any,
-        typer.Option(
-            "--start",
-            metavar="TIME",
-            parser=moment,
-            help="Leave out what is before: 10m after the capture's start, 12:03, or 2026-07-23T12:03:05.5.",
-        ),
+        Moment, "Leave out what is before: 10m after the capture's start, 12:03, or 2026-07-23T12:03:05.5."
     ] = None
-    end: Annotated[
-        Any, typer.Option("--end", metavar="TIME", parser=moment, help="Leave out what is from then on.")
-    ] = None
+    end: Annotated[Moment, "Leave out what is from then on."] = None
     tz: Annotated[
-        Any,
-        typer.Option(
-            "--tz",
-            metavar="ZONE",
-            parser=zone,
-            help="Zone of clock times: UTC, as they are shown (default), local, or e.g. Europe/Berlin.",
-        ),
+        Zone, "Zone of clock times: UTC, as they are shown (default), local, or e.g. Europe/Berlin."
     ] = None
 
     def period(self) -> Period:
@@ -612,9 +482,7 @@ class ScopeOptions(NamedTuple):
 class PartOptions(NamedTuple):
     """Which part of the input is read."""
 
-    datagrams: Annotated[
-        int | None, typer.Option("--count", "-n", metavar="N", parser=counted, help="Stop after N datagrams.")
-    ] = None
+    datagrams: Annotated[Count, "--count -n", "Stop after N datagrams."] = None
     duration: Duration = None
     times: TimeOptions = TimeOptions()
 
@@ -647,26 +515,16 @@ class FaultOptions(NamedTuple):
 
     fault: Annotated[
         list[str] | None,
-        typer.Option(
-            "--fault",
-            metavar="RULE",
-            help="Make a fault, e.g. drop:0.1, delay:200ms,msg_id=0x1827 or corrupt:1%,from=10s; repeatable.",
-        ),
+        "RULE",
+        "Make a fault, e.g. drop:0.1, delay:200ms,msg_id=0x1827 or corrupt:1%,from=10s; repeatable.",
     ] = None
-    profile: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Simulate a link of this kind: leo, geo, lunar or mars."),
-    ] = None
-    scenario: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Read faults and their times from a YAML file.")
-    ] = None
+    profile: Annotated[str | None, "NAME", "Simulate a link of this kind: leo, geo, lunar or mars."] = None
+    scenario: Annotated[Path | None, "FILE", "Read faults and their times from a YAML file."] = None
     seed: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            parser=number,
-            help="Seed of the random numbers: the same seed gives the same faults; default 0.",
-        ),
+        typer.Option(parser=number),
+        "N",
+        "Seed of the random numbers: the same seed gives the same faults; default 0.",
     ] = None
 
     def plan(self) -> FaultPlan:

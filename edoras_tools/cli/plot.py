@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import topics_read
 from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.errors import ConfigError
@@ -29,31 +30,24 @@ def _is_file(text: str) -> bool:
     return text == "-" or suffix in FILE_SUFFIXES or path.exists()
 
 
-@options.grouped
+@grouped
 def plot(
     *,
     arguments: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="FILE... FIELD...",
-            help=f"{READ_PACKED}; fields such as /cmd_vel.linear.x, rate:/cmd_vel, loss:/cmd_vel.",
-        ),
+        typer.Argument(),
+        "FILE... FIELD...",
+        f"{READ_PACKED}; fields such as /cmd_vel.linear.x, rate:/cmd_vel, loss:/cmd_vel.",
     ] = None,
-    read: Annotated[
-        list[Path] | None,
-        typer.Option("--read", "-r", metavar="FILE", help="Same as FILE without -r; repeatable."),
-    ] = None,
+    read: Annotated[list[Path] | None, "--read -r FILE", "Same as FILE without -r; repeatable."] = None,
     output: Annotated[
         Path | None,
-        options.output(
-            parser=recordings.recording_path,
-            help="Write a picture (.svg, .png) or a page with zoom (.html); default: in the terminal.",
-        ),
+        typer.Option(parser=recordings.recording_path),
+        "--output -o FILE",
+        "Write a picture (.svg, .png) or a page with zoom (.html); default: in the terminal.",
     ] = None,
     force: recordings.Force = False,
-    bare: Annotated[
-        bool, typer.Option("--bare", help="Without rates, losses and events beneath the fields.")
-    ] = False,
+    bare: Annotated[bool, "Without rates, losses and events beneath the fields."] = False,
     printing: options.PrintOptions,
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,

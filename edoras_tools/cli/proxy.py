@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import say, tell_reach
 from edoras_tools.cli.live import RelayOutputOptions
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.cli.relays import finish_relay, run_relay
-from edoras_tools.cli.sending import DryRun, Yes, confirm_targets, endpoint
+from edoras_tools.cli.sending import Address, DryRun, Yes, confirm_targets, endpoint
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -29,77 +30,42 @@ _NEVER_NS = 1 << 62
 class RelayOptions(NamedTuple):
     """What is relayed, from where to where, and at which rates."""
 
-    link: Annotated[options.RelayName, typer.Argument(help="The link to relay.")]
+    link: Annotated[options.RelayName, typer.Argument(), "The link to relay."]
     listen: Annotated[
-        Any,
-        typer.Option(
-            "--listen",
-            metavar="[HOST:]PORT",
-            parser=endpoint,
-            help="Where clients send to; for to: where cFS sends to. On loopback only unless HOST is given.",
-        ),
+        Address,
+        "[HOST:]PORT",
+        "Where clients send to; for to: where cFS sends to. On loopback only unless HOST is given.",
     ]
-    target: Annotated[
-        Any, typer.Option("--target", metavar="HOST:PORT", parser=endpoint, help="Where to send everything.")
-    ]
+    target: Annotated[Address, "Where to send everything."]
     further: Annotated[
         list[Any] | None,
-        typer.Option(
-            "--to",
-            metavar="HOST:PORT",
-            parser=endpoint,
-            help="Another target, e.g. a second ground station; repeatable.",
-        ),
+        typer.Option(parser=endpoint),
+        "--to HOST:PORT",
+        "Another target, e.g. a second ground station; repeatable.",
     ] = None
     bind: Annotated[
-        Any,
-        typer.Option(
-            "--bind",
-            metavar="[HOST:]PORT",
-            parser=endpoint,
-            help="Where the target sends to, e.g. an SBN peer's port in cFS's table.",
-        ),
+        Address, "[HOST:]PORT", "Where the target sends to, e.g. an SBN peer's port in cFS's table."
     ] = None
-    client: Annotated[
-        Any,
-        typer.Option(
-            "--client",
-            metavar="HOST:PORT",
-            parser=endpoint,
-            help="With --bind: the client to use until one has sent something.",
-        ),
-    ] = None
+    client: Annotated[Address, "With --bind: the client to use until one has sent something."] = None
     limit: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="[ROUTE=]HZ[,latest]",
-            help="Messages per second: for each MsgId, for one topic or MsgId, or for all=HZ; repeatable.",
-        ),
+        "[ROUTE=]HZ[,latest]",
+        "Messages per second: for each MsgId, for one topic or MsgId, or for all=HZ; repeatable.",
     ] = None
-    tcp: Annotated[bool, typer.Option("--tcp", help="Relay TCP connections, not datagrams.")] = False
-    cut: Annotated[
-        int | None,
-        typer.Option(
-            metavar="TIME", parser=options.duration, help="With --tcp: cut each connection after this time."
-        ),
-    ] = None
+    tcp: Annotated[bool, "Relay TCP connections, not datagrams."] = False
+    cut: Annotated[options.Time, "With --tcp: cut each connection after this time."] = None
 
 
 class TimeOptions(NamedTuple):
     """How long clients are remembered, and how long the proxy runs."""
 
     idle: Annotated[
-        int | None,
-        typer.Option(
-            metavar="TIME",
-            parser=options.duration,
-            help="Forget clients that send nothing for this time; default 60s; 0: never.",
-        ),
+        options.Time, "Forget clients that send nothing for this time; default 60s; 0: never."
     ] = None
     duration: options.Duration = None
 
 
-@options.grouped
+@grouped
 def proxy(
     *,
     relayed: RelayOptions,

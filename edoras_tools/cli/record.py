@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import finish, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import print_json
@@ -45,64 +46,35 @@ class TargetOptions(NamedTuple):
 
     output: Annotated[
         Path | None,
-        options.output(
-            parser=recordings.recording_path,
-            help=f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time; "
-            "- is stdout.",
-        ),
+        typer.Option(parser=recordings.recording_path),
+        "--output -o FILE",
+        f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time; "
+        "- is stdout.",
     ] = None
     force: recordings.Force = False
     stream: Annotated[
         str | None,
-        typer.Option(
-            "--format", metavar="FORMAT", parser=stream_format, help=f"Of -o -, standard output: {_FORMATS}."
-        ),
+        typer.Option(parser=stream_format),
+        "--format FORMAT",
+        f"Of -o -, standard output: {_FORMATS}.",
     ] = None
-    rosbag2: Annotated[bool, typer.Option("--rosbag2", help="Write a rosbag2 directory.")] = False
-    tf: Annotated[
-        bool,
-        typer.Option("--tf", help="Also write /tf, made of the poses, for 3D views."),
-    ] = False
-    split_size: Annotated[
-        int | None,
-        typer.Option(metavar="SIZE", parser=options.size, help="Start a new file at this size, e.g. 500M."),
-    ] = None
-    split_time: Annotated[
-        int | None,
-        typer.Option(
-            metavar="TIME", parser=options.duration, help="Start a new file after this time, e.g. 10m."
-        ),
-    ] = None
-    split_count: Annotated[
-        int | None,
-        typer.Option(metavar="N", parser=options.counted, help="Start a new file after N datagrams."),
-    ] = None
-    keep: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", parser=options.counted, help="Of a split recording, keep only the newest N files."
-        ),
-    ] = None
-    keep_size: Annotated[
-        int | None,
-        typer.Option(
-            metavar="SIZE",
-            parser=options.size,
-            help="Delete the oldest files while all are larger, e.g. 20G.",
-        ),
-    ] = None
+    rosbag2: Annotated[bool, "Write a rosbag2 directory."] = False
+    tf: Annotated[bool, "Also write /tf, made of the poses, for 3D views."] = False
+    split_size: Annotated[options.Size, "Start a new file at this size, e.g. 500M."] = None
+    split_time: Annotated[options.Time, "Start a new file after this time, e.g. 10m."] = None
+    split_count: Annotated[options.Count, "Start a new file after N datagrams."] = None
+    keep: Annotated[options.Count, "Of a split recording, keep only the newest N files."] = None
+    keep_size: Annotated[options.Size, "Delete the oldest files while all are larger, e.g. 20G."] = None
     jobs: options.Jobs = None
     sync: Annotated[
         int | None,
-        typer.Option(
-            metavar="[=TIME]",
-            parser=options.duration,
-            help="Flush to the disk at this interval, to survive a power cut; 1s if no TIME is given.",
-        ),
+        typer.Option(parser=options.duration),
+        "[=TIME]",
+        "Flush to the disk at this interval, to survive a power cut; 1s if no TIME is given.",
     ] = None
 
 
-@options.grouped
+@grouped
 def record(
     *,
     given: InputOptions,

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from edoras_tools.cli import options
 from edoras_tools.cli.endings import tell
 from edoras_tools.io.formats.table import WRITTEN
 from edoras_tools.io.outputs import STDOUT, check_new, write_bytes
@@ -26,12 +25,11 @@ def recording_path(text: str) -> Path:
 
 Output = Annotated[
     Path | None,
-    options.output(
-        parser=recording_path,
-        help=f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time.",
-    ),
+    typer.Option(parser=recording_path),
+    "--output -o FILE",
+    f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time.",
 ]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing output.")]
+Force = Annotated[bool, "Overwrite an existing output."]
 
 
 def recording_target(output: Path | None, *, force: bool, inputs: Sequence[Path] = ()) -> Target | None:

@@ -10,14 +10,16 @@ from typing import Annotated
 import typer
 
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST
 from edoras_tools.cli.output import print_json
 from edoras_tools.io.outputs import in_the_way, refuse_existing
 
 
+@grouped
 def recover(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A damaged or cut-off MCAP recording.")],
-    output: Annotated[Path | None, options.output(help="Output file; default FILE.recovered.mcap.")] = None,
+    file: Annotated[Path, typer.Argument(), "FILE", "A damaged or cut-off MCAP recording."],
+    output: Annotated[Path | None, "--output -o FILE", "Output file; default FILE.recovered.mcap."] = None,
     force: recordings.Force = False,
     unproved: options.Unproved = False,
     json: options.Json = False,

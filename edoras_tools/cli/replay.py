@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, sending
+from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import READ
 
@@ -25,39 +26,28 @@ def pair(text: str) -> tuple[str, str]:
     return old, new
 
 
-@options.headed("Selection")
+@headed("Selection")
 class SourceOptions(NamedTuple):
     """What is sent, and where."""
 
-    file: Annotated[Path, typer.Argument(metavar="FILE", help=f"{READ}; with --from-topics also rosbag2.")]
-    to: Annotated[
-        str,
-        typer.Option("--to", metavar="TO", help="ci, sbn (as an SBN peer) or ground (the ground bridge)."),
-    ]
-    from_topics: Annotated[
-        bool, typer.Option("--from-topics", help="Make packets from recorded ROS messages of any tool.")
-    ] = False
+    file: Annotated[Path, typer.Argument(), "FILE", f"{READ}; with --from-topics also rosbag2."]
+    to: Annotated[str, "TO", "ci, sbn (as an SBN peer) or ground (the ground bridge)."]
+    from_topics: Annotated[bool, "Make packets from recorded ROS messages of any tool."] = False
 
 
 class PaceOptions(NamedTuple):
     """How fast it is sent, and how often."""
 
-    speed: Annotated[
-        float | None,
-        typer.Option(metavar="X", parser=sending.positive, help="Send at X times the recorded speed."),
-    ] = None
+    speed: Annotated[sending.Positive, "Send at X times the recorded speed."] = None
     rate: Annotated[
         list[Any] | None,
-        typer.Option(
-            metavar="[ROUTE=]HZ",
-            parser=sending.rate,
-            help="Send at even intervals, everything or one route, e.g. /cmd_vel=30; repeatable.",
-        ),
+        typer.Option(parser=sending.rate),
+        "[ROUTE=]HZ",
+        "Send at even intervals, everything or one route, e.g. /cmd_vel=30; repeatable.",
     ] = None
-    fastest: Annotated[bool, typer.Option("--max", help="Send as fast as possible.")] = False
+    fastest: Annotated[bool, "--max", "Send as fast as possible."] = False
     loop: Annotated[
-        int | None,
-        typer.Option(metavar="N", parser=sending.loops, help="Send it N times; 0: without end."),
+        int | None, typer.Option(parser=sending.loops), "N", "Send it N times; 0: without end."
     ] = None
 
 
@@ -65,23 +55,10 @@ class PartOptions(NamedTuple):
     """Which part of the recording is sent."""
 
     times: options.TimeOptions = options.TimeOptions()
-    duration: Annotated[
-        int | None,
-        typer.Option(
-            "--duration", metavar="TIME", parser=options.duration, help="Send this much time from --start on."
-        ),
-    ] = None
-    first: Annotated[
-        int | None,
-        typer.Option(
-            "--count", "-n", metavar="N", parser=options.counted, help="Send the first N datagrams."
-        ),
-    ] = None
+    duration: Annotated[options.Time, "Send this much time from --start on."] = None
+    first: Annotated[options.Count, "--count -n", "Send the first N datagrams."] = None
     route: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PATTERN", help="Only MsgIds, topics or keys that match, e.g. '0x18*'; repeatable."
-        ),
+        list[str] | None, "PATTERN", "Only MsgIds, topics or keys that match, e.g. '0x18*'; repeatable."
     ] = None
 
     def choice(self, selection: Selection) -> ReplaySelection:
@@ -104,22 +81,15 @@ class ChangeOptions(NamedTuple):
     """What is changed in the packets."""
 
     write_headers: Annotated[
-        str | None,
-        typer.Option(
-            metavar="BUILD",
-            help="Send packets with the headers of another cFE: 16, 12, extended or extended-v2.",
-        ),
+        str | None, "BUILD", "Send packets with the headers of another cFE: 16, 12, extended or extended-v2."
     ] = None
     remap: Annotated[
-        list[Any] | None,
-        typer.Option(metavar="A:=B", parser=pair, help="Send MsgId, topic or key A as B; repeatable."),
+        list[Any] | None, typer.Option(parser=pair), "A:=B", "Send MsgId, topic or key A as B; repeatable."
     ] = None
-    restamp: Annotated[bool, typer.Option("--restamp", help="Set header stamps to the time of sending.")] = (
-        False
-    )
+    restamp: Annotated[bool, "Set header stamps to the time of sending."] = False
 
 
-@options.grouped
+@grouped
 def replay(
     source: SourceOptions,
     pace: PaceOptions,

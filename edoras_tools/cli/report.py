@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json
@@ -18,11 +19,11 @@ from edoras_tools.io.outputs import check_new
 from edoras_tools.words import plural
 
 
-@options.grouped
+@grouped
 def report(
     *,
     inputs: FileOptions,
-    output: Annotated[Path | None, options.output(help="Output file; default FILE.html.")] = None,
+    output: Annotated[Path | None, "--output -o FILE", "Output file; default FILE.html."] = None,
     force: recordings.Force = False,
     constant: options.Constants = None,
     printing: options.PrintOptions,

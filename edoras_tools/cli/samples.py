@@ -8,11 +8,13 @@ from typing import Annotated
 import typer
 
 from edoras_tools.cli import recordings
+from edoras_tools.cli.declare import grouped
 from edoras_tools.errors import CaptureError, ConfigError
 
 
+@grouped
 def samples(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new folder for them.")],
+    folder: Annotated[Path, typer.Argument(), "DIR", "A new folder for them."],
     force: recordings.Force = False,
 ) -> None:
     """Copy the samples to a folder: captures, missions, scenarios."""

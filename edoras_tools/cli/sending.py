@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import headed
 from edoras_tools.cli.endings import INTERRUPTED, LOST, lost_outputs, tell, tell_reach
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.errors import ConfigError, EdorasError
@@ -79,39 +80,20 @@ def loops(text: str) -> int:
     return value
 
 
-_option = partial(typer.Option, rich_help_panel="Sending")
-
-Target = Annotated[
-    Any,
-    _option("--target", metavar="HOST:PORT", parser=endpoint, help="Where to send; default: this machine."),
-]
-As = Annotated[
-    Any,
-    _option("--as", metavar="SC:CPU", parser=peer, help="SBN: send as this peer, e.g. 66:3."),
-]
-Listen = Annotated[
-    Any,
-    _option(
-        "--listen",
-        metavar="[HOST:]PORT",
-        parser=endpoint,
-        help="Where answers are received; SBN: also the port to send from.",
-    ),
-]
-Timeout = Annotated[
-    int | None,
-    _option(metavar="TIME", parser=options.duration, help="Maximum time for --wait-for; default 10s."),
-]
-Allow = Annotated[
-    list[str] | None,
-    _option(metavar="ROUTE", help="Send only these, e.g. 0x1827 or '0x18*'; repeatable."),
-]
-Unlimited = Annotated[bool, _option("--unlimited", help="Do not limit the rate.")]
-Yes = Annotated[bool, typer.Option("--yes", "-y", help="Send to another machine without asking.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Print what would be sent; send nothing.")]
+Address = Annotated[Any, typer.Option(metavar="HOST:PORT", parser=endpoint)]
+Positive = Annotated[float | None, typer.Option(metavar="X", parser=positive)]
+Sender = Annotated[Any, typer.Option(metavar="SC:CPU", parser=peer)]
+Target = Annotated[Address, "Where to send; default: this machine."]
+As = Annotated[Sender, "--as", "SBN: send as this peer, e.g. 66:3."]
+Listen = Annotated[Address, "[HOST:]PORT", "Where answers are received; SBN: also the port to send from."]
+Timeout = Annotated[options.Time, "Maximum time for --wait-for; default 10s."]
+Allow = Annotated[list[str] | None, "ROUTE", "Send only these, e.g. 0x1827 or '0x18*'; repeatable."]
+Unlimited = Annotated[bool, "Do not limit the rate."]
+Yes = Annotated[bool, "--yes -y", "Send to another machine without asking."]
+DryRun = Annotated[bool, "Print what would be sent; send nothing."]
 
 
-@options.headed("Sending")
+@headed("Sending")
 class SendingOptions(NamedTuple):
     """How to send, and which faults to inject."""
 
@@ -120,62 +102,34 @@ class SendingOptions(NamedTuple):
     sender: As = None
     role: Annotated[
         str,
-        _option(
-            "--role",
-            metavar="ROLE",
-            help="SBN: behave as a stock peer, as the bridge, or as captured (send only the captured "
-            "datagrams).",
-        ),
+        "ROLE",
+        "SBN: behave as a stock peer, as the bridge, or as captured (send only the captured datagrams).",
     ] = "stock"
     listen: Listen = None
-    no_listen: Annotated[bool, _option("--no-listen", help="Do not bind the telemetry port.")] = False
+    no_listen: Annotated[bool, "Do not bind the telemetry port."] = False
     wait_for: Annotated[
         list[str] | None,
-        _option(
-            metavar="WHAT",
-            help="First wait for peer, to-enabled (asks for it), event:TEXT or nothing; repeatable.",
-        ),
+        "WHAT",
+        "First wait for peer, to-enabled (asks for it), event:TEXT or nothing; repeatable.",
     ] = None
     timeout: Timeout = None
-    linger: Annotated[
-        int | None,
-        _option(
-            metavar="TIME", parser=options.duration, help="Listen for this time after the last datagram."
-        ),
-    ] = None
+    linger: Annotated[options.Time, "Listen for this time after the last datagram."] = None
     expect: Annotated[
         list[str] | None,
-        _option(
-            metavar="WHAT",
-            help="Exit code 3 if this does not come back: event:TEXT, counter:TO_HK.command_counter[+N], a "
-            "topic or a name; repeatable.",
-        ),
+        "WHAT",
+        "Exit code 3 if this does not come back: event:TEXT, counter:TO_HK.command_counter[+N], a "
+        "topic or a name; repeatable.",
     ] = None
-    expect_within: Annotated[
-        int | None,
-        _option(
-            metavar="TIME", parser=options.duration, help="Wait this long for it after sending; default 10s."
-        ),
-    ] = None
-    max_loss: Annotated[
-        float | None,
-        _option(
-            metavar="SHARE", parser=options.share, help="Exit code 0 if no more than this is lost, e.g. 1%."
-        ),
-    ] = None
+    expect_within: Annotated[options.Time, "Wait this long for it after sending; default 10s."] = None
+    max_loss: Annotated[options.Share, "Exit code 0 if no more than this is lost, e.g. 1%."] = None
     allow: Allow = None
-    max_rate: Annotated[
-        float | None,
-        _option(metavar="HZ", parser=positive, help="Limit of the rate; default to other machines: 1000."),
-    ] = None
+    max_rate: Annotated[Positive, "HZ", "Limit of the rate; default to other machines: 1000."] = None
     unlimited: Unlimited = False
     yes: Yes = False
-    sequence: Annotated[str, _option(metavar="RULE", help="Sequence counts: keep, count or zero.")] = "keep"
-    checksum: Annotated[str, _option(metavar="RULE", help="Checksums: keep, fix, zero or wrong.")] = "keep"
-    tcp: Annotated[bool, _option("--tcp", help="SBN: on a TCP connection to the target.")] = False
-    step: Annotated[bool, _option("--step", help="One by one: n sends the next, space runs, q quits.")] = (
-        False
-    )
+    sequence: Annotated[str, "RULE", "Sequence counts: keep, count or zero."] = "keep"
+    checksum: Annotated[str, "RULE", "Checksums: keep, fix, zero or wrong."] = "keep"
+    tcp: Annotated[bool, "SBN: on a TCP connection to the target."] = False
+    step: Annotated[bool, "One by one: n sends the next, space runs, q quits."] = False
 
     def send_options(self) -> SendOptions:
         """Return these options in the form that pipelines take.

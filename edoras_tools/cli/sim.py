@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from time import time_ns
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell_reach
 from edoras_tools.older import StrEnum
 
@@ -27,48 +28,33 @@ class FlightOptions(NamedTuple):
     """How the emulated cFS is configured."""
 
     limit: Annotated[
-        int,
-        typer.Option(
-            metavar="N", min=1, max=255, help="Telemetry Output: messages of one MsgId that may wait."
-        ),
+        int, typer.Option(min=1, max=255), "N", "Telemetry Output: messages of one MsgId that may wait."
     ] = 4
     msg_max: Annotated[
         int,
-        typer.Option(
-            metavar="N",
-            min=0,
-            help="The host's fs.mqueue.msg_max, which cuts every pipe; 10 where nobody raised it, 0: no cut.",
-        ),
+        typer.Option(min=0),
+        "N",
+        "The host's fs.mqueue.msg_max, which cuts every pipe; 10 where nobody raised it, 0: no cut.",
     ] = 0
     generator: Annotated[
-        Any,
-        typer.Option(
-            metavar="ID",
-            parser=options.msg_id,
-            help="MsgId of the commands of the telemetry generator, default 0x18F0; 0: there is none.",
-        ),
+        options.MsgId, "MsgId of the commands of the telemetry generator, default 0x18F0; 0: there is none."
     ] = None
-    extended_header: Annotated[
-        bool, typer.Option("--extended-header", help="A cFE built with the extended header.")
-    ] = False
+    extended_header: Annotated[bool, "A cFE built with the extended header."] = False
     msg_id_version: Annotated[
-        int,
-        typer.Option(metavar="N", min=1, max=2, help="How it builds MsgIds; 2 has the extended header."),
+        int, typer.Option(min=1, max=2), "N", "How it builds MsgIds; 2 has the extended header."
     ] = 1
 
 
-@options.grouped
+@grouped
 def sim(
     *,
-    scenario: Annotated[Scenario, typer.Argument(help="The EDORAS demo to emulate.")] = Scenario.ROVER,
+    scenario: Annotated[Scenario, typer.Argument(), "The EDORAS demo to emulate."] = Scenario.ROVER,
     bridges: Annotated[
-        bool, typer.Option(help="Also emulate the operator, the bridges and the robots.")
+        bool, "--bridges/--no-bridges", "Also emulate the operator, the bridges and the robots."
     ] = True,
-    rate: Annotated[
-        float, typer.Option("--hz", metavar="HZ", min=0.01, max=1000, help="Commands per second.")
-    ] = 5.0,
+    rate: Annotated[float, typer.Option(min=0.01, max=1000), "--hz HZ", "Commands per second."] = 5.0,
     flight: FlightOptions,
-    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address to bind.")] = "127.0.0.1",
+    host: Annotated[str, "ADDRESS", "Address to bind."] = "127.0.0.1",
     duration: options.Duration = None,
     quiet: options.Quiet = False,
 ) -> None:

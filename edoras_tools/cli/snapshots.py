@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from edoras_tools.cli import options
+from edoras_tools.cli.declare import headed
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -47,48 +47,25 @@ def trigger(text: str) -> tuple[str, str]:
     return kind, rest
 
 
-_snapshots = partial(typer.Option, rich_help_panel="Snapshots")
-
-
+@headed("Snapshots")
 class SnapshotOptions(NamedTuple):
     """Whether only what is around a trigger is written."""
 
-    snapshot: Annotated[
-        bool,
-        _snapshots("--snapshot", help="Keep the last seconds in memory; write them when a trigger fires."),
-    ] = False
-    before: Annotated[
-        int | None,
-        _snapshots(metavar="TIME", parser=options.duration, help="Time before a trigger; default 30s."),
-    ] = None
-    after: Annotated[
-        int | None,
-        _snapshots(metavar="TIME", parser=options.duration, help="Time after it; default 10s."),
-    ] = None
+    snapshot: Annotated[bool, "Keep the last seconds in memory; write them when a trigger fires."] = False
+    before: Annotated[options.Time, "Time before a trigger; default 30s."] = None
+    after: Annotated[options.Time, "Time after it; default 10s."] = None
     before_size: Annotated[
-        int | None,
-        _snapshots(
-            metavar="SIZE",
-            parser=options.size,
-            help="Most memory for what is kept; the oldest is dropped first; default 512M.",
-        ),
+        options.Size, "Most memory for what is kept; the oldest is dropped first; default 512M."
     ] = None
     trigger: Annotated[
         list[Any] | None,
-        _snapshots(
-            metavar="WHAT",
-            parser=trigger,
-            help="What fires, beside t, Enter and signal USR1: finding[:NAME], rule[:ID] of the doctor, or "
-            "'where:EXPR'; repeatable.",
-        ),
+        typer.Option(parser=trigger),
+        "WHAT",
+        "What fires, beside t, Enter and signal USR1: finding[:NAME], rule[:ID] of the doctor, or "
+        "'where:EXPR'; repeatable.",
     ] = None
-    socket: Annotated[
-        Path | None, _snapshots(metavar="PATH", help="Also fire when asked on this Unix socket.")
-    ] = None
-    fire: Annotated[
-        Path | None,
-        _snapshots(metavar="PATH", help="Only ask the recorder at this socket for a snapshot."),
-    ] = None
+    socket: Annotated[Path | None, "PATH", "Also fire when asked on this Unix socket."] = None
+    fire: Annotated[Path | None, "PATH", "Only ask the recorder at this socket for a snapshot."] = None
 
     def check(self, *, splits: bool) -> None:
         """Refuse options that have no effect with each other.

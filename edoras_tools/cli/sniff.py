@@ -6,9 +6,8 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from edoras_tools.cli import options, views
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import no_messages, nothing_shown
 from edoras_tools.cli.inputs import InputOptions, open_input
 
@@ -19,12 +18,12 @@ if TYPE_CHECKING:
     from edoras_tools.model import Decoded
 
 
-@options.grouped
+@grouped
 def sniff(
     *,
     given: InputOptions,
     view: views.ViewOptions,
-    every: Annotated[bool, typer.Option("--all", "-a", help="Also UDP that belongs to no link.")] = False,
+    every: Annotated[bool, "--all -a", "Also UDP that belongs to no link."] = False,
     stop: options.PartOptions,
     verbose: options.Verbose = False,
     chosen: options.SelectionOptions,

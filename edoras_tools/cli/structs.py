@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell
 from edoras_tools.errors import ConfigError
 
@@ -29,49 +29,35 @@ def binding(text: str) -> tuple[Key, str]:
         raise typer.BadParameter(str(error)) from None
 
 
+@grouped
 def structs(
     file: Annotated[
         Path | None,
-        typer.Argument(
-            metavar="FILE",
-            help="ELF file (.o, .so, program), C header, or layout; default: the built-in layouts.",
-        ),
+        typer.Argument(),
+        "FILE",
+        "ELF file (.o, .so, program), C header, or layout; default: the built-in layouts.",
     ] = None,
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME...", help="Structs; default: a list of all.")
+        list[str] | None, typer.Argument(), "NAME...", "Structs; default: a list of all."
     ] = None,
-    output: Annotated[
-        Path | None,
-        options.output(metavar="DIR", help="Write .msg files and structs.yaml there."),
-    ] = None,
+    output: Annotated[Path | None, "--output -o DIR", "Write .msg files and structs.yaml there."] = None,
     bind: Annotated[
         list[Any] | None,
-        typer.Option(
-            "--bind",
-            "-b",
-            metavar="ID=NAME",
-            parser=binding,
-            help="The struct of a MsgId, e.g. 0x0890=ROVER_HkTlm_t, 0x1890/2=X for a function code, or "
-            "udp:8585=X for what is sent to a robot's port; repeatable.",
-        ),
+        typer.Option(parser=binding),
+        "--bind -b ID=NAME",
+        "The struct of a MsgId, e.g. 0x0890=ROVER_HkTlm_t, 0x1890/2=X for a function code, or "
+        "udp:8585=X for what is sent to a robot's port; repeatable.",
     ] = None,
-    package: Annotated[
-        str | None, typer.Option(metavar="NAME", help="ROS package of the messages; default: cfs_msgs.")
-    ] = None,
+    package: Annotated[str | None, "NAME", "ROS package of the messages; default: cfs_msgs."] = None,
     include: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--include",
-            "-I",
-            metavar="DIR",
-            help="Folder with the headers that the C header includes; repeatable.",
-        ),
+        "--include -I DIR",
+        "Folder with the headers that the C header includes; repeatable.",
     ] = None,
     cflag: Annotated[
-        list[str] | None,
-        typer.Option(metavar="FLAG", help="Compiler option for a C header, e.g. -m32 or -DX=1; repeatable."),
+        list[str] | None, "FLAG", "Compiler option for a C header, e.g. -m32 or -DX=1; repeatable."
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
+    force: Annotated[bool, "Overwrite existing files."] = False,
 ) -> None:
     """Turn C structs of flight software into ROS messages.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from edoras_tools.cli import options, recordings, sending
+from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import INTERRUPTED, tell_reach
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.cli.sim import Scenario
@@ -41,52 +42,31 @@ class StepOptions(NamedTuple):
 
     rate: Annotated[
         Any,
-        typer.Option(
-            metavar="FROM..TO",
-            parser=span,
-            help="Messages per second, rising; default 1..1000. With a range of sizes: one rate; default 2.",
-        ),
+        typer.Option(parser=span),
+        "FROM..TO",
+        "Messages per second, rising; default 1..1000. With a range of sizes: one rate; default 2.",
     ] = None
     size: Annotated[
         Any,
-        typer.Option(
-            metavar="FROM..TO",
-            parser=span,
-            help="Bytes of the space packet, rising; or one size. Default: the size of the message.",
-        ),
+        typer.Option(parser=span),
+        "FROM..TO",
+        "Bytes of the space packet, rising; or one size. Default: the size of the message.",
     ] = None
-    step_time: Annotated[
-        int | None,
-        typer.Option(
-            "--step-time", metavar="TIME", parser=options.duration, help="Duration of a step; default 8s."
-        ),
-    ] = None
-    sim: Annotated[
-        Scenario | None,
-        typer.Option(
-            "--sim", metavar="SCENARIO", help="Use an emulated cFS in simulated time: takes a second."
-        ),
-    ] = None
+    step_time: Annotated[options.Time, "Duration of a step; default 8s."] = None
+    sim: Annotated[Scenario | None, "SCENARIO", "Use an emulated cFS in simulated time: takes a second."] = (
+        None
+    )
     limit: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            min=1,
-            max=255,
-            help="With --sim: messages of the route that may wait in its pipe.",
-        ),
+        typer.Option(min=1, max=255),
+        "N",
+        "With --sim: messages of the route that may wait in its pipe.",
     ] = None
     generator: Annotated[
-        Any,
-        typer.Option(
-            metavar="ID",
-            parser=options.msg_id,
-            help="MsgId of the commands of the app that 'edoras codegen generator' writes; default 0x18F0.",
-        ),
+        options.MsgId,
+        "MsgId of the commands of the app that 'edoras codegen generator' writes; default 0x18F0.",
     ] = None
-    watch: Annotated[bool, typer.Option("--watch", help="Publish nothing; only measure what arrives.")] = (
-        False
-    )
+    watch: Annotated[bool, "Publish nothing; only measure what arrives."] = False
     duration: options.Duration = None
 
     @property
@@ -132,6 +112,7 @@ class StepOptions(NamedTuple):
         )
 
 
+@headed("Sending")
 class SendingOptions(NamedTuple):
     """How to send."""
 
@@ -171,23 +152,16 @@ class SendingOptions(NamedTuple):
 class ChartOptions(NamedTuple):
     """Files for the chart."""
 
-    svg: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the chart as SVG.")] = None
-    png: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the chart as PNG; needs resvg.")] = (
-        None
-    )
+    svg: Annotated[Path | None, "FILE", "Write the chart as SVG."] = None
+    png: Annotated[Path | None, "FILE", "Write the chart as PNG; needs resvg."] = None
     force: recordings.Force = False
 
 
-@options.grouped
+@grouped
 def sweep(
     *,
-    route: Annotated[
-        str, typer.Argument(metavar="ROUTE", help="A topic or a key of the mission, or a MsgId.")
-    ],
-    to: Annotated[
-        options.LinkName | None,
-        typer.Option(metavar="LINK", help="ci for commands, to for telemetry, sbn for both."),
-    ] = None,
+    route: Annotated[str, typer.Argument(), "ROUTE", "A topic or a key of the mission, or a MsgId."],
+    to: Annotated[options.LinkName | None, "LINK", "ci for commands, to for telemetry, sbn for both."] = None,
     steps: StepOptions,
     how: SendingOptions,
     charts: ChartOptions,

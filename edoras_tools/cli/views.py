@@ -6,8 +6,6 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
-import typer
-
 from edoras_tools.cli.output import print_json
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.older import StrEnum
@@ -48,39 +46,25 @@ class Statistic(StrEnum):
 class ViewOptions(NamedTuple):
     """How packets are shown."""
 
-    tree: Annotated[bool, typer.Option("-V", "--tree", help="All layers and fields of each packet.")] = False
-    hexdump: Annotated[bool, typer.Option("-x", "--hex", help="The bytes of each packet.")] = False
-    json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False
-    tui: Annotated[
-        bool, typer.Option("--tui", help="Packet list, layers and bytes in three panes; ? shows the keys.")
-    ] = False
-    time: Annotated[
-        TimeFormat | None, typer.Option("--time", "-t", help="Format of the list's time; default relative.")
-    ] = None
-    findings: Annotated[bool, typer.Option("--findings", help="Only packets with a warning or an error.")] = (
-        False
-    )
+    tree: Annotated[bool, "-V --tree", "All layers and fields of each packet."] = False
+    hexdump: Annotated[bool, "-x --hex", "The bytes of each packet."] = False
+    json: Annotated[bool, "One JSON object per line."] = False
+    tui: Annotated[bool, "Packet list, layers and bytes in three panes; ? shows the keys."] = False
+    time: Annotated[TimeFormat | None, "--time -t", "Format of the list's time; default relative."] = None
+    findings: Annotated[bool, "Only packets with a warning or an error."] = False
     fields: Annotated[
-        str | None,
-        typer.Option(
-            metavar="A,B,C", help="Only these fields, one row per packet, e.g. 'time,msg_id,pose.position.x'."
-        ),
+        str | None, "A,B,C", "Only these fields, one row per packet, e.g. 'time,msg_id,pose.position.x'."
     ] = None
     layout: Annotated[
-        FieldFormat | None,
-        typer.Option("--format", metavar="FORMAT", help="Format of --fields: table (default), csv or tsv."),
+        FieldFormat | None, "--format FORMAT", "Format of --fields: table (default), csv or tsv."
     ] = None
     sequence: Annotated[
         Diagram | None,
-        typer.Option(
-            "--sequence",
-            metavar="FORMAT",
-            help="A sequence diagram, with repeated packets on one line: mermaid or plantuml.",
-        ),
+        "FORMAT",
+        "A sequence diagram, with repeated packets on one line: mermaid or plantuml.",
     ] = None
     stat: Annotated[
-        list[Statistic] | None,
-        typer.Option(metavar="KIND", help="Only a table: routes, sbn, sizes or findings; repeatable."),
+        list[Statistic] | None, "KIND", "Only a table: routes, sbn, sizes or findings; repeatable."
     ] = None
 
     @property

@@ -9,11 +9,12 @@ from typing import Annotated
 import typer
 
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell
 from edoras_tools.cli.main import Command, Group
 from edoras_tools.io.formats.table import READ
 
-To = Annotated[Path | None, typer.Option("--to", metavar="DIR", help="A folder other than Wireshark's own.")]
+To = Annotated[Path | None, "--to DIR", "A folder other than Wireshark's own."]
 
 wireshark = typer.Typer(
     name="wireshark",
@@ -42,7 +43,7 @@ def _dissector(decoding: options.DecodingOptions) -> str:
 
 
 @wireshark.command(cls=Command)
-@options.grouped
+@grouped
 def install(*, to: To = None, force: recordings.Force = False, decoding: options.DecodingOptions) -> None:
     """Copy the dissector to the personal plugin folder, with the missions of -c or the demos' routes."""
     from edoras_tools.pipelines.wireshark import program as wireshark_program
@@ -51,7 +52,7 @@ def install(*, to: To = None, force: recordings.Force = False, decoding: options
 
 
 @wireshark.command("print", cls=Command)
-@options.grouped
+@grouped
 def print_(decoding: options.DecodingOptions) -> None:
     """Print the dissector, with the missions of -c or the demos' routes."""
     sys.stdout.write(_dissector(decoding))
@@ -66,16 +67,13 @@ def path() -> None:
 
 
 @wireshark.command(cls=Command)
-@options.grouped
+@grouped
 def run(
     *,
-    read: Annotated[
-        Path | None,
-        typer.Option("--read", "-r", metavar="FILE", help=f"{READ}; - is stdin."),
-    ] = None,
-    gui: Annotated[bool, typer.Option("--gui", help="Run Wireshark instead of tshark.")] = False,
+    read: Annotated[Path | None, "--read -r FILE", f"{READ}; - is stdin."] = None,
+    gui: Annotated[bool, "Run Wireshark instead of tshark."] = False,
     arguments: Annotated[
-        list[str] | None, typer.Argument(metavar="-- ARGUMENTS", help="For tshark or Wireshark.")
+        list[str] | None, typer.Argument(), "-- ARGUMENTS", "For tshark or Wireshark."
     ] = None,
     decoding: options.DecodingOptions,
 ) -> None:
@@ -91,6 +89,7 @@ def run(
 
 
 @extcap.command("install")
+@grouped
 def install_extcap(to: To = None, force: recordings.Force = False) -> None:
     """Copy the launcher of EDORAS CI, TO and SBN to Wireshark's extcap folder."""
     from edoras_tools.pipelines.wireshark import program as wireshark_program

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell
 from edoras_tools.older import StrEnum
 
@@ -19,16 +18,12 @@ class GroundForm(StrEnum):
     COSMOS = "cosmos"
 
 
-@options.grouped
+@grouped
 def xtce(
     *,
-    output: Annotated[Path | None, options.output(help="Write it here; default: standard output.")] = None,
-    form: Annotated[
-        GroundForm, typer.Option("--format", metavar="FORM", help="xtce, or cosmos: a file for cmd_tlm/.")
-    ] = GroundForm.XTCE,
-    system: Annotated[
-        str, typer.Option(metavar="NAME", help="Name of the space system, or the target.")
-    ] = "edoras",
+    output: Annotated[Path | None, "--output -o FILE", "Write it here; default: standard output."] = None,
+    form: Annotated[GroundForm, "--format FORM", "xtce, or cosmos: a file for cmd_tlm/."] = GroundForm.XTCE,
+    system: Annotated[str, "NAME", "Name of the space system, or the target."] = "edoras",
     force: recordings.Force = False,
     quiet: options.Quiet = False,
     decoding: options.DecodingOptions,
