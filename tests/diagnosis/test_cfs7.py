@@ -199,7 +199,7 @@ def test_a_clock_that_is_set_three_times_leaves_the_counters_as_they_are():
     assert [step.partition(" s ")[0] for step in steps] == [
         "ahead by 998989.5",
         "back by 500.0",
-        "ahead by 2.6 s",
+        "ahead by 2.5 s",
     ]
 
 

@@ -4,8 +4,10 @@ Rules:
 
 1. Where it can be seen what comes out: from what arrived last before the stop to what arrives first after it,
    nothing arrived.
-2. Elsewhere what was sent between the stop and the start is lost, if this application surely takes it: events
-   name its pipe for the MsgId, or there is one application that stopped and one such MsgId.
+2. Elsewhere what was sent after its end, and before the command that starts it again, is lost, if this
+   application surely takes it: events name its pipe for the MsgId, or there is one application that stopped
+   and one such MsgId. What was sent just before either may have been taken, and so may all that is sent while
+   one restarts: no event tells when it ended.
 3. Elsewhere it is unaccounted for what was sent since the first stop and is not lost by rule 2: whether an
    application that was started again took it, or whether it was for the one that stopped, nothing shows.
    So it is after a command that stops one, where no event that answers it can be read.
@@ -104,9 +106,9 @@ def _unfollowed(known: Known, fate: Fate, own: Sequence[Outage], *, alone: bool)
     surely = named or (own if alone and len({item.app for item in own}) == 1 else [])
     found = []
     for item in surely:
-        inside = fate.open & (times > item.start_ns)
+        inside = fate.open & (times > item.ended_ns)
         if item.end_ns is not None:
-            inside &= times < item.end_ns
+            inside &= times < item.asked_ns
         if (chosen := np.flatnonzero(inside)).size:
             fate.claim(chosen)
             found.append(loss_of(known, fate, "stopped", chosen, [f"event {item.said}"], hop=item.app))
@@ -133,6 +135,8 @@ class Outage:
         app: its name.
         start_ns: told to stop, or said to have.
         end_ns: said to have started again; None where it was not.
+        ended_ns: it surely took nothing from then on,
+        asked_ns: until then, where it started again: it was told to, or could take what CI had not read.
         said: the event that tells.
         instance: the cFS that it is of.
     """
@@ -140,6 +144,8 @@ class Outage:
     app: str
     start_ns: int
     end_ns: int | None
+    ended_ns: int
+    asked_ns: int
     said: str
     instance: int
 
@@ -160,12 +166,18 @@ def outages(known: Known) -> list[Outage]:
             if item.app == app and 0 <= record.time_ns - int(known.rows.time_ns[item.row]) <= _COMMAND_NS
         ]
         if record.event_id == executive_services.STARTED:
-            started = any(item.function_code == executive_services.START_APP for item in asked)
+            started = [
+                int(known.rows.time_ns[item.row])
+                for item in asked
+                if item.function_code == executive_services.START_APP
+            ]
             if started and not any((item.app, item.instance) == (app, instance) for item in found):
                 # It was stopped before the capture began, or never ran.
-                found.append(Outage(app, int(known.rows.time_ns[0]) - 1, None, str(record), instance))
+                began_ns = int(known.rows.time_ns[0]) - 1
+                found.append(Outage(app, began_ns, None, began_ns, now, str(record), instance))
+            asked_ns = min(started, default=now - WAITS_NS)
             found = [
-                replace(item, end_ns=now)
+                replace(item, end_ns=now, asked_ns=asked_ns)
                 if (item.app, item.instance) == (app, instance) and item.end_ns is None
                 else item
                 for item in found
@@ -173,5 +185,5 @@ def outages(known: Known) -> list[Outage]:
             continue
         end_ns = now if record.event_id == executive_services.RESTARTED else None
         told_ns = [int(known.rows.time_ns[item.row]) for item in asked]
-        found.append(Outage(app, max(told_ns, default=now), end_ns, str(record), instance))
+        found.append(Outage(app, max(told_ns, default=now), end_ns, now, now, str(record), instance))
     return found

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.evidence.instances import Instances
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
@@ -35,6 +36,8 @@ _JITTER_NS: Final = 100 * MILLISECOND
 _BESIDE_NS: Final = 5 * SECOND
 _SURE: Final = 4
 """Packets of a window of which one was hardly delayed."""
+_ALIKE_NS: Final = 20 * MILLISECOND
+"""Delays of one round differ by less; behind a peer that hands packets on, or a slow network, by more."""
 _MODULUS: Final = 1 << 14
 _NEXT: Final = 16
 _MOST_GO_ON: Final = 0.6
@@ -75,9 +78,10 @@ def steadied(
 def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> NDArray[np.int64]:
     """Return by how much each row's mission time is to be moved: what a cFS's clock slipped or drifted by.
 
-    The shortest delay in a window is less than the time between two wake-ups of Telemetry Output; what it is
-    longer than in the best window is the clock's doing. With several cFS on a network nothing is levelled:
-    two boots at nearly one time look alike, and a level may be the other one's.
+    The shortest delay in a window is less than the time between two wake-ups of Telemetry Output: where it is
+    longer, the clock slipped. By how much, its housekeeping tells (``_by_output``), else what the shortest
+    delay is longer than in the best window. With several cFS on a network nothing is levelled: two boots at
+    nearly one time look alike, and a level may be the other one's.
     """
     moved = np.zeros(len(rows), np.int64)
     alone = not ((rows.processor_id != 0) & (rows.mission_time_ns > 0)).any()
@@ -89,6 +93,15 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> NDArray[np
         least = np.minimum.reduceat(delay, edges)
         sure = np.diff(np.append(edges, len(own))) >= _SURE
         if not sure.any() or least[sure].max() <= _CYCLE_NS:
+            continue
+        output = np.flatnonzero(rows.known_id[own] == telemetry_output.HOUSEKEEPING_MSG_ID)
+        if len(output) >= _SURE and np.median(np.abs(np.diff(delay[output]))) < _ALIKE_NS:
+            moved[own] = _by_output(delay, output)
+            steps = np.diff(moved[own])
+            jumps += [
+                Jump(instance.name or "cFS", int(own[at + 1]), -int(steps[at]))
+                for at in np.flatnonzero(np.abs(steps) > 2 * _CYCLE_NS)[:_MOST].tolist()
+            ]
             continue
         # A window with too few packets to tell is as the one before it; one that differs from both beside it
         # had packets that were kept waiting.
@@ -105,6 +118,28 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> NDArray[np
             step = int(level[at] - level[at + 1])
             jumps.append(Jump(instance.name or "cFS", int(own[edges[at + 1]]), step))
     return moved
+
+
+def _by_output(delay: NDArray[np.int64], output: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Return what the clock slipped by at each packet of a cFS, by Telemetry Output's housekeeping.
+
+    That is made right after a round and sent in the next one: it always waits for one round, and nothing
+    waits for longer. What others make waits for a part of a round: another part after either restarts.
+
+    Args:
+        delay: i64 (n,), of each packet, ns; more than that of the quickest.
+        output: which of them are that housekeeping.
+    """
+    waits = int(delay[output].min())
+    late = delay[output] - waits
+    # A single one that differs from both beside it was kept waiting.
+    beside = np.stack((np.append(late[:1], late[:-1]), late, np.append(late[1:], late[-1:])))
+    late = np.median(beside, axis=0).astype(np.int64)
+    behind = np.searchsorted(output, np.arange(len(delay)))
+    before, after = late[np.maximum(behind - 1, 0)], late[np.minimum(behind, len(late) - 1)]
+    fits = (after <= delay) & (delay - after <= waits + _JITTER_NS)
+    slipped: NDArray[np.int64] = np.minimum(np.where(fits, after, before), delay)
+    return slipped
 
 
 def _forward_only(rows: Rows) -> tuple[Rows, list[Jump]]:

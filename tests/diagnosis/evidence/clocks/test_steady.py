@@ -1,9 +1,13 @@
-"""Which instance takes up the counts of another: asked of all that came before at once."""
+"""Clocks of cFS that slip, and which instance takes up the counts of another: asked of all before at once."""
 
 from hypothesis import given
 from hypothesis import strategies as st
+from places import ROOT
 
 from edoras_tools.diagnosis.evidence.clocks import steady
+from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.pipelines.workbench import Settings
 
 counts = st.dictionaries(st.tuples(st.integers(0, 5)), st.integers(0, 40), max_size=6)
 
@@ -27,3 +31,16 @@ def test_counts_are_taken_up_as_of_each_pair(
 def test_some_are_taken_up() -> None:
     last = [{(stream,): 7 for stream in range(4)}, {(stream,): 9000 for stream in range(4)}]
     assert steady._taken_up(steady._places(last), {(stream,): 8 for stream in range(4)}, 2) == [0]
+
+
+def test_a_clock_that_slipped_and_an_output_that_woke_at_another_time_are_told_apart() -> None:
+    """By the console of n5 its clock fell back by 0.1 s, and Telemetry Output was restarted."""
+    bench = Settings().workbench()
+    examination = Examination(bench.columns.context)
+    for batch in open_file(ROOT / "tests/captures/n5_app_restarts.pcap.zst").batches():
+        examination.add(batch, bench.columns.decode(batch))
+    delays = {row["msg_id"]: row["delay"] for row in examination.diagnose().routes if row["delay"]}
+    own = delays.pop("0x0880")
+    assert 480 < own["p50_ms"] <= own["max_ms"] < 510  # what it makes itself waits for one round
+    assert max(delay["max_ms"] for delay in delays.values()) < 500  # and nothing for longer
+    assert 290 < delays["0x0800"]["p50_ms"] < 320
