@@ -16,6 +16,7 @@ from edoras_tools.cli.endings import INTERRUPTED, LOST, tell
 from edoras_tools.cli.main import Command, Group
 from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
 from edoras_tools.errors import ConfigError
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from edoras_tools.pipelines.archive.questions import ArchiveSpan
@@ -182,10 +183,15 @@ def losses(
     Exit code 3: there is such.
     """
     from edoras_tools.pipelines.archive.index import open_index
-    from edoras_tools.pipelines.archive.questions import list_losses
+    from edoras_tools.pipelines.archive.questions import count_examined, list_losses
 
     with open_index(index) as opened:
-        rows = list_losses(opened, chosen.span(), tuple(topic or ()), over=over or 0.0)
+        span, topics = chosen.span(), tuple(topic or ())
+        rows = list_losses(opened, span, topics, over=over or 0.0)
+        examined = 0 if rows else count_examined(opened, span, topics)
+    if not (rows or csv or json):
+        sys.stdout.write(f"No loss{' over this share' if over else ''} in {plural(examined, 'capture')}.\n")
+        return
     _print_rows("losses", rows, csv=csv, json=json)
     if rows:
         raise typer.Exit(LOST)

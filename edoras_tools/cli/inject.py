@@ -30,7 +30,7 @@ class MessageOptions(NamedTuple):
         ""
     )
     values: Annotated[
-        str, typer.Argument(), "[MESSAGE]", "Its fields as YAML or JSON, or @FILE; or the argument."
+        str, typer.Argument(), "[MESSAGE]", "Its fields as YAML or JSON, or @FILE; or a command's argument."
     ] = ""
     to: Annotated[str, "TO", "Send to ci, sbn or ground; default: the link of its route."] = ""
     command: Annotated[

@@ -191,6 +191,12 @@ def sent(rows: Iterable[Row]) -> int:
     return number
 
 
+def not_counted(rows: Iterable[Row]) -> str:
+    """Return where nothing counts what was lost, and what would; empty where all is counted."""
+    unseen = (row for row in rows if row.came and not row.observed)
+    return next((f"{row.counted['lost']} ({row.hop})" for row in unseen), "")
+
+
 def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
     """Return a line for each configured route, and for each other of which something is missing: worst first.
 

@@ -11,7 +11,7 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode.conversations import Unnamed, unnamed
 from edoras_tools.diagnosis.accounting.commands import Refused
 from edoras_tools.diagnosis.accounts import accounts
-from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, sent, summed
+from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, not_counted, sent, summed
 from edoras_tools.diagnosis.case import Capture, Case
 from edoras_tools.diagnosis.chains import Chain, chains
 from edoras_tools.diagnosis.evidence.relays.proxied import proxied
@@ -132,6 +132,8 @@ class Diagnosis:
     def beyond(self, share: float) -> list[str]:
         """Return why exit code 3 is due, a line each, if so much of any route, and of all, may be missing.
 
+        Where nothing counts what was lost of a route, that is a reason too.
+
         Args:
             share: from 0 to 1.
         """
@@ -142,11 +144,13 @@ class Diagnosis:
         told = []
         for (route, msg_id), own in {**groups, (NO_ROUTE, NO_MSG_ID): rows}.items():
             missing = sum(row.all_lost + row.unaccounted for row in own)
+            unnamed = "messages of unknown MsgId" if msg_id is None else f"0x{msg_id:04x}"
+            name = "messages in all" if msg_id == NO_MSG_ID else self.topics.get(route, unnamed)
             if missing > share * sent(own):
-                unnamed = "messages of unknown MsgId" if msg_id is None else f"0x{msg_id:04x}"
-                name = "messages in all" if msg_id == NO_MSG_ID else self.topics.get(route, unnamed)
                 counted = f"{missing:,} of {sent(own):,} {name} lost or unaccounted for"
                 told.append(f"{counted}: more than {share * 100:g} %")
+            elif msg_id != NO_MSG_ID and (unseen := not_counted(own)):
+                told.append(f"what was lost of {name} is {unseen}")
         told += [
             item.reason for item in self.verdicts if item.severity is Severity.ERROR and item.lost is None
         ]

@@ -88,8 +88,28 @@ def test_losses(call, index):
     ]
     assert (row["topic"], row["share"], row["causes"]) == ("/cmd_vel", 92 / 600, ["limit"])
     assert call("archive", "losses", "--csv").out.startswith("capture,start_ns,topic,")
-    nothing = call("archive", "losses", "--since", "2030-01-01")
-    assert (nothing.code, nothing.out) == (0, "No loss.\n")
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "told"),
+    [
+        (["--topic", "/telemetry*"], 0, "No loss in 2 captures.\n"),
+        (["--until", "2026-11-21T06:15", "--over", "99%"], 0, "No loss over this share in 1 capture.\n"),
+        (["--since", "2030-01-01"], 1, "has no capture of this time with messages; "),
+        (["--topic", "/nix"], 1, "has no capture of this time with messages of these topics; "),
+    ],
+)
+def test_no_loss_is_said_of_captures_with_such_messages_alone(options, code, told, call, index):
+    done = call("archive", "losses", *options)
+    assert done.code == code
+    assert done.out == told if code == 0 else told in done.err[0]
+
+
+@pytest.mark.parametrize("wrong", [["none"], [CAPTURES, "-c", "none.yaml"]])
+def test_an_index_that_gets_nothing_is_not_left(wrong, call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert call("archive", *wrong).code in {1, 2}
+    assert list(tmp_path.iterdir()) == []
 
 
 SQL = (

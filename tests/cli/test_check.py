@@ -99,6 +99,22 @@ def test_live_traffic_is_judged_at_the_end(edoras, expect):
     assert "✗ capture  input datagrams of a link  none" in done.stdout.decode()
 
 
+def test_what_nothing_counts_is_not_taken_for_no_loss(rover, call, expect, tmp_path):
+    """Of commands without telemetry it is not known what was lost: no bound of it is met, none is drafted."""
+    path, mission = rover
+    blind = tmp_path / "blind.pcap"
+    assert call("record", path, *mission, "--link", "ci", "-o", blind).code == 0
+    done = call("check", blind, expect("lost: 0\ntopics: {/cmd_vel: {lost: at most 1%}}\n"), *mission)
+    assert done.code == 3
+    assert "✗ /cmd_vel  lost at most 1%  0 of 600 (0.00%); the rest is not observable: no 0x884" in done.out
+    assert call("doctor", blind, *mission, "--max-loss", "1%").code == 3
+    drafted = call("check", "--init", blind, *mission)
+    assert "  lost:" not in drafted.out
+    assert "what was lost is not observable: no 0x884" in "".join(drafted.err)
+    (tmp_path / "drafted.yaml").write_text(drafted.out)
+    assert call("check", blind, tmp_path / "drafted.yaml", *mission).code == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

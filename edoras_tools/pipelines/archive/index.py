@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import duckdb
 
 from edoras_tools import __version__
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, ConfigError, EdorasError
 from edoras_tools.pipelines.archive.tables import SHAPE, TABLES
 
 if TYPE_CHECKING:
@@ -31,13 +31,14 @@ _ABOUT: Final = "CREATE TABLE about (name VARCHAR, value VARCHAR)"
 
 @contextmanager
 def open_index(path: Path, *, write: bool = False) -> Iterator[Index]:
-    """Open an index; one that is to be written is made if it is not there.
+    """Open an index; one that is to be written is made if it is not there, and stays if it gets a capture.
 
     Raises:
         CaptureError: it cannot be opened or written, is being written by another program, or is no index.
     """
     if not write and not path.exists():
         raise CaptureError(f"{path}: there is no such index; make it: edoras archive DIR --index {path}")
+    new, bare = not path.exists(), False
     try:
         connection = duckdb.connect(str(path), read_only=not write)
     except duckdb.Error as error:
@@ -51,11 +52,16 @@ def open_index(path: Path, *, write: bool = False) -> Iterator[Index]:
         index = Index(path, connection)
         index.check(write=write)
         yield index
+    except EdorasError:  # a mission with mistakes, a folder that is not there
+        bare = new and not index.ask("SELECT 1 FROM captures LIMIT 1")
+        raise
     except duckdb.Error as error:  # a full disk, for one
         what = "written" if write else "read"
         raise CaptureError(f"{path}: cannot be {what}: {first_line(error)}") from error
     finally:
         connection.close()
+        if bare:
+            path.unlink(missing_ok=True)
 
 
 def first_line(error: Exception) -> str:

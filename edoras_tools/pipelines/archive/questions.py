@@ -38,6 +38,11 @@ WHERE o.lost + o.unaccounted > 0
   AND (? IS NULL OR c.end_ns >= ?) AND (? IS NULL OR c.start_ns < ?)
 ORDER BY c.start_ns, o.capture, o.lost DESC, o.link, o.msg_id
 """
+_SENT: Final = """
+SELECT DISTINCT capture, o.topic, o.name, o.msg_id
+FROM outcomes o JOIN captures c USING (capture)
+WHERE o.sent > 0 AND (? IS NULL OR c.end_ns >= ?) AND (? IS NULL OR c.start_ns < ?)
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +83,22 @@ def list_losses(
         row["share"] = missing / row["sent"] if row["sent"] else None
         row["causes"] = row["causes"] or []
     return [row for row in found if row["share"] is None or row["share"] > over]
+
+
+def count_examined(index: Index, span: ArchiveSpan, topics: tuple[str, ...] = ()) -> int:
+    """Return how many captures of a span of time have messages, of these topics if any are named.
+
+    Raises:
+        CaptureError: none.
+    """
+    found = {row["capture"] for row in index.rows(_SENT, span.values) if not topics or _fits(row, topics)}
+    if not found:
+        of = " of these topics" if topics else ""
+        raise CaptureError(
+            f"{index.path}: has no capture of this time with messages{of}; "
+            "'edoras archive list' shows the captures"
+        )
+    return len(found)
 
 
 def _fits(row: Mapping[str, Any], patterns: tuple[str, ...]) -> bool:

@@ -135,6 +135,11 @@ class Draft:
     def _losses(self, name: str, figures: Figures, indent: str) -> Iterator[str]:
         for key in LOSS_KEYS if figures.sent else ():
             number = getattr(figures, key)
+            if key == "lost" and figures.not_counted:
+                self.notes.append(
+                    f"{name}: what was lost is {figures.not_counted}, so the draft has no bound"
+                )
+                continue
             if not number:
                 yield f"{indent}{key}: 0"
                 continue

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.accounts import latency_ms
-from edoras_tools.diagnosis.balance import sent
+from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.pipelines.check.expectations import LOSS_KEYS
@@ -114,6 +114,7 @@ class Figures:
         lost: of the balance.
         superseded: of the balance.
         unaccounted: of the balance.
+        not_counted: where nothing counts what was lost, and what would; empty where all was counted.
     """
 
     count: int
@@ -125,6 +126,7 @@ class Figures:
     lost: int
     superseded: int
     unaccounted: int
+    not_counted: str
 
     @classmethod
     def of(cls, subject: Subject, ledger: Ledger, diagnosis: Diagnosis | None) -> Figures:
@@ -284,6 +286,8 @@ def _bounded(about: str, key: str, bound: Tolerance, figures: Figures) -> CheckR
         share = number / figures.sent if figures.sent else 0.0
         shown = f"{number:,} of {figures.sent:,} ({share:.2%})"
         passed = bound.holds(share if bound.share else number) and (figures.sent > 0 or not figures.count)
+        if passed and key == "lost" and figures.not_counted:
+            shown, passed = f"{shown}; the rest is {figures.not_counted}", False
     elif key == "size" and figures.size is not None:
         passed = all(map(bound.holds, figures.size))
         low, high = figures.size
@@ -361,8 +365,9 @@ def _only(allowed: frozenset[str]) -> str:
     return f"only {', '.join(sorted(allowed))}" if allowed else "none"
 
 
-def _losses(rows: Sequence[Row]) -> dict[str, int]:
+def _losses(rows: Sequence[Row]) -> dict[str, Any]:
     return {
+        "not_counted": not_counted(rows),
         "lost": sum(row.all_lost for row in rows),
         "superseded": sum(row.superseded for row in rows),
         "unaccounted": sum(row.unaccounted for row in rows),

@@ -100,7 +100,9 @@ def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collectio
                 if fits_topic(topic, pattern):
                     raise RouteError(f"{topic} of {source.name}: {why}")
             near = did_you_mean(f"/{pattern.removeprefix('/')}", source.topics)
-            hint = near or f"there are {', '.join(source.topics)}"
+            named = [item for item in source.topics if not item.startswith(("/edoras/", "/cfs/"))]
+            hint = near or f"there are {listed(list(named or source.topics), 12)}"
+            hint += "" if near or named else "; name a mission with -c for its topics"
             raise RouteError(f"no topic of {source.name} matches {pattern!r}; {hint}")
     return [topic for topic in source.topics if any(fits_topic(topic, item) for item in patterns)]
 

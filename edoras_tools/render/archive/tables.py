@@ -84,7 +84,7 @@ def losses_table(rows: Sequence[Mapping[str, Any]], width: int) -> RenderableTyp
     lost, unaccounted = (sum(row[name] for row in rows) for name in ("lost", "unaccounted"))
     captures = plural(len({row["capture"] for row in rows}), "capture")
     told = f"{lost:,} lost, {unaccounted:,} unaccounted for, in {captures}."
-    return Group(build(columns, rows, width), Text(told)) if rows else Text("No loss.")
+    return Group(build(columns, rows, width), Text(told))
 
 
 ROW_TABLES: Final = {"captures": captures_table, "losses": losses_table}
