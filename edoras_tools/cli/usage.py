@@ -118,7 +118,7 @@ def _option_help(option: Any) -> str:
     if option.envvar:
         text += f" [{option.envvar}]"
     default = option.default
-    if option.show_default and not (option.is_flag or default is None or callable(default)):
+    if option.show_default and not (option.is_flag or default in {None, ""} or callable(default)):
         text += f" [default: {getattr(default, 'value', default)}]"
     return text
 
