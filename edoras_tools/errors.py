@@ -25,7 +25,8 @@ class EdorasError(Exception):
     """Root of every error that this package raises on purpose.
 
     Attributes:
-        exit_code: what a command that ends with this error returns to the shell: 1 failed, 2 usage.
+        exit_code: what a command that ends with this error returns to the shell: 1 failed, 2 usage, 130
+            interrupted.
     """
 
     exit_code = 1
@@ -90,6 +91,12 @@ class CaptureError(EdorasError):
 
     A source raises it *after* it has handed over everything that could be read.
     """
+
+
+class InterruptError(CaptureError):
+    """Ctrl-C, SIGTERM or SIGHUP ended the reading of a file or pipe before its end."""
+
+    exit_code = 130
 
 
 class NoDatagramsError(CaptureError):

@@ -632,6 +632,7 @@ class SourceInfo:
         attachments: mission files and the like that the source carries, by name.
         definitions: message definitions that it carries, complete ``ros2msg`` texts by type.
         read_with: how its datagrams are read, as ``decode.Options.described``; a recording keeps it.
+        damage: why not all of its topics are known, of a damaged recording of messages.
     """
 
     name: str
@@ -641,6 +642,7 @@ class SourceInfo:
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     definitions: Mapping[str, str] = field(default_factory=dict)
     read_with: Mapping[str, str] = field(default_factory=dict)
+    damage: str = ""
 
 
 def concatenate(batches: Sequence[PacketBatch]) -> PacketBatch:

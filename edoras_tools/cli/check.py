@@ -13,7 +13,7 @@ from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json, print_view
-from edoras_tools.errors import ConfigError
+from edoras_tools.errors import ConfigError, InterruptError
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
@@ -74,7 +74,7 @@ def check(
         source, bench = open_input(given, decoding.settings(), aligned=True, messages=True, progress=bar)
         pace = Pace(monotonic_ns, 0, duration or 0)
         report = run(source, bench, expected, profile=profile, scope=scope, pace=pace, progress=bar)
-    _check_whole(report.findings, live=live)
+    _check_whole(report.findings)
     if task.junit is not None:
         write_junit(report, task.junit)
     if json:
@@ -118,7 +118,7 @@ def _draft(
         source, bench = open_input(given, decoding.settings(), aligned=True, messages=True, progress=bar)
         profile = profile_with(task.constant or ())
         made = draft(source, bench, profile=profile, scope=scope, progress=bar)
-    _check_whole(made.findings, live=False)
+    _check_whole(made.findings)
     _end(source, made.findings, live=False)
     recordings.put_text(made.text, path)
     for note in made.notes if not printing.quiet else ():
@@ -130,10 +130,10 @@ def _draft(
         raise typer.Exit(LOST)
 
 
-def _check_whole(findings: Examined, *, live: bool) -> None:
+def _check_whole(findings: Examined) -> None:
     """Refuse to judge a part of a file."""
-    if findings.interrupted and not live:
-        raise KeyboardInterrupt
+    if isinstance(findings.failure, InterruptError):
+        raise findings.failure
 
 
 def _end(source: Source, findings: Examined, *, live: bool) -> None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import typer
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 LOST = 3
 """Exit code: finished, but data was lost or found lost."""
 INTERRUPTED = 130
-"""Exit code of a program that Ctrl-C ended, as in shells."""
+"""Exit code of a command that Ctrl-C, SIGTERM or SIGHUP ended before its work was done, as in shells."""
 
 
 def no_datagrams(source: Source) -> None:
@@ -119,16 +118,12 @@ def lost_outputs(losses: Sequence[OutputLoss]) -> None:
         raise typer.Exit(LOST)
 
 
-def topics_read(source: TopicSource, result: str) -> None:
+def topics_read(source: TopicSource) -> None:
     """End a command that read the topics of an input.
-
-    Args:
-        result: what was made of it, e.g. ``the tables contain``.
 
     Raises:
         EdorasError: the input ended early, or contained no UDP at all.
-        typer.Exit: with code 3, if the capture lost packets, or traffic of a link was left out; with code 130
-            after Ctrl-C.
+        typer.Exit: with code 3, if the capture lost packets, or traffic of a link was left out.
     """
     for note in source.notes:
         tell(note)
@@ -136,9 +131,6 @@ def topics_read(source: TopicSource, result: str) -> None:
         tell(f"{source.left_out:,} messages are incomplete and were left out")
     if source.failure is not None:
         raise source.failure
-    if source.interrupted:
-        tell(f"interrupted; {result} what was read before")
-        raise typer.Exit(INTERRUPTED)
     if source.source is not None:
         no_datagrams(source.source)
         lost(source.source)
@@ -171,9 +163,7 @@ def finish(report: CaptureReport, *, live: bool) -> None:
         tell(warning)
     if report.failure is not None:
         raise report.failure
-    if report.interrupted and not live:
-        tell(f"interrupted after {plural(report.ledger.datagrams, 'message' if recorded else 'datagram')}")
-    elif recorded:
+    if recorded:
         no_messages(report.source, report.ledger.datagrams)
     elif not live:
         no_datagrams(report.source)

@@ -124,7 +124,7 @@ def _export(
     with file_progress([source.name], quiet=quiet) as bar:
         report = write(source, target, patterns, form, bar, jobs)
     _tell(report.summary(), printing)
-    topics_read(source, "the tables contain")
+    topics_read(source)
 
 
 def _tell(summary: dict[str, Any], printing: options.PrintOptions) -> None:

@@ -27,7 +27,7 @@ _EXIT_CODES = {
     "1": "Failed.",
     "2": "Wrong usage.",
     "3": "Finished, but data was lost or found lost.",
-    "130": "Stopped by Ctrl-C.",
+    "130": "Stopped by Ctrl-C before all was read or sent.",
 }
 _FILES = {
     "edoras.toml": "Options that one would repeat; looked for in the working folder and its parents.",

@@ -88,7 +88,7 @@ def plot(
         lines = sum(len(panel.lines) for panel in report.figure.panels)
         sys.stderr.write(f"{output}: {report.figure.title}, {plural(lines, 'line')}, {units.size(size)}\n")
     for source in sources:
-        topics_read(source, "the plot shows")
+        topics_read(source)
 
 
 def _check(output: Path) -> None:

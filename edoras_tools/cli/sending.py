@@ -251,7 +251,7 @@ def carry_out(
         tell(reason)
     if reasons or (send_options.max_loss is None and report.lost):
         raise typer.Exit(LOST)
-    if report.interrupted and keys is None and transmission.total:
+    if report.signalled and transmission.total:
         raise typer.Exit(INTERRUPTED)
 
 

@@ -18,6 +18,7 @@ import threading
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from edoras_tools.errors import InterruptError
 from edoras_tools.io.signals import ENDING
 
 if TYPE_CHECKING:
@@ -91,6 +92,11 @@ def _leave_terminal() -> None:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), fileno)
 
 
+def interrupted(source: Source) -> InterruptError:
+    """Return the error that a file or pipe ends with after Ctrl-C."""
+    return InterruptError(f"{source.info.name}: interrupted; everything before was read")
+
+
 @contextmanager
 def interruptible(
     source: Source, *, patient: bool = False
@@ -101,7 +107,8 @@ def interruptible(
         patient: see ``on_interrupt``.
 
     Yields:
-        The batches, and an event that is set once they were interrupted.
+        The batches, and an event that is set once they were interrupted. Those of a file or pipe then end
+        with an ``InterruptError``.
     """
     stop = getattr(source, "stop", None)
     waiting = False
@@ -120,13 +127,14 @@ def interruptible(
                 batch = next(given, None)
             except KeyboardInterrupt:
                 if asked.is_set():
-                    return
+                    break
                 raise
             finally:
                 waiting = False
             if batch is None:
                 return
             yield batch
+        raise interrupted(source)
 
     with on_interrupt(stop or interrupt, patient=patient, here=stop is None) as asked:
         yield source.batches() if stop else batches(), asked

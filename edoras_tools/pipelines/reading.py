@@ -19,7 +19,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.model import OTHER
-from edoras_tools.pipelines.interrupt import interruptible
+from edoras_tools.pipelines.interrupt import interrupted, interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -113,9 +113,14 @@ class ReadLoop:
 
         Args:
             left: rows at hand that are not shown yet.
+
+        Raises:
+            InterruptError: after Ctrl-C, of a file or pipe.
         """
-        if not self.interrupted or not hasattr(self.source, "stop"):
-            return self.interrupted
+        if not self.interrupted:
+            return False
+        if not hasattr(self.source, "stop"):
+            raise interrupted(self.source)
         now = self.limits.clock()
         self._ends_ns = self._ends_ns or now + _ENDING_NS
         discard = getattr(self.source, "discard", None)
@@ -231,7 +236,8 @@ def reading(
 ) -> Iterator[ReadLoop]:
     """Read a source: iterate over the loop that this yields. The source is closed at the end.
 
-    Ctrl-C and SIGTERM end the loop: for a live source after all that has arrived, for a file or pipe at once.
+    Ctrl-C and SIGTERM end the loop: for a live source after all that has arrived, for a file or pipe at once,
+    with an ``InterruptError``.
     Outside the main thread, signals are not handled.
 
     Args:

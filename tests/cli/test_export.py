@@ -11,6 +11,7 @@ import pytest
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from edoras_tools.errors import InterruptError
 from edoras_tools.pipelines.export.sources import CaptureTopics
 
 
@@ -126,13 +127,13 @@ def test_an_interrupted_export_is_whole_and_says_so(call, rover, tmp_path, monke
     def interrupted(source, *arguments):
         for item in made(source, *arguments):
             yield item
-            source.interrupted = True
+            source.failure = InterruptError("x: interrupted; everything before was read")
             return
 
     monkeypatch.setattr(CaptureTopics, "made", interrupted)
     done = call("export", *rover, "--topic", "cmd_vel", "-o", tmp_path / "a.csv")
     assert (done.code, len((tmp_path / "a.csv").read_text().splitlines())) == (130, 601)
-    assert done.err[-1] == "edoras: interrupted; the tables contain what was read before"
+    assert done.err[-1] == "edoras: x: interrupted; everything before was read"
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")

@@ -1,8 +1,10 @@
 """``edoras plot`` as a shell sees it."""
 
+import struct
 from xml.etree import ElementTree as ET
 
 import pytest
+from mcap.writer import Writer
 
 
 @pytest.fixture
@@ -67,6 +69,31 @@ def test_bad_input_is_one_line(call, rover, tmp_path, monkeypatch, arguments, co
     assert (done.code, len(done.err), done.out) == (code, 1, "")
     assert words in done.err[0]
     assert not list(tmp_path.iterdir())
+
+
+def test_the_damage_of_a_recording_is_told_where_a_topic_is_not_there(call, rover, tmp_path):
+    own, other, cut = tmp_path / "own.mcap", tmp_path / "other.mcap", tmp_path / "cut.mcap"
+    assert call("record", *rover, "-o", own, "-q").code == 0
+    with other.open("wb") as file:
+        writer = Writer(file, chunk_size=256)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/Int32", "ros2msg", b"int32 data")
+        channel = writer.register_channel("/count", "cdr", schema)
+        for number in range(100):
+            writer.add_message(channel, number, struct.pack("<Ii", 1 << 8, number), number)
+        writer.finish()
+    for whole in (own, other):
+        cut.write_bytes(whole.read_bytes()[:1000])
+        for arguments in (
+            ["plot", cut, "/nowhere.x"],
+            ["export", cut, "--topic", "/nowhere", "-o", tmp_path / "x"],
+        ):
+            done = call(*arguments, "--force")
+            assert (done.code, len(done.err)) == (1, 1)
+            start = f"edoras: no topic of what can be read matches '/nowhere': {cut}: is cut off at byte "
+            assert done.err[0].startswith(start)
+    done = call("plot", other, "/nowhere.x")
+    assert done.err == [f"edoras: no topic of {other} matches '/nowhere'; there are /count"]
 
 
 def test_an_input_is_needed(call):

@@ -1,6 +1,7 @@
 """Replay and inject as people run them; loopback only, on ports that are free."""
 
 import json
+import signal
 import struct
 import subprocess
 import sys
@@ -348,7 +349,8 @@ def test_ctrl_c_prints_the_report(command, captures, receiver, tmp_path):
     assert json.loads(info.stdout)["datagrams"] == report["sent"]
 
 
-def test_steps_from_a_pipe(command, captures, receiver):
+@pytest.mark.parametrize(("ends", "code"), [("q", 0), (signal.SIGINT, 130), (signal.SIGTERM, 130)])
+def test_steps_from_a_pipe(command, captures, receiver, ends, code):
     target, take = receiver
     words = [
         "replay",
@@ -367,9 +369,10 @@ def test_steps_from_a_pipe(command, captures, receiver):
         keys.flush()
         sent = []
         program.until(lambda: sent.extend(take()) or len(sent) >= 3, "it has sent three")
-        keys.write("q")
-        keys.flush()
-        report = json.loads(program.end(None)[0])
+        if ends == "q":
+            keys.write("q")
+            keys.flush()
+        report = json.loads(program.end(None if ends == "q" else ends, code=code)[0])
     assert (report["sent"], take(), report["interrupted"]) == (3, [], True)
 
 

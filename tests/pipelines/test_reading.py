@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from waiting import until
 
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, ConfigError, InterruptError
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.pipelines.selection import Period, Selection
 
@@ -116,11 +116,13 @@ def test_a_mistake_in_the_selection_closes_the_source(bench, batches, made_up):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_ctrl_c_ends_it_after_the_batch_at_hand(number, bench, batches, made_up):
     before, taken = signal.getsignal(number), []
-    with reading(made_up(batches), bench) as loop:
+    with reading(made_up(batches), bench, keeps_failure=True) as loop:
         for rows in loop:
             taken.append(len(rows))
             os.kill(os.getpid(), number)
     assert (taken, loop.interrupted) == ([100], True)
+    assert isinstance(loop.failure, InterruptError)
+    assert str(loop.failure) == "made up: interrupted; everything before was read"
     assert signal.getsignal(number) is before
 
 

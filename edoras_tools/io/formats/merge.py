@@ -81,6 +81,7 @@ class MergedSource:
             attachments={name: data for info in reversed(infos) for name, data in info.attachments.items()},
             definitions={name: text for info in reversed(infos) for name, text in info.definitions.items()},
             read_with={name: text for info in reversed(infos) for name, text in info.read_with.items()},
+            damage="; ".join(info.damage for info in infos if info.damage),
         )
 
     @property

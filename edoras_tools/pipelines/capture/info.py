@@ -58,7 +58,7 @@ class Counting:
 
     def end(self, loop: ReadLoop) -> CaptureReport:
         """Return the counts, and how the loop ended."""
-        self.report.interrupted, self.report.failure = loop.interrupted, loop.failure
+        self.report.failure = loop.failure
         self.report.unnamed = loop.conversations.unnamed
         self.report.notes = [*self.report.notes, *loop.conversations.notes(), *self._once.notes()]
         return self.report

@@ -90,7 +90,6 @@ class CaptureReport:
     Attributes:
         ledger: counts by route.
         source: the source, for its statistics.
-        interrupted: whether Ctrl-C ended it.
         outputs: the files that were written, or the rosbag2 directory.
         failure: why the source ended early, if it did; everything before is written.
         notes: what was recognised from the bytes, one line each.
@@ -103,7 +102,6 @@ class CaptureReport:
 
     ledger: Ledger
     source: Source
-    interrupted: bool = False
     outputs: list[Path] = field(default_factory=list)
     failure: EdorasError | None = None
     notes: list[str] = field(default_factory=list)
@@ -417,14 +415,14 @@ def pour(
             write(rest, None)
         if host and note:
             note(host.now())
-        report.interrupted, report.failure = loop.interrupted, loop.failure
+        report.failure = loop.failure
         report.notes = [*report.notes, *loop.conversations.recorded()]
-        ended = not report.failure and (live or not report.interrupted)
+        ended = not report.failure
     finally:
         source.close()
         if not ended and isinstance(sink, WatchedSink):
             sink.spare_older()
-            if not wrote and not report.interrupted:
+            if not wrote:
                 sink.remove()
         sink.close(source.statistics)
     return report

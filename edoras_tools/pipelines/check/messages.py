@@ -34,7 +34,6 @@ class CountedMessages:
         source: the recording.
         zero_ns: time of its first message.
         failure: why it ended early, if it did.
-        interrupted: whether Ctrl-C ended it.
         warnings: a line each.
         unnamed: nothing: a recording has no ports.
         diagnosis: none.
@@ -43,7 +42,6 @@ class CountedMessages:
     source: Source
     zero_ns: int = 0
     failure: EdorasError | None = None
-    interrupted: bool = False
     warnings: list[str] = field(default_factory=list)
     unnamed: tuple[str, ...] = ()
     diagnosis: None = None
@@ -80,4 +78,4 @@ def examine_or_count(
             counting.add(rows, loop)
     ledger = counting.report.ledger
     warnings = [*bench.columns.context.notes, *ledger.notes, *ledger.unread]
-    return CountedMessages(source, loop.begin_ns or 0, loop.failure, loop.interrupted, warnings)
+    return CountedMessages(source, loop.begin_ns or 0, loop.failure, warnings)

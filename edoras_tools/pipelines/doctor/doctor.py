@@ -65,13 +65,11 @@ class Findings:
         diagnosis: of everything that was read.
         source: the source, for its statistics.
         failure: why the source ended early, if it did; everything before is judged.
-        interrupted: whether Ctrl-C ended it.
     """
 
     diagnosis: Diagnosis
     source: Source
     failure: EdorasError | None = None
-    interrupted: bool = False
 
     @property
     def warnings(self) -> Sequence[str]:
@@ -187,7 +185,7 @@ def examine(
                 judged = pace.clock()
                 # Judging takes at most a fifth of the time, however large the capture is.
                 pause = max(pace.every_ns, 5 * (judged - now))
-        return Findings(diagnose(), source, loop.failure, loop.interrupted)
+        return Findings(diagnose(), source, loop.failure)
 
 
 def profile_with(constants: Sequence[str]) -> SimProfile:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, InterruptError
 from edoras_tools.io.formats.merge import recorded_faults
 from edoras_tools.io.formats.open import is_cfe_file
 from edoras_tools.io.formats.records import RecordSource
@@ -76,8 +76,8 @@ class TopicSource(ABC):
         last_ns: latest time that was read; -1 before.
         left_out: messages on wanted topics that are incomplete or do not fit their type.
         unnamed: see ``Context``.
+        damage: why not all topics are known.
         failure: why it ended early, if it did.
-        interrupted: Ctrl-C ended it.
     """
 
     source: Source | None = None
@@ -90,8 +90,8 @@ class TopicSource(ABC):
         self.unread: dict[str, str] = {}
         self.zero_ns = self.last_ns = -1
         self.left_out = self.unnamed = 0
+        self.damage = source.info.damage
         self.failure: EdorasError | None = None
-        self.interrupted = False
         self._scope = scope or Scope()
 
     @property
@@ -188,7 +188,7 @@ class TopicSource(ABC):
                     made.add(*given(*rows.alone()), here=source.statistics.ended)
                     yield from chain.from_iterable(made.results(_MOST_MADE))
             yield from chain.from_iterable(made.results(0))
-            self.failure, self.interrupted = loop.failure, loop.interrupted
+            self.failure = loop.failure
             loop.note()
             self.unnamed = bench.columns.context.unnamed
 
@@ -225,7 +225,8 @@ class CaptureTopics(TopicSource):
         bench: mission, types and decoders.
         scope: which datagrams.
         judge: makes the topics of ``JUDGED``; None if the source cannot be read again.
-        seek: reads the source again for the topics that only its content names; None if it cannot.
+        seek: reads the source again for the topics that only its content names, and why it ended early; None
+            if it cannot.
     """
 
     def __init__(
@@ -234,7 +235,7 @@ class CaptureTopics(TopicSource):
         bench: Workbench,
         scope: Scope | None = None,
         judge: Judge | None = None,
-        seek: Callable[[], Mapping[str, str]] | None = None,
+        seek: Callable[[], tuple[Mapping[str, str], EdorasError | None]] | None = None,
     ) -> None:
         super().__init__(source, bench, scope)
         self.source, self._judge = source, judge
@@ -265,8 +266,9 @@ class CaptureTopics(TopicSource):
     def look(self) -> None:
         """Add the topics of RACS2, of DDS and of files that were transferred."""
         if self._seek is not None:
-            self.topics = {**self._seek(), **self.topics}
-            self._seek = None
+            found, failure = self._seek()
+            self.topics = {**found, **self.topics}
+            self.damage, self._seek = str(failure or ""), None
 
     def types(self, topic: str) -> TypeStore:
         """Return the types that include a topic's."""
@@ -317,7 +319,7 @@ class CaptureTopics(TopicSource):
         for messages in rest:
             for block in self._blocks([messages], len(messages), wanted, self._places):
                 yield block.topic, len(block), make(block, self.zero_ns)
-        if self._judge is not None and JUDGED & set(wanted) and not self.interrupted:
+        if self._judge is not None and JUDGED & set(wanted) and not isinstance(self.failure, InterruptError):
             try:
                 for block in self._judge(JUDGED & set(wanted), progress):
                     yield block.topic, len(block), make(block, self.zero_ns)
@@ -447,7 +449,7 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
     def judge(wanted: Collection[str], progress: Progress | None) -> Iterator[TopicBlock]:
         return judged_blocks(wanted, paths, settings, scope or Scope(), progress)
 
-    def seek() -> dict[str, str]:
+    def seek() -> tuple[dict[str, str], EdorasError | None]:
         found: dict[str, str] = {}
 
         def add(topic: Topic) -> int:
@@ -462,7 +464,7 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
         with reading(again, bench, keeps_failure=True) as loop:
             for rows in loop:
                 streams.prepare(*rows.alone(), statistics=False)
-        return found
+        return found, loop.failure
 
     again = all(path.is_file() or path.is_dir() for path in paths)
     return CaptureTopics(source, bench, scope, *((judge, seek) if again else ()))

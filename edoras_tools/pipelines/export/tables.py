@@ -99,6 +99,8 @@ def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collectio
             for topic, why in source.unread.items():
                 if fits_topic(topic, pattern):
                     raise RouteError(f"{topic} of {source.name}: {why}")
+            if source.damage:
+                raise RouteError(f"no topic of what can be read matches {pattern!r}: {source.damage}")
             near = did_you_mean(f"/{pattern.removeprefix('/')}", source.topics)
             named = [item for item in source.topics if not item.startswith(("/edoras/", "/cfs/"))]
             hint = near or f"there are {listed(list(named or source.topics), 12)}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.errors import ConfigError
+from edoras_tools.errors import ConfigError, InterruptError
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.export.judged import LOST_TOPIC
 from edoras_tools.pipelines.export.sources import open_topics
@@ -257,7 +257,7 @@ def read_plot(
         for recording in read:
             for block in filter(len, recording.source.blocks(recording.wanted, progress)):
                 recording.take(block)
-            if recording.source.interrupted:
+            if isinstance(recording.source.failure, InterruptError):
                 break
     return PlotReport(_Assembly(read, names, scope).figure(panels), sources)
 

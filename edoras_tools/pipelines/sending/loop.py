@@ -97,6 +97,7 @@ class SendReport:
         responses: what came back.
         faults: injected faults by kind.
         interrupted: whether Ctrl-C or the q key ended it.
+        signalled: whether it was Ctrl-C, SIGTERM or SIGHUP.
         failure: why it ended early.
         notes: for the user, one line each.
         losses: outputs of its recording that were removed while they were written.
@@ -114,6 +115,7 @@ class SendReport:
     lateness: Lateness = field(default_factory=Lateness)
     faults: dict[str, int] = field(default_factory=dict)
     interrupted: bool = False
+    signalled: bool = False
     failure: EdorasError | None = None
     notes: list[str] = field(default_factory=list)
     losses: list[OutputLoss] = field(default_factory=list)
@@ -229,7 +231,7 @@ class Sending:
         Every error on the way is in ``SendReport.failure``.
         """
         report = self.report
-        with on_interrupt(self.stop), self._keys or nullcontext(), self._precedence:
+        with on_interrupt(self.stop) as asked, self._keys or nullcontext(), self._precedence:
             try:
                 self._wait_for(wait_for, timeout_ns)
                 if not self.stopped:
@@ -242,6 +244,7 @@ class Sending:
             except KeyboardInterrupt:  # the second Ctrl-C
                 self.stopped = True
             report.interrupted = self.stopped and report.failure is None
+            report.signalled = report.interrupted and asked.is_set()
             for data in self._session.goodbye() if self._session else ():
                 self._wire.put(data)
         statistics = self._wire.statistics

@@ -20,7 +20,7 @@ from places import ROOT
 from edoras_tools.cli import endings
 from edoras_tools.cli.endings import LOST
 from edoras_tools.decode import Options
-from edoras_tools.errors import CaptureError, ConfigError, RouteError
+from edoras_tools.errors import CaptureError, ConfigError, InterruptError, RouteError
 from edoras_tools.io.formats.mcap import writer
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.net.receive import UdpSource
@@ -84,7 +84,7 @@ def test_everything_in_order(bench, batches, made_up, sink):
     )
     assert opened.done == [100] * 18 + ["close"]
     assert tapped == [(100, 100)] * 18
-    assert (report.ledger.datagrams, report.failure, report.interrupted) == (1800, None, False)
+    assert (report.ledger.datagrams, report.failure) == (1800, None)
     assert opened.statistics is source.statistics
     assert source.closed
 
@@ -197,7 +197,7 @@ def test_ctrl_c_while_it_waits_for_a_pipe(bench, batches, made_up, sink):
     source = made_up([batches[0], lambda: os.kill(os.getpid(), signal.SIGINT), batches[1]])
     report = record(source, bench, TARGET, limits=STILL)
     assert opened.done == [100, "close"]
-    assert report.interrupted
+    assert isinstance(report.failure, InterruptError)
     assert signal.getsignal(signal.SIGINT) is before
 
 
@@ -208,7 +208,7 @@ def test_ctrl_c_while_it_writes_loses_nothing(number, bench, batches, made_up, s
         made_up(batches), bench, TARGET, limits=STILL, tap=lambda *_: os.kill(os.getpid(), number)
     )
     assert opened.done == [100, "close"]
-    assert (report.interrupted, report.ledger.datagrams) == (True, 100)
+    assert (type(report.failure), report.ledger.datagrams) == (InterruptError, 100)
 
 
 def test_ctrl_c_while_it_reads_a_file_leaves_the_older_recording(bench, tmp_path):
@@ -220,7 +220,7 @@ def test_ctrl_c_while_it_reads_a_file_leaves_the_older_recording(bench, tmp_path
         Target(path, replace=True, told=told.append),
         tap=lambda *_: os.kill(os.getpid(), signal.SIGINT),
     )
-    assert report.interrupted
+    assert isinstance(report.failure, InterruptError)
     assert path.read_bytes() == b"precious"
     assert report.outputs == [tmp_path / "x_1.pcap"]
     assert told == [f"{path} is as it was; the new recording is {tmp_path / 'x_1.pcap'}"]
@@ -244,7 +244,7 @@ def test_ctrl_c_of_a_live_source_takes_what_arrived(bench, batches, made_up, sin
     source.batches = given
     report = record(source, bench, TARGET, limits=STILL)
     assert opened.done == [100, 100, 100, "close"]
-    assert report.interrupted
+    assert report.failure is None
 
 
 def test_a_second_ctrl_c_does_not_wait(bench, batches, made_up, sink):

@@ -64,9 +64,10 @@ class MessageSource:
     """
 
     def __init__(self, name: str, files: Sequence[SettledFile], table: NumberedTopics) -> None:
-        self.info = SourceInfo(name, "topics")
-        self.statistics = SourceStatistics()
         opened = [open_topic_file(item) for item in files]
+        damage = "; ".join(str(file.failure) for file in opened if file.failure)
+        self.info = SourceInfo(name, "topics", damage=damage)
+        self.statistics = SourceStatistics()
         numbers = [
             {channel: table.number(topic, item.name) for channel, topic in file.topics.items()}
             for item, file in zip(files, opened, strict=True)
