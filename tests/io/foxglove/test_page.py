@@ -153,7 +153,7 @@ def test_a_browser_shows_it_and_takes_nothing_for_markup(serve):
     ).stdout
     assert "<title>a &lt;b&gt;link&lt;/b&gt;</title>" in shown
     assert re.search(r'id="state"[^>]*>live<', shown)
-    assert "/pose&lt;b&gt;" in shown
+    assert "/<wbr>pose&lt;b&gt;" in shown
     assert re.search(r'<small class="level2">truncated</small>', shown)
     assert '<td class="lost">12</td>' in shown
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in shown
