@@ -32,7 +32,7 @@ from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.uncaptured import HostDrops, find_holes, host_drops
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
-from edoras_tools.diagnosis.matching.streams import Stream, find_robots, find_streams
+from edoras_tools.diagnosis.matching.streams import Reset, Stream, find_resets, find_robots, find_streams
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Link
 from edoras_tools.units import SECOND
@@ -172,6 +172,11 @@ class Case:
         return find_streams(self.rows, self.instances)
 
     @cached_property
+    def resets(self) -> list[Reset]:
+        """Restarts of a cFS whose clock went on."""
+        return find_resets(self.rows, self.streams)
+
+    @cached_property
     def tracks(self) -> dict[int, Track]:
         """The counters of each instance."""
         return tracks(self.rows, self.payloads, self.instances)
@@ -268,7 +273,14 @@ class Case:
                     first_out[hop.into.receiver] = min(known, hop.first)
         times = {endpoint: np.sort(np.concatenate(parts)) for endpoint, parts in arrived.items()}
         sources = Sources(
-            self.rows, self.payloads, self.instances, self.endpoints, self.profile, times, first_out
+            self.rows,
+            self.payloads,
+            self.instances,
+            self.endpoints,
+            self.profile,
+            self.resets,
+            times,
+            first_out,
         )
         counted = ingests(sources)
         return [

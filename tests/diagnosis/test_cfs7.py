@@ -166,8 +166,14 @@ def test_counters_that_were_set_to_0_by_command_are_no_restart():
 def test_a_processor_reset_is_a_restart_though_the_clock_goes_on():
     diagnosis = examined("processor_reset")
     (restart,) = found(diagnosis, "cfs_restart")
-    assert restart.reason.startswith("cFS restarted between 9.0 s and 18.1 s: counts begin again")
+    assert (
+        restart.reason
+        == "cFS 66:1 restarted between 9.0 s and 18.1 s: 13 commands sent meanwhile reached nobody"
+    )
+    assert "packet 156: the processor was told to restart" in restart.evidence
     assert not found(diagnosis, "clock_jump")
+    assert not found(diagnosis, "app_outage")
+    assert chain(diagnosis, "0x1827")["CI"]["lost"] == restart.lost == 13
     assert sum(row.not_captured for row in diagnosis.balance) == 0
     assert diagnosis.lost == 13
 
@@ -184,7 +190,7 @@ def test_two_processor_resets_are_told_one_by_one(tmp_path):
         return replace(item, time_ns=item.time_ns + period * 10**9, payload=payload, source=(address, port))
 
     diagnosis = examine(write(tmp_path / "twice.pcap", [*first, *map(later, first)]), Options())
-    told = found(diagnosis, "cfs_restart")
+    told = sorted(found(diagnosis, "cfs_restart"), key=lambda item: item.start_ns)
     assert len(told) == 3  # the two resets, and where the second copy begins
     assert all(item.span[0] < item.span[1] for item in told)
     assert all(one.span[1] <= next_.span[0] for one, next_ in pairwise(told))

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.matching.streams import Reset
     from edoras_tools.model import Endpoint
 
 Cause = Literal["socket", "network", "down", "restart", "ci_stopped", "unknown"]
@@ -154,6 +155,7 @@ class Sources:
     instances: Instances
     endpoints: Sequence[Endpoint]
     profile: SimProfile
+    resets: Sequence[Reset]
     arrived_ns: Mapping[int, NDArray[np.int64]]
     """CI's endpoint to when commands to it were sent that came out of cFS again, in order."""
     first_out: Mapping[int, tuple[int, int]]
@@ -302,7 +304,12 @@ def _account(
         elif first:
             ended_ns = _ended_ns(sources, endpoint, own[first - 1], own[first])
             before = int(np.searchsorted(sent_ns, ended_ns, "right")) - lost
-            down = own[first - 1].instance != own[first].instance
+            down = own[first - 1].instance != own[first].instance or any(
+                item.instance == own[first].instance
+                and item.start_ns <= own[first].seen_ns
+                and own[first - 1].seen_ns <= item.end_ns
+                for item in sources.resets
+            )
             begin = ("down" if down else "restart", ended_ns)
         else:
             begin = _first(sources, own[0], sent_ns)

@@ -6,7 +6,7 @@ A stream is one MsgId of one sender on one link. ``sessions.sequence`` has the r
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from edoras_tools.wire.arrays.order import by_value, numbered, quantiles
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.instances import Instances
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 
 _PAUSE_NS: Final = 2 * SECOND
 _PAUSE_FACTOR: Final = 4
+_LEAST_FELL: Final = 3
 
 
 @dataclass(slots=True)
@@ -127,6 +130,42 @@ def find_robots(rows: Rows) -> list[Stream]:
         )
         for _, members in by_value(ends)
     ]
+
+
+class Reset(NamedTuple):
+    """A cFS started again and its clock went on, as after a processor reset: between two times."""
+
+    instance: int
+    start_ns: int
+    end_ns: int
+
+
+def find_resets(rows: Rows, streams: Sequence[Stream]) -> list[Reset]:
+    """Return every restart of a cFS whose clock went on.
+
+    Telemetry Output speaks from another port, and most MsgIds count from lower on: if it alone had started
+    again, they would go on. Each MsgId tells a time before and one after; those that overlap are one restart.
+    """
+    spans: dict[int, list[tuple[int, int, bool]]] = {}
+    for stream in streams:
+        if stream.link.only_from_cfs and stream.counted:
+            count = rows.sequence_count[stream.rows].astype(np.int64)
+            for at in np.flatnonzero(np.diff(rows.source[stream.rows])).tolist():
+                start, end = rows.time_ns[stream.rows[at : at + 2]].tolist()
+                if start < end:
+                    fell = (count[at + 1] - count[at]) % MODULUS >= FORWARD
+                    spans.setdefault(stream.instance, []).append((end, start, fell))
+    found = []
+    for instance, members in spans.items():
+        left = sorted(members)
+        while left:
+            first_end = left[0][0]
+            same = [item for item in left if item[1] < first_end]
+            fell = [(start, end) for end, start, down in same if down]
+            if len(fell) >= _LEAST_FELL and len(fell) * 2 > len(same):
+                found.append(Reset(instance, max(start for start, _ in fell), min(end for _, end in fell)))
+            left = [item for item in left if item[1] >= first_end]
+    return found
 
 
 def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:

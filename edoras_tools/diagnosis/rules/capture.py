@@ -9,7 +9,6 @@ import numpy as np
 from edoras_tools.decode.conversations import ConversationKind, foreign, unnamed
 from edoras_tools.diagnosis.balance import ON_PURPOSE
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
-from edoras_tools.diagnosis.rules.flight_software import counts_begun_again
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links import table
 from edoras_tools.links.fprime import FPRIME
@@ -299,10 +298,10 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
 
     Name every clock that was set; all times of this diagnosis are as if it had not been.
     """
-    again = counts_begun_again(case) if case.jumps else []
+    resets = case.resets if case.jumps else []
     for jump in case.jumps:
         when = int(case.rows.time_ns[jump.row])
-        if any(start < when <= end + SECOND for start, end in again):
+        if any(item.start_ns < when <= item.end_ns + SECOND for item in resets):
             continue  # it started again
         own = jump.clock == "capture"
         whose = "the capture's own clock" if own else f"the clock of cFS {jump.clock}, and not the capture's,"

@@ -8,6 +8,8 @@ import numpy as np
 
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.event_services import SQUELCHED, EventType
+from edoras_tools.cfs.executive_services import COMMAND_MSG_ID as ES_COMMAND_MSG_ID
+from edoras_tools.cfs.executive_services import RESTART
 from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
 from edoras_tools.diagnosis.accounting.losses import LEAD_NS
 from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
@@ -16,15 +18,14 @@ from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.model import Finding
-from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from edoras_tools.diagnosis.accounting.losses import LossKind
+    from edoras_tools.diagnosis.accounting.losses import Loss, LossKind
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
 
@@ -34,17 +35,23 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
 
     Find boots of the same name, one after the other; and one whose counts alone began again.
     """
-    for again in counts_begun_again(case):
-        yield Verdict(
-            Severity.WARNING,
-            f"cFS restarted between {case.at(again[0])} and {case.at(again[1])}: counts begin again, and its "
-            "clock went on, as after a processor reset",
-            hop="cFS",
-            span=again,
-            evidence=("most MsgIds count from lower on, and come from another port of Telemetry Output",),
-            remedy="see who restarts the processor (0x1806, function code 2); enable Telemetry Output again: "
-            f"{case.inject(ENABLE_OUTPUT)}",
-            confidence="medium",
+    for reset in case.resets:
+        told = [
+            f"packet {case.rows.number[row]}: the processor was told to restart"
+            for row in np.flatnonzero(
+                (case.rows.known_id == ES_COMMAND_MSG_ID)
+                & (case.rows.function_code == RESTART)
+                & (case.rows.time_ns > reset.start_ns - SECOND)
+                & (case.rows.time_ns < reset.end_ns)
+            ).tolist()
+        ]
+        yield _restarted(
+            case,
+            case.label(reset.instance),
+            (reset.start_ns, reset.end_ns),
+            "its clock went on, as after a processor reset: most MsgIds count from lower on, and come from "
+            "another port of Telemetry Output",
+            told,
         )
     items, systems = case.instances.items, case.instances.systems
     order = sorted(range(len(items)), key=lambda index: items[index].first_ns)
@@ -60,67 +67,39 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
         )
         if earlier is None:
             continue
-        down = [
-            loss
-            for loss in case.losses
-            if loss.kind == "down" and earlier.last_ns - SECOND <= loss.start_ns <= later.first_ns
-        ]
-        if not (earlier.name or later.name or down):
+        if not (earlier.name or later.name or _down(case, earlier.last_ns, later.first_ns)):
             continue  # frames that were cut name nobody
-        lost = sum(loss.lost for loss in down)
-        meanwhile = (
-            f"{plural(lost, 'command')} sent meanwhile reached nobody" if lost else "counts begin again"
-        )
-        yield Verdict(
-            Severity.ERROR if lost else Severity.WARNING,
-            f"{case.label(index)} restarted between {case.at(earlier.last_ns)} and "
-            f"{case.at(later.first_ns)}: {meanwhile}",
-            msg_id=down[0].msg_id if len(down) == 1 else None,
-            link="ci" if down else None,
-            hop="cFS",
-            lost=lost or None,
-            of=sum(loss.of or 0 for loss in down) or None,
-            span=(earlier.last_ns, later.first_ns),
-            evidence=(
-                (
-                    "mission time against the capture's moved by "
-                    f"{(later.offset_ns - earlier.offset_ns) / SECOND:.1f} s"
-                ),
-                *(line for loss in down for line in loss.evidence),
-            ),
-            remedy="commands sent in between reached nobody; enable Telemetry Output again: "
-            f"{case.inject(ENABLE_OUTPUT)}",
-        )
+        moved = (later.offset_ns - earlier.offset_ns) / SECOND
+        span = earlier.last_ns, later.first_ns
+        how = f"mission time against the capture's moved by {moved:.1f} s"
+        yield _restarted(case, case.label(index), span, how)
 
 
-def counts_begun_again(case: Case) -> list[tuple[int, int]]:
-    """Return between which times a cFS started again whose clock went on, as after a processor reset.
-
-    Telemetry Output speaks from another port, and most MsgIds count from lower on: if it alone had started
-    again, they would go on. Each MsgId tells a time before and one after; those that overlap are one restart.
-    """
-    rows, spans = case.rows, []
-    for stream in case.streams:
-        if stream.link is TO and stream.counted:
-            count = rows.sequence_count[stream.rows].astype(np.int64)
-            moved = np.flatnonzero(np.diff(rows.source[stream.rows]))
-            for at in moved.tolist():
-                start, end = rows.time_ns[stream.rows[at : at + 2]].tolist()
-                if start < end:
-                    spans.append((end, start, (count[at + 1] - count[at]) % MODULUS >= FORWARD))
-    again = []
-    spans.sort()
-    while spans:
-        first_end = spans[0][0]
-        same = [item for item in spans if item[1] < first_end]
-        fell = [(start, end) for end, start, down in same if down]
-        if len(fell) >= _LEAST_FELL and len(fell) * 2 > len(same):
-            again.append((max(start for start, _ in fell), min(end for _, end in fell)))
-        spans = [item for item in spans if item[1] >= first_end]
-    return again
+def _down(case: Case, start_ns: int, end_ns: int) -> list[Loss]:
+    """Return what was lost while a cFS was down."""
+    return [
+        loss for loss in case.losses if loss.kind == "down" and start_ns - SECOND <= loss.start_ns <= end_ns
+    ]
 
 
-_LEAST_FELL: Final = 3
+def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, told: Sequence[str] = ()) -> Verdict:
+    """Return that a cFS was started again; ``how`` it shows, and what is known beside that."""
+    down = _down(case, *span)
+    lost = sum(loss.lost for loss in down)
+    meanwhile = f"{plural(lost, 'command')} sent meanwhile reached nobody" if lost else "counts begin again"
+    return Verdict(
+        Severity.ERROR if lost else Severity.WARNING,
+        f"{whose} restarted between {case.at(span[0])} and {case.at(span[1])}: {meanwhile}",
+        msg_id=down[0].msg_id if len(down) == 1 else None,
+        link="ci" if down else None,
+        hop="cFS",
+        lost=lost or None,
+        of=sum(loss.of or 0 for loss in down) or None,
+        span=span,
+        evidence=(how, *told, *(line for loss in down for line in loss.evidence)),
+        remedy="commands sent in between reached nobody; enable Telemetry Output again: "
+        f"{case.inject(ENABLE_OUTPUT)}",
+    )
 
 
 def not_observable(case: Case) -> Iterator[Verdict]:
