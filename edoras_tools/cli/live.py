@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -20,13 +20,10 @@ from edoras_tools.cli.endings import finish, say, tell, tell_reach
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.cli.sim import Scenario
-from edoras_tools.errors import ConfigError
+from edoras_tools.errors import ConfigError, EdorasError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from edoras_tools.emulator.source import RealTimeSource
-    from edoras_tools.errors import EdorasError
     from edoras_tools.io.capture.device import DeviceSource
     from edoras_tools.io.foxglove.origins import OriginCheck
     from edoras_tools.io.foxglove.playback import PlaybackState

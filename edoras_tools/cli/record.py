@@ -17,13 +17,12 @@ from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import print_json
 from edoras_tools.cli.snapshots import SnapshotOptions
 from edoras_tools.errors import ConfigError
-from edoras_tools.io.formats.table import FILE_SUFFIXES, WRITTEN, written_as
+from edoras_tools.io.formats.table import FILE_SUFFIXES, WRITTEN, Format, written_as
 from edoras_tools.io.outputs import STDOUT
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
-    from edoras_tools.io.formats.table import Format
     from edoras_tools.pipelines.capture.record import Target
     from edoras_tools.pipelines.capture.snapshot import SnapshotPlan
     from edoras_tools.pipelines.reading import Limits

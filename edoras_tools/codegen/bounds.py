@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.types.schema import STRINGS, Shape, full_name
+from edoras_tools.ros.types.schema import STRINGS, Definition, MessageField, Shape, full_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from edoras_tools.ros.types.schema import Definition, MessageField
 
 STRINGS_DEFAULT: Final = 64
 SEQUENCES_DEFAULT: Final = 32

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from edoras_tools.codegen.header import c_type, header_name, heads
 from edoras_tools.codegen.layout import banner, function, loop, statement
 from edoras_tools.codegen.names import literal
-from edoras_tools.codegen.plan import utf16
-
-if TYPE_CHECKING:
-    from edoras_tools.codegen.plan import CLibrary, CMember, Message
+from edoras_tools.codegen.plan import CLibrary, CMember, Message, utf16
 
 _ONE_BY_ONE: Final = frozenset({"bool", "string", "wstring", "message"})
 """Kinds of which many are not copied at once: any byte but 0 is true."""

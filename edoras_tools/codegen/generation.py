@@ -12,7 +12,7 @@ from edoras_tools.codegen.codec import codec
 from edoras_tools.codegen.header import UMBRELLA, header_name, package_header, umbrella
 from edoras_tools.codegen.layout import LINE_WIDTH, banner, guarded
 from edoras_tools.codegen.mission import side_files
-from edoras_tools.codegen.plan import CLibrary, plan_messages
+from edoras_tools.codegen.plan import CLibrary, CMember, Message, plan_messages
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.mission import Mission
 from edoras_tools.ros.store import USUAL_DISTRO
@@ -22,7 +22,6 @@ from edoras_tools.wire.envelope import EnvelopeFormat
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from edoras_tools.codegen.plan import CMember, Message
     from edoras_tools.ros import TypeStore
 
 RUNTIME: Final = Path(__file__).parent / "runtime"

@@ -18,7 +18,7 @@ import numpy as np
 from edoras_tools.decode.filters.messages import held_messages, structs_of
 from edoras_tools.decode.stack import Dissector
 from edoras_tools.links import table
-from edoras_tools.model import NO_ROUTE, Finding
+from edoras_tools.model import NO_ROUTE, Decoded, Endpoint, Finding, Link
 from edoras_tools.wire.arrays.order import by_value, numbered
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
-    from edoras_tools.model import Decoded, Endpoint, Link
     from edoras_tools.ros.cdr.columns import MessageColumns
     from edoras_tools.ros.cdr.plan import CdrPlan
     from edoras_tools.structs.bound import Bound

@@ -16,10 +16,10 @@ from edoras_tools.links import table
 from edoras_tools.links.cfdp import PDU_NAME
 from edoras_tools.links.fprime import FPRIME, GroundDataFraming
 from edoras_tools.links.frames import TransferFraming
-from edoras_tools.links.protocol import Endpoints, Peers
+from edoras_tools.links.protocol import Endpoints, LinkProtocol, Peers
 from edoras_tools.links.sbn import BRIDGE_PORT
 from edoras_tools.mission import FlightLink, GroundLink, Mission
-from edoras_tools.model import NO_ROUTE, OTHER
+from edoras_tools.model import NO_ROUTE, OTHER, Endpoint, Link
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.protocol import LinkProtocol
-    from edoras_tools.model import Endpoint, Link
     from edoras_tools.ros import TypeStore
     from edoras_tools.wire.msg_id import MsgIds
 

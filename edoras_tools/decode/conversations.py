@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.links import table
-from edoras_tools.model import OTHER, Endpoint, Finding, Link
+from edoras_tools.model import OTHER, Columns, Endpoint, Finding, Link, PacketBatch
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.wire.arrays.window import gather
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.model import Columns, PacketBatch
 
 _SHARE: Final = 20
 """One sound datagram in so many makes a conversation cFS's."""

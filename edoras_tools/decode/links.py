@@ -12,7 +12,7 @@ import numpy as np
 
 from edoras_tools.links import table
 from edoras_tools.links.frames import FRAMES, frame_rows, is_frame
-from edoras_tools.model import OTHER, Finding, Link
+from edoras_tools.model import OTHER, Datagram, Finding, Link, PacketBatch
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.model import Datagram, PacketBatch
     from edoras_tools.wire.layout import Layout
 
 

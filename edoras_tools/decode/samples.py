@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.links.protocol import MOST_ENDPOINTS
+from edoras_tools.links.protocol import MOST_ENDPOINTS, Endpoints
 from edoras_tools.links.rtps.reader import TopicSamples, rtps_messages, topic_samples
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.protocol import Endpoints
     from edoras_tools.model import PacketBatch
     from edoras_tools.ros import TypeStore
 

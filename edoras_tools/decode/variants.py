@@ -23,12 +23,12 @@ import numpy as np
 
 from edoras_tools.decode.builds import LOOKED_AT, PLACES, Fitting, conversations
 from edoras_tools.links.table import accepted
-from edoras_tools.model import NO_ROUTE, Endpoint
+from edoras_tools.model import NO_ROUTE, Endpoint, PacketBatch
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
+from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.model import PacketBatch
-    from edoras_tools.wire.envelope import EnvelopeFormat
 
 _ENOUGH: Final = 512
 """Sound packets after which detection ends."""

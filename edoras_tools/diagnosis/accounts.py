@@ -11,7 +11,7 @@ from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.fates import Fate
 from edoras_tools.diagnosis.accounting.losses import PIPE_EVENTS
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.matching.crossing import latency_of
+from edoras_tools.diagnosis.matching.crossing import Hop, Latency, latency_of
 from edoras_tools.diagnosis.matching.spans import comb
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.matching.crossing import Hop, Latency
     from edoras_tools.diagnosis.matching.streams import Stream
 
 _ROUND: Final = 10

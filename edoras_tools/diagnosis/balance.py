@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import sbn, telemetry_output
-from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKET
+from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKET, Loss, LossKind
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links import table
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.closed import Unheard
     from edoras_tools.diagnosis.accounting.commands import Refused
     from edoras_tools.diagnosis.accounting.fates import Fate
-    from edoras_tools.diagnosis.accounting.losses import Loss, LossKind
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from edoras_tools.diagnosis.balance import APPLICATION, BUS, CI_HOP, NOT_COUNTED, summed
+from edoras_tools.diagnosis.balance import APPLICATION, BUS, CI_HOP, NOT_COUNTED, Row, summed
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
@@ -25,7 +25,6 @@ from edoras_tools.model import NO_ROUTE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from edoras_tools.diagnosis.balance import Row
 
 PUBLISHER: Final = "publisher to ground bridge"
 TO_ROBOT: Final = "application to robot"

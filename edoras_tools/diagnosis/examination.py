@@ -8,7 +8,7 @@ from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.decode.conversations import Unnamed, unnamed
+from edoras_tools.decode.conversations import Conversations, Flow, Unnamed, unnamed
 from edoras_tools.diagnosis.accounting.commands import Refused
 from edoras_tools.diagnosis.accounts import accounts
 from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, not_counted, sent, summed
@@ -20,8 +20,8 @@ from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rules import OTHERS, RULES, SINGLE
 from edoras_tools.diagnosis.rules.capture import too_many
 from edoras_tools.diagnosis.samples import lost_samples, sample_rows
-from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, WHOLE, Severity, Verdict
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, WHOLE, Choice, Severity, Verdict
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, PacketBatch
 from edoras_tools.sessions.cfdp import Follower
 from edoras_tools.sessions.dds import SampleFollower
 from edoras_tools.sessions.ground_counts import GroundCounts
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from edoras_tools.decode import Context
-    from edoras_tools.decode.conversations import Conversations, Flow
-    from edoras_tools.diagnosis.verdict import Choice
-    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.sessions.faults.fault import Fault
 
 CHAPTER: Final = 1_000_000

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.emulator.services.clock import Clock
 from edoras_tools.emulator.services.events import Event, EventServices
-from edoras_tools.emulator.services.executive_services import ExecutiveServices
+from edoras_tools.emulator.services.executive_services import ExecutiveServices, LoadedApp
 from edoras_tools.emulator.services.software_bus import Pipe, Publication, SoftwareBus
 from edoras_tools.emulator.services.table_services import TableServices
 from edoras_tools.model import Endpoint
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.event_services import EventText
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.emulator.scheduler import Running, Scheduler, Task
-    from edoras_tools.emulator.services.executive_services import LoadedApp
 
 EMULATOR_VERSION: Final = "edoras-tools emulated cFS, not flight software"
 _MANY: Final = 100

@@ -6,12 +6,12 @@ from collections import deque
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from edoras_tools.cfs.profile import FLIGHT_BRIDGE, SimProfile
-from edoras_tools.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
+from edoras_tools.emulator.apps.edoras import EdorasApp, SingleRobotApp, TwoRobotApp
 from edoras_tools.emulator.boot import Apps
 from edoras_tools.emulator.bridges import FlightBridge, GroundBridge, GroundOperator
 from edoras_tools.emulator.cfs import Cfs
 from edoras_tools.emulator.messages import headers_of, link_id
-from edoras_tools.emulator.robots import Arm, Rover
+from edoras_tools.emulator.robots import Arm, Robot, Rover
 from edoras_tools.emulator.scheduler import Scheduler
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import Endpoint
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from edoras_tools.emulator.apps.edoras import EdorasApp
-    from edoras_tools.emulator.robots import Robot
 
 Scenario = Literal["rover", "arm", "two-rovers", "two-arms"]
 SCENARIOS: Final[tuple[Scenario, ...]] = ("rover", "arm", "two-rovers", "two-arms")

@@ -6,17 +6,15 @@ from collections import deque
 from threading import Event
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.emulator.simulation import WireDatagram
+from edoras_tools.emulator.simulation import Simulation, WireDatagram
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
+from edoras_tools.model import Endpoint, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from edoras_tools.emulator.simulation import Simulation
-    from edoras_tools.model import PacketBatch
 
 _TICK_S: Final = 0.02
 _COMMAND_SENDER: Final = Endpoint("127.0.0.1", 50000)

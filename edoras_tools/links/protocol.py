@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
 import numpy as np
 
-from edoras_tools.model import Decoded, Finding, Link
+from edoras_tools.model import Decoded, Finding, Link, PacketBatch
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.layout import Field, Layout
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.framing import Framing
     from edoras_tools.links.reading import Reading
-    from edoras_tools.model import PacketBatch
     from edoras_tools.wire.rtps.parameters import Announcement
     from edoras_tools.wire.transfer_frames.fields import FrameFormat
 

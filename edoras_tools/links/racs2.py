@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.links.framing import Framing
+from edoras_tools.links.framing import Framing, StreamState
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen, Site
 from edoras_tools.model import Decoded, LayerField, PacketBatch, Transport
 from edoras_tools.wire import cfe, racs2
@@ -17,7 +17,6 @@ from edoras_tools.wire.layout import Field, Layout
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.links.framing import StreamState
     from edoras_tools.links.reading import Reading
 
 _WORDS: Final = Layout(

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
-from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol
-from edoras_tools.model import Transport
+from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol, Seen
+from edoras_tools.model import Decoded, Transport
 from edoras_tools.wire.cfe_file import RESET_ENTRY
-
-if TYPE_CHECKING:
-    from edoras_tools.links.protocol import Seen
-    from edoras_tools.model import Decoded
 
 _KINDS: Final = {name: set(RESET_ENTRY.by_name[name].field.names) for name in ("entry_type", "reset_type")}
 

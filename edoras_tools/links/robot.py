@@ -5,14 +5,11 @@ The paper calls it serial.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
-from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol
+from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol, Seen
 from edoras_tools.model import Transport
 from edoras_tools.wire.robot import CFS_PORT, ROBOT_PORT, SENT_TO
-
-if TYPE_CHECKING:
-    from edoras_tools.links.protocol import Seen
 
 
 class RobotLink(LinkProtocol):

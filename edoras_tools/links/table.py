@@ -14,7 +14,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import ENTRY_POINT_GROUP, ROWS
 from edoras_tools.links.protocol import LinkProtocol
-from edoras_tools.model import OTHER, Link
+from edoras_tools.model import OTHER, Columns, Link
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.framing import Framing
-    from edoras_tools.model import Columns
 
 _LABEL: Final = re.compile(r"[a-z][a-z0-9_]{0,15}")
 _CODES: Final = 256

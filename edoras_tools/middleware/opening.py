@@ -8,12 +8,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import MOST_DOMAIN
+from edoras_tools.middleware.graph import MOST_DOMAIN, Graph
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from edoras_tools.middleware.graph import Graph
     from edoras_tools.ros import TypeStore
 
 MIDDLEWARES: Final = {

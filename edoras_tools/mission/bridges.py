@@ -25,18 +25,16 @@ from edoras_tools.mission.model import (
     StoredTopic,
     TransferLink,
 )
-from edoras_tools.mission.report import printable
+from edoras_tools.mission.report import Mistakes, printable
 from edoras_tools.mission.tree import ScalarNode
 from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import EnvelopeFormat
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from edoras_tools.mission.parameters import NodeParameters
-    from edoras_tools.mission.report import Mistakes
-    from edoras_tools.wire.msg_id import MsgIds
 
     CheckType = Callable[[str], str | None]
     from edoras_tools.model import Link

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from edoras_tools.mission.report import printable
+from edoras_tools.mission.report import Mistakes, printable
 from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.mission.tree import ScalarNode
 from edoras_tools.words import did_you_mean
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from edoras_tools.mission.parameters import NodeParameters
-    from edoras_tools.mission.report import Mistakes
 
 
 def suggestion(word: str, choices: Iterable[str]) -> str:

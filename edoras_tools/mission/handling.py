@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.mission.fields import suggestion
+from edoras_tools.mission.fields import Fields, suggestion
 from edoras_tools.mission.model import Handling
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.mission.fields import Fields
 
 HANDLING_GROUP: Final = "edoras"
 """The group of the keys for all topics of a bridge, and for the bridge itself."""

@@ -21,10 +21,10 @@ from edoras_tools.mission.bridges import (
 from edoras_tools.mission.fields import Fields
 from edoras_tools.mission.handling import warn_of_unknown
 from edoras_tools.mission.model import FramedPort, Mission
-from edoras_tools.mission.parameters import read_nodes
+from edoras_tools.mission.parameters import NodeParameters, read_nodes
 from edoras_tools.mission.report import Mistakes
 from edoras_tools.mission.tree import LARGEST_FILE, yaml_text
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 from edoras_tools.wire.transfer_frames.fields import FRAME_LAYOUTS, FrameFormat
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission.bridges import CheckType, Claims
     from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Route, StoredTopic, TransferLink
-    from edoras_tools.mission.parameters import NodeParameters
-    from edoras_tools.wire.msg_id import MsgIds
 
 _PARAMETERS: Final = b"ros__parameters"
 

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from edoras_tools.errors import RouteError
 from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.model import Endpoint, Link
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from edoras_tools.wire.msg_id import MsgIds
     from edoras_tools.wire.transfer_frames.fields import FrameFormat
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from edoras_tools.mission.report import printable
+from edoras_tools.mission.report import Mistakes, printable
 from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.words import did_you_mean
 
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
     from pathlib import Path
 
-    from edoras_tools.mission.report import Mistakes
 
 BRIDGE_FILE_FORM = "a bridge's file is NODE: ros__parameters: ..."
 """The hint for a file of another kind."""

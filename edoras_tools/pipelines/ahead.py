@@ -28,7 +28,7 @@ from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.forked import await_end, fork, portable, receive, send, undisturbed
 from edoras_tools.io.formats.merge import follow_streams, recorded_faults, recorded_host
 from edoras_tools.io.shared import ROOM_BYTES, SLOT_BYTES, pickled, place, shared_memory, unpickled
-from edoras_tools.model import SourceStatistics
+from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.jobs import jobs_for
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from edoras_tools.decode import ColumnDecoder
     from edoras_tools.io import Source
     from edoras_tools.links.framing import Framing
-    from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo
 
     _Told = tuple[dict[str, Any], list[str], dict[str, str], tuple[Any, ...] | None]
     from edoras_tools.sessions.faults.fault import Fault

@@ -16,7 +16,7 @@ from edoras_tools.cfs.names import message_name
 from edoras_tools.errors import CaptureError
 from edoras_tools.links import table
 from edoras_tools.links.table import among, carrying
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Link, Peer
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, Endpoint, Link, PacketBatch, Peer
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.ros.fitting import types_that_fit
 from edoras_tools.wire import cfe
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.io import Source
-    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress
     from edoras_tools.wire.msg_id import MsgIds

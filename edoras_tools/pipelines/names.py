@@ -15,7 +15,7 @@ from edoras_tools.io.topics.names import APART
 from edoras_tools.links import table
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID
+from edoras_tools.model import NO_MSG_ID, Columns, PacketBatch
 from edoras_tools.structs.shapes import Key
 from edoras_tools.words import did_you_mean, listed
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.links.protocol import Endpoints
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Columns, PacketBatch
 
 
 @dataclass(frozen=True, slots=True)

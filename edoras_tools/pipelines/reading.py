@@ -18,7 +18,7 @@ from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.links.rtps.link import RTPS
-from edoras_tools.model import OTHER
+from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.pipelines.interrupt import interrupted, interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
 from edoras_tools.units import SECOND
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from edoras_tools.decode.samples import LeftSamples
     from edoras_tools.io import Source
     from edoras_tools.io.frames.fragmented import FragmentedSamples
-    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
 
 

@@ -26,10 +26,10 @@ from edoras_tools.io.forked import await_end, fork, killed, portable, receive, s
 from edoras_tools.io.formats.tee import Tee
 from edoras_tools.io.frames.build import HEADER_BYTES, FramePage
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.model import SourceInfo, SourceStatistics
+from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.flushing import Flushing
 from edoras_tools.pipelines.capture.ledger import Ledger
-from edoras_tools.pipelines.capture.record import open_sink
+from edoras_tools.pipelines.capture.record import Target, open_sink
 from edoras_tools.sessions.sequence import SequenceCounts
 
 if TYPE_CHECKING:
@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.foxglove.sink import FoxgloveSink
     from edoras_tools.io.net.buffer import DatagramBuffer
-    from edoras_tools.model import Columns, PacketBatch
-    from edoras_tools.pipelines.capture.record import Target
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.faults.fault import Fault
 

@@ -13,14 +13,13 @@ from edoras_tools.structs.debug_info.compiler import SOURCE_SUFFIXES, compiled
 from edoras_tools.structs.debug_info.dwarf import DebugInfo, Listed
 from edoras_tools.structs.files import LAYOUT_FILE, dumps, load_layout
 from edoras_tools.structs.packets import FPRIME_KEY
-from edoras_tools.structs.shapes import StructLayout
+from edoras_tools.structs.shapes import Key, StructLayout
 from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from edoras_tools.structs.shapes import Key
 
 _ELF: Final = b"\x7fELF"
 _ARCHIVE: Final = b"!<arch>\n"

@@ -8,7 +8,7 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.text import Text
 
 from edoras_tools.errors import ConfigError
@@ -16,7 +16,6 @@ from edoras_tools.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from rich.console import RenderableType
 
 _DEJAVU: Final = {
     "serif_family": "DejaVu Serif",

@@ -6,13 +6,12 @@ import string
 import struct
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.ros.types.schema import PRIMITIVES, STRINGS, Shape
+from edoras_tools.ros.types.schema import PRIMITIVES, STRINGS, MessageField, Shape
 
 if TYPE_CHECKING:
     from random import Random
 
     from edoras_tools.ros.store import TypeStore
-    from edoras_tools.ros.types.schema import MessageField
 
 _MOST_ITEMS: Final = 4
 _MOST_CHARACTERS: Final = 12

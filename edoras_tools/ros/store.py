@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.ros.cdr import columns, reader, validity
 from edoras_tools.ros.cdr.extent import extent
-from edoras_tools.ros.cdr.plan import Compiler
+from edoras_tools.ros.cdr.plan import CdrPlan, Compiler
 from edoras_tools.ros.cdr.writer import Writer
 from edoras_tools.ros.types.library import Library
-from edoras_tools.ros.types.schema import complete_text, full_name
+from edoras_tools.ros.types.schema import Definition, MessageField, complete_text, full_name
 
 if TYPE_CHECKING:
     import os
@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.ros.cdr.columns import MessageColumns
-    from edoras_tools.ros.cdr.plan import CdrPlan
     from edoras_tools.ros.cdr.reader import ValueSpan
-    from edoras_tools.ros.types.schema import Definition, MessageField
 
 USUAL_DISTRO: Final = "jazzy"
 """The distribution where none is named: that of EDORAS's own images."""

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.links.protocol import MOST_ENDPOINTS
+from edoras_tools.links.protocol import MOST_ENDPOINTS, Endpoints
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.rtps.reader import UserSubmessages, user_submessages
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
@@ -39,7 +39,6 @@ from edoras_tools.wire.rtps.messages import guid_text
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.links.protocol import Endpoints
     from edoras_tools.model import Columns, PacketBatch
 
 PRESENCE: Final = "ros_discovery_info"

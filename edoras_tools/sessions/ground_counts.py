@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.links.fprime import FPRIME
-from edoras_tools.model import Columns, Finding
+from edoras_tools.model import Columns, Datagram, Finding, PacketBatch
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.window import gather
@@ -21,8 +21,6 @@ from edoras_tools.wire.fprime import SPACE_PACKET, read_ground_frames
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from edoras_tools.model import Datagram, PacketBatch
 
 
 @dataclass(slots=True, eq=False)

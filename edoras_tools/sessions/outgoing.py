@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs import edoras_app
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link, Peer
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, Link, PacketBatch, Peer
 from edoras_tools.older import StrEnum
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe, sbn
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.wire.layout import Layout
 
 _COUNTS: Final = 1 << 14

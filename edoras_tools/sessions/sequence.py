@@ -40,7 +40,7 @@ from zlib import crc32
 
 import numpy as np
 
-from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import fingerprint
 from edoras_tools.wire.arrays.order import order_by
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import Columns, PacketBatch
 
 MODULUS: Final = 1 << 14
 """CCSDS 133.0-B 4.1.3.4.3: the packet sequence count has 14 bits."""

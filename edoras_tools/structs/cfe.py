@@ -8,17 +8,14 @@ the tables of :mod:`edoras_tools.wire.cfe`, which the sessions write them with.
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from edoras_tools.structs.files import layout_of
 from edoras_tools.structs.packets import DATAGRAMS, PACKETS, SHIPPED, UDP_KEY, packets
 from edoras_tools.structs.shapes import BASIC, Enumeration, Key, Member, Struct, StructLayout
 from edoras_tools.wire import cfe
-from edoras_tools.wire.msg_id import VERSION_1
-
-if TYPE_CHECKING:
-    from edoras_tools.wire import layout as wire
-    from edoras_tools.wire.msg_id import MsgIds
+from edoras_tools.wire import layout as wire
+from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
 LAYOUT_NAME: Final = SHIPPED
 """What the command line calls these layouts."""

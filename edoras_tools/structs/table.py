@@ -10,23 +10,21 @@ import numpy as np
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.types.schema import complete_text
+from edoras_tools.ros.types.schema import Definition, complete_text
 from edoras_tools.structs.packets import FPRIME_KEY, UDP_KEY, packets
 from edoras_tools.wire.arrays.order import by_value
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from edoras_tools.ros.types.schema import Definition
     from edoras_tools.structs.bindings import Bindings
     from edoras_tools.structs.bound import Bound, Held
     from edoras_tools.structs.fprime.table import EntryTable
     from edoras_tools.structs.payloads import StructPayloads
     from edoras_tools.structs.shapes import StructLayout
-    from edoras_tools.wire.msg_id import MsgIds
 
 _NONE: Final = 3
 """Keys behind the last: an entry that is not in a dictionary, bytes that are none, and ``NO_MSG_ID``."""

@@ -16,13 +16,12 @@ import numpy as np
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.types.schema import PRIMITIVES
 from edoras_tools.structs.messages import HEADER_FIELDS, parts, primitive
-from edoras_tools.structs.shapes import BasicKind
+from edoras_tools.structs.shapes import Basic, BasicKind, Member, Struct, StructLayout
 from edoras_tools.wire.arrays.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.structs.shapes import Basic, Member, Struct, StructLayout
 
 _CDR_LE: Final = bytes((0, 1, 0, 0))
 _SIZES: Final = {"b": 1, "B": 1, "?": 1, "h": 2, "H": 2, "i": 4, "I": 4, "f": 4, "q": 8, "Q": 8, "d": 8}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from rich.text import Text
 from textual import on
-from textual.app import App
+from textual.app import App, ComposeResult
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
 from textual.widgets import ContentSwitcher, Footer, Static
@@ -35,8 +35,6 @@ from edoras_tools.tui.prompts import FilterLine, Prompt
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from textual.app import ComposeResult
-
     from edoras_tools.io import Source
     from edoras_tools.model import Decoded
     from edoras_tools.pipelines.selection import Selection

@@ -25,13 +25,12 @@ from edoras_tools.codegen.ground.packets import (
     telemetry_items,
 )
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.cfe import EXTENDED
+from edoras_tools.wire.cfe import EXTENDED, Headers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from edoras_tools.codegen.ground.packets import GroundPacket, Items
-    from edoras_tools.wire.cfe import Headers
 
 _TYPES: Final = {"uint": "UINT", "int": "INT", "float": "FLOAT", "bytes": "BLOCK", "text": "STRING"}
 _RESERVED: Final = {

@@ -14,12 +14,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
-from edoras_tools.ros.cdr.plan import PrimitiveRun, Repeat, Text
-from edoras_tools.structs.messages import parts
-from edoras_tools.structs.shapes import BasicKind
+from edoras_tools.ros.cdr.plan import CdrPlan, PlanStep, PrimitiveRun, Repeat, Text
+from edoras_tools.structs.messages import MessagePart, parts
+from edoras_tools.structs.shapes import BasicKind, Enumeration, Member, Struct, StructLayout
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
-from edoras_tools.wire.cfe import EXTENDED, emit_command
+from edoras_tools.wire.cfe import EXTENDED, Headers, emit_command
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 
 if TYPE_CHECKING:
@@ -27,11 +27,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission import Route
     from edoras_tools.ros import TypeStore
-    from edoras_tools.ros.cdr.plan import CdrPlan, PlanStep
     from edoras_tools.structs.bound import Bound
-    from edoras_tools.structs.messages import MessagePart
-    from edoras_tools.structs.shapes import Enumeration, Member, Struct, StructLayout
-    from edoras_tools.wire.cfe import Headers
     from edoras_tools.wire.layout import Layout
 
 Encoding = Literal["uint", "int", "float", "bytes", "text"]

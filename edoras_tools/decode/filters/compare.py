@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.decode.filters.series import Series, ValueKind
-from edoras_tools.decode.filters.syntax import Value, ValueRange
+from edoras_tools.decode.filters.syntax import Comparison, Value, ValueRange
 from edoras_tools.older import UTC
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.filters.field import FilterField
-    from edoras_tools.decode.filters.syntax import Comparison
 
 Test = Callable[[Series], "NDArray[np.bool_]"]
 """Tests every value of a series; returns bool (values,)."""

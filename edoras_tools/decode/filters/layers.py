@@ -13,7 +13,7 @@ from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, FilterFie
 from edoras_tools.decode.filters.samples import sample_fields
 from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
 from edoras_tools.links.sbn import SBN
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Finding
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cdr import ENCAPSULATION
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
-    from edoras_tools.model import Decoded
     from edoras_tools.wire.layout import Layout, Slot
     from edoras_tools.wire.msg_id import MsgIds
 

@@ -24,11 +24,11 @@ import numpy as np
 
 from edoras_tools.decode.filters.field import MESSAGE_COST, FilterField
 from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
-from edoras_tools.decode.samples import known_samples
+from edoras_tools.decode.samples import KnownSamples, known_samples
 from edoras_tools.links.table import among
-from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
 from edoras_tools.ros.types import grammar, schema
-from edoras_tools.structs.bound import Encoded, Held
+from edoras_tools.structs.bound import Bound, Encoded, Held
 from edoras_tools.structs.names import INLINED, aliased, field_name
 from edoras_tools.structs.packets import PACKETS, UDP_KEY
 from edoras_tools.structs.payloads import payloads
@@ -41,11 +41,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
-    from edoras_tools.decode.samples import KnownSamples
     from edoras_tools.model import Decoded
-    from edoras_tools.ros.cdr.columns import MessageColumns
     from edoras_tools.ros.types.schema import Definition
-    from edoras_tools.structs.bound import Bound
 
     Owned = tuple[NDArray[np.int64], MessageColumns]
     """Rows that hold messages, and the messages."""

@@ -12,7 +12,7 @@ from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, MESSAGE_C
 from edoras_tools.decode.filters.layers import layer_fields
 from edoras_tools.decode.filters.messages import MessageFieldFinder, samples_of, structs_of
 from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Endpoint, Finding
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Finding
 from edoras_tools.ros.types.schema import full_name
 from edoras_tools.structs.packets import OWN_LAYERS
 from edoras_tools.structs.payloads import payloads
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
-    from edoras_tools.model import Decoded
 
 _ALIASES: Final = {
     "msg_id": "ccsds.msg_id",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.decode.stack import Dissector
-from edoras_tools.model import NO_ROUTE
+from edoras_tools.model import NO_ROUTE, Columns, Decoded, PacketBatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.model import Columns, Decoded, PacketBatch
 
 
 class PacketRows:

@@ -10,14 +10,13 @@ import numpy as np
 from edoras_tools.decode.filters.field import BYTES_COST, FilterField
 from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
 from edoras_tools.links.rtps.link import RTPS
-from edoras_tools.links.rtps.reader import named_submessages
+from edoras_tools.links.rtps.reader import NamedSubmessages, named_submessages
 from edoras_tools.wire.rtps.messages import guid_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
-    from edoras_tools.links.rtps.reader import NamedSubmessages
     from edoras_tools.model import Decoded
 
 _DOCS: Final = {

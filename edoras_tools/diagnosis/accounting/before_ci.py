@@ -7,17 +7,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.diagnosis.accounting.claims import shares
-from edoras_tools.diagnosis.accounting.fates import LOST_AT, loss_of
-from edoras_tools.diagnosis.accounting.losses import Loss
+from edoras_tools.diagnosis.accounting.fates import LOST_AT, Fate, loss_of
+from edoras_tools.diagnosis.accounting.losses import Known, Loss
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.accounting.ingest import Before, Ingest
-    from edoras_tools.diagnosis.accounting.losses import Known
 
 
 _OUTAGES: Final = frozenset({"down", "restart"})

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS
 from edoras_tools.mission.model import FlightLink
-from edoras_tools.model import Peer
+from edoras_tools.model import Link, Peer
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
@@ -16,7 +16,6 @@ from edoras_tools.wire.sbn import HEADER
 if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.mission import Mission, Route
-    from edoras_tools.model import Link
     from edoras_tools.ros import TypeStore
 
 _HOUSEKEEPING_HZ: Final = 10

@@ -23,7 +23,7 @@ from edoras_tools.cfs import names, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.before_ci import BeforeCi
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, follow, loss_of
 from edoras_tools.diagnosis.accounting.leftover import Leftover
-from edoras_tools.diagnosis.accounting.losses import SBN_SOCKET, TAIL_NS, Among, Loss
+from edoras_tools.diagnosis.accounting.losses import SBN_SOCKET, TAIL_NS, Among, Known, Loss
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Pipes
 from edoras_tools.diagnosis.accounting.stops import stopped
 from edoras_tools.links.table import among
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.bus import Telemetry
     from edoras_tools.diagnosis.accounting.claims import Counts
     from edoras_tools.diagnosis.accounting.ingest import Ingest
-    from edoras_tools.diagnosis.accounting.losses import Known
     from edoras_tools.diagnosis.matching.crossing import Hop
 
 

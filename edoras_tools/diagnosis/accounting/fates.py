@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs import command_ingest
-from edoras_tools.diagnosis.accounting.losses import BEFORE_CI, CI_SOCKET, Among, Loss
+from edoras_tools.diagnosis.accounting.losses import BEFORE_CI, CI_SOCKET, Among, Known, Loss, LossKind
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.accounting.losses import Known, LossKind
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.spans import Span
     from edoras_tools.diagnosis.matching.streams import Stream

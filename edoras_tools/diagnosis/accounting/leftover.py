@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.cfs import names, telemetry_output
-from edoras_tools.diagnosis.accounting.claims import shares
-from edoras_tools.diagnosis.accounting.fates import WAITS_NS
+from edoras_tools.diagnosis.accounting.claims import Counts, shares
+from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
@@ -30,8 +30,6 @@ from edoras_tools.units import SECOND
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from edoras_tools.diagnosis.accounting.claims import Counts
-    from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.accounting.losses import Known, PipeKind
     from edoras_tools.diagnosis.accounting.pipes import Pipes
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, sbn, telemetry_output
-from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.relays.proxied import UNTOUCHED
+from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
+from edoras_tools.diagnosis.evidence.relays.proxied import UNTOUCHED, Proxied, RouteWay
 from edoras_tools.diagnosis.matching.spans import Comb, Span, comb, spans
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, Peer
+from edoras_tools.model import NO_MSG_ID, Endpoint, Peer
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
@@ -26,16 +26,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss, Track
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.peers import Network
-    from edoras_tools.diagnosis.evidence.relays.proxied import Proxied, RouteWay
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Confidence
-    from edoras_tools.model import Endpoint
 
 PipeKind = Literal["limit", "overflow"]
 LossKind = (

@@ -22,16 +22,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services, names, telemetry_output
-from edoras_tools.diagnosis.accounting.fates import WAITS_NS, loss_of
-from edoras_tools.diagnosis.accounting.losses import TAIL_NS
+from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, loss_of
+from edoras_tools.diagnosis.accounting.losses import TAIL_NS, Known, Loss
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.diagnosis.accounting.fates import Fate
-    from edoras_tools.diagnosis.accounting.losses import Known, Loss
 
 _LINKS: Final = frozenset({*command_ingest.NAMES, *telemetry_output.NAMES})
 """Applications whose stops other accounts follow: CI's by its counter, Telemetry Output's by its port."""

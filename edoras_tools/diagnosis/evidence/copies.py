@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.io.frames.linklayer import network_headers
-from edoras_tools.model import OTHER
+from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire.arrays.fingerprint import of_bytes
 from edoras_tools.wire.arrays.order import by_value
@@ -30,7 +30,6 @@ from edoras_tools.wire.arrays.window import gather
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.model import Columns, PacketBatch
 
 _WITHIN_NS: Final = 20 * MILLISECOND
 _UNNUMBERED_NS: Final = 5 * MILLISECOND

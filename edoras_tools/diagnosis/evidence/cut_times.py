@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
-from edoras_tools.diagnosis.evidence.table import followed
+from edoras_tools.diagnosis.evidence.table import Rows, followed
 from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
@@ -22,7 +22,6 @@ from edoras_tools.wire.msg_id import VERSION_1
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.evidence.table import Rows
 
 HANDED_ON_NS: Final = 2 * SECOND
 """Telemetry Output hands on what came over SBN within so long."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 
 from edoras_tools.cfs import sbn, software_bus, telemetry_output
-from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads, Samples
     from edoras_tools.diagnosis.evidence.table import Rows
 

@@ -11,7 +11,7 @@ import numpy as np
 from edoras_tools.cfs import command_ingest, executive_services, telemetry_output
 from edoras_tools.errors import TruncatedError
 from edoras_tools.links.table import among
-from edoras_tools.model import Finding
+from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.arrays.fingerprint import of_bytes
 from edoras_tools.wire.arrays.order import numbered
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from edoras_tools.model import Columns, PacketBatch
 
 _MOST: Final = 200_000
 """Of each kind; a link that sends more than this says nothing new with the rest."""

@@ -14,7 +14,7 @@ from edoras_tools.diagnosis.evidence.payloads import Payloads
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch
-from edoras_tools.sessions.sequence import SequenceCounts
+from edoras_tools.sessions.sequence import SequenceCounts, SequenceRows
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.fingerprint import of_bytes
 from edoras_tools.wire.arrays.order import numbered
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.decode import Context
-    from edoras_tools.sessions.sequence import SequenceRows
 
 SCATTERED: Final = 20
 """One record in so many, at the least, stands before an earlier one where a capture is out of order."""

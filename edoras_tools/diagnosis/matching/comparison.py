@@ -28,7 +28,7 @@ from edoras_tools.diagnosis.evidence.fingerprint import paired
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.links import table
-from edoras_tools.model import NO_MSG_ID, OTHER, Finding
+from edoras_tools.model import NO_MSG_ID, OTHER, Finding, Link
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.fingerprint import matches
 
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.diagnosis.verdict import Choice
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Link
 
 _LATE_NS: Final = 100 * MILLISECOND
 _EARLY_NS: Final = MILLISECOND

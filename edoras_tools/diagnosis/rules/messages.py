@@ -8,7 +8,7 @@ import numpy as np
 
 from edoras_tools.cfs.limits import BRIDGE_BUFFER
 from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Confidence, Severity, Verdict
 from edoras_tools.links import table
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.verdict import Confidence
 
 
 def struct_overrun(case: Case) -> Iterator[Verdict]:

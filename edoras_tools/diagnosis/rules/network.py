@@ -8,7 +8,7 @@ import numpy as np
 
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.cfs.sbn import NAME
-from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE, UNSEEN
+from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE, UNSEEN, Connection, PeerChange, PeerSilence
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Finding, Peer
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.peers import Connection, PeerChange, PeerSilence
 
 
 def sbn_timeout(case: Case) -> Iterator[Verdict]:

@@ -12,7 +12,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links import table
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
-from edoras_tools.model import NO_ROUTE, Finding
+from edoras_tools.model import NO_ROUTE, Finding, Link
 from edoras_tools.ros.cdr.plan import ROUNDING
 from edoras_tools.ros.fitting import types_that_fit
 from edoras_tools.units import SECOND
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.mission import Route
-    from edoras_tools.model import Link
 
 _LEAST: Final = 20
 _OVER: Final = 1.05

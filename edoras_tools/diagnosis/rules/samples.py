@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.samples import sample_verdict
-from edoras_tools.diagnosis.verdict import Severity
+from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.wire.rtps.messages import guid_text
 from edoras_tools.words import plural
 
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.verdict import Verdict
 
 
 def dds_lost(case: Case) -> Iterator[Verdict]:

@@ -11,7 +11,7 @@ import numpy as np
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.matching.spans import steady_rate
+from edoras_tools.diagnosis.matching.spans import Span, steady_rate
 from edoras_tools.diagnosis.rules.messages import struct_overrun
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.table import among
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.stops import Outage
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.matching.spans import Span
     from edoras_tools.diagnosis.matching.streams import Stream
 
 _FIRST: Final = itemgetter(0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import event_services as facts
-from edoras_tools.cfs.event_services import NAME, SQUELCHED, USUAL_TYPES
+from edoras_tools.cfs.event_services import NAME, SQUELCHED, USUAL_TYPES, EventText, EventType
 from edoras_tools.emulator.messages import link_id
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
@@ -15,7 +15,6 @@ from edoras_tools.wire import cfe
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from edoras_tools.cfs.event_services import EventText, EventType
     from edoras_tools.cfs.profile import SimProfile
 
 _COST: Final = 1000

@@ -21,18 +21,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.frames.frame_batch import joined_frames
+from edoras_tools.io.frames.frame_batch import FrameBatch, joined_frames
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.model import PacketBatch, SourceStatistics
+from edoras_tools.model import InterfaceOutage, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from types import EllipsisType
 
-    from edoras_tools.io.frames.frame_batch import FrameBatch
     from edoras_tools.links.framing import Framing
-    from edoras_tools.model import InterfaceOutage, SourceInfo
 
 _AT_ONCE = 4 << 20
 """Maximum bytes of one batch, or one read of the device if that is more."""

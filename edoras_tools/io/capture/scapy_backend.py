@@ -20,13 +20,12 @@ from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2, NOTHING, RAW, atta
 from edoras_tools.io.capture.device import Device, DeviceSource
 from edoras_tools.io.capture.interfaces import denied, find_interface, interfaces, missing_interface
 from edoras_tools.io.frames.frame_batch import FrameBatch
-from edoras_tools.model import Finding, SourceInfo
+from edoras_tools.model import Finding, PacketBatch, SourceInfo
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from edoras_tools.model import PacketBatch
 
 _LINK_TYPES: Final = {
     "Ether": ETHERNET,

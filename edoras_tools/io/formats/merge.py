@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics, concatenate
+from edoras_tools.model import HostCounters, PacketBatch, SourceInfo, SourceStatistics, concatenate
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Source
     from edoras_tools.links.framing import Framing
-    from edoras_tools.model import HostCounters
     from edoras_tools.sessions.faults.fault import Fault
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.model import SourceStatistics
+from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.stream import Window
     from edoras_tools.io.frames.frame_batch import FrameBatch
     from edoras_tools.links.framing import Framing
-    from edoras_tools.model import PacketBatch, SourceInfo
 
 LARGEST_FRAME = 262144
 """Captured bytes of a frame that every reader accepts, even if the file has a smaller snap length."""

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import Sink
-from edoras_tools.io.outputs import path_beside, to_disk
+from edoras_tools.io.outputs import OutputFile, path_beside, to_disk
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
     from pathlib import Path
 
-    from edoras_tools.io.outputs import OutputFile
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceStatistics
     from edoras_tools.sessions.faults.fault import Fault
 

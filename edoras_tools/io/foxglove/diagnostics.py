@@ -9,7 +9,7 @@ import numpy as np
 from edoras_tools.io.topics.rows import Messages, bodies_of
 from edoras_tools.io.topics.streams import Topic
 from edoras_tools.links import table
-from edoras_tools.model import NO_MSG_ID, OTHER, Finding
+from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, PacketBatch, SourceStatistics
 from edoras_tools.units import SECOND
 from edoras_tools.wire.cdr import ENCAPSULATION
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
 
 DIAGNOSTICS: Final = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")

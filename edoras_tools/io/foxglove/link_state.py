@@ -8,16 +8,14 @@ from collections import deque
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs.names import message_name
-from edoras_tools.io.topics.rows import lay_out
+from edoras_tools.io.topics.rows import Messages, lay_out
 from edoras_tools.links import table
-from edoras_tools.model import NO_MSG_ID
+from edoras_tools.model import NO_MSG_ID, PacketBatch, SourceStatistics
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from edoras_tools.io.topics.rows import Messages
-    from edoras_tools.model import PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
 
 _MOST_ROUTES: Final = 500

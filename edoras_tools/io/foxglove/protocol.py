@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.errors import WireError
-from edoras_tools.io.foxglove.playback import PlaybackRequest
+from edoras_tools.io.foxglove.playback import PlaybackRequest, PlaybackState
 from edoras_tools.io.foxglove.publishing import MESSAGE_ENCODINGS
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.window import copy_rows, put_rows
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.foxglove.playback import PlaybackState
     from edoras_tools.io.topics.rows import Records
     from edoras_tools.io.topics.streams import Topic
 

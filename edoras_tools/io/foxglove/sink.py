@@ -9,13 +9,12 @@ from edoras_tools.io.foxglove.link_state import LinkState
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.recorded import RecordedStreams
-from edoras_tools.io.topics.rows import lay_out
+from edoras_tools.io.topics.rows import Messages, lay_out
 from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPIC, TRANSFORMS, Streams, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from edoras_tools.io.topics.rows import Messages
     from edoras_tools.links.protocol import Endpoints
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, Finding, PacketBatch, SourceInfo, SourceStatistics

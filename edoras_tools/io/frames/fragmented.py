@@ -24,7 +24,7 @@ from edoras_tools.io.frames.behind import order_behind, packets_behind
 from edoras_tools.links.protocol import MOST_ENDPOINTS
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.rtps.reader import distinct_guids, rtps_messages
-from edoras_tools.model import Columns
+from edoras_tools.model import Columns, PacketBatch
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import numbered
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode import ColumnDecoder
-    from edoras_tools.model import PacketBatch
 
 MOST_FRAGMENT_BYTES: Final = 64 << 20
 MOST_WHOLE_BYTES: Final = 16 << 20

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.io.frames.build import internet_checksum, payload_sums, put_words, words_of
-from edoras_tools.io.frames.network import TCP
+from edoras_tools.io.frames.network import TCP, IpPayloads
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather, read_at
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io.frames.frame_batch import FrameBatch
-    from edoras_tools.io.frames.network import IpPayloads
 
 TCP_BYTES: Final = 20
 """Of a header without options."""

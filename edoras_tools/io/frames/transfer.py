@@ -29,7 +29,7 @@ import numpy as np
 
 from edoras_tools.io.frames.behind import packets_behind
 from edoras_tools.links.frames import frame_rows, framed_ports
-from edoras_tools.model import NO_MSG_ID, Columns, Finding
+from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.order import by_value, numbered
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import PacketBatch
 
 MOST_NOTES: Final = 8
 """Channels that notes tell of."""

@@ -21,14 +21,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.net.address import PACKED_BYTES, address_of
+from edoras_tools.io.net.address import PACKED_BYTES, Address, address_of
 from edoras_tools.io.net.mmsg import ReceiveMany, SendMany, usable
 from edoras_tools.io.net.sockets import IP_PKTINFO, IPV6_PKTINFO, SO_TIMESTAMPNS, SendResult, send_one
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.io.net.address import Address
 
 SLOTS: Final = 256
 """Maximum number of datagrams in one ``receive``."""

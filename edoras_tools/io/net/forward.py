@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.io.net.buffer import SLOTS, SPARE
-from edoras_tools.io.net.sockets import send_one
+from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer
+from edoras_tools.io.net.sockets import SendResult, send_one
 from edoras_tools.sessions.pacing import Lateness
 
 if TYPE_CHECKING:
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io.net.address import Address
-    from edoras_tools.io.net.buffer import DatagramBuffer
-    from edoras_tools.io.net.sockets import SendResult
 
 _LATENCIES: Final = 4096
 """Latencies collected before they are counted: counting each one separately would be too slow."""

@@ -25,13 +25,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.net.address import PACKED_BYTES
+from edoras_tools.io.net.address import PACKED_BYTES, Address
 from edoras_tools.io.net.sockets import LINUX, MOST_REFUSALS, SendResult
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.io.net.address import Address
 
 _VECTOR: Final = np.dtype([("base", "u8"), ("length", "u8")])
 _CONTROL: Final = np.dtype(

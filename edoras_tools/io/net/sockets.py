@@ -10,13 +10,12 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.net.address import address_of, resolve
+from edoras_tools.io.net.address import Address, address_of, resolve
 from edoras_tools.model import Endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from edoras_tools.io.net.address import Address
 
 LINUX: Final = sys.platform.startswith("linux")
 LARGEST_DATAGRAM: Final = 65507

@@ -17,7 +17,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.sockets import local_endpoint
 from edoras_tools.io.net.transmit import SendStatistics
-from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET
+from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from edoras_tools.links.framing import Framing
     from edoras_tools.model import Endpoint
 
 ANSWER_WITHIN_S: Final = 5.0

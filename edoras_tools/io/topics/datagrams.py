@@ -16,7 +16,7 @@ from edoras_tools.io.topics.rows import (
     Messages,
     whole_messages,
 )
-from edoras_tools.model import Finding
+from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.mission import Route
-    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.ros import TypeStore
 
 NO_MESSAGE = Finding.CDR_INVALID | Finding.ENVELOPE_OVERRUN | Finding.TRUNCATED | Finding.CAPTURE_CUT

@@ -14,7 +14,6 @@ from edoras_tools.units import SECOND
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.io.topics.rows import Messages
 
 FAULTS_TOPIC: Final = "/edoras/faults"
 FAULTS_TYPE: Final = "edoras_msgs/msg/Fault"

@@ -10,7 +10,7 @@ import numpy as np
 from edoras_tools.io.topics.cfe import stamp
 from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, no_messages, whole_messages
 from edoras_tools.links import table
-from edoras_tools.model import HostCounters, SocketCounters
+from edoras_tools.model import Columns, HostCounters, PacketBatch, SocketCounters, SourceStatistics
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import order_by
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
 
 _GROUP = np.dtype(

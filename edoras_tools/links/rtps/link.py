@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen, Site
+from edoras_tools.links.protocol import BY_CONTENT, BatchRows, Endpoints, LinkProtocol, Located, Seen, Site
 from edoras_tools.model import Decoded, PacketBatch, Transport
 from edoras_tools.wire.rtps import RTPS_MAGIC
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from edoras_tools.links.protocol import Endpoints
     from edoras_tools.links.reading import Reading
     from edoras_tools.wire.layout import Layout
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.links.protocol import Located
-from edoras_tools.model import Finding, LayerField
+from edoras_tools.links.protocol import BatchRows, Endpoints, Located, Site
+from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch
 from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE
 from edoras_tools.wire.rtps.headers import (
@@ -45,9 +45,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.protocol import BatchRows, Endpoints, Site
     from edoras_tools.links.reading import Reading
-    from edoras_tools.model import Decoded, Link, PacketBatch
     from edoras_tools.wire.layout import Layout
     from edoras_tools.wire.rtps.messages import SampleData
 

@@ -16,9 +16,9 @@ from cyclonedds.builtin import (
     BuiltinTopicDcpsSubscription,
     DcpsEndpoint,
 )
-from cyclonedds.core import DDSException
+from cyclonedds.core import DDSException, Entity
 from cyclonedds.domain import DomainParticipant
-from cyclonedds.qos import Policy
+from cyclonedds.qos import Policy, Qos
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.dds.domain import configuration, hold, release
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from uuid import UUID
 
-    from cyclonedds.core import Entity
-    from cyclonedds.qos import Qos
 
 TYPE_HASH: Final = "typehash="
 _ROS_TOPIC: Final = "rt"

@@ -9,18 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl import IdlStruct, make_idl_struct
 from cyclonedds.idl import types as idl
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.names import dds_name
-from edoras_tools.ros.types.schema import PLACEHOLDER, Shape, full_name
+from edoras_tools.ros.types.schema import PLACEHOLDER, MessageField, Shape, full_name
 
 if TYPE_CHECKING:
-    from cyclonedds.idl import IdlStruct
-
     from edoras_tools.ros.store import TypeStore
-    from edoras_tools.ros.types.schema import MessageField
 
 _PRIMITIVES: Final = {
     "bool": bool,

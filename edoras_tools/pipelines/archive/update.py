@@ -16,13 +16,13 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from distributed import as_completed
+from distributed import Client, Future, as_completed
 from distributed.client import FutureCancelledError
 from distributed.scheduler import KilledWorker
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.pipelines.archive.cluster import workers
-from edoras_tools.pipelines.archive.places import find_captures, root_of
+from edoras_tools.pipelines.archive.places import ListedFile, find_captures, root_of
 from edoras_tools.pipelines.archive.work import (
     CHANGING,
     Task,
@@ -36,10 +36,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from distributed import Client, Future
-
     from edoras_tools.pipelines.archive.index import Index
-    from edoras_tools.pipelines.archive.places import ListedFile
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.run import Progress
 

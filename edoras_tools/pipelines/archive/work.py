@@ -14,7 +14,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools import __version__
-from edoras_tools.diagnosis.balance import sent
+from edoras_tools.diagnosis.balance import Row, sent
 from edoras_tools.diagnosis.evidence.payloads import EventRecord, events_in
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.open import open_file
@@ -29,7 +29,7 @@ from edoras_tools.pipelines.archive.places import (
 )
 from edoras_tools.pipelines.archive.tables import TABLES, IndexTable
 from edoras_tools.pipelines.capture.info import Counting
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor.doctor import Findings, examine
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.decode.filters.rows import ColumnRows
-    from edoras_tools.diagnosis.balance import Row
-    from edoras_tools.pipelines.doctor.doctor import Findings
     from edoras_tools.pipelines.reading import ReadLoop
     from edoras_tools.pipelines.workbench import Settings, Workbench
 

@@ -9,17 +9,15 @@ from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import arrives_at
 from edoras_tools.middleware import Qos
-from edoras_tools.mission import Bridge, GroundLink, load, read_scalar
+from edoras_tools.mission import Bridge, GroundLink, Route, load, read_scalar
 from edoras_tools.model import Endpoint
-from edoras_tools.pipelines.workbench import Workbench
+from edoras_tools.pipelines.workbench import Settings, Workbench
 from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.bridge.bridge import describe
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from edoras_tools.mission import Route
-    from edoras_tools.pipelines.workbench import Settings
 
 BridgeKind = Literal["ground", "flight"]
 _DEPTH: Final = 10

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.io.net.buffer import make_buffer
-from edoras_tools.middleware import open_graph
+from edoras_tools.middleware import Graph, open_graph
 from edoras_tools.pipelines.bridge.inbox import Inbox
-from edoras_tools.pipelines.bridge.plan import BridgeRequest
+from edoras_tools.pipelines.bridge.plan import BridgePlan, BridgeRequest
 from edoras_tools.pipelines.bridge.station import Station, Surroundings
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.threads import threads_take_turns, watched
@@ -18,8 +18,6 @@ from edoras_tools.pipelines.threads import threads_take_turns, watched
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from edoras_tools.middleware import Graph
-    from edoras_tools.pipelines.bridge.plan import BridgePlan
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.render.terminal.run import Watcher
 

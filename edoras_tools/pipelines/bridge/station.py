@@ -12,12 +12,12 @@ import numpy as np
 from edoras_tools.errors import EdorasError, RouteError
 from edoras_tools.io.frames.build import ends_of
 from edoras_tools.io.net.address import ANY_ADDRESS, address_of, host_of, own_address
-from edoras_tools.io.net.buffer import SLOTS, SPARE
+from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer
 from edoras_tools.io.net.forward import Direction, Outlet
 from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
-from edoras_tools.mission import GroundLink
+from edoras_tools.mission import GroundLink, Route
 from edoras_tools.model import Endpoint, Peer
-from edoras_tools.pipelines.bridge.plan import qos_of, sizes_of
+from edoras_tools.pipelines.bridge.plan import BridgePlan, BridgeRequest, StationPlan, qos_of, sizes_of
 from edoras_tools.sessions.bridge.bridge import CI_LARGEST, SBN_LARGEST, BridgeOptions, BridgeSession
 from edoras_tools.sessions.bridge.flight import FlightSession
 from edoras_tools.sessions.bridge.ground import GroundSession
@@ -30,11 +30,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.net.buffer import DatagramBuffer
     from edoras_tools.middleware import Graph
-    from edoras_tools.mission import Route
     from edoras_tools.pipelines.bridge.inbox import GraphMessage, Inbox
-    from edoras_tools.pipelines.bridge.plan import BridgePlan, BridgeRequest, StationPlan
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.sessions.bridge.bridge import LinkSession
 

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.model import Columns, concatenate
+from edoras_tools.model import Columns, PacketBatch, concatenate
 from edoras_tools.wire.arrays.window import copy_rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.model import PacketBatch
 
 OFFSETS: Final = ("packet_offset", "cdr_offset")
 """The columns that point into the buffer of their batch."""

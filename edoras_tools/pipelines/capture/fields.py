@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.decode.filters.series import ValueKind
+from edoras_tools.decode.filters.series import Series, ValueKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from edoras_tools.decode.filters.field import FilterField
     from edoras_tools.decode.filters.rows import PacketRows
-    from edoras_tools.decode.filters.series import Series
 
     Column = tuple[str, Sequence[FilterField]]
     """A column's title, and its field; several fields if message types or endpoints share the name."""

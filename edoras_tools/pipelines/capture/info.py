@@ -11,14 +11,13 @@ from edoras_tools.pipelines.ahead import read_ahead
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import CaptureReport
 from edoras_tools.pipelines.names import fits_topic
-from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.pipelines.reading import Limits, ReadLoop, reading
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.io import Source
-    from edoras_tools.pipelines.reading import ReadLoop
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Watcher

@@ -14,7 +14,7 @@ from edoras_tools.cfs.names import message_name
 from edoras_tools.links import table
 from edoras_tools.links.fprime import FPRIME
 from edoras_tools.mission.report import printable
-from edoras_tools.model import NO_MSG_ID, OTHER, Finding
+from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketBatch
 from edoras_tools.sessions.ground_counts import GroundCounts
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.units import MILLISECOND, SECOND
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Columns, Link, PacketBatch
 
 
 LONGEST_NOTE: Final = 300

@@ -7,33 +7,30 @@ from dataclasses import dataclass, field, replace
 from time import time_ns
 from typing import TYPE_CHECKING, Any
 
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, ConfigError, EdorasError
 from edoras_tools.io.capture.device import DeviceSource
 from edoras_tools.io.formats.pcapng import LISTENED
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.formats.split import RecordingOptions, SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, PCAPNG, ROSBAG2, Format, written_as
-from edoras_tools.io.formats.watched import Keep, WatchedSink
+from edoras_tools.io.formats.watched import FileSink, Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing, Waiting
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.jobs import jobs_for
-from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.pipelines.reading import Limits, ReadLoop, reading
 from edoras_tools.sessions.sequence import SequenceCounts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
-    from edoras_tools.errors import EdorasError
     from edoras_tools.io import Sink, Source
     from edoras_tools.io.formats.capture_file import CaptureFileSink
-    from edoras_tools.io.formats.watched import FileSink, OutputLoss
     from edoras_tools.links.protocol import Endpoints
     from edoras_tools.mission.fprime import Entry
     from edoras_tools.model import Columns, HostCounters, PacketBatch
-    from edoras_tools.pipelines.reading import ReadLoop
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Watcher

@@ -24,11 +24,11 @@ import numpy as np
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture.device import DeviceSource
-from edoras_tools.io.formats.watched import Keep
+from edoras_tools.io.formats.watched import Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import path_beside
-from edoras_tools.model import Finding
+from edoras_tools.model import Columns, Finding, PacketBatch, SourceStatistics
 from edoras_tools.pipelines.capture.compact import ROW_BYTES, compact
-from edoras_tools.pipelines.capture.record import open_sink, pour
+from edoras_tools.pipelines.capture.record import CaptureReport, Target, open_sink, pour
 from edoras_tools.pipelines.capture.triggers import RuleTrigger, Triggers
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.units import MILLISECOND, SECOND
@@ -40,9 +40,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.io import Source
-    from edoras_tools.io.formats.watched import OutputLoss, WatchedSink
-    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
-    from edoras_tools.pipelines.capture.record import CaptureReport, Target
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Watcher

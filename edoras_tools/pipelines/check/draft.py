@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.check.expectations import LOSS_KEYS
-from edoras_tools.pipelines.check.messages import examine_or_count
+from edoras_tools.pipelines.check.messages import Examined, examine_or_count
 from edoras_tools.pipelines.check.observation import Subject
 from edoras_tools.pipelines.check.run import NOTABLE_FINDINGS, Figures
 from edoras_tools.pipelines.names import PacketKinds, SampleTopics
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.ledger import Ledger
-    from edoras_tools.pipelines.check.messages import Examined
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.pipelines.doctor.doctor import Findings, examine
+from edoras_tools.pipelines.doctor.doctor import Findings, Pace, examine
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.reading import reading
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.info import Counting
-    from edoras_tools.pipelines.doctor.doctor import Pace
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress
 

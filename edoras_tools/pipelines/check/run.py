@@ -6,12 +6,12 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.accounts import latency_ms
-from edoras_tools.diagnosis.balance import not_counted, sent
+from edoras_tools.diagnosis.balance import Row, not_counted, sent
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.pipelines.check.expectations import LOSS_KEYS
-from edoras_tools.pipelines.check.messages import NOT_OBSERVABLE, examine_or_count
-from edoras_tools.pipelines.check.observation import Observation
+from edoras_tools.pipelines.check.messages import NOT_OBSERVABLE, Examined, examine_or_count
+from edoras_tools.pipelines.check.observation import FilterCount, Observation, Subject
 from edoras_tools.render.severity import NOTABLE
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -20,14 +20,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.diagnosis.balance import Row
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.ledger import Ledger
     from edoras_tools.pipelines.check.bounds import Tolerance
     from edoras_tools.pipelines.check.expectations import EventExpectation, Expectations, FieldExpectation
-    from edoras_tools.pipelines.check.messages import Examined
-    from edoras_tools.pipelines.check.observation import FilterCount, Subject
     from edoras_tools.pipelines.doctor.doctor import Pace
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.names import PacketKinds

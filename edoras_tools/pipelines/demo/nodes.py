@@ -8,17 +8,15 @@ from math import atan2, dist
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.emulator.bridges import GroundOperator
-from edoras_tools.emulator.robots import Arm, Rover
+from edoras_tools.emulator.robots import Arm, Robot, Rover
 from edoras_tools.errors import WireError
 from edoras_tools.io.foxglove.publishing import Publisher
-from edoras_tools.middleware import Qos
+from edoras_tools.middleware import Graph, Qos
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from edoras_tools.emulator.robots import Robot
-    from edoras_tools.middleware import Graph
     from edoras_tools.pipelines.demo.scene import Lane
     from edoras_tools.pipelines.demo.scheduler import CallScheduler
     from edoras_tools.pipelines.demo.trace import Leg

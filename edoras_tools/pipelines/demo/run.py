@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs.edoras_app import PIPE
-from edoras_tools.emulator import BOOT_NS, Served, Simulation
+from edoras_tools.emulator import BOOT_NS, Scenario, Served, Simulation
 from edoras_tools.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, ConfigError, EdorasError
 from edoras_tools.io.outputs import to_write, write_files
-from edoras_tools.middleware import open_graph
-from edoras_tools.model import SourceInfo, SourceStatistics
+from edoras_tools.middleware import Graph, open_graph
+from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
 from edoras_tools.pipelines.bridge.run import Bridges
 from edoras_tools.pipelines.capture.record import Target, check_output
@@ -31,10 +31,10 @@ from edoras_tools.pipelines.demo.scene import (
     write_missions,
 )
 from edoras_tools.pipelines.demo.scheduler import CallScheduler
-from edoras_tools.pipelines.demo.trace import Trace
+from edoras_tools.pipelines.demo.trace import Leg, Trace
 from edoras_tools.pipelines.live.run import attach
 from edoras_tools.pipelines.recorder import RelayRecorder
-from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.pipelines.workbench import Settings, Workbench
 from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.units import SECOND
 
@@ -43,13 +43,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from edoras_tools.emulator import Scenario
-    from edoras_tools.errors import EdorasError
     from edoras_tools.io.foxglove.sink import FoxgloveSink
-    from edoras_tools.middleware import Graph
-    from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.demo.trace import Leg
-    from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Watcher
 
 _ATTEMPTS: Final = 4

@@ -9,18 +9,16 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs.profile import Ports, SimProfile
-from edoras_tools.emulator import MISSIONS
+from edoras_tools.emulator import MISSIONS, Scenario
 from edoras_tools.io.net.sockets import local_endpoint, open_bound
 from edoras_tools.io.outputs import write_bytes
-from edoras_tools.mission import GroundLink
+from edoras_tools.mission import Bridge, GroundLink, Route
 from edoras_tools.model import Endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from edoras_tools.emulator import Scenario
-    from edoras_tools.mission import Bridge, Route
 
 HOST: Final = "127.0.0.1"
 LAYOUTS: Final = {

@@ -16,14 +16,13 @@ from edoras_tools.io.capture.live import open_live
 from edoras_tools.io.outputs import write_files
 from edoras_tools.pipelines.capture.record import CaptureReport, Target, check_output, record
 from edoras_tools.pipelines.reading import Limits
-from edoras_tools.pipelines.workbench import Settings, open_files
+from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from edoras_tools.io import Source
     from edoras_tools.model import Columns, Decoded, PacketBatch
-    from edoras_tools.pipelines.workbench import Workbench
 
 SAMPLES: Final = files("edoras_tools.samples")
 _COMMAND_RATE_HZ: Final = 10.0

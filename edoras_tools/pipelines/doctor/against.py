@@ -13,7 +13,7 @@ from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.table import Recorder, Rows
 from edoras_tools.diagnosis.matching.comparison import CaptureComparison, compare_captures, compare_messages
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.io.formats.rosbag2.reader import open_rosbag
+from edoras_tools.io.formats.rosbag2.reader import RecordedBlock, Rosbag, open_rosbag
 from edoras_tools.model import NO_MSG_ID, OTHER
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.reading import reading
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io import Source
-    from edoras_tools.io.formats.rosbag2.reader import RecordedBlock, Rosbag
     from edoras_tools.mission import Mission, Route
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Progress

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from edoras_tools.diagnosis.runs import Run, RunDifference, run_differences
 from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.doctor.doctor import examine
-from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.render.severity import NOTABLE
 
 if TYPE_CHECKING:
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.pipelines.doctor.scope import Scope
-    from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.run import Progress
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.doctor import examine, list_missing
 from edoras_tools.pipelines.export.block import TopicBlock
-from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.pipelines.doctor.scope import Scope
-    from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.run import Progress
 
 VERDICTS_TOPIC: Final = "/edoras/verdicts"

@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.formats.columns import TableFile, TableHead
-from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, written_as
+from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, Format, written_as
 from edoras_tools.io.outputs import check_links, in_the_way, refuse_existing, refuse_input
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.streams import FAULTS, OWN_TOPICS
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
-    from edoras_tools.io.formats.table import Format
     from edoras_tools.pipelines.export.block import TopicBlock
     from edoras_tools.pipelines.export.sources import TopicSource
     from edoras_tools.render.terminal.run import Progress

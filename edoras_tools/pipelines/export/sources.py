@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError, InterruptError
+from edoras_tools.errors import CaptureError, EdorasError, InterruptError
 from edoras_tools.io.formats.merge import recorded_faults
 from edoras_tools.io.formats.open import is_cfe_file
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import APART, DATAGRAMS_TOPIC
-from edoras_tools.io.topics.rows import RECORD_BYTES, lay_out
-from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, Streams
+from edoras_tools.io.topics.rows import RECORD_BYTES, Messages, lay_out
+from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, PreparedBatch, Streams, Topic
 from edoras_tools.io.workers import InOrder, Workers
 from edoras_tools.mission.report import printable
-from edoras_tools.model import Finding
+from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.pipelines.capture.ledger import LONGEST_NOTE
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.scope import Scope
@@ -32,7 +32,7 @@ from edoras_tools.pipelines.export.judged import JUDGED, judged_block, judged_bl
 from edoras_tools.pipelines.jobs import jobs_for
 from edoras_tools.pipelines.messages.opening import open_inputs
 from edoras_tools.pipelines.reading import reading
-from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.words import listed
@@ -43,12 +43,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
-    from edoras_tools.io.topics.rows import Messages
-    from edoras_tools.io.topics.streams import PreparedBatch, Topic
-    from edoras_tools.model import Columns, PacketBatch
-    from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.run import Progress
     from edoras_tools.ros import TypeStore
 

@@ -38,14 +38,13 @@ from edoras_tools.mission.tree import (
 from edoras_tools.model import Datagram, Endpoint, Link
 from edoras_tools.sessions.faults.kinds import FAULT_KINDS
 from edoras_tools.sessions.faults.machine import FaultPlan
-from edoras_tools.sessions.faults.rules import make_rule, parse_profile, parse_rule
+from edoras_tools.sessions.faults.rules import Rule, make_rule, parse_profile, parse_rule
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.sessions.faults.rules import Rule
     from edoras_tools.sessions.faults.scopes import Predicate
 
 

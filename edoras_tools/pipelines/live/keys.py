@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.io.foxglove.playback import PlaybackRequest
+from edoras_tools.io.foxglove.playback import PlaybackRequest, PlaybackState
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.io.foxglove.playback import PlaybackState
 
 HELP: Final = "space, ←→ 5 s, ↑↓ speed, Home, q"
 _KEY: Final = re.compile(r"\x1b[\[o]\d*~?[a-z]?|.", re.DOTALL)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.io.formats.open import kept_recording
 from edoras_tools.io.formats.stream import SettledFile
-from edoras_tools.io.foxglove.playback import PlaybackState
+from edoras_tools.io.foxglove.playback import PlaybackRequest, PlaybackState
 from edoras_tools.io.frames.fragmented import FragmentedSamples
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.pipelines.doctor.scope import Scope
@@ -20,19 +20,16 @@ from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.live.keys import request_of, split_keys
 from edoras_tools.pipelines.messages.opening import open_inputs
 from edoras_tools.pipelines.selection import outside
-from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
     from pathlib import Path
 
-    from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
-    from edoras_tools.io.foxglove.playback import PlaybackRequest
     from edoras_tools.io.foxglove.sink import ServedSink
     from edoras_tools.model import Columns, PacketBatch, SourceInfo
-    from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.run import Progress
 
 _TICK_S: Final = 0.02

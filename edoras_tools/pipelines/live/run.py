@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.io.foxglove.origins import OriginCheck
 from edoras_tools.io.foxglove.server import HERE, ServerOptions
-from edoras_tools.io.foxglove.sink import FoxgloveSink, RecordedSink
-from edoras_tools.pipelines.capture.record import pour, record
+from edoras_tools.io.foxglove.sink import FoxgloveSink, RecordedSink, ServedSink
+from edoras_tools.pipelines.capture.record import CaptureReport, Target, pour, record
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.render.severity import EXPLANATIONS, Level
 
@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.io.foxglove.playback import Player
     from edoras_tools.io.foxglove.publishing import Publisher
-    from edoras_tools.io.foxglove.sink import ServedSink
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
-    from edoras_tools.pipelines.capture.record import CaptureReport, Target
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.run import Watcher

@@ -7,13 +7,12 @@ from dataclasses import replace
 from importlib.resources import as_file, files
 from typing import TYPE_CHECKING
 
-from edoras_tools.emulator import BOOT_NS, MISSIONS, Simulation
+from edoras_tools.emulator import BOOT_NS, MISSIONS, Scenario, Simulation
 from edoras_tools.emulator.source import RealTimeSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from edoras_tools.emulator import Scenario
     from edoras_tools.pipelines.workbench import Settings, Workbench
 
 

@@ -17,9 +17,9 @@ from edoras_tools.errors import ConfigError, NoDatagramsError
 from edoras_tools.io.formats.merge import merge_sources
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.source import MessageSource, NumberedTopics
-from edoras_tools.mission import Handling, Mission, Route
+from edoras_tools.mission import Handling, Mission, RecordedTopic, Route
 from edoras_tools.model import NO_MSG_ID, OTHER
-from edoras_tools.pipelines.workbench import Workbench, open_files
+from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types.library import text_of_idl
 from edoras_tools.structs import Structs
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.io import Source
-    from edoras_tools.mission import RecordedTopic
-    from edoras_tools.pipelines.workbench import Settings
 
 _QOS: Final = "offered_qos_profiles"
 _LATCHED: Final = re.compile(r"durability: *(1|transient_local)\b")

@@ -12,7 +12,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError, InterruptError
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.export.judged import LOST_TOPIC
-from edoras_tools.pipelines.export.sources import open_topics
+from edoras_tools.pipelines.export.sources import TopicSource, open_topics
 from edoras_tools.pipelines.export.tables import TableForm
 from edoras_tools.pipelines.plot.lines import RateCounts, Values, bar_seconds, numbers
 from edoras_tools.pipelines.plot.request import PlotRequest, Quantity
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.export.block import TopicBlock
-    from edoras_tools.pipelines.export.sources import TopicSource
     from edoras_tools.pipelines.selection import Period
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.run import Progress

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.build import ends_of
-from edoras_tools.io.net.address import host_of
+from edoras_tools.io.net.address import Address, host_of
 from edoras_tools.io.net.forward import Direction, Outlet
 from edoras_tools.io.net.sockets import bind, connect, kernel_drops, open_socket
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     import numpy as np
     from numpy.typing import NDArray
-
-    from edoras_tools.io.net.address import Address
 
 
 @dataclass(slots=True, eq=False)

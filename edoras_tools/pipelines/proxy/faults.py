@@ -6,18 +6,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.io.net.buffer import SLOTS, SPARE
-from edoras_tools.sessions.faults.machine import HEAD_BYTES
+from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer
+from edoras_tools.sessions.faults.machine import HEAD_BYTES, Delivery, FaultMachine
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.net.buffer import DatagramBuffer
     from edoras_tools.model import Link
     from edoras_tools.sessions.faults.fault import Fault
-    from edoras_tools.sessions.faults.machine import Delivery, FaultMachine
 
     Send = Callable[[NDArray[np.int64]], None]
 

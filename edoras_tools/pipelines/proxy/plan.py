@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Any
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.net.address import arrives_at
 from edoras_tools.sessions.faults.machine import FaultPlan
-from edoras_tools.sessions.faults.rules import make_rule
-from edoras_tools.wire.cfe import STANDARD
+from edoras_tools.sessions.faults.rules import Rule, make_rule
+from edoras_tools.wire.cfe import STANDARD, Headers
 
 if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sessions.faults.rules import Rule
-    from edoras_tools.wire.cfe import Headers
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ from edoras_tools.io.net.forward import Direction
 from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
 from edoras_tools.io.processors import Precedence
 from edoras_tools.pipelines.interrupt import on_interrupt
-from edoras_tools.pipelines.proxy.clients import Clients, Routing
+from edoras_tools.pipelines.proxy.clients import Clients, ProxyClient, Routing
 from edoras_tools.pipelines.proxy.faults import FaultStage, Outbox
 from edoras_tools.pipelines.threads import threads_take_turns, watched
 from edoras_tools.units import MILLISECOND
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.pipelines.proxy.clients import ProxyClient
     from edoras_tools.pipelines.proxy.plan import ProxyPlan
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.pipelines.sending.keys import Keys

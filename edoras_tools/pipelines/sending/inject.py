@@ -12,7 +12,7 @@ from edoras_tools.cfs.commands import ENABLE_OUTPUT, NAMED, Argument
 from edoras_tools.cfs.telemetry_output import USUAL_LIMIT
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import own_address
-from edoras_tools.pipelines.sending.options import Receiver
+from edoras_tools.pipelines.sending.options import Receiver, SendOptions
 from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.pipelines.sending.topics import Encoder, routes_towards, sender_of
 from edoras_tools.pipelines.sending.wait_for import enable_output
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.mission import Mission, Route
-    from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.wire.msg_id import MsgIds
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.processors import Precedence
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.sessions.outgoing import Changes, Outgoing
@@ -31,7 +31,6 @@ from edoras_tools.units import MILLISECOND, SECOND
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from edoras_tools.errors import EdorasError
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.net.wire import Wire
     from edoras_tools.pipelines.sending.keys import Keys

@@ -11,7 +11,7 @@ from edoras_tools.links.table import carrying
 from edoras_tools.model import NO_MSG_ID, Endpoint, Link, Peer
 from edoras_tools.older import StrEnum
 from edoras_tools.pipelines.sending.safety import fits
-from edoras_tools.sessions.outgoing import ChecksumRule, SequenceRule
+from edoras_tools.sessions.outgoing import ChecksumRule, Outgoing, SequenceRule
 from edoras_tools.sessions.pacing import Pacing
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import numbered
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from edoras_tools.mission import Mission
-    from edoras_tools.sessions.outgoing import Outgoing
 
 CAP_HZ: Final = 1000.0
 """Maximum datagrams per second to another machine, unless the user sets a limit."""

@@ -13,23 +13,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.io.formats.watched import WatchedSink
+from edoras_tools.io.formats.watched import OutputLoss, WatchedSink
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.model import SourceInfo, SourceStatistics
+from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS
-from edoras_tools.pipelines.capture.record import open_sink
+from edoras_tools.pipelines.capture.record import Target, open_sink
 from edoras_tools.pipelines.recorder import PushedSource
 from edoras_tools.units import MILLISECOND
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.net.transmit import SendStatistics
     from edoras_tools.io.net.wire import Arrival, Wire
-    from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.capture.record import Target
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.sessions.outgoing import Outgoing

@@ -10,9 +10,9 @@ import numpy as np
 from edoras_tools.errors import CaptureError, ConfigError, WireError
 from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.links.sbn import BRIDGE_PORT
-from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.pipelines.selection import Period, Selection
-from edoras_tools.pipelines.sending.options import Receiver
+from edoras_tools.pipelines.sending.options import Receiver, SendOptions
 from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.pipelines.sending.safety import called, fits
 from edoras_tools.sessions.outgoing import Changes, Outgoing, join_datagrams
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Source
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Columns, PacketBatch
-    from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.ros import TypeStore
     from edoras_tools.wire.msg_id import MsgIds

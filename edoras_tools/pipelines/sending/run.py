@@ -12,11 +12,11 @@ import numpy as np
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.transmit import Listener, Transmitter
 from edoras_tools.io.net.transmit_stream import StreamTransmitter
-from edoras_tools.io.net.wire import UdpWire, precise_timing
+from edoras_tools.io.net.wire import UdpWire, Wire, precise_timing
 from edoras_tools.links.table import carrying, protocol
-from edoras_tools.model import NO_MSG_ID, Link
+from edoras_tools.model import NO_MSG_ID, Endpoint, Link
 from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule, in_order
-from edoras_tools.pipelines.sending.options import Receiver, Role
+from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions
 from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.pipelines.sending.safety import check_allowed
 from edoras_tools.pipelines.sending.wait_for import conditions, count_known, leaves_at_once, only_enables
@@ -28,12 +28,9 @@ from edoras_tools.wire import cfe
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from edoras_tools.io.net.wire import Wire
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.sending.expect import AwaitedResults
     from edoras_tools.pipelines.sending.keys import Keys
-    from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.sending.recording import SentRecording
     from edoras_tools.render.terminal.run import Watcher
     from edoras_tools.sessions.faults.machine import FaultMachine

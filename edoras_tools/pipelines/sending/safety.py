@@ -10,13 +10,12 @@ import numpy as np
 from edoras_tools.cfs.names import message_name
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.net.address import is_loopback
-from edoras_tools.model import NO_MSG_ID
+from edoras_tools.model import NO_MSG_ID, Endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from edoras_tools.mission import Mission
-    from edoras_tools.model import Endpoint
     from edoras_tools.sessions.outgoing import Outgoing
 
 

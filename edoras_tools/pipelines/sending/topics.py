@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs.time_services import EPOCH_S
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
-from edoras_tools.pipelines.sending.options import Receiver
+from edoras_tools.pipelines.sending.options import Receiver, SendOptions
 from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.pipelines.sending.safety import fits
 from edoras_tools.sessions.outgoing import Outgoing, Packet
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.rosbag2.reader import Rosbag
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import Peer
-    from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.sending.replay import ReplaySelection
     from edoras_tools.pipelines.workbench import Workbench
 

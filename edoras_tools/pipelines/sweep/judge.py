@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import command_ingest
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKETS
-from edoras_tools.diagnosis.verdict import Severity
+from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.examination import Diagnosis
-    from edoras_tools.diagnosis.verdict import Verdict
     from edoras_tools.mission import Route
     from edoras_tools.pipelines.sweep.observer import Mark, Observer
 

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs import command_ingest
 from edoras_tools.decode import ColumnDecoder, Context
-from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.emulator.simulation import WireDatagram
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import demux
 from edoras_tools.links.table import carrying
-from edoras_tools.mission import Mission
+from edoras_tools.mission import Mission, Route
 from edoras_tools.model import Endpoint, Link
 from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.units import MILLISECOND
@@ -24,8 +24,6 @@ from edoras_tools.wire import cfe, sbn
 
 if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.diagnosis.examination import Diagnosis
-    from edoras_tools.mission import Route
     from edoras_tools.pipelines.workbench import Workbench
 
 _COUNTERS: Final = (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, command_ingest.HOUSEKEEPING_MSG_ID)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import edoras_app, telemetry_output
-from edoras_tools.emulator import messages
+from edoras_tools.emulator import Scenario, messages
 from edoras_tools.emulator.apps import generator
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import is_loopback
 from edoras_tools.links.table import carrying
-from edoras_tools.mission import Route
-from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver
+from edoras_tools.mission import Mission, Route
+from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions
 from edoras_tools.pipelines.sending.safety import check_allowed, names_of
 from edoras_tools.pipelines.sending.topics import Encoder
 from edoras_tools.pipelines.sweep.line import reset_filters
@@ -25,10 +25,7 @@ from edoras_tools.wire.cfe import with_length
 from edoras_tools.wire.envelope import DEFAULT
 
 if TYPE_CHECKING:
-    from edoras_tools.emulator import Scenario
-    from edoras_tools.mission import Mission
     from edoras_tools.model import Link
-    from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.workbench import Workbench
 
 _FILL: Final = 0xA5

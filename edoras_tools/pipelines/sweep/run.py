@@ -10,13 +10,13 @@ from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT
 from edoras_tools.emulator.apps import generator
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.transmit import Listener, Transmitter
-from edoras_tools.io.net.wire import UdpWire, precise_timing
+from edoras_tools.io.net.wire import UdpWire, Wire, precise_timing
 from edoras_tools.links.table import carrying
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.sending.safety import called
 from edoras_tools.pipelines.sending.wait_for import Condition, conditions
 from edoras_tools.pipelines.sweep import plan as packets
-from edoras_tools.pipelines.sweep.judge import Judge
+from edoras_tools.pipelines.sweep.judge import Judge, StepOutcome
 from edoras_tools.pipelines.sweep.line import COMMAND_NS, Line, reset_filters
 from edoras_tools.pipelines.sweep.observer import Observer
 from edoras_tools.pipelines.sweep.result import Sweep, SweepStep
@@ -29,9 +29,7 @@ from edoras_tools.wire import cfe, sbn
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from edoras_tools.io.net.wire import Wire
     from edoras_tools.model import Endpoint, Link
-    from edoras_tools.pipelines.sweep.judge import StepOutcome
     from edoras_tools.pipelines.sweep.plan import SweepPlan
     from edoras_tools.pipelines.workbench import Workbench
 

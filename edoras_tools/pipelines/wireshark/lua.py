@@ -16,24 +16,21 @@ import numpy as np
 from edoras_tools.decode import Context
 from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.dissectors.lua import FindingText, Knowledge, RouteText, generate
-from edoras_tools.mission import load, loads
+from edoras_tools.mission import Mission, load, loads
 from edoras_tools.model import NO_ROUTE, Finding
 from edoras_tools.render.severity import EXPLANATIONS, Level
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.cdr.plan import PrimitiveRun, Repeat, Text
+from edoras_tools.ros.cdr.plan import CdrPlan, PrimitiveRun, Repeat, Text
 from edoras_tools.ros.types.schema import PLACEHOLDER, full_name
 from edoras_tools.structs import Structs
 from edoras_tools.structs.files import load_layout
-from edoras_tools.structs.fprime.table import DESCRIBED
+from edoras_tools.structs.fprime.table import DESCRIBED, EntryTable
 from edoras_tools.structs.messages import parts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from edoras_tools.mission import Mission
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.ros.cdr.plan import CdrPlan
-    from edoras_tools.structs.fprime.table import EntryTable
     from edoras_tools.structs.shapes import Struct, StructLayout
 
 DEMOS: Final = (

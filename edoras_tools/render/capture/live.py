@@ -4,24 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from rich.console import Group
+from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import departures, link_text, msg_id_text, route_text
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.live_table import LiveTable, title_line
+from edoras_tools.render.terminal.live_table import LiveRun, LiveTable, Moment, title_line
 from edoras_tools.render.terminal.table import Column, build, count_cell, one_line, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
-
-    from rich.console import Console, RenderableType
-
-    from edoras_tools.render.terminal.live_table import LiveRun, Moment
 
 
 def live_table(title: str, console: Console, output: Path | None = None) -> LiveTable[LiveRun]:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from edoras_tools.model import NO_ROUTE
+from edoras_tools.model import NO_ROUTE, Decoded
 from edoras_tools.render.capture import hexdump, tree
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.terminal import FILE_WIDTH
 from edoras_tools.render.terminal.text import plain_cells
-
-if TYPE_CHECKING:
-    from edoras_tools.model import Decoded
 
 SIDE_BY_SIDE: Final = 140
 """Width from which the tree and the bytes are shown side by side."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from edoras_tools.decode.lines import line_of
 from edoras_tools.decode.recorded import recorded_topic
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Layer, LayerField
 from edoras_tools.render import units
 from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.render.terminal import palette
@@ -20,7 +20,6 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from edoras_tools.model import Decoded, Layer, LayerField
 
 RowRole = Literal["packet", "layer", "group", "field", "finding", "stop"]
 

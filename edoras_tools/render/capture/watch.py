@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import sys
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from edoras_tools.io.outputs import output_name
 from edoras_tools.render import units
-from edoras_tools.render.terminal.run import size_of
+from edoras_tools.render.terminal.run import CountedSource, ReadingRun, Watcher, size_of
 from edoras_tools.render.terminal.terminal import look
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
-    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from edoras_tools.io import Source
     from edoras_tools.io.formats.watched import Keep
     from edoras_tools.model import PacketBatch
     from edoras_tools.render.terminal.progress import FileProgress
-    from edoras_tools.render.terminal.run import CountedSource, ReadingRun, Watcher
 
 _Printed = TypeVar("_Printed", bound="Sized")
 _PATIENCE_S: Final = 0.3

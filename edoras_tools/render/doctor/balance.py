@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rich.text import Text
 
-from edoras_tools.diagnosis.chains import PEER_TO_ROBOT
+from edoras_tools.diagnosis.chains import PEER_TO_ROBOT, Chain
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import msg_id_text, route_text
 from edoras_tools.render.severity import Level
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from rich.console import RenderableType
 
-    from edoras_tools.diagnosis.chains import Chain
     from edoras_tools.diagnosis.examination import Diagnosis
 
 CAUSES: Final = {

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from edoras_tools.diagnosis.verdict import Severity, alike, group_verdicts
+from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import link_text, msg_id_text, route_text
 from edoras_tools.render.doctor import balance
@@ -22,12 +22,9 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from rich.console import RenderableType
-
     from edoras_tools.diagnosis.accounting.budget import Budget
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.diagnosis.matching.comparison import CaptureComparison
-    from edoras_tools.diagnosis.verdict import Verdict
 
 _STYLES: Final = {
     Severity.ERROR: Level.ERROR,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final
 
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from edoras_tools.model import NO_MSG_ID
@@ -18,8 +18,6 @@ from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    from rich.console import RenderableType
 
     from edoras_tools.diagnosis.missing import Missing
     from edoras_tools.diagnosis.runs import Run, RunDifference

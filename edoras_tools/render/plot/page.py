@@ -5,14 +5,11 @@ from __future__ import annotations
 import json
 from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from edoras_tools.render.plot.figure import AXIS, DARK_COLOURS, DASHES, LIGHT_COLOURS
+from edoras_tools.render.plot.figure import AXIS, DARK_COLOURS, DASHES, LIGHT_COLOURS, Figure, PlotLine
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.terminal.text import clean
-
-if TYPE_CHECKING:
-    from edoras_tools.render.plot.figure import Figure, PlotLine
 
 _COLUMNS: Final = 4000
 """Columns of long lines: what zooming can show."""

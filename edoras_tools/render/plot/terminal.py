@@ -8,7 +8,7 @@ import numpy as np
 from rich.text import Text
 
 from edoras_tools.render.chart import scale_line
-from edoras_tools.render.plot.figure import AXIS, tick_texts
+from edoras_tools.render.plot.figure import AXIS, Figure, Panel, PlotLine, tick_texts
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean, clip, wrap
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
 
 _STYLES: Final = ("cyan", "yellow", "magenta", "green", "bright_blue", "red")
 _ROWS, _ROWS_BENEATH = 10, 5

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from rich.console import Group
+from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.live_table import LiveTable, Moment, title_line
+from edoras_tools.render.terminal.live_table import LiveRun, LiveTable, Moment, title_line
 from edoras_tools.render.terminal.run import size_of
 from edoras_tools.render.terminal.table import Column, build, count_cell, figure, plain
 from edoras_tools.words import plural
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from rich.console import Console, RenderableType
-
-    from edoras_tools.render.terminal.live_table import LiveRun
 
 _MOST_CLIENTS: Final = 8
 

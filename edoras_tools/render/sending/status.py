@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from contextlib import nullcontext
-from typing import TYPE_CHECKING, Final, Protocol
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Final, Protocol, TextIO
 
 from edoras_tools.render import units
 from edoras_tools.render.terminal.terminal import look
 
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-    from typing import TextIO
-
     from typing_extensions import Self
 
 _REFRESH_S: Final = 0.2

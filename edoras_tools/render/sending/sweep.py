@@ -6,7 +6,7 @@ import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from edoras_tools.render import units
@@ -19,7 +19,6 @@ from edoras_tools.render.terminal.terminal import look
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from rich.console import RenderableType
     from rich.table import Table
 
 _CHART_WIDTH: Final = 78

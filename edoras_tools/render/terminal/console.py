@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from typing import TextIO
 
 from rich.console import Console
 
 from edoras_tools.render.terminal.terminal import look
-
-if TYPE_CHECKING:
-    from typing import TextIO
 
 
 def output_console() -> Console:

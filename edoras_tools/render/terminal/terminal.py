@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TextIO
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from typing import TextIO
 
 FILE_WIDTH: Final = 1_000_000
 """Columns for a pipe or a file: nothing is cut."""

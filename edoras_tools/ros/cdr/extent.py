@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from edoras_tools.errors import WireError
-from edoras_tools.ros.cdr.plan import PrimitiveRun, Text
+from edoras_tools.ros.cdr.plan import CdrPlan, PrimitiveRun, Text
 from edoras_tools.ros.cdr.reader import ENCAPSULATION_BYTES, encapsulation_order
-
-if TYPE_CHECKING:
-    from edoras_tools.ros.cdr.plan import CdrPlan
 
 _COUNTS: Final = struct.Struct("<I"), struct.Struct(">I")
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Mapping
+from typing import Any, Final
 
 import numpy as np
 
 from edoras_tools.errors import ConfigError, FieldError
 from edoras_tools.ros.types.schema import PRIMITIVES, STRINGS, Definition, MessageField, Shape
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _FLOATS: Final = frozenset({"float32", "float64"})
 _BYTES: Final = frozenset({"uint8", "byte", "char"})

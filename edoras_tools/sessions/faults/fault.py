@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from edoras_tools.model import NO_MSG_ID
-
-if TYPE_CHECKING:
-    from edoras_tools.model import Link
+from edoras_tools.model import NO_MSG_ID, Link
 
 
 class Fault(NamedTuple):

@@ -34,7 +34,7 @@ from edoras_tools.sessions.faults.scopes import (
     StreamCounter,
     datagram_msg_id,
 )
-from edoras_tools.wire.cfe import STANDARD
+from edoras_tools.wire.cfe import STANDARD, Headers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
     from edoras_tools.sessions.faults.rules import Rule
     from edoras_tools.sessions.faults.scopes import Predicate
-    from edoras_tools.wire.cfe import Headers
 
 __all__ = ["HEAD_BYTES", "HOLD_BYTES", "Delivery", "FaultMachine", "FaultPlan"]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import table
 from edoras_tools.sessions.faults import values as read
-from edoras_tools.sessions.faults.kinds import FAULT_KINDS, PROFILES, REQUIRED, Option
+from edoras_tools.sessions.faults.kinds import FAULT_KINDS, PROFILES, REQUIRED, FaultKind, Option
 from edoras_tools.wire.sbn import MsgType
 from edoras_tools.words import did_you_mean
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from edoras_tools.model import Link
-    from edoras_tools.sessions.faults.kinds import FaultKind
 
 DIRECTIONS: Final = {"cfs": True, "ground": False, "bridge": False}
 """``to=``: towards cFS, or away from it; ``ground`` and ``bridge`` both mean away."""

@@ -10,7 +10,7 @@ import numpy as np
 from edoras_tools.model import NO_MSG_ID, Link
 from edoras_tools.sessions.faults.bytes import packet_offset
 from edoras_tools.wire import ccsds, sbn
-from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1
+from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.sessions.faults.effects import Effect
     from edoras_tools.sessions.faults.rules import Rule
-    from edoras_tools.wire.msg_id import MsgIds
 
     Predicate = Callable[[bytes, Link], bool]
 

@@ -9,13 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.sessions.faults.rules import RuleScope
+from edoras_tools.sessions.faults.rules import Rule, RuleScope
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.sessions.faults.rules import Rule
 
 STREAM_KINDS: Final = ("delay", "bandwidth", "silence")
 """The kinds of faults that a stream can have; ``silence`` stalls it."""

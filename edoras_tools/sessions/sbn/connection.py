@@ -36,7 +36,7 @@ from edoras_tools.sessions.sbn.events import (
     UnknownType,
     Version,
 )
-from edoras_tools.sessions.sbn.habits import CLIENT
+from edoras_tools.sessions.sbn.habits import CLIENT, Habits
 from edoras_tools.wire import sbn
 from edoras_tools.wire.sbn import MsgType
 
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from edoras_tools.sessions.sbn.events import ConnectionEvent
-    from edoras_tools.sessions.sbn.habits import Habits
 
 _NEVER: Final = 2**63 - 1
 _NO_CONTENT: Final = frozenset({MsgType.NO_MSG, MsgType.HEARTBEAT, MsgType.ANNOUNCE, MsgType.DISCONNECT})

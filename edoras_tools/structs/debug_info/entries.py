@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.structs.shapes import OPEN, BasicKind
+from edoras_tools.structs.shapes import OPEN, BasicKind, ByteOrder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from edoras_tools.structs.shapes import ByteOrder
 
 STRUCTS: Final = {
     "DW_TAG_structure_type": False,

@@ -22,14 +22,13 @@ from edoras_tools.structs.debug_info.entries import (
     underlying_type,
 )
 from edoras_tools.structs.messages import unique
-from edoras_tools.structs.shapes import BASIC, OPEN, Basic, BasicKind, Enumeration, Member, Struct
+from edoras_tools.structs.shapes import BASIC, OPEN, Basic, BasicKind, ByteOrder, Enumeration, Member, Struct
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from edoras_tools.structs.debug_info.entries import Die
-    from edoras_tools.structs.shapes import ByteOrder
 
 _Kept = TypeVar("_Kept", Struct, Enumeration)
 

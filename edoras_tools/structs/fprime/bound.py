@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.structs.bound import Bound, Encoded, headed
-from edoras_tools.structs.transcode import HEAD
+from edoras_tools.structs.transcode import HEAD, StructPlan
 from edoras_tools.wire.arrays.window import copy_rows, gather, read_at
 from edoras_tools.wire.fprime import TIME_BYTES, PacketType
 
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission.fprime import Entry
     from edoras_tools.structs.shapes import Key, Member, Struct, StructLayout
-    from edoras_tools.structs.transcode import StructPlan
 
 _LENGTH_BYTES: Final = 2
 

@@ -11,7 +11,7 @@ from edoras_tools.structs.payloads import StructPayloads
 from edoras_tools.wire import fprime
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.fprime import PacketType
+from edoras_tools.wire.fprime import PacketPlaces, PacketType
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.structs.fprime.bound import BoundEntry
-    from edoras_tools.wire.fprime import PacketPlaces
 
 _ID_BYTES: Final = np.array([4, 4, 4, 0, 2])
 """Of an ID, by packet type; 0 where a dictionary describes nothing."""

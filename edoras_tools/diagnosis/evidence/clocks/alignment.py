@@ -36,7 +36,7 @@ from edoras_tools.diagnosis.evidence.clocks.lines import (
     quickest_ahead,
 )
 from edoras_tools.diagnosis.evidence.instances import Instances
-from edoras_tools.model import NO_MSG_ID, Finding
+from edoras_tools.model import NO_MSG_ID, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.fingerprint import matches
 from edoras_tools.wire.arrays.order import by_value
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
-    from edoras_tools.model import Endpoint
 
 _LEAST: Final = 3
 _MANY: Final = 20

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.diagnosis.evidence.clocks.lines import Ordered
+from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine, Ordered
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import MILLISECOND, SECOND
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
 

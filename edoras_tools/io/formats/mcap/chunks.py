@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import zstandard
 
-from edoras_tools.io.formats.mcap.file import pack_chunks
+from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks, pack_chunks
 from edoras_tools.io.formats.mcap.index import MessageIndex
-from edoras_tools.io.topics.rows import within_rows
-from edoras_tools.io.workers import InOrder
+from edoras_tools.io.topics.rows import Messages, within_rows
+from edoras_tools.io.workers import InOrder, Workers
 from edoras_tools.wire.arrays.window import copy_rows, put_rows, spill_rows
 
 if TYPE_CHECKING:
@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
-    from edoras_tools.io.topics.rows import Messages
-    from edoras_tools.io.workers import Workers
 
 CHUNK_BYTES = 128 << 10
 """Uncompressed bytes of a full chunk; more by at most one message."""

@@ -33,7 +33,7 @@ from edoras_tools.io.topics.faults import FAULTS_TOPIC, fault_of
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC, MAGIC, OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.rows import CDR_LE_WORD
 from edoras_tools.io.topics.statistics import HOST_TOPIC, host_counters_of
-from edoras_tools.model import InterfaceOutage, SourceInfo, SourceStatistics
+from edoras_tools.model import HostCounters, InterfaceOutage, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.arrays.window import read_at
 
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.framing import Framing
-    from edoras_tools.model import HostCounters, PacketBatch
     from edoras_tools.sessions.faults.fault import Fault
 
 T = TypeVar("T")

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from edoras_tools.io.formats.mcap.heads import MAX_CHUNK_BYTES
+from edoras_tools.io.formats.mcap.heads import MAX_CHUNK_BYTES, ChunkHead
 from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.io.formats.mcap.heads import ChunkHead
 
 COMPRESSIONS = ("", "zstd", "lz4")
 _PIECE_BYTES = 1 << 12

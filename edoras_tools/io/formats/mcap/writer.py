@@ -13,7 +13,7 @@ from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.forked import killed
 from edoras_tools.io.formats.mcap.chunks import ChunkPress, ChunkWriter
-from edoras_tools.io.formats.mcap.file import McapFile
+from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
 from edoras_tools.io.formats.split import RecordingOptions, part_path
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import OUTAGE_METADATA_NAME
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.formats.mcap.file import PackedChunks
     from edoras_tools.io.outputs import OutputFile
     from edoras_tools.mission import Mission
     from edoras_tools.model import (

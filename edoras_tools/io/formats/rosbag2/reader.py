@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import zstandard
-from mcap.reader import make_reader
+from mcap.reader import McapReader, make_reader
 from mcap.records import Channel, Schema
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -42,7 +42,6 @@ from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-    from mcap.reader import McapReader
     from mcap.summary import Summary
     from numpy.typing import NDArray
 

@@ -20,7 +20,7 @@ import numpy as np
 from edoras_tools.errors import FieldError
 from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, whole_messages
 from edoras_tools.links.racs2 import RACS2
-from edoras_tools.model import Finding
+from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.wire import cfe, racs2
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import copy_rows, gather
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.ros import TypeStore
 
 MOST_TOPICS: Final = 256

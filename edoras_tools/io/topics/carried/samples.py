@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.decode.samples import known_samples
+from edoras_tools.decode.samples import KnownSamples, known_samples
 from edoras_tools.io.topics.names import APART
 from edoras_tools.io.topics.rows import RECORD, Messages, whole_messages
-from edoras_tools.links.protocol import MOST_ENDPOINTS
+from edoras_tools.links.protocol import MOST_ENDPOINTS, Endpoints
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 from edoras_tools.wire.arrays.order import by_value
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.decode.samples import KnownSamples
-    from edoras_tools.links.protocol import Endpoints
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.ros import TypeStore
 

@@ -6,9 +6,9 @@ from collections import Counter
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.diagnosis.balance import summed
-from edoras_tools.diagnosis.plots import plots
-from edoras_tools.diagnosis.verdict import Severity, alike, group_verdicts
+from edoras_tools.diagnosis.balance import Row, summed
+from edoras_tools.diagnosis.plots import Plots, plots
+from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
 from edoras_tools.render import units
 from edoras_tools.render.doctor import balance
 from edoras_tools.render.doctor.doctor import clean_to, conclusion, limits, told_of
@@ -28,10 +28,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.diagnosis.balance import Row
     from edoras_tools.diagnosis.examination import Diagnosis
-    from edoras_tools.diagnosis.plots import Plots
-    from edoras_tools.diagnosis.verdict import Verdict
 
 _MOST_CHARTS: Final = 24
 _MOST_VERDICTS: Final = 200

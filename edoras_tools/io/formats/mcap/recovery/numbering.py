@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING
 
 from mcap.records import Channel, Schema
 
-from edoras_tools.io.formats.mcap.file import record_bytes
+from edoras_tools.io.formats.mcap.file import McapFile, record_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Hashable
-
-    from edoras_tools.io.formats.mcap.file import McapFile
 
 
 class Definitions:

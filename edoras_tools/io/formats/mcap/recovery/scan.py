@@ -31,17 +31,15 @@ from edoras_tools.io.formats.mcap.heads import (
     ChunkHead,
     chunk_head,
 )
-from edoras_tools.io.formats.mcap.recovery.records import parse
-from edoras_tools.io.formats.mcap.recovery.walk import Walked, walk
+from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
+from edoras_tools.io.formats.mcap.recovery.walk import Entries, Walked, walk
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, frame_at, inflate, unpack_chunk
 from edoras_tools.io.topics.names import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.io.formats.mcap.recovery.records import FileBytes
     from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary
-    from edoras_tools.io.formats.mcap.recovery.walk import Entries
 
 _PLACES: Final = re.compile(
     rb"(?s)(?=[\x01-\x0f].{4}\x00{4}|\x89MCAP0\r\n|\x28\xb5\x2f\xfd|\x04\x00{3}zstd|\x03\x00{3}lz4)"

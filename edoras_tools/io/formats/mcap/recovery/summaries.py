@@ -18,12 +18,11 @@ from mcap.records import (
 )
 
 from edoras_tools.io.formats.mcap.heads import RECORD_HEAD
-from edoras_tools.io.formats.mcap.recovery.records import parse
+from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
 from edoras_tools.io.topics.names import MAGIC
 from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:
-    from edoras_tools.io.formats.mcap.recovery.records import FileBytes
     from edoras_tools.io.formats.mcap.recovery.walk import Walked
 
 _FOOTER: Final = re.compile(re.escape(b"\x02\x14" + bytes(7)))

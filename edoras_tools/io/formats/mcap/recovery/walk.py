@@ -9,7 +9,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, MESSAGE_HEAD, RECORD_HEAD
-from edoras_tools.io.formats.mcap.index import MessageIndex
+from edoras_tools.io.formats.mcap.index import ChunkMessages, MessageIndex
 from edoras_tools.io.formats.mcap.recovery.records import parse
 from edoras_tools.io.topics.rows import OPCODE_MESSAGE, RECORD
 from edoras_tools.wire.arrays.window import copy_rows, read_at
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.formats.mcap.index import ChunkMessages
 
 _HEAD: Final = np.dtype(RECORD)
 _CHANNEL_AT: Final = RECORD_HEAD.size
