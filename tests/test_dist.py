@@ -37,6 +37,7 @@ def made(tmp_path_factory):
         information = packed.extractfile(f"{packed.getnames()[0]}/PKG-INFO")
         return SimpleNamespace(
             files=set(built.namelist()),
+            packed={name.partition("/")[2] for name in packed.getnames()},
             wheel=email.message_from_bytes(built.read(metadata)),
             sdist=email.message_from_bytes(information.read()),
         )
@@ -68,6 +69,11 @@ def test_the_project_s_addresses(made, kind):
     assert urls["Homepage"] == REPOSITORY
     for name in ("Documentation", "Changelog"):
         assert (ROOT / urls[name].removeprefix(f"{REPOSITORY}/blob/HEAD/")).is_file()
+
+
+def test_the_sdist_has_the_changelog_and_no_part_of_the_tests(made):
+    assert "CHANGELOG.md" in made.packed
+    assert [name for name in made.packed if name.startswith("tests/")] == []
 
 
 def test_the_wheel_that_is_built_from_the_sdist_has_all_files(made):
