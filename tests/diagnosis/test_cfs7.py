@@ -226,6 +226,20 @@ def test_a_sender_that_is_named_by_his_processor_too_is_no_other():
     assert (verdict.lost, verdict.reason[:32]) == (1, "1 SBN datagram from 153:3, which")
 
 
+def test_what_became_of_bad_datagrams_is_told_by_events_alone():
+    """Here SBN polls and has no receive task; five too short ones came out as the message before them."""
+    verdicts = found(examined("network_bad"), "bad_network_message")
+    assert not any("receive task" in item.reason for item in verdicts)
+    short = [item for item in verdicts if "shorter than" in item.reason]
+    assert {item.lost for item in short} == {None}
+    assert all("it may have been taken as that one again" in item.reason for item in short)
+    task = examine(ROOT / "tests/captures/f_sbn_disconnect.pcap.zst", Options())
+    refused = [item for item in found(task, "bad_network_message") if item.lost]
+    assert refused
+    assert all("its receive task ended and started anew" in item.reason for item in refused)
+    assert all("Creating recv task" in item.evidence[-1] for item in refused)
+
+
 def test_a_topic_whose_commands_end_at_ci_was_not_overwritten():
     diagnosis = examined("long_commands")
     assert not found(diagnosis, "telemetry_vanished")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _ANSWERED_NS: Final = 2 * SECOND
 _ONE_BY_ONE: Final = 20
-_RESTARTS = "; its receive task ends and starts anew within 200 ms"
+_RESTARTS: Final = "; its receive task ended and started anew"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,13 +49,21 @@ class BadMessageKind:
 
 _SHORT: Final = BadMessageKind(
     "shorter than an SBN header, or than what its header announces",
-    f"read together with what the last datagram left behind, then refused{_RESTARTS}",
+    "read together with what the last datagram left behind, then refused",
     (facts.BAD_MSG_ID, facts.NOT_UNPACKED, facts.UNKNOWN_PEER, facts.UNKNOWN_TYPE),
 )
 
 
+_COMPLETED: Final = BadMessageKind(
+    _SHORT.what,
+    "no event here says that it was refused: completed by what the last datagram left behind, it may have "
+    "been taken as that one again",
+    refused=False,
+)
+
+
 _TOO_LARGE: Final = BadMessageKind(
-    "MsgSz above 32,767, which reads as negative", f"refused{_RESTARTS}", (facts.NOT_UNPACKED,)
+    "MsgSz above 32,767, which reads as negative", "refused", (facts.NOT_UNPACKED,)
 )
 
 
@@ -64,9 +72,7 @@ _WRONG_SIZE: Final = BadMessageKind(
 )
 
 
-_UNKNOWN_TYPE: Final = BadMessageKind(
-    "MsgType that SBN does not know", f"refused{_RESTARTS}", (facts.UNKNOWN_TYPE,)
-)
+_UNKNOWN_TYPE: Final = BadMessageKind("MsgType that SBN does not know", "refused", (facts.UNKNOWN_TYPE,))
 
 
 _LEGACY_HEADER: Final = BadMessageKind(
@@ -89,16 +95,13 @@ def bad_network_message(case: Case) -> Iterator[Verdict]:
     # A message cut short inside a sound SBN datagram is the sender's application's business.
     inside = (rows.sbn_msg_type == sbn.MsgType.APP) & rows.has(Finding.TRUNCATED) & (rows.msg_id != NO_MSG_ID)
     wrong &= ~inside | rows.has(Finding.SBN_SIZE_MISMATCH | Finding.SBN_LEGACY_HEADER)
-    found: dict[tuple[str, int], list[int]] = {}
-    kinds: dict[str, BadMessageKind] = {}
+    found: dict[tuple[BadMessageKind, int], list[int]] = {}
     for row in np.flatnonzero(wrong).tolist():
-        kind = _kind(case, row)
-        kinds[kind.what] = kind
-        found.setdefault((kind.what, int(rows.msg_id[row])), []).append(row)
-    for (what, _), members in found.items():
+        found.setdefault((_kind(case, row), int(rows.msg_id[row])), []).append(row)
+    for (kind, _), members in found.items():
         several = len(members) > _ONE_BY_ONE
         for group in [members] if several else [[row] for row in members]:
-            yield _verdict(case, group, kinds[what])
+            yield _verdict(case, group, kind)
 
 
 def _kind(case: Case, row: int) -> BadMessageKind:
@@ -107,13 +110,11 @@ def _kind(case: Case, row: int) -> BadMessageKind:
         return _LEGACY_HEADER
     if Finding.SBN_UNKNOWN_TYPE in findings:
         return _UNKNOWN_TYPE
+    start_ns = int(case.rows.time_ns[row])
     if Finding.SBN_SIZE_MISMATCH not in findings:
-        return _SHORT
-    said = case.said(int(case.rows.time_ns[row]), int(case.rows.time_ns[row]) + _ANSWERED_NS, facts.NAME)
+        return _SHORT if answers(case, start_ns, *(event.phrase for event in _SHORT.events)) else _COMPLETED
     # The table does not keep MsgSz; that it was refused says that it was negative.
-    if any(_has(record, [facts.NOT_UNPACKED.phrase]) for record in said):
-        return _TOO_LARGE
-    return _WRONG_SIZE
+    return _TOO_LARGE if answers(case, start_ns, facts.NOT_UNPACKED.phrase) else _WRONG_SIZE
 
 
 def _verdict(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
@@ -121,23 +122,23 @@ def _verdict(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
     start_ns = int(rows.time_ns[first])
     msg_id = int(rows.msg_id[first])
     evidence = [f"packet {rows.number[first]} at {case.at(start_ns)}: {rows.length[first]} bytes"]
-    evidence += answers(case, start_ns, *(event.phrase for event in kind.events))
+    said = answers(case, start_ns, *(event.phrase for event in kind.events))
     type_ = int(rows.sbn_msg_type[first])
     name = sbn.MSG_TYPE_NAMES.get(type_, f"type 0x{type_:02x}") if type_ >= 0 else "SBN datagram"
     which = f"packet {rows.number[first]}" if len(members) == 1 else f"{len(members):,} datagrams"
     return Verdict(
         Severity.ERROR if kind.refused else Severity.WARNING,
-        f"{which} ({name}): {kind.what}; {kind.done}",
+        f"{which} ({name}): {kind.what}; {kind.done}{_consequence(said)}",
         msg_id=msg_id if msg_id != NO_MSG_ID else None,
         link="sbn",
         hop="SBN",
         lost=len(members) if kind.refused else None,
         of=len(members),
         span=case.span(members),
-        evidence=tuple(evidence),
+        evidence=(*evidence, *said),
         remedy="write the 11-byte header: MsgSz of the payload alone, a known MsgType, ProcessorID, "
         "SpacecraftID",
-        confidence="high" if len(evidence) > 1 or not kind.events else "medium",
+        confidence="high" if said or not kind.events else "medium",
     )
 
 
@@ -150,6 +151,11 @@ def answers(case: Case, start_ns: int, *phrases: str) -> list[str]:
     consequences = ("failed", facts.RECEIVE_TASK_STARTED.phrase)
     follow = [item for item in said[fits + 1 : fits + 3] if _has(item, consequences)]
     return [f"cFS said: {record}" for record in (said[fits], *follow)]
+
+
+def _consequence(said: Iterable[str]) -> str:
+    """Return what a refusal did to the receiver, where an event tells it: who polls has no receive task."""
+    return _RESTARTS if any(facts.RECEIVE_TASK_STARTED.phrase in line for line in said) else ""
 
 
 def _has(record: EventRecord, phrases: Iterable[str]) -> bool:
@@ -168,14 +174,15 @@ def wrong_ident(case: Case) -> Iterator[Verdict]:
     for row, said in zip(listed["row"][other].tolist(), listed["said"][other].tolist(), strict=True):
         found.setdefault((int(rows.source[row]), contents[said].ident), []).append(row)
     for (source, ident), members in found.items():
+        said_by_cfs = answers(case, case.span(members)[0], facts.OTHER_IDENT.phrase)
         yield _refused(
             case,
             members,
             f"{plural(len(members), 'subscription message')} of "
-            f"{case.network.identity_of.get(source, 'a peer')}: another $Id than cFS's: refused, and its "
-            "receive task ends and starts anew",
+            f"{case.network.identity_of.get(source, 'a peer')}: another $Id than cFS's: refused"
+            f"{_consequence(said_by_cfs)}",
             "build bridge and cFS from the same SBN sources, or copy its $Id",
-            answers(case, case.span(members)[0], facts.OTHER_IDENT.phrase),
+            said_by_cfs,
             f": {ident!r}, wanted {sbn.IDENT!r}",
         )
 
