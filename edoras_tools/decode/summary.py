@@ -184,10 +184,10 @@ def _values(column: NDArray[Any]) -> list[str]:
 
 def short_values(values: Mapping[str, Any]) -> str:
     """Return a message in a few words: zeros left out, long arrays cut, the header last."""
-    leaves = sorted(leaves_of(values), key=lambda leaf: leaf[0].startswith("header."))
-    words = [f"{path}={_short(value)}" for path, value in leaves if _says_something(value)]
-    shown = words[:_MOST_FIELDS]
-    return " ".join(shown) + (" ..." if len(words) > len(shown) else "") if words else "all zero"
+    leaves = [leaf for leaf in leaves_of(values) if _says_something(leaf[1])]
+    leaves.sort(key=lambda leaf: leaf[0].startswith("header."))
+    words = [f"{path}={_short(value)}" for path, value in leaves[:_MOST_FIELDS]]
+    return " ".join(words) + " ..." * (len(leaves) > _MOST_FIELDS) if words else "all zero"
 
 
 def leaves_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -200,7 +200,7 @@ def leaves_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str
 
 
 def _says_something(value: Any) -> bool:
-    return value not in (0, "", [], b"") or value is True
+    return bool(value) or value not in (0, "", [], b"")
 
 
 def _short(value: Any) -> str:

@@ -278,7 +278,7 @@ def _texts(column: Column) -> Texts:
     """Return the JSON texts of a column; one where all rows have the same value."""
     if isinstance(column, (Ragged, Group)):
         offsets = column.offsets.tolist()
-        if isinstance(column, Ragged) and _as_python(column.values):
+        if isinstance(column, Ragged) and column.values.itemsize > 1 and _as_python(column.values):
             values = column.values.tolist()
             return [str(values[first:last]).replace(" ", "") for first, last in pairwise(offsets)]
         items = (

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.ros.cdr.bulk import Cursor, Position
 
-    Piece = Callable[[], tuple[NDArray[np.int64], NDArray[Any]]]
-    """Gathers a part of a column: the row of each value, and the values."""
+    Piece = Callable[[], tuple[NDArray[np.int64], Position, NDArray[Any]]]
+    """Gathers a part of a column: different rows, how many values each has, and the values."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,8 +136,8 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
         """Take a run that starts at the cursor's position."""
         source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
 
-        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], NDArray[Any]]:
-            return rows, _read(source, leaf, start, swap)
+        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], Position, NDArray[Any]]:
+            return rows, leaf.count or 1, _read(source, leaf, start, swap)
 
         for leaf in run.leaves:
             self._add(bulk.joined(prefix, leaf.name), partial(gather, leaf))
@@ -146,15 +146,14 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
         """Take runs that follow each other from the cursor's position."""
         source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
 
-        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], NDArray[Any]]:
-            each = np.broadcast_to(np.asarray(count), len(rows))
+        def gather(leaf: Leaf) -> tuple[NDArray[np.int64], Position, NDArray[Any]]:
             if isinstance(count, int) and leaf.count is None and leaf.size == run.size:
-                return np.repeat(rows, each), source.numbers(start, leaf.code, count, swap).reshape(-1)
+                return rows, count, source.numbers(start, leaf.code, count, swap)
+            each = np.broadcast_to(np.asarray(count), len(rows))
             within = np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each)
             places = np.repeat(start, each) + within * run.size
-            return np.repeat(rows, each), _read(
-                source, leaf, places, None if swap is None else np.repeat(swap, each)
-            )
+            swapped = None if swap is None else np.repeat(swap, each)
+            return rows, count * (leaf.count or 1), _read(source, leaf, places, swapped)
 
         for leaf in run.leaves:
             self._add(bulk.joined(prefix, leaf.name), partial(gather, leaf))
@@ -163,7 +162,7 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
         """Take a string whose characters start at the cursor's position."""
         source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
         self._add(
-            name, lambda: (rows, _strings(source, text, start, np.broadcast_to(length, len(rows)), swap))
+            name, lambda: (rows, 1, _strings(source, text, start, np.broadcast_to(length, len(rows)), swap))
         )
 
     def _add(self, name: str, piece: Piece) -> None:
@@ -185,24 +184,27 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
         pieces = [piece() for piece in self._pieces[name]]
         if not self._ragged[name]:
             if pieces and len(pieces[0][0]) == self._rows:
-                return pieces[0][1]
+                return pieces[0][2]
             column = _zeros(self._items[name], self._rows, flat=False)
-            for rows, values in pieces:
+            for rows, _, values in pieces:
                 column[rows] = values
             return column
-        if not pieces:
-            return Ragged(_zeros(self._items[name], 0, flat=True), np.zeros(self._rows + 1, np.int64))
-        pairs = [
-            (np.repeat(rows, values.shape[1]), values.reshape(-1)) if values.ndim > 1 else (rows, values)
-            for rows, values in pieces
-        ]
-        rows = np.concatenate([rows for rows, _ in pairs])
-        values = np.concatenate([values for _, values in pairs])
-        if len(pairs) > 1:
-            values = values[np.argsort(rows, kind="stable")]
         offsets = np.zeros(self._rows + 1, np.int64)
-        np.cumsum(np.bincount(rows, minlength=self._rows), out=offsets[1:])
-        return Ragged(values, offsets)
+        values = _zeros(self._items[name], 0, flat=True)
+        if len(pieces) == 1:
+            rows, each, values = pieces[0]
+            offsets[rows + 1] = each
+        elif pieces:
+            rows = np.concatenate(
+                [
+                    rows if isinstance(each, int) and each == 1 else np.repeat(rows, each)
+                    for rows, each, _ in pieces
+                ]
+            )
+            values = np.concatenate([values.reshape(-1) for _, _, values in pieces])
+            values = values[np.argsort(rows, kind="stable")]
+            offsets[1:] = np.bincount(rows, minlength=self._rows)
+        return Ragged(values.reshape(-1), np.cumsum(offsets))
 
 
 def _zeros(item: Leaf | Text, rows: int, *, flat: bool) -> NDArray[Any]:

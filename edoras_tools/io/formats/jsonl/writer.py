@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 NOT_FINITE: Final = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
 """The texts in JSON of the numbers that it does not know, by Python's."""
+_OCTETS: Final = [str(value) for value in (*range(256), *range(-128, 0))]
+"""The texts of ``uint8`` and ``int8`` by value: an index below zero counts from the end."""
 
 
 def json_texts(column: TableColumn) -> list[str]:
@@ -55,6 +57,8 @@ def number_texts(values: NDArray[Any]) -> list[str]:
     if values.dtype.kind == "f" and values.itemsize < 8:
         texts: list[str] = values.astype(str).tolist()
         return texts
+    if values.itemsize == 1:
+        return list(map(_OCTETS.__getitem__, values.tolist()))
     return list(map(repr, values.tolist()))
 
 

@@ -2,9 +2,11 @@
 
 import json
 
+import numpy as np
+import pytest
 from tables import COLUMNS, VALUES, written
 
-from edoras_tools.io.formats.jsonl.writer import JsonLinesWriter
+from edoras_tools.io.formats.jsonl.writer import JsonLinesWriter, value_texts
 
 
 def test_every_kind_of_column(tmp_path):
@@ -18,3 +20,8 @@ def test_every_kind_of_column(tmp_path):
     assert found["double"] == [0.1, 1e300, "-Infinity"]
     for name in VALUES.keys() - {"double"}:
         assert found[name] == VALUES[name]
+
+
+@pytest.mark.parametrize(("kind", "values"), [("u1", range(256)), ("i1", range(-128, 128))])
+def test_every_number_of_one_byte(kind, values):
+    assert value_texts(np.array(values, kind)) == [str(value) for value in values]
