@@ -31,6 +31,7 @@ class GroundDataFraming(Framing):
     """Frames that follow each other in a TCP stream, and what keeps it alive between them."""
 
     head = fprime.STREAM_HEAD
+    checked = True
 
     def __init__(self, tm_bytes: int = fprime.TM_FRAME_BYTES) -> None:
         self.tm_bytes = tm_bytes

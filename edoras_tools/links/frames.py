@@ -48,6 +48,7 @@ class TransferFraming(Framing):
 
     def __init__(self, form: FrameFormat) -> None:
         self.form = form
+        self.checked = form.fecf
 
     def lengths(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
@@ -62,7 +63,7 @@ class TransferFraming(Framing):
     def likely(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
     ) -> NDArray[np.bool_]:
-        """Ask for a frame that is whole, and whose CRC is right, or whose count goes on in the next one."""
+        """Ask for a whole frame: with a right CRC, or the last, or with a count that goes on behind."""
         size = self.lengths(data, at, end)
         found = (size > 0) & (at + size <= end)
         rows = np.flatnonzero(found)
@@ -81,7 +82,7 @@ class TransferFraming(Framing):
         behind: NDArray[np.int64],
         end: NDArray[np.int64],
     ) -> NDArray[np.bool_]:
-        """Tell where a frame is followed by the next of its spacecraft; another channel may be between."""
+        """Tell where the next of its spacecraft, or the end, follows a frame; of AOS, another channel may."""
         layout, count = self.form.layout, _COUNTS[self.form.kind]
         there = behind + layout.size <= end
         one, other = (
@@ -89,10 +90,12 @@ class TransferFraming(Framing):
         )
         step = (other[count].astype(np.int64) - one[count]) & layout.by_name[count].mask
         same = other["virtual_channel_id"] == one["virtual_channel_id"]
-        goes_on = (step == 1) | ~(same | (self.form.kind == "tm"))
-        found: NDArray[np.bool_] = there & goes_on & (other["spacecraft_id"] == one["spacecraft_id"])
+        goes_on = (step == 1) | ~(same | (self.form.kind != "aos"))
+        found: NDArray[np.bool_] = goes_on & (other["spacecraft_id"] == one["spacecraft_id"])
         version = "transfer_frame_version_number"
         found &= other[version] == one[version]
+        found &= there
+        found[behind == end] = True
         return found
 
 

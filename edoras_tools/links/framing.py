@@ -78,10 +78,14 @@ class Framing:
     Attributes:
         head: bytes that are enough to know the length of any message.
         largest: bytes of the longest message.
+        sender: bytes of ``head`` that are the same in all messages that one end of a connection sends.
+        checked: whether a message that is ``likely`` surely is one, as with a check value.
     """
 
     head: ClassVar[int] = 1
     largest: ClassVar[int] = 65535
+    sender: ClassVar[slice] = slice(0)
+    checked: bool = False
 
     def lengths(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int

@@ -36,6 +36,7 @@ class RacsBridgeFraming(Framing):
 
     head = 14
     largest = 1 << 20
+    checked = True
 
     @cached_property
     def _reader(self) -> Framing:

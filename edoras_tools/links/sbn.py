@@ -47,6 +47,7 @@ class SoftwareBusNetworkFraming(Framing):
 
     head = sbn.HEADER.size
     largest = sbn.HEADER.size + sbn.LARGEST_PAYLOAD
+    sender = slice(sbn.HEADER.by_name["processor_id"].start, sbn.HEADER.by_name["spacecraft_id"].end)
 
     def lengths(
         self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
@@ -78,7 +79,7 @@ class SoftwareBusNetworkFraming(Framing):
             0,
         )
         # Zeros, of which payloads are full, would be messages without content.
-        known = _KNOWN_TYPES[kind] & (kind != sbn.MsgType.NO_MSG)
+        known = _KNOWN_TYPES[kind] & (kind != sbn.MsgType.NO_MSG) & head[:, self.sender].any(axis=1)
         fits: NDArray[np.bool_] = known & (size == expected) & (end - at >= self.head)
         return fits
 

@@ -11,11 +11,11 @@ The rules:
    ``FRAGMENT`` and ``STREAM_GAP``; its frame has the bytes. So is a segment with bytes that had come before,
    with ``FRAGMENT`` and ``STREAM_RESENT``. The first message after missing bytes has ``STREAM_GAP``.
 4. Segments without bytes (SYN, FIN, acknowledgements) have no row.
-5. Missing bytes are waited for until the other end has acknowledged them (then only the capture lacks them),
-   for ``_PATIENCE_NS`` of capture time, or until 16 MiB wait. What waits are whole frames, which are
-   put in front of the next batch: besides them, a connection is known by one number in each direction.
-6. A connection whose beginning was not captured, or that lost bytes, is read from the first place on where
-   messages probably start (``Framing.likely``).
+5. Missing bytes are waited for ``_PATIENCE_NS`` of capture time, ``_LATE_NS`` if the other end acknowledged
+   them (then only the capture lacks them), or until 16 MiB wait. What waits are whole frames, which are
+   put in front of the next batch: besides them, little is known of a connection.
+6. A connection whose beginning was not captured, or that lost bytes, is read from the first place on where a
+   message surely starts (``_Cut._sure``).
 
 In the usual case, one message a segment and all in order, no byte is copied and no Python runs per segment.
 Of bytes that came twice with different values, those that came first are used.
@@ -25,17 +25,16 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, field, fields
-from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.tcp_segments import SegmentBytes, rebuilt
-from edoras_tools.links.framing import NOT_A_MESSAGE
+from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.wire.arrays.order import numbered
-from edoras_tools.wire.arrays.window import PADDING, copy_rows
+from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -48,12 +47,16 @@ if TYPE_CHECKING:
 CONNECTIONS: Final = 1 << 16
 """Directions that are remembered; of more, those seen first are forgotten."""
 _PATIENCE_NS: Final = 1_000_000_000
+_LATE_NS: Final = 50_000_000
 _FAR: Final = 1 << 26
 """A segment this far from the others is of another connection with the same ports."""
+_BEFORE: Final = 64
+"""The most segments that come before the first one of their connection."""
+_FIRST_WINDOW: Final = 1 << 10
 _WINDOW: Final = 1 << 16
-"""Bytes that are searched at once for the start of a message,"""
-_TRIES: Final = 256
-"""and places in them that are tried."""
+"""Bytes that are searched at once for the start of a message, at first and at most,"""
+_FOLLOWERS: Final = 3
+"""and messages that are to follow it, as far as there are bytes."""
 _SYN: Final = 2
 _ACK: Final = 16
 _WRAP: Final = 1 << 32
@@ -91,6 +94,7 @@ class _Direction:
         synced: whether a message starts there.
         gap: whether bytes before it are missing.
         known: whether a message was found.
+        sender: what the headers of all its messages say of their sender; None if that is not known.
     """
 
     framing: Framing
@@ -101,6 +105,7 @@ class _Direction:
     synced: bool = False
     gap: bool = False
     known: bool = False
+    sender: NDArray[np.uint8] | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -244,16 +249,18 @@ class _Follow:
         """
         way, segments = self.way, self.segments
         opening = members[segments.flags[members] & _SYN != 0]
-        begins = segments.sequence[opening]
-        fresh = np.diff(begins, prepend=way.begin) != 0
-        parts = np.split(members, np.searchsorted(members, opening[fresh]))
-        begin = [way.begin, *begins[fresh].tolist()]
+        opening = opening[np.diff(segments.sequence[opening], prepend=way.begin) != 0]
+        begin = [way.begin, *segments.sequence[opening].tolist()]
+        places = np.searchsorted(members, opening)
+        for number, first in enumerate(begin[1:]):
+            places[number] = self._opened(members, int(places[number]), first)
+        parts = np.split(members, np.maximum.accumulate(places))
         kept = [members[:0]]
         for place, part in enumerate(parts):
             if place:
                 way.next = way.begin = begin[place]
-                way.synced, way.gap = True, False
-                if not segments.flags[part[0]] & _ACK:  # the first segment of a connection
+                way.synced, way.gap, way.sender = True, False, None
+                if not segments.flags[opening[place - 1]] & _ACK:  # the first segment of a connection
                     way.shared.state = way.framing.state()
             if way.shared.foreign:
                 continue
@@ -266,6 +273,13 @@ class _Follow:
                 kept.append(self._part(piece, reached if last else None, final=final or not last))
         return np.concatenate(kept)
 
+    def _opened(self, members: NDArray[np.int64], place: int, begin: int) -> int:
+        """Return where among segments a connection begins: its first may come behind others of it."""
+        before = members[max(place - _BEFORE, 0) : place]
+        ahead = _from(begin, self.segments.sequence[before])
+        late = (ahead >= 0) & (ahead < _FAR) & (self.segments.length[before] > 0)
+        return place - len(before) + int(np.argmax(late)) if late.any() else place
+
     def _part(
         self, members: NDArray[np.int64], reached: NDArray[np.int64] | None, *, final: bool
     ) -> NDArray[np.int64]:
@@ -273,8 +287,9 @@ class _Follow:
         way, segments = self.way, self.segments
         if not len(members):
             return members
-        first = int(segments.sequence[members[0]])
-        if way.next < 0 or abs(_from(way.next, segments.sequence[members[:1]])[0]) > _FAR:
+        sequence = segments.sequence[members]
+        if way.next < 0 or abs(_from(way.next, sequence[:1])[0]) > _FAR:
+            first = int(sequence[0] + _from(sequence[:1], sequence).min()) % _WRAP
             way.next, way.synced, way.gap = first, False, way.next >= 0
         base = way.next
         pieces, again = self._pieces(members, base)
@@ -338,9 +353,10 @@ class _Follow:
     def _is_lost(self, pieces: _Pieces, edge: int, reached: NDArray[np.int64] | None, base: int) -> bool:
         """Return whether the bytes before a piece will not come any more."""
         time_ns = self.segments.frames.time_ns
-        if reached is not None and len(reached) and _from(base, reached).max() >= pieces.begin[edge]:
-            return True
-        return int(time_ns.max()) - int(time_ns[pieces.segment[edge]]) > _PATIENCE_NS
+        passed = int(time_ns.max() - time_ns[pieces.segment[edge]])
+        if passed > _LATE_NS and reached is not None and len(reached):
+            return passed > _PATIENCE_NS or bool(_from(base, reached).max() >= pieces.begin[edge])
+        return passed > _PATIENCE_NS
 
     def _run(self, pieces: _Pieces, base: int, *, keep: bool) -> NDArray[np.int64]:
         """Cut bytes without a gap; return the segments that wait for the rest of a message.
@@ -456,6 +472,8 @@ class _Cut:
                         break
                     if way.shared.state is not None and not way.known:
                         way.shared.state.foreign = True
+                    if self.total - position > _FIRST_WINDOW:
+                        way.sender = None
                     start = self.total
                 if start > position:
                     put(np.array([position]), start, message=False)
@@ -474,7 +492,7 @@ class _Cut:
             )
             if len(starts):
                 put(starts, end, message=True)
-                way.known = True
+                way.known, way.sender = True, self._senders(starts[:1])
             position = end
             if position < self.total:
                 if framing.length(view, position, self.total) == NOT_A_MESSAGE:
@@ -488,30 +506,53 @@ class _Cut:
         return np.concatenate(found), np.concatenate(kinds), position
 
     def _message_start(self, position: int) -> int | None:
-        """Return where messages probably start: preferably with a segment."""
+        """Return the first place where a message surely starts."""
         framing, total = self.way.framing, self.total
-        starts = self.local[self.local > position]
-        every = (np.arange(at, min(at + _WINDOW, total)) for at in range(position, total, _WINDOW))
-        for places in chain([np.append(position, starts)], every):
+        size = _FIRST_WINDOW
+        while position < total:
+            places = np.arange(position, min(position + size, total))
             lengths = framing.lengths(self.buffer, places, total)
-            likely = (lengths > 0) & (places + lengths <= total) & framing.likely(self.buffer, places, total)
-            for at in places[likely][:_TRIES].tolist():
-                if self._goes_on(at):
-                    return int(at)
+            likely = (lengths > 0) & (places + lengths <= total) & self._likely(places)
+            places, behind = places[likely], (places + lengths)[likely]
+            sure = self._sure(places, behind)
+            if sure.any():
+                return int(places[np.argmax(sure)])
+            position, size = position + size, min(2 * size, _WINDOW)
         return None
 
-    def _goes_on(self, at: int) -> bool:
-        """Return whether a message follows the one at a place, or the end of the bytes."""
+    def _likely(self, places: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell at which places a message of the known sender, or a likely one, starts; bool (n,)."""
+        way = self.way
+        if way.sender is None or way.framing.sender == slice(0):
+            return way.framing.likely(self.buffer, places, self.total)
+        return np.asarray((self._senders(places) == way.sender).all(axis=1))
+
+    def _sure(self, places: NDArray[np.int64], behind: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell at which places, of those where messages probably start and end, they surely do; bool (n,).
+
+        Others of the same sender follow, as far as there are bytes. If there are none, the sender is known,
+        or the message fills whole segments.
+        """
         framing, total = self.way.framing, self.total
-        view = memoryview(self.buffer)  # type: ignore[arg-type]
-        for _ in range(2):
-            length = framing.length(view, at, total)
-            if length == NOT_A_MESSAGE:
-                return False
-            at += length
-            if not length or at >= total:
-                return True
-        return True
+        if framing.checked or not len(places):
+            return np.ones(len(places), bool)
+        known = framing.sender != slice(0)
+        sender, here, sure = self._senders(places), behind, np.ones(len(places), bool)
+        for _ in range(_FOLLOWERS):
+            lengths = framing.lengths(self.buffer, here, total)
+            if known:
+                same = (self._senders(here) == sender).all(axis=1)
+            else:
+                same = (here + lengths > total) | framing.likely(self.buffer, here, total)
+            sure &= (lengths != NOT_A_MESSAGE) & (same | (lengths == NOT_YET))
+            here = np.minimum(here + np.maximum(lengths, 0), total)
+        edges = np.append(self.local, total)
+        told = np.isin(places, edges) & np.isin(behind, edges) | (known and self.way.sender is not None)
+        return np.asarray(sure & (told | (framing.lengths(self.buffer, behind, total) != NOT_YET)))
+
+    def _senders(self, places: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """Return what headers say of their sender, a row for each; what is not there is zeros."""
+        return gather(self.buffer, places, self.way.framing.head)[:, self.way.framing.sender]
 
 
 def _first_bytes(

@@ -101,7 +101,10 @@ def test_a_missing_segment_is_waited_for_until_it_is_acknowledged():
 
     demux = Demux()
     demux.demux(frames([opening, one, three]))
-    told = demux.demux(frames([Segment(5, b"", ACK, 1000 + len(STREAM), SERVER, CLIENT)], 4))
+    answer = Segment(5, b"", ACK, 1000 + len(STREAM), SERVER, CLIENT)
+    soon = demux.demux(frames([answer], 4))
+    assert not len(soon)
+    told = demux.demux(frames([answer], 60))
     assert [item for item in told.capture_findings if item & GAP]
 
 
