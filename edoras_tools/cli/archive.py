@@ -41,9 +41,7 @@ archive = typer.Typer(
     add_completion=False,
 )
 
-Index = Annotated[
-    Path, typer.Option(envvar="EDORAS_ARCHIVE"), "FILE", "The index, a DuckDB file; default archive.duckdb."
-]
+Index = Annotated[Path, typer.Option(envvar="EDORAS_ARCHIVE"), "FILE", "The index, a DuckDB file."]
 _INDEX = Path("archive.duckdb")
 _MOST_TOLD = 50
 """Captures that are not whole, of which an update tells; the index has all."""
@@ -180,7 +178,7 @@ def losses(
 ) -> None:
     """List what was lost or is unaccounted for, by capture and topic.
 
-    Exit code 3: there is such.
+    Exit code 3: something is listed.
     """
     from edoras_tools.pipelines.archive.index import open_index
     from edoras_tools.pipelines.archive.questions import count_examined, list_losses

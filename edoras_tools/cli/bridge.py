@@ -40,7 +40,7 @@ class Ros(StrEnum):
     LOCAL = "local"
 
 
-@headed("Packets to cFS")
+@headed("ROS 2")
 class RosOptions(NamedTuple):
     """How to connect to the ROS 2 graph."""
 

@@ -85,7 +85,7 @@ def sections(command: Any, ctx: Any) -> Mapping[str, list[Entry]]:
     found: dict[str, list[Entry]] = {OWN: []}
     for item in command.get_params(ctx):
         if item.param_type_name == "argument":
-            name = item.make_metavar(ctx)
+            name = argument(item.make_metavar(ctx))
             if item.help:
                 found[OWN].append(Entry(name, _sentence(item.help)))
         elif not item.hidden:
@@ -113,6 +113,16 @@ def names(option: Any, ctx: Any) -> str:
     return f"{', '.join(shown)}{value}"
 
 
+def argument(text: str) -> str:
+    """Return how an argument is shown: typer's ``{ROUTE}`` as ``ROUTE``, ``[kind]:<a|b>`` as ``[a|b]``.
+
+    >>> [argument(text) for text in ("{ROUTE}", "[FILE]...", "[kind]:<a|b>", "{link}:<a|b>", "link:<a|b>")]
+    ['ROUTE', '[FILE]...', '[a|b]', '<a|b>', '<a|b>']
+    """
+    text = re.sub(r"^\[\w+\]:<(.*)>$", r"[\1]", text)
+    return re.sub(r"^\{?\w+\}?:(?=<)|[{}]", "", text)
+
+
 def _option_help(option: Any) -> str:
     text = _sentence(option.help or "")
     if option.envvar:
@@ -137,7 +147,7 @@ def _lines(
     brief: bool,
     tight: bool,
 ) -> Iterator[str]:
-    usage = " ".join([ctx.command_path, *command.collect_usage_pieces(ctx)])
+    usage = " ".join([ctx.command_path, *map(argument, command.collect_usage_pieces(ctx))])
     yield from textwrap.wrap(f"Usage: {usage}", width, subsequent_indent="  ")
     paragraphs = (command.help or "").split("\n\n")
     for paragraph in paragraphs[:1] if tight else paragraphs:

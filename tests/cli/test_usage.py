@@ -81,7 +81,9 @@ def test_a_screen_of_24_rows_has_the_most_usual_options_and_every_heading(path, 
         assert any(line.strip().startswith(heading) for line in lines), heading
     for item in command.get_params(context):
         if item.param_type_name == "argument":
-            assert any(line.strip().startswith(item.make_metavar(context)) for line in lines), item.name
+            assert any(
+                line.strip().startswith(usage.argument(item.make_metavar(context))) for line in lines
+            ), item.name
 
 
 def test_the_list_of_commands_fits_a_small_screen(shown, monkeypatch):
