@@ -50,7 +50,6 @@ ELSEWHERE = {
     "io/net/*": "io/net/test_transmit.py",
     "links/streams/*": "links/test_racs2.py",
     "links/rtps/*": "links/rtps/test_reader.py",
-    "io/forked.py": "io/test_workers.py",
     "io/shared.py": "pipelines/test_ahead.py",
     "io/topics/*": "io/formats/mcap/test_writer.py",
     "links/*": "decode/test_agreement.py",

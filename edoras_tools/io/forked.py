@@ -96,12 +96,20 @@ def receive(link: socket.socket) -> Any:
         OSError: the process has ended.
         EOFError: likewise.
     """
-    length = link.recv(_LENGTH_BYTES, socket.MSG_WAITALL)
-    size = int.from_bytes(length, "big")
-    data = link.recv(size, socket.MSG_WAITALL) if len(length) == _LENGTH_BYTES else b""
-    if not data or len(data) < size:
-        raise EOFError
-    return pickle.loads(data)  # noqa: S301  from our own process
+    size = int.from_bytes(_received(link, _LENGTH_BYTES), "big")
+    return pickle.loads(_received(link, size))  # noqa: S301  from our own process
+
+
+def _received(link: socket.socket, size: int) -> bytes:
+    """Return so many bytes; where the process is stopped and goes on (Ctrl-Z), they come in parts."""
+    parts = []
+    while size:
+        part = link.recv(size, socket.MSG_WAITALL)
+        if not part:
+            raise EOFError
+        parts.append(part)
+        size -= len(part)
+    return b"".join(parts)
 
 
 def portable(error: Exception) -> Exception:

@@ -72,6 +72,8 @@ class Ahead:
         self._decoded: tuple[PacketBatch, Columns | Begun] | None = None
         self._detected: tuple[Any, ...] | None = None
         """As the other process had it at that batch."""
+        self._notes = slice(0, 0)
+        """Which of the decoder's notes are the other process's."""
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams; see ``Source.batches``.
@@ -81,6 +83,8 @@ class Ahead:
         """
         try:
             memory = shared_memory(_ROOMS * ROOM_BYTES + _SLOTS * SLOT_BYTES)
+            first = len(self._decoder.context.notes)
+            self._notes = slice(first, first)
             self._process, link = fork(_Reader(self._source, self._decoder, memory).serve)
         except OSError:  # then this process reads it
             link = None
@@ -157,8 +161,11 @@ class Ahead:
         self._detected = detected or self._detected
         for name, value in counts.items():
             setattr(self.statistics, name, value)
-        self._decoder.context.notes += notes
-        self._decoder.context.described.update(described)
+        context, first = self._decoder.context, self._notes.start
+        context.notes[self._notes] = notes
+        self._notes = slice(first, first + len(notes))
+        context.described.clear()
+        context.described.update(described)
 
     def _end(self) -> None:
         if self._link is not None:
@@ -250,7 +257,7 @@ class _Reader:
 
     def _told(self) -> _Told:
         context, statistics = self._decoder.context, self._source.statistics
-        notes, self._notes = context.notes[self._notes :], len(context.notes)
+        notes = context.notes[self._notes :]  # all: what comes later may change one
         counts = {item.name: getattr(statistics, item.name) for item in fields(SourceStatistics)}
         detected = context.detected
         fresh = None if detected == self._detected else detected

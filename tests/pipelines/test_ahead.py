@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 from contextlib import closing
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import zip_longest
 from unittest.mock import patch
 
@@ -14,6 +14,7 @@ from children import children
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import CAPTURES, ROOT
+from rewriting import datagrams, write
 
 from edoras_tools.decode.columns import Begun
 from edoras_tools.errors import CaptureError
@@ -25,6 +26,7 @@ from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
+from edoras_tools.units import SECOND
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning"),
@@ -115,6 +117,32 @@ def test_whoever_decodes_a_batch_reads_the_same(path, here, monkeypatch):
     assert decoder.context.described == other.context.described
     if here == "all" and batches:
         assert decoder.context.detected == other.context.detected
+
+
+def test_what_is_said_of_the_whole_so_far_is_said_once(tmp_path):
+    """Conversations of another build begin late, one after the other: a note names all of them."""
+
+    def conversation(number):
+        begin_ns = plain[-1].time_ns + number * 100 * SECOND
+        return [
+            replace(item.at(begin_ns - extended[0].time_ns), source=(item.source[0], item.source[1] + number))
+            for item in extended[:200]
+        ]
+
+    plain = datagrams(CAPTURES / "a_rover.pcap")
+    extended = datagrams(ROOT / "tests/captures/p6b_extended_header.pcap.zst")
+    path = write(tmp_path / "builds.pcap", [*plain, *conversation(1), *conversation(2)])
+    one, two = (looked_at(path, jobs).summary() for jobs in (1, 2))
+    assert one == two
+    (note,) = one["warnings"]
+    assert "44819 > 127.0.0.1:1235, 127.0.0.1:44820 > 127.0.0.1:1235 and 1 more: read with" in note
+    source = open_files([path])
+    decoder = Settings().workbench(source.info).columns
+    ahead = Ahead(source, decoder)
+    with closing(ahead):
+        for batch in ahead.batches():
+            ahead.decode(batch)
+    assert "headers" not in decoder.context.described
 
 
 def test_a_file_that_is_cut_off_is_read_as_far_as_it_goes(tmp_path):

@@ -72,6 +72,9 @@ _FAMILY_VERSION = {2: 4, 10: 6, 24: 6, 28: 6, 30: 6}
 _TCP_BYTES = 20
 _MADE_BYTES = 20 + UDP_BYTES
 """Headers of frames that are made."""
+_IDENTIFICATION = 4
+_LATE_IPV4 = np.dtype([("identification", ">u2"), ("fragment", ">u2"), ("time_to_live", "u1")])
+"""A part of ``IPV4_HEADER``, from byte 4 on."""
 _PORTS = np.dtype([("source_port", ">u2"), ("destination_port", ">u2")])
 _WAITING_BYTES = 16 << 20
 """Bytes of TCP segments that wait for others at most."""
@@ -98,6 +101,15 @@ def network_headers(batch: PacketBatch) -> tuple[NDArray[np.int64], NDArray[np.u
 
     The identification is 0 for IPv6, which has none.
     """
+    kind = int(batch.link_type[0]) if len(batch) else 0
+    if kind in _PROTOCOL_FIELD and (batch.link_type == kind).all() and (batch.ip_version == 4).all():
+        size = _PROTOCOL_FIELD[kind][0]
+        ahead = size + _MADE_BYTES
+        # No payload begins sooner: so there are no tags. One that begins where its frame was cut may.
+        if (batch.offset - batch.frame_offset == ahead).all() and (batch.frame_length > ahead).all():
+            place = batch.frame_offset + size
+            late = read_at(batch.data, place + _IDENTIFICATION, _LATE_IPV4)
+            return place, late["identification"].astype(np.uint16), late["time_to_live"].copy()
     frames = FrameBatch(
         batch.data,
         batch.number,

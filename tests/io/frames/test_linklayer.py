@@ -22,7 +22,7 @@ from scapy.layers.l2 import ARP, CookedLinux, CookedLinuxV2, Dot1AD, Dot1Q, Ethe
 from scapy.packet import Raw
 
 from edoras_tools.io.frames.frame_batch import FrameBatch
-from edoras_tools.io.frames.linklayer import Demux, demux
+from edoras_tools.io.frames.linklayer import Demux, demux, network_headers
 from edoras_tools.model import Finding
 
 PAYLOAD = b"\x18\x27\x00\x00\x00\x05payload"
@@ -187,6 +187,35 @@ def test_a_frame_cut_by_the_capture(kept):
     assert datagram.payload == PAYLOAD[: max(kept - 42, 0)]
     assert datagram.source.port == (4321 if kept >= 38 else 0)
     assert (datagram.frame, datagram.original_length) == (frame[:kept], len(frame))
+
+
+@pytest.mark.parametrize(
+    "layers",
+    [
+        [Ether(**MAC)],
+        [CookedLinux()],
+        [CookedLinuxV2()],
+        [Ether(**MAC) / Dot1Q(vlan=5)],
+        [Ether(**MAC), Ether(**MAC) / Dot1Q(vlan=5)],
+    ],
+    ids=["ethernet", "cooked", "cooked v2", "tagged", "some tagged"],
+)
+@pytest.mark.parametrize("options", [b"", b"\x45\x01\x01\x00"], ids=["plain", "options"])
+@pytest.mark.parametrize("more", [-8, -5, -4, -1, 0, 1, 4, 99])
+def test_where_network_headers_are_and_what_they_say(layers, options, more):
+    """The capture cuts frames near the beginning of their payloads."""
+    packets = [
+        layer / udp4(id=0x4500 + at, ttl=9 + at, options=options) for layer in layers for at in range(3)
+    ]
+    frames = [bytes(item)[: len(item) - len(PAYLOAD) + more] for item in packets]
+    kind = {CookedLinux: 113, CookedLinuxV2: 276}.get(type(layers[0]), 1)
+    found = network_headers(demux(batch_of(frames, kind, [len(item) for item in packets])))
+    ends = np.cumsum([len(item) for item in frames])
+    starts = ends - [len(item) for item in frames] + [len(item) - len(item[IP]) for item in packets]
+    assert found[0].tolist() == starts.tolist()
+    assert found[1].tolist() == [item[IP].id for item in packets]
+    assert found[2].tolist() == [item[IP].ttl for item in packets]
+    assert [item.dtype for item in found] == [np.int64, np.uint16, np.uint8]
 
 
 def test_a_frame_that_holds_less_than_ip_says():
