@@ -38,6 +38,7 @@ BUS: Final = "software bus"
 APPLICATION: Final = "application"
 _HOPS: Final = frozenset({PROXY_HOP, CI_HOP, BUS, APPLICATION, BEHIND})
 _BEFORE_CI: Final[tuple[LossKind, ...]] = ("network", "socket", "down", "restart", "ci_stopped")
+_NOT_READ: Final[tuple[LossKind, ...]] = ("sbn_socket", "down")
 _FIGURES: Final = ("came", "out", "duplicated", "superseded", "waiting", "not_captured", "unaccounted")
 _SEEN: Final = "datagrams in the capture"
 _COUNT: Final = "sequence count"
@@ -336,9 +337,9 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
             unaccounted=fate.uncounted,
             counted=told,
         )
-    if full := lost["sbn_socket"]:
+    elif not_read := {kind: lost[kind] for kind in _NOT_READ if lost[kind]}:
         told = {"in": _SEEN, "out": "not counted: what came out, and what the bus counts"}
-        at = add(SBN_SOCKET, at, at - full, lost={"sbn_socket": full}, counted=told)
+        at = add(SBN_SOCKET, at, at - sum(not_read.values()), lost=not_read, counted=told)
     ended = {kind: lost[kind] for kind in ("stopped", "away") if lost[kind]}
     on_bus = {kind: lost[kind] for kind in (*COUNTERS, "unknown") if lost[kind]} | dict(fate.refused)
     if not fate.seen:

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 
 _SLACK_NS: Final = 50 * MILLISECOND
 """By so much the times of two packets of one cFS may be wrong."""
+_MOSTLY: Final = 0.9
 
 
 def _left_over(parts: Sequence[Part], claims: Sequence[Claim], *, beside: bool) -> list[Claim]:
@@ -333,6 +334,11 @@ class Telemetry:
         made_ns = int(self._known.instances.made_ns[stream.rows[-1]])
         first, last = counts.seconds(np.array([made_ns, made_ns + TAIL_NS]))
         most = int(0.7 * span.offered_hz + 2)
+        for hop in self._known.hops:
+            if hop.out is stream and hop.matched > _MOSTLY * len(stream):
+                # It was made of what went in: no more were than went in behind the last that came out.
+                went_in = self._known.captured(hop.into)
+                most = min(most, int((hop.absent & (went_in > went_in[hop.arrived].max())).sum()))
         for kind, number in counts.take(part.kinds, int(first), int(last), most).items():
             part.taken[kind] = part.taken.get(kind, 0) + number
             part.missing += number

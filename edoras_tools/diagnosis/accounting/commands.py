@@ -28,6 +28,8 @@ from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Pipes
 from edoras_tools.diagnosis.accounting.stops import stopped
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
+from edoras_tools.units import SECOND
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -95,6 +97,9 @@ class Commands:
         self._refuse(refused)
         self.losses += stopped(known, fates)
         for fate in fates:
+            if fate.stream.link.peers:
+                self._down(fate)
+        for fate in fates:
             self._pass_on(fate)
         pipes.settle(fates)
         for account in accounts:
@@ -111,6 +116,26 @@ class Commands:
         for fate in fates:
             if fate.stream.known_id == telemetry_output.COMMAND_MSG_ID and fate.stream.link.only_to_cfs:
                 self._commanded(fate)
+
+    def _down(self, fate: Fate) -> None:
+        """Tell lost what came over SBN while its cFS was down: from its last packet to its next boot."""
+        known, times = self._known, self._known.captured(fate.stream)
+        if known.network.crossing(fate.stream.sender, fate.stream.receiver):
+            return  # its silence as a peer tells of that
+        items, systems = known.instances.items, known.instances.systems
+        for index, later in enumerate(items):
+            boot_ns = later.offset_ns + known.profile.boot_time_s * SECOND
+            before = [
+                item.last_ns
+                for item, system in zip(items, systems, strict=True)
+                if system == systems[index] and item.last_ns < min(boot_ns, later.first_ns)
+            ]
+            if not before or not known.goes_to(fate.stream, index):
+                continue
+            chosen = np.flatnonzero(fate.open & (times > max(before)) & (times < boot_ns))
+            if fate.claim(chosen):
+                text = f"{plural(len(chosen), 'message')} over SBN while it was not running"
+                self.losses.append(loss_of(known, fate, "down", chosen, [text], hop=SBN_SOCKET))
 
     def refusals(self, item: Refused) -> int:
         """Return how many messages of a refusal were lost by it, and by nothing else."""

@@ -50,8 +50,6 @@ _SLACK_NS: Final = 100 * MILLISECOND
 """Tasks on a busy host wake up so late."""
 _UNDER_WAY_NS: Final = 2 * SECOND
 _LATE_NS: Final = 2 * SECOND
-_STARTS_NS: Final = 5 * SECOND
-"""So long after it booted a cFS has all its applications."""
 _ONE_NS: Final = 15 * SECOND
 _ENDS_NS: Final = 750 * MILLISECOND
 """An application that is told to stop runs on for up to a second and a half."""
@@ -435,8 +433,8 @@ def _first(sources: Sources, sample: _Sample, sent_ns: NDArray[np.int64]) -> tup
     """
     since_ns = int(sent_ns[0]) - 1 if len(sent_ns) else sample.seen_ns
     offset_ns = sources.instances.items[sample.instance].offset_ns
-    boot_ns = offset_ns + sources.profile.epoch_offset_s * SECOND
-    return ("down" if since_ns - _STARTS_NS < boot_ns < sample.seen_ns else "network"), since_ns
+    boot_ns = offset_ns + sources.profile.boot_time_s * SECOND
+    return ("down" if since_ns < boot_ns < sample.seen_ns else "network"), since_ns
 
 
 def _unseen(sources: Sources, endpoint: int, sent_ns: NDArray[np.int64], sample: _Sample) -> int | None:

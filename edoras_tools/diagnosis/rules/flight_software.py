@@ -86,12 +86,13 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, told: Se
     """Return that a cFS was started again; ``how`` it shows, and what is known beside that."""
     down = _down(case, *span)
     lost = sum(loss.lost for loss in down)
-    meanwhile = f"{plural(lost, 'command')} sent meanwhile reached nobody" if lost else "counts begin again"
+    what = "command" if all(loss.stream is None or loss.stream.is_command for loss in down) else "message"
+    meanwhile = f"{plural(lost, what)} sent meanwhile reached nobody" if lost else "counts begin again"
     return Verdict(
         Severity.ERROR if lost else Severity.WARNING,
         f"{whose} restarted between {case.at(span[0])} and {case.at(span[1])}: {meanwhile}",
         msg_id=down[0].msg_id if len(down) == 1 else None,
-        link="ci" if down else None,
+        link=down[0].stream.link.label if len(down) == 1 and down[0].stream else "ci" if down else None,
         hop="cFS",
         lost=lost or None,
         of=sum(loss.of or 0 for loss in down) or None,

@@ -6,20 +6,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.cfs import sbn
+from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.cfs.software_bus import NAME
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.closed import one_sided
+from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.to import TO
 from edoras_tools.model import NO_ROUTE
+from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.accounting.losses import Loss
@@ -58,9 +63,9 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
 def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     stream = fate.stream
     into = case.name(stream.msg_id)
-    ways = [
+    ways = dict.fromkeys(
         "to the robot" if hop.out.link == ROBOT else f"as {case.name(hop.out.msg_id)}" for hop in fate.hops
-    ]
+    )
     missing = case.rows.time_ns[stream.rows][np.flatnonzero(fate.open)]
     visible = bool(case.tracks)
     evidence = [f"{int(fate.arrived.sum()):,} came out {', '.join(ways)} with the same values"]
@@ -78,25 +83,51 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
             f"{behind:,} of them were sent after the last count of CI here, at {case.at(last_ns)}: whether "
             "CI, cFS or the application was away then, nothing tells"
         )
+    unsent = _before_enabled(case, fate, missing)
+    if unsent:
+        evidence.append(
+            f"{unsent:,} of them went in before Telemetry Output was enabled after its cFS had started: what "
+            "they became is not seen"
+        )
     if fate.doubled and (extra := sum(item.not_captured for item in accounts)):
         evidence.append(
             f"{fate.doubled:,} came out more than once, and CI counted {extra:,} more than were sent here: "
             "the network may have lost these before CI, and doubled those"
         )
+    closed = unsent == len(missing)
+    why = "Telemetry Output was not enabled yet" if closed else "nothing in the capture says why"
     return Verdict(
-        Severity.ERROR,
+        Severity.WARNING if closed else Severity.ERROR,
         f"{fate.unaccounted:,} of {len(stream):,} messages that went into cFS on {into} are not accounted "
-        f"for: they never came out {' or '.join(ways)}, and nothing in the capture says why",
+        f"for: they never came out {' or '.join(ways)}, and {why}",
         msg_id=stream.msg_id,
         link=stream.link.label,
         hop="application",
         of=len(stream),
         span=(int(missing[0]), int(missing[-1])),
         evidence=(*evidence, *case.drops_text()),
-        remedy="look at the application's own counters and console: it received them and did not pass them "
+        remedy=f"enable Telemetry Output as soon as cFS runs: {case.inject(ENABLE_OUTPUT)}"
+        if closed
+        else "look at the application's own counters and console: it received them and did not pass them "
         "on, or its task was not there; a capture on the cFS host shows which of them arrive there",
         confidence="medium" if visible else "low",
     )
+
+
+def _before_enabled(case: Case, fate: Fate, missing: NDArray[np.int64]) -> int:
+    """Return how many went into a cFS that had booted and whose telemetry was enabled only later."""
+    found, times = np.zeros(len(missing), bool), case.rows.time_ns
+    enabled = [
+        int(times[item.row]) for item in case.payloads.output if item.function_code == telemetry_output.ENABLE
+    ]
+    for out in {hop.out.instance for hop in fate.hops if hop.out.link.only_from_cfs} - {NOBODY}:
+        boot_ns = case.instances.items[out].offset_ns + case.profile.boot_time_s * SECOND
+        first_ns = min(
+            int(times[item.rows[0]]) for item in case.streams if item.link is TO and item.instance == out
+        )
+        if any(first_ns - SECOND <= when <= first_ns for when in enabled):
+            found |= (missing > boot_ns) & (missing < first_ns)
+    return int(found.sum())
 
 
 def _unfollowed(case: Case, fate: Fate) -> Verdict:

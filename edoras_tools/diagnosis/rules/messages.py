@@ -62,7 +62,7 @@ def _overrun(case: Case, link: Link, msg_id: int, members: NDArray[np.intp], of:
             "claimed"
         )
         evidence.append(
-            "the application wrote past the struct's end: the memory behind it is overwritten too"
+            "the application left out what is behind, or wrote past the struct's end and over other memory"
         )
         remedy = "make the struct in the flight application as large as the longest message, strings included"
         if any((hop.out.link, hop.out.msg_id) == (link, msg_id) for hop in case.hops):

@@ -85,6 +85,11 @@ def _verdict(case: Case, connection: Connection, silent: PeerSilence) -> Verdict
     ]
     if len(sent) and int(sent[-1]) > silent.start_ns:
         evidence.append(f"the last of them at {case.at(int(sent[-1]))}: then it had given the peer up")
+    speaks_ns = silent.start_ns + (case.profile.sbn_heartbeat_s + 1) * SECOND
+    if early := int((sent <= speaks_ns).sum()):
+        evidence.append(
+            f"{early:,} of them until {case.at(speaks_ns)}, when a heartbeat was due: it may have heard some"
+        )
     evidence += [
         f"event at {case.at(record.time_ns)}: {record}"
         for record in case.said(silent.start_ns, until + SECOND, facts.NAME)
