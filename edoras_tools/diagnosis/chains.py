@@ -6,7 +6,9 @@ Rules:
 2. A hop that nothing here counts is named all the same, without figures, and with what would show it.
 3. Where a command leaves cFS as another packet, on the Software Bus Network, that packet's hops follow. Of
    what goes into the first of them, what no command of the capture became is told: it was under way when the
-   capture began, or the application made it by itself. So ``in = out of the hop before + entered``.
+   capture began, or the application made it by itself. So ``in = out of the hop before + entered - elsewhere``.
+   Where it leaves on several ways, to the robot and on SBN, what did not leave on this one left elsewhere, and
+   the hop before is the application, not what stands above.
 4. The bridges' own hops are counted by bags of the ROS side: messages of the time that both recorded.
 """
 
@@ -61,6 +63,7 @@ class ChainHop:
         out: how many came out.
         doubled: of those, how many more than once.
         entered: of those that went in, how many did not come out of the hop before.
+        elsewhere: of those that came out of the hop before, how many did not go in: they left on another way.
         rest: what became of the others: figures of the balance, those that are not 0.
         counted: where ``out`` was counted, or what would show it.
     """
@@ -71,6 +74,7 @@ class ChainHop:
     out: int | None
     doubled: int = 0
     entered: int = 0
+    elsewhere: int = 0
     rest: Mapping[str, int] = field(default_factory=dict)
     counted: str = ""
 
@@ -85,6 +89,7 @@ class ChainHop:
             "hop": self.hop,
             "in": self.came,
             "entered": self.entered,
+            "elsewhere": self.elsewhere,
             "duplicated": self.doubled,
             "lost": self.lost,
             "out": self.out,
@@ -160,7 +165,8 @@ def _hops(
         further = [row for row in further if row.instance == own[-1].instance] or further
         for place, row in enumerate(further):
             hop = _of_row(row)
-            yield hop if place else replace(hop, entered=max(0, row.came - own[-1].out))
+            more = 0 if place else row.came - own[-1].out
+            yield replace(hop, entered=max(0, more), elsewhere=max(0, -more))
         if way[0] == _SBN and further and further[-1].hop != BUS:  # else the peer is another cFS
             yield _bridge(PEER_TO_ROBOT, bridges.get(way), came=_last_out(whole, way))
 
@@ -184,7 +190,7 @@ def _bridge(
 
 def _of_row(row: Row) -> ChainHop:
     rest = {name: value for name in _REST if (value := getattr(row, name))}
-    to_robot = row.hop == APPLICATION and any(label == _ROBOT for label, _ in row.onward)
+    to_robot = row.hop == APPLICATION and {label for label, _ in row.onward} == {_ROBOT}
     told = row.counted.get("out") or row.counted.get("lost", "")
     lost: int | None = row.all_lost
     if not row.observed:

@@ -226,6 +226,16 @@ def test_a_sender_that_is_named_by_his_processor_too_is_no_other():
     assert (verdict.lost, verdict.reason[:32]) == (1, "1 SBN datagram from 153:3, which")
 
 
+def test_a_command_that_leaves_to_the_robot_and_on_sbn_is_not_put_behind_the_robot():
+    hops = chain(examined("sbn_peer"), "0x1827")
+    assert "application to robot" not in hops
+    assert hops["application"]["out"] == 196  # all to the robot, and those on SBN while the peer was there
+    pipe = hops["SBN_3_66_Pipe"]
+    assert (pipe["in"], pipe["entered"], pipe["elsewhere"]) == (175, 0, 196 - 175)
+    (first, *_, last) = chain(examined("processor_reset"), "0x1827")
+    assert (first, last) == ("publisher to ground bridge", "application to robot")
+
+
 def test_what_became_of_bad_datagrams_is_told_by_events_alone():
     """Here SBN polls and has no receive task; five too short ones came out as the message before them."""
     verdicts = found(examined("network_bad"), "bad_network_message")

@@ -79,7 +79,10 @@ def adds_up(found):
             assert min(hop.came, hop.out, hop.lost, hop.doubled, hop.entered, *hop.rest.values()) >= 0
             assert hop.came + hop.doubled == hop.out + hop.lost + sum(hop.rest.values())
         for one, following in zip(chain.hops, chain.hops[1:], strict=False):
-            assert following.came == one.out + following.entered, (chain.msg_id, following.hop)
+            assert following.came == one.out + following.entered - following.elsewhere, (
+                chain.msg_id,
+                following.hop,
+            )
 
 
 @pytest.mark.parametrize("side", ["end", "start"])
