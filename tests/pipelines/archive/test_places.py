@@ -3,75 +3,86 @@
 from __future__ import annotations
 
 import http.server
+import logging
 import subprocess
 import sys
 import threading
+import urllib.request
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import s3fs
+from distributed import LocalCluster
+from moto.server import ThreadedMotoServer
 from places import CAPTURES
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.pipelines.archive.index import open_index
 from edoras_tools.pipelines.archive.places import find_captures, listed_now
 from edoras_tools.pipelines.archive.tables import TABLES
+from edoras_tools.pipelines.archive.update import Update, bring_up_to_date
 from edoras_tools.pipelines.archive.work import Task, examine_group, fingerprint
 from edoras_tools.pipelines.workbench import Settings
 
 NAMES = ("a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect")
-SERVER = """
-import sys
-from moto.server import ThreadedMotoServer
-
-server = ThreadedMotoServer("127.0.0.1", int(sys.argv[1]), verbose=False)
-server.start()
-print(server.get_host_and_port()[1], flush=True)
-sys.stdin.read()
-"""
 FRESH = {"skip_instance_cache": True}
 
 
-@pytest.fixture
-def s3(monkeypatch, tmp_path):
-    """An S3 server with captures in a bucket: ``start``, ``stop``, and ``files``, to write others."""
-    own = SimpleNamespace(process=None, port=0)
+@pytest.fixture(scope="module")
+def server():
+    """An S3 server: ``start``, ``stop``, and its ``url``; what it holds stays while it is stopped."""
+    own = SimpleNamespace(server=None, port=0)
 
     def start():
-        own.process = subprocess.Popen(
-            [sys.executable, "-c", SERVER, str(own.port)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
-        own.port = int(own.process.stdout.readline())
-        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{own.port}")
-        s3fs.S3FileSystem.clear_instance_cache()
-        own.files = s3fs.S3FileSystem(**FRESH)
-        own.files.mkdir("fleet")
-        for name in NAMES:
-            own.files.put_file(str(CAPTURES / f"{name}.pcap"), f"fleet/day 1/{name}.pcap")
-        own.files.pipe_file("fleet/readme.txt", b"none")
+        own.server = ThreadedMotoServer("127.0.0.1", own.port)
+        own.server.start()
+        own.port = own.server.get_host_and_port()[1]
+        own.url = f"http://127.0.0.1:{own.port}"
 
     def stop():
-        own.process.stdin.close()
-        own.process.terminate()
-        own.process.wait()
-        own.process.stdout.close()
+        own.server.stop()
 
+    logging.getLogger("werkzeug").setLevel(logging.CRITICAL)
+    start()
+    own.start, own.stop = start, stop
+    yield own
+    stop()
+
+
+@pytest.fixture
+def s3(server, monkeypatch, tmp_path):
+    """The server with captures in a bucket, and ``files``, to write others."""
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.setenv(name, "x")
     monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
     monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")  # nobody outside is asked for keys
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    monkeypatch.setenv("AWS_ENDPOINT_URL", server.url)
     monkeypatch.setenv("HOME", str(tmp_path))
-    start()
-    own.start, own.stop = start, stop
-    yield own
-    stop()
     s3fs.S3FileSystem.clear_instance_cache()
+    urllib.request.urlopen(f"{server.url}/moto-api/reset", data=b"").close()
+    server.files = s3fs.S3FileSystem(**FRESH)
+    server.files.mkdir("fleet")
+    for name in NAMES:
+        server.files.put_file(str(CAPTURES / f"{name}.pcap"), f"fleet/day 1/{name}.pcap")
+    server.files.pipe_file("fleet/readme.txt", b"none")
+    yield server
+    s3fs.S3FileSystem.clear_instance_cache()
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    """The address of a scheduler with a worker, in this process."""
+    with LocalCluster(
+        n_workers=1,
+        processes=False,
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address=None,
+        silence_logs=60,
+    ) as made:
+        yield made.scheduler_address
 
 
 class Nothing(http.server.BaseHTTPRequestHandler):
@@ -100,7 +111,12 @@ def examined(urls):
     return {row["capture"].rpartition("/")[2]: row for row in rows["captures"].to_pylist()}
 
 
-def test_a_bucket_is_indexed_as_a_folder(s3, tmp_path):
+def updated(index, root, scheduler):
+    with open_index(index, write=True) as opened:
+        return bring_up_to_date(opened, Update((root,), Settings(), scheduler=scheduler))
+
+
+def test_a_bucket_is_indexed_as_a_folder(s3, scheduler, tmp_path):
     index = tmp_path / "x.duckdb"
     command = ["s3://fleet", "--index", index, "--jobs", "1"]
     assert archive(*command) == (0, "", [f"{index}: 4 captures: 4 read, 0 unchanged"])
@@ -117,10 +133,9 @@ def test_a_bucket_is_indexed_as_a_folder(s3, tmp_path):
     s3.files.put_file(str(CAPTURES / "b_arm_single.pcap"), "fleet/day 1/b_arm_single.pcap")
     s3.files.pipe_file("fleet/day 1/new.pcap", b"")
     s3.files.rm_file("fleet/day 1/e_ci_errors.pcap")
-    code, _, (told, error) = archive("s3://fleet/day 1/", *command[1:])
-    assert code == 3
-    assert told == f"{index}: 4 captures: 2 read, 2 unchanged, 1 no longer there"
-    assert error == "edoras: s3://fleet/day 1/new.pcap: is empty; a capture has at least a header"
+    report = updated(index, "s3://fleet/day 1/", scheduler)
+    assert (report.found, report.read, report.same, report.gone) == (4, 2, 0, 1)
+    assert report.bad == ["s3://fleet/day 1/new.pcap: is empty; a capture has at least a header"]
 
 
 def test_what_cannot_be_listed_is_told(s3, monkeypatch, tmp_path):
@@ -151,8 +166,8 @@ def test_what_cannot_be_listed_is_told(s3, monkeypatch, tmp_path):
     s3.start()
 
 
-def test_a_server_that_goes_away_is_told_and_the_next_update_goes_on(s3, tmp_path):
-    index, command = tmp_path / "x.duckdb", ["s3://fleet", "--index", tmp_path / "x.duckdb", "--jobs", "1"]
+def test_a_server_that_goes_away_is_told_and_the_next_update_goes_on(s3, scheduler, tmp_path):
+    index = tmp_path / "x.duckdb"
     urls = [item.url for item in find_captures(["s3://fleet"])]
     s3.stop()
     rows = examined(urls)
@@ -162,7 +177,8 @@ def test_a_server_that_goes_away_is_told_and_the_next_update_goes_on(s3, tmp_pat
     with open_index(index, write=True) as opened:
         opened.replace([], [{"captures": TABLES["captures"].arrow(list(rows.values()))}])
     s3.start()
-    assert archive(*command) == (0, "", [f"{index}: 4 captures: 4 read, 0 unchanged"])
+    report = updated(index, "s3://fleet", scheduler)
+    assert (report.found, report.read, report.bad) == (4, 4, [])
     with open_index(index) as opened:
         assert opened.ask("SELECT state, count(*) FROM captures GROUP BY ALL") == [("whole", 4)]
 
