@@ -7,14 +7,13 @@ from edoras_tools.decode.filters.filter import Where
 
 def compared(bench, rows, layouts):
     """Compare ``LAYER.FIELD > 0`` for every field of some headers; return how many datagrams were chosen."""
-    found = 0
+    found, shown = 0, [bench.dissector.dissect(rows.batch[row]) for row in range(len(rows))]
     for layout in layouts:
         for name in layout.by_name:
             wanted = [
                 row
-                for row in range(len(rows))
-                if (shown := bench.dissector.dissect(rows.batch[row]).layer(layout.name))
-                and shown.values()[name] > 0
+                for row, decoded in enumerate(shown)
+                if (layer := decoded.layer(layout.name)) and layer.values()[name] > 0
             ]
             chosen = Where(f"{layout.name}.{name} > 0", bench.columns.context).passing(rows)
             assert np.flatnonzero(chosen).tolist() == wanted, (layout.name, name)

@@ -28,8 +28,9 @@ def plain(value):
             item.name: plain(getattr(value, item.name)) for item in fields(value) if item.name[0].islower()
         }
     if isinstance(value, np.ndarray):
-        big = value.dtype.kind in "iu" and value.dtype.itemsize == 8
-        return [str(item) if big else plain(item) for item in value.tolist()]
+        if value.dtype.kind in "iu":
+            return [str(item) for item in value.tolist()] if value.dtype.itemsize == 8 else value.tolist()
+        return [plain(item) for item in value.tolist()]
     if isinstance(value, list):
         return [plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
@@ -39,6 +40,8 @@ def plain(value):
 
 def same(theirs, ours):
     """Whether both have the same values; integers of 64 bits are texts there."""
+    if theirs == ours:
+        return True
     if isinstance(ours, dict):
         return theirs.keys() == ours.keys() and all(same(theirs[name], ours[name]) for name in ours)
     if isinstance(ours, list):
