@@ -120,7 +120,7 @@ def read_messages(
         little = (flags & SubmessageFlag.LITTLE_ENDIAN) != 0
         size = _number(SUBMESSAGE, "octets_to_next_header", head, little)
         stop = at + _HEAD + size
-        to_end = (size == 0) & ~np.isin(kind, EMPTY_KINDS)
+        to_end = (size == 0) & ~_MAY_BE_EMPTY[kind]
         stop[to_end] = end[active[to_end]]
         whole = (stop <= end[active]) & (stop - at >= LEAST_BYTES[kind])
         no_time = (kind == SubmessageKind.INFO_TS) & ((flags & SubmessageFlag.NO_TIMESTAMP) != 0)
@@ -183,6 +183,7 @@ def _least() -> NDArray[np.int64]:
 
 LEAST_BYTES: Final = _least()
 """Bytes of a submessage of each kind, at the least."""
+_MAY_BE_EMPTY: Final = np.isin(np.arange(256), EMPTY_KINDS)
 
 
 def _number(
