@@ -13,7 +13,7 @@ import typer
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import INTERRUPTED, LOST, tell
-from edoras_tools.cli.main import Command, Group
+from edoras_tools.cli.main import Command, Group, command_group
 from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
 from edoras_tools.errors import ConfigError
 from edoras_tools.words import plural
@@ -33,12 +33,8 @@ class _Archive(Group):
         return super().parse_args(ctx, args)
 
 
-archive = typer.Typer(
-    name="archive",
-    cls=_Archive,
-    help="Index many recordings, and ask the index. 'archive DIR' is 'archive index DIR'.",
-    no_args_is_help=True,
-    add_completion=False,
+archive = command_group(
+    "archive", "Index many recordings, and ask the index. 'archive DIR' is 'archive index DIR'.", _Archive
 )
 
 Index = Annotated[Path, typer.Option(envvar="EDORAS_ARCHIVE"), "FILE", "The index, a DuckDB file."]

@@ -167,6 +167,11 @@ class Group(typer.core.TyperGroup):
     format_help = Command.format_help
 
 
+def command_group(name: str, text: str, kind: type[Group] = Group) -> typer.Typer:
+    """Make a group of commands, which prints its help text when none is named."""
+    return typer.Typer(name=name, cls=kind, help=text, no_args_is_help=True, add_completion=False)
+
+
 def _is_given(ctx: Any, option: str) -> bool:
     """Whether an option's value comes from the command line or the environment."""
     return getattr(ctx.get_parameter_source(option), "name", "") in {"COMMANDLINE", "ENVIRONMENT"}

@@ -5,22 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.main import Command, Group
+from edoras_tools.cli.main import Command, command_group
 from edoras_tools.cli.output import file_progress
 
-mission = typer.Typer(
-    name="mission",
-    cls=Group,
-    help="Draft a mission file from what is in a capture.",
-    no_args_is_help=True,
-    add_completion=False,
-)
+mission = command_group("mission", "Draft a mission file from what is in a capture.")
 
 
 @mission.callback()

@@ -12,10 +12,13 @@ from edoras_tools.cli.endings import no_messages, nothing_shown
 from edoras_tools.cli.inputs import InputOptions, open_input
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
-    from edoras_tools.decode.lines import PacketLine
+    from edoras_tools.decode.context import Context
+    from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.model import Decoded
+    from edoras_tools.render.capture.packet_list import PacketList
+    from edoras_tools.render.terminal.terminal import Terminal
 
 
 @grouped
@@ -36,16 +39,12 @@ def sniff(
     from edoras_tools.cfs.names import MSG_ID_NAMES
     from edoras_tools.links import table
     from edoras_tools.pipelines.capture.sniff import AT_ONCE
-    from edoras_tools.pipelines.capture.sniff import sniff as packets
+    from edoras_tools.pipelines.capture.sniff import sniff as sniffed
     from edoras_tools.pipelines.reading import chosen as chosen_rows
-    from edoras_tools.render.capture import packet
-    from edoras_tools.render.capture import tree as tree_view
     from edoras_tools.render.capture.packet_list import COLUMNS, LEAST_WITH_TYPE, MESSAGE_COLUMNS, PacketList
     from edoras_tools.render.capture.watch import Followed
     from edoras_tools.render.severity import NOTABLE
-    from edoras_tools.render.terminal.palette import Paint
     from edoras_tools.render.terminal.terminal import look
-    from edoras_tools.render.terminal.text import clean
 
     view.check(verbose=verbose)
     limits = stop.limits(given.paths)
@@ -90,7 +89,6 @@ def sniff(
             shown = views.print_statistics(rows, bench, view.stat or (), json=view.json)
         ended(shown)
         return
-    bench.dissector.detail = view.tree or view.hexdump
     typed = recorded and terminal.width >= LEAST_WITH_TYPE
     packet_list = PacketList(
         terminal.width,
@@ -102,27 +100,43 @@ def sniff(
         added=[(f"{'Type':<12}", False)] if typed else (),
     )
     taken = read, bench, selection, limits, packet_list.count_from
-
-    def text(decoded: Decoded) -> str:
-        if view.hexdump:
-            shown = packet.packet_lines(decoded, terminal.width, colour=terminal.colour)
-        else:
-            shown = tree_view.tree_lines(decoded, terminal.width, Paint(terminal.colour))
-        return "\n".join([*shown, ""])
-
-    def named(line: PacketLine) -> tuple[str, ...]:
-        return (clean(line.type.rpartition("/")[2]),) if typed else ()
-
+    header, bench.dissector.detail = "", view.hexdump or view.tree
     if view.hexdump or view.tree:
-        blocks: Iterator[list[str]] = ([text(decoded)] for decoded in packets(*taken))
+        blocks = _whole(sniffed(*taken), terminal, hexdump=view.hexdump)
     elif view.json:
         from edoras_tools.pipelines.capture.packet_json import PacketTexts
 
         blocks = map(PacketTexts(bench.columns.context).of, chosen_rows(*taken, most=AT_ONCE))
     else:
-        from edoras_tools.decode.lines import PacketLines
-
-        made, rows = PacketLines(bench.columns.context), chosen_rows(*taken, most=AT_ONCE)
-        blocks = ([packet_list.line(line, values=named(line)) for line in made.of(some)] for some in rows)
-    header = "" if view.json or view.hexdump or view.tree else packet_list.header()
+        header = packet_list.header()
+        blocks = _listed(chosen_rows(*taken, most=AT_ONCE), bench.columns.context, packet_list, typed=typed)
     ended(views.print_packets(read.printed(blocks), header, flush=waits))
+
+
+def _whole(packets: Iterable[Decoded], terminal: Terminal, *, hexdump: bool) -> Iterator[list[str]]:
+    """Yield the bytes of packets, or all their layers and fields."""
+    from edoras_tools.render.capture.packet import packet_lines
+    from edoras_tools.render.capture.tree import tree_lines
+    from edoras_tools.render.terminal.palette import Paint
+
+    for decoded in packets:
+        if hexdump:
+            shown = packet_lines(decoded, terminal.width, colour=terminal.colour)
+        else:
+            shown = tree_lines(decoded, terminal.width, Paint(terminal.colour))
+        yield ["\n".join([*shown, ""])]
+
+
+def _listed(
+    blocks: Iterable[ColumnRows], context: Context, packet_list: PacketList, *, typed: bool
+) -> Iterator[list[str]]:
+    """Yield a line for each packet, ``typed`` with the type of its message behind."""
+    from edoras_tools.decode.lines import PacketLines
+    from edoras_tools.render.terminal.text import clean
+
+    made = PacketLines(context)
+    for rows in blocks:
+        yield [
+            packet_list.line(line, values=(clean(line.type.rpartition("/")[2]),) if typed else ())
+            for line in made.of(rows)
+        ]

@@ -11,25 +11,13 @@ import typer
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell
-from edoras_tools.cli.main import Command, Group
+from edoras_tools.cli.main import Command, command_group
 from edoras_tools.io.formats.table import READ
 
 To = Annotated[Path | None, "--to DIR", "A folder other than Wireshark's own."]
 
-wireshark = typer.Typer(
-    name="wireshark",
-    cls=Group,
-    help="Decode the links in Wireshark and tshark, down to ROS fields.",
-    no_args_is_help=True,
-    add_completion=False,
-)
-extcap = typer.Typer(
-    name="extcap",
-    cls=Group,
-    help="EDORAS CI, TO and SBN as capture interfaces of Wireshark.",
-    no_args_is_help=True,
-    add_completion=False,
-)
+wireshark = command_group("wireshark", "Decode the links in Wireshark and tshark, down to ROS fields.")
+extcap = command_group("extcap", "EDORAS CI, TO and SBN as capture interfaces of Wireshark.")
 wireshark.add_typer(extcap)
 
 

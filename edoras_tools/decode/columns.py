@@ -289,9 +289,8 @@ class _Pass:
         length = self.out["packet_length"]
         as_command, as_telemetry, start = (column[build] for column in _BYTES)
         at = int(start) if not np.ndim(build) else 0
-        if np.ndim(
-            build
-        ):  # what is behind the extended header, and behind the primary header where there is none
+        if np.ndim(build):
+            # Look behind the extended header, or behind the primary header where there is none.
             plain, extended = cfe.STANDARD.start, cfe.WITH_EXTENDED.start
             head = np.where(
                 (start == extended)[:, None], head[:, extended:], head[:, plain : plain - extended]

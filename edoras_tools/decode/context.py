@@ -203,6 +203,20 @@ class Context:
         for link in self.links:
             self.header_bytes[link] = link.header_bytes
             self.against[:, link] = link.to_cfs != link.from_cfs and [link.to_cfs, link.from_cfs]
+        self._settle_bridges()
+        self._settle_routes()
+        self.notes: list[str] = []
+        self.unnamed = 0
+        self.described = self.options.described()
+        apps = map(self.msg_ids.of_known, names.COMMANDS)
+        named = {*apps, *(route.msg_id for route in self.mission.routes)}
+        self.command_table = CommandTable(
+            {msg_id: commands for msg_id in named if (commands := self.commands(msg_id)) is not None}
+        )
+        self.builds = Builds(self.structs, self.command_table, self.headers)
+
+    def _settle_bridges(self) -> None:
+        """Find the addresses, ports and identities of the mission's bridges and their cFS."""
         self.cfs_addresses = frozenset(
             int(ipaddress.IPv4Address(bridge.fsw_ip))
             for bridge in self.mission.links
@@ -219,6 +233,9 @@ class Context:
                 (link.peer_spacecraft_id, link.peer_processor_id),
             )
         )
+
+    def _settle_routes(self) -> None:
+        """Find the route of each MsgId, by link, the MsgIds that are known, and the envelopes."""
         routed = sorted({int(route.link) for route in self.mission.routes})
         self.route_row = np.zeros(256, np.uint8)
         self.route_row[routed] = range(1, len(routed) + 1)
@@ -236,17 +253,8 @@ class Context:
         self.route_of[:, self.pdu_msg_ids] = self.any_route_of[self.pdu_msg_ids] = NO_ROUTE
         usual = "" if self.options.envelope == "auto" else self.options.envelope
         self.unrouted = [EnvelopeFormat.named(usual) if usual else DEFAULT] * 2
-        self.notes: list[str] = []
-        self.unnamed = 0
-        self.described = self.options.described()
         chosen = [route.envelope or self.options.envelope or str(DEFAULT) for route in self.mission.routes]
         self.envelopes = [None if text == "auto" else EnvelopeFormat.named(text) for text in chosen]
-        apps = map(self.msg_ids.of_known, names.COMMANDS)
-        named = {*apps, *(route.msg_id for route in self.mission.routes)}
-        self.command_table = CommandTable(
-            {msg_id: commands for msg_id in named if (commands := self.commands(msg_id)) is not None}
-        )
-        self.builds = Builds(self.structs, self.command_table, self.headers)
 
     def routes_on(self, link: Link) -> NDArray[np.int16]:
         """Return the route of each MsgId on a link, i16 (65536,); ``NO_ROUTE`` where there is none."""

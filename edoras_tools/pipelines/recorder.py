@@ -203,12 +203,8 @@ class _WriterApart:
                 send(self._link, request)
             failure, recorded = receive(self._link)
         except (OSError, EOFError):
-            failure, recorded = (
-                killed(self._path)
-                if self._path
-                else CaptureError("the process that shows it in Foxglove was killed"),
-                None,
-            )
+            shows = CaptureError("the process that shows it in Foxglove was killed")
+            failure, recorded = killed(self._path) if self._path else shows, None
         self.recorded = recorded or self.recorded
         if failure is not None:
             raise failure

@@ -18,7 +18,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import OutputCommand
@@ -151,7 +151,6 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
 
     Name each command that stops telemetry, and what sequence counts show to be missing for all of them.
     """
-    rows = case.rows
     lost = [loss for loss in case.losses if loss.closed]
     missing = sum(case.telemetry.closed.get(id(stream), 0) for stream in case.streams if stream.link is TO)
     missing += sum(loss.lost for loss in lost)
@@ -171,6 +170,15 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
             )
         return {"lost": number or None, "evidence": tuple(known)}
 
+    yield from _commanded(case, told)
+    yield from _restarted(case, told)
+    yield from _silent(case)
+    yield from _ended(case)
+
+
+def _commanded(case: Case, told: Callable[[int], dict[str, Any]]) -> Iterator[Verdict]:
+    """Name each command that stops telemetry."""
+    rows = case.rows
     for item in case.payloads.output:
         if item.function_code not in telemetry_output.STOPS:
             continue
@@ -196,11 +204,16 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
             if item.msg_id >= 0
             else f"add what is wanted again, e.g. {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}",
         )
-    streams = [stream for stream in case.streams if stream.link is TO]
+
+
+def _restarted(case: Case, told: Callable[[int], dict[str, Any]]) -> Iterator[Verdict]:
+    """Say that Telemetry Output sends from another port: it was restarted."""
+    rows = case.rows
     moved = sorted(
         {
             int(rows.time_ns[stream.rows[at + 1]])
-            for stream in streams
+            for stream in case.streams
+            if stream.link is TO
             for at in (rows.source[stream.rows][1:] != rows.source[stream.rows][:-1]).nonzero()[0].tolist()
         }
     )
@@ -215,8 +228,13 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
             **told(moved[0]),
             remedy=f"enable it again: {case.inject(ENABLE_OUTPUT)}",
         )
+
+
+def _silent(case: Case) -> Iterator[Verdict]:
+    """Say when nothing was sent until Telemetry Output was enabled."""
     for sender, spans in case.telemetry.silences.items():
-        number = sum(case.telemetry.silenced.get(id(item), 0) for item in streams if item.sender == sender)
+        own = [item for item in case.streams if item.link is TO and item.sender == sender]
+        number = sum(case.telemetry.silenced.get(id(item), 0) for item in own)
         for start_ns, end_ns in spans if number else ():
             failed = case.suppressed((start_ns, end_ns))
             yield Verdict(
@@ -236,7 +254,6 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
                 f"Output drops what comes until it is enabled again: {case.inject(ENABLE_OUTPUT)}",
                 confidence="high" if failed else "medium",
             )
-    yield from _ended(case)
 
 
 def _ended(case: Case) -> Iterator[Verdict]:

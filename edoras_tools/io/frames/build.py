@@ -143,12 +143,8 @@ class FramePage:
             rows: which datagrams, in this order; None for all.
         """
         chosen = slice(0, self.rows) if rows is None else rows
-        data, offset, length, ends = (
-            self._data[: self.used + PADDING],
-            self._offset[chosen],
-            self._length[chosen],
-            self._ends[chosen].view(ENDS),
-        )
+        data, ends = self._data[: self.used + PADDING], self._ends[chosen].view(ENDS)
+        offset, length = self._offset[chosen], self._length[chosen]
         for version, of in by_value(ends["version"]):
             one = len(of) == len(offset)
             _write_headers(

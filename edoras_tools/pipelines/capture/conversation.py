@@ -150,10 +150,8 @@ def _alike(rows: ColumnRows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Number the packets by everything that names their stream; return the numbers, and one row of each."""
     link = rows.column("link")
     named = among(link, lambda item: item.peers)
-    to_cfs, from_cfs = (
-        among(link, lambda item: item.only_to_cfs),
-        among(link, lambda item: item.only_from_cfs),
-    )
+    to_cfs = among(link, lambda item: item.only_to_cfs)
+    from_cfs = among(link, lambda item: item.only_from_cfs)
     keys: list[NDArray[Any]] = [
         link,
         rows.column("sbn_msg_type"),

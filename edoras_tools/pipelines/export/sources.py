@@ -336,9 +336,7 @@ class CaptureTopics(TopicSource):
             chosen = [item for item in places if topics[item[0]].name in wanted]
             if not chosen:
                 continue
-            if (
-                messages.head_bytes == RECORD_BYTES
-            ):  # the message is the bytes behind the head, where they lie
+            if messages.head_bytes == RECORD_BYTES:  # the bytes behind the head are the message
                 data, start, length = messages.data, messages.offset, messages.length
             else:
                 laid = lay_out([messages], rows)

@@ -69,6 +69,15 @@ def folders() -> dict[str, Path]:
     return {name.strip(): Path(path.strip()) for name, colon, path in pairs if colon and path.strip()}
 
 
+def _own_folder(*names: str, what: str) -> Path:
+    """Return the first of Wireshark's folders that it has."""
+    known = folders()
+    for name in names:
+        if name in known:
+            return known[name]
+    raise CaptureError(f"this Wireshark has no folder for {what}; name one with --to")
+
+
 def install(text: str, folder: Path | None = None, *, force: bool = False) -> Path:
     """Write the dissector to the folder from which Wireshark and tshark load it; return its path.
 
@@ -80,11 +89,7 @@ def install(text: str, folder: Path | None = None, *, force: bool = False) -> Pa
         CaptureError: Wireshark is not installed, or the file cannot be written.
         ConfigError: another one is there.
     """
-    if folder is None:
-        known = folders()
-        folder = known.get("Personal Lua Plugins") or known.get("Personal Plugins")
-    if folder is None:
-        raise CaptureError("this Wireshark has no folder for plugins; name one with --to")
+    folder = folder or _own_folder("Personal Lua Plugins", "Personal Plugins", what="plugins")
     return _write(folder / SCRIPT, text, force=force)
 
 
@@ -99,11 +104,7 @@ def install_extcap(folder: Path | None = None, *, force: bool = False) -> Path:
         CaptureError: Wireshark is not installed, or the file cannot be written.
         ConfigError: another one is there.
     """
-    if folder is None:
-        known = folders()
-        folder = known.get("Personal Extcap path") or known.get("Extcap path")
-    if folder is None:
-        raise CaptureError("this Wireshark has no folder for extcap programs; name one with --to")
+    folder = folder or _own_folder("Personal Extcap path", "Extcap path", what="extcap programs")
     text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m edoras_tools.cli.extcap "$@"\n'
     try:
         path = _write(folder / LAUNCHER, text, force=force)

@@ -257,13 +257,12 @@ class PacketList:
             if index and taken + 1 + len(label) > room // 2:
                 more = f" +{len(shown) - index}"
                 if taken + len(more) <= room - 2:
-                    painted, taken = painted + self._paint(more, palette.DIM), taken + len(more)
+                    painted += self._paint(more, palette.DIM)
+                    taken += len(more)
                 break
             gap = " " if index else ""
-            painted, taken = (
-                painted + gap + self._paint(label, told.severity.style),
-                taken + len(gap) + len(label),
-            )
+            painted += gap + self._paint(label, told.severity.style)
+            taken += len(gap) + len(label)
         return painted + "  ", taken + 2
 
 

@@ -83,10 +83,8 @@ def columns(
     data = np.ascontiguousarray(data)
     rows, fields = np.arange(len(offset)), _Fields(plan, len(offset))
     if not _walked(plan, data, offset, length, rows, fields):  # some do not fit the type: rarely
-        rows, fields = (
-            np.flatnonzero(validity.trailing(plan, data, offset, length) >= 0),
-            _Fields(plan, len(offset)),
-        )
+        rows = np.flatnonzero(validity.trailing(plan, data, offset, length) >= 0)
+        fields = _Fields(plan, len(offset))
         _walked(plan, data, offset[rows], length[rows], rows, fields)
     valid = np.zeros(len(offset), bool)
     valid[rows] = True

@@ -147,11 +147,9 @@ class McapSource:
         if failure is not None:
             raise failure
         if not ended:
-            whole = (
-                self._read(self._size - len(MAGIC), self._size) == MAGIC
-            )  # it has its end, and not its middle
+            has_end = self._read(self._size - len(MAGIC), self._size) == MAGIC
             raise CaptureError(
-                f"{self._name}: is {'damaged' if whole else 'cut off'} at byte {position} of {self._size}; "
+                f"{self._name}: is {'damaged' if has_end else 'cut off'} at byte {position} of {self._size}; "
                 "everything before was read; "
                 f"`edoras recover {self._name}` repairs it"
             )
