@@ -15,10 +15,11 @@ Every message is one line (``ConfigError``: one line a mistake) that says what, 
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 
 class EdorasError(Exception):
@@ -109,3 +110,16 @@ class NoDatagramsError(CaptureError):
 
     path: str = ""
     files: Sequence[Any] = ()
+
+
+@contextmanager
+def os_errors(what: str) -> Iterator[None]:
+    """Tell an ``OSError`` inside as what could not be done, and the system's reason.
+
+    Raises:
+        CaptureError: there was one.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise CaptureError(f"{what}: {error.strerror or error}") from error

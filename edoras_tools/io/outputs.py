@@ -16,7 +16,7 @@ from itertools import count
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, ConfigError, os_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -129,14 +129,12 @@ def write_bytes(path: Path, data: bytes, *, folders: bool = False) -> None:
     Raises:
         CaptureError: it cannot be written, or another user's link would be followed.
     """
-    try:
+    with os_errors(f"{path}: cannot be written"):
         if folders:
             check_links(path)
             path.parent.mkdir(parents=True, exist_ok=True)
         with NewFile(path) as file:
             file.write(data)
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def to_write(files: Mapping[Path, bytes], *, force: bool) -> list[Path]:

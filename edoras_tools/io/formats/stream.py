@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
@@ -88,10 +88,8 @@ class FileStream:
         while filled < len(view):
             if filled and not self.ready():
                 break
-            try:
+            with os_errors(f"{self.name}: cannot be read"):
                 count = self._file.readinto(view[filled:])
-            except OSError as error:
-                raise CaptureError(f"{self.name}: cannot be read: {error.strerror}") from error
             if not count:
                 break
             filled += count

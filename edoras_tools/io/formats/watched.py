@@ -22,7 +22,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io import Sink
 from edoras_tools.io.outputs import OutputFile, path_beside, to_disk
 from edoras_tools.words import plural
@@ -255,10 +255,8 @@ class WatchedSink:
             self._over = [path for path in self._over if path != output.path]
             if output.fate():
                 continue  # somebody moved it, and it is theirs
-            try:
+            with os_errors(f"{output.path}: cannot be deleted"):
                 output.path.unlink()
-            except OSError as error:
-                raise CaptureError(f"{output.path}: cannot be deleted: {error.strerror or error}") from error
             keep.deleted += 1
             keep.datagrams += count
 
@@ -287,11 +285,9 @@ class WatchedSink:
         """Sync files that may not be on the disk; ``current`` is still being written."""
         for path in files:
             if path not in self._on_disk:
-                try:
-                    with suppress(FileNotFoundError):  # it was removed: this is reported elsewhere
-                        to_disk(path)
-                except OSError as error:
-                    raise CaptureError(f"{path}: cannot be synced: {error.strerror or error}") from error
+                # One that was removed is reported elsewhere.
+                with os_errors(f"{path}: cannot be synced"), suppress(FileNotFoundError):
+                    to_disk(path)
         self._on_disk.update(path for path in files if path != current)
 
     def _look(self) -> None:
@@ -301,10 +297,8 @@ class WatchedSink:
         self._looked = now
         if self._let_go(self._statistics):
             path = path_beside(self._path)
-            try:
+            with os_errors(f"{path.parent}: cannot be made"):
                 path.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise CaptureError(f"{path.parent}: cannot be made: {error.strerror or error}") from error
             self._sink = self._begin(path)
             self._told(f"{self.losses[-1]}; continuing in {self._sink.paths[-1]}")
 

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.outputs import check_folder
 from edoras_tools.pipelines.archive.tables import TABLES
 
@@ -39,11 +39,9 @@ def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]
         if foreign := sorted(there - {*TABLES}):
             what = f"{foreign[0]} in it is" if foreign[0] else "it is"
             raise ConfigError(f"{folder}: {what} of no earlier export; name another folder")
-    try:
+    with os_errors(f"{folder}: cannot be written"):
         folder.parent.mkdir(parents=True, exist_ok=True)
         beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".part", dir=folder.parent))
-    except OSError as error:
-        raise CaptureError(f"{folder}: cannot be written: {error.strerror or error}") from error
     new, old = beside / "new", beside / "old"
     try:
         new.mkdir()

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from time import time_ns
 from typing import TYPE_CHECKING, Any
 
-from edoras_tools.errors import CaptureError, ConfigError, EdorasError
+from edoras_tools.errors import ConfigError, EdorasError, os_errors
 from edoras_tools.io.capture.device import DeviceSource
 from edoras_tools.io.formats.pcapng import LISTENED
 from edoras_tools.io.formats.records import RecordSource
@@ -238,12 +239,9 @@ def open_sink(
     Raises:
         CaptureError: it cannot be written.
     """
-    try:
+    # Where a file is in the place of the folder, an error is reported when the file is opened.
+    with os_errors(f"{target.path}: cannot be created"), suppress(FileExistsError):
         target.path.parent.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        pass  # an error is reported when the file is opened
-    except OSError as error:
-        raise CaptureError(f"{target.path}: cannot be created: {error.strerror}") from error
     info = replace(source.info, read_with=bench.columns.context.described)
     format_ = target.format or PCAP
     make = format_.sink()

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.decode.filters.filter import Where
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import os_errors
 from edoras_tools.io.capture.device import DeviceSource
 from edoras_tools.io.formats.watched import Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import path_beside
@@ -331,10 +331,8 @@ class SnapshotSink:
             if not ((keep.files and count > keep.files) or (keep.size and size > keep.size)):
                 return
             assert item.path is not None
-            try:
+            with os_errors(f"{item.path}: cannot be deleted"):
                 item.path.unlink()
-            except OSError as error:
-                raise CaptureError(f"{item.path}: cannot be deleted: {error.strerror or error}") from error
             self.snapshots.remove(item)
             keep.deleted += 1
             keep.datagrams += item.datagrams

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.formats.columns import TableFile, TableHead
 from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, Format, written_as
 from edoras_tools.io.outputs import check_links, in_the_way, refuse_existing, refuse_input
@@ -291,11 +291,9 @@ def _writer(target: ExportTarget) -> tuple[Any, list[Path]]:
         ) from error
     folder = target.path if target.folder else target.path.parent
     made = [item for item in (folder, *folder.parents) if not item.exists()]
-    try:
+    with os_errors(f"{folder}: the folder cannot be created"):
         check_links(folder)
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CaptureError(f"{folder}: the folder cannot be created: {error.strerror or error}") from error
     return make, made
 
 

@@ -22,7 +22,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import os_errors
 from edoras_tools.io.net.sockets import local_endpoint
 from edoras_tools.sessions.faults.streams import StreamFaults
 
@@ -148,11 +148,9 @@ class StreamProxy:
         self._open: list[_Connection] = []
         self._stopping = False
         self._begin = time.monotonic_ns()
-        try:
+        with os_errors(f"--listen {plan.listen}"):
             family = socket.AF_INET6 if ":" in plan.listen.address else socket.AF_INET
             self._listen = socket.create_server((plan.listen.address, plan.listen.port), family=family)
-        except OSError as error:
-            raise CaptureError(f"--listen {plan.listen}: {error.strerror or error}") from error
         self._listen.setblocking(False)
         self.endpoint: Endpoint = local_endpoint(self._listen)
         self._selector = selectors.DefaultSelector()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 import numpy as np
 
 from edoras_tools import __version__
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.capture.interfaces import interfaces as live_interfaces
 from edoras_tools.io.capture.live import open_live
 from edoras_tools.io.formats.pcapng.writer import PcapngSink
@@ -153,10 +153,8 @@ def _source(wish: CaptureRequest, ports: Sequence[int], streams: Sequence[int]) 
 
 
 def _opened(fifo: Path) -> BinaryIO:
-    try:
+    with os_errors(f"{fifo}: cannot be opened"):
         return fifo.open("wb")
-    except OSError as error:
-        raise CaptureError(f"{fifo}: cannot be opened: {error.strerror}") from error
 
 
 def _watch(file: BinaryIO) -> Callable[[], bool]:

@@ -11,7 +11,7 @@ from edoras_tools.cfs import sbn
 from edoras_tools.cfs.executive_services import MARKERS
 from edoras_tools.cfs.profile import SbnPeerConfig
 from edoras_tools.cfs.time_services import EPOCH_S
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.cfe import CFE_MAGIC
 from edoras_tools.model import Peer
 from edoras_tools.units import SECOND
@@ -132,17 +132,14 @@ def read_cfe_file(path: Path) -> CfeFile | None:
     if not path.is_file():  # bytes of a pipe can be read only once
         return None
     at = FILE_HEADER.size
-    try:
-        with path.open("rb") as file:
-            data = file.read(at)
-            if not data.startswith(CFE_MAGIC):
-                return None
-            header = _parsed(path, FILE_HEADER, data, 0)
-            if header["subtype"] in cfe_file.OF_PACKETS:
-                return None
-            data += file.read(_LARGEST)
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot be read: {error.strerror}") from error
+    with os_errors(f"{path}: cannot be read"), path.open("rb") as file:
+        data = file.read(at)
+        if not data.startswith(CFE_MAGIC):
+            return None
+        header = _parsed(path, FILE_HEADER, data, 0)
+        if header["subtype"] in cfe_file.OF_PACKETS:
+            return None
+        data += file.read(_LARGEST)
     subtype = header["subtype"]
     if subtype == cfe_file.RESET_LOG:
         return CfeFile(path, header, entries=_resets(path, data[at:]))

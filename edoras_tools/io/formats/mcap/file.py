@@ -29,7 +29,7 @@ from mcap.records import (
 )
 
 from edoras_tools import __version__
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.mcap.heads import CHUNK_HEAD, CHUNK_INDEX_HEAD, RECORD_HEAD, ChunkHead
 from edoras_tools.io.outputs import STDOUT, OutputFile, output_name
 from edoras_tools.io.topics.names import MAGIC
@@ -232,10 +232,8 @@ class McapFile:
         self._offered = offered
         self.summary = Summary()
         self._checksum = 0
-        try:
+        with os_errors(f"{path}: cannot be created"):
             self.output = OutputFile(path)
-        except OSError as error:
-            raise CaptureError(f"{path}: cannot be created: {error.strerror or error}") from error
         try:
             self.add_bytes(_opening() if header is None else header)
         except CaptureError:

@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from edoras_tools.errors import CaptureError, NoDatagramsError, WireError
+from edoras_tools.errors import CaptureError, NoDatagramsError, WireError, os_errors
 from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
 from edoras_tools.io.formats.mcap.messages import scanned
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
@@ -74,11 +74,9 @@ class McapSource:
 
     def __init__(self, path: str | Path, name: str = "", copy: object = None) -> None:
         self._name, self._path, self._copy = name or str(path), Path(path), copy
-        try:
+        with os_errors(f"{path}: cannot be opened"):
             self._file = self._path.open("rb")
             self._size = os.fstat(self._file.fileno()).st_size
-        except OSError as error:
-            raise CaptureError(f"{path}: cannot be opened: {error.strerror or error}") from error
         self._topics: dict[int, str] = {}
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, bytes] = {}
@@ -394,11 +392,9 @@ class McapSource:
         return (opcode, start, start + length) if start + length <= self._size else None
 
     def _read(self, start: int, end: int) -> bytes:
-        try:
+        with os_errors(f"{self._name}: cannot be read"):
             self._file.seek(start)
             return self._file.read(max(end - start, 0))
-        except OSError as error:
-            raise CaptureError(f"{self._name}: cannot be read: {error.strerror or error}") from error
 
     def _no_datagrams(self) -> CaptureError:
         topics = ", ".join(sorted(set(self._topics.values()))) or "none"

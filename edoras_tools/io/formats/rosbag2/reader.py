@@ -25,7 +25,7 @@ from mcap.records import Channel, Schema
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.mcap.messages import (
     SelectedMessages,
     chunk_content,
@@ -192,11 +192,8 @@ def storage_of(path: Path) -> str:
     Raises:
         CaptureError: it is neither.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(_SQLITE))
-    except OSError as error:
-        raise CaptureError(f"{path}: cannot be opened: {error.strerror or error}") from None
+    with os_errors(f"{path}: cannot be opened"), path.open("rb") as file:
+        head = file.read(len(_SQLITE))
     if head.startswith(_SQLITE):
         return "db3"
     if head.startswith(MAGIC):

@@ -10,7 +10,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.split import RecordingOptions
 from edoras_tools.io.outputs import check_links, write_bytes
@@ -72,12 +72,10 @@ class Rosbag2Sink(McapSink):
         statistics: SourceStatistics | None = None,
     ) -> None:
         self._folder = Path(path)
-        try:
+        with os_errors(f"{path}: cannot be made a directory"):
             check_links(self._folder)
             self._folder.mkdir(parents=True, exist_ok=True)
             occupied = any(self._folder.iterdir())
-        except OSError as error:
-            raise CaptureError(f"{path}: cannot be made a directory: {error.strerror or error}") from error
         if occupied:
             raise CaptureError(f"{path}: is not empty; name a new directory")
         # rosbag2 numbers its files even if there is only one.
