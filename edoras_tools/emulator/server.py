@@ -66,7 +66,9 @@ def serve(
 
         def open_socket(endpoint: Endpoint) -> None:
             wanted = Endpoint(host, endpoint.port if _is_chosen(simulation, endpoint) else 0)
-            opened = stack.enter_context(open_bound(wanted, f"UDP {wanted}", "choose other ports"))
+            opened = stack.enter_context(
+                open_bound(wanted, f"UDP {wanted}", "choose another host, as 127.0.0.2")
+            )
             sockets[endpoint] = opened
             selector.register(opened, selectors.EVENT_READ, endpoint)
 

@@ -90,7 +90,7 @@ def test_a_port_in_use_is_one_clear_line(profile):
     assert str(again.value) == str(caught.value)
     assert str(caught.value) == (
         f"UDP 127.0.0.1:{profile.ci_port}: cannot be bound: another program has port {profile.ci_port}"
-        " (a bridge?): stop it, or choose other ports"
+        " (a bridge?): stop it, or choose another host, as 127.0.0.2"
     )
 
 
