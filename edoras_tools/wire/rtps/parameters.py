@@ -31,8 +31,6 @@ class ParameterId(IntEnum):
     TOPIC_NAME = 0x0005
     TYPE_NAME = 0x0007
     VENDOR_ID = 0x0016
-    RELIABILITY = 0x001A
-    DURABILITY = 0x001D
     USER_DATA = 0x002C
     PARTICIPANT_GUID = 0x0050
     ENDPOINT_GUID = 0x005A
@@ -40,9 +38,7 @@ class ParameterId(IntEnum):
     STATUS_INFO = 0x0071
 
 
-RELIABILITY_NAMES: Final = {1: "best effort", 2: "reliable"}
 STATUS_NAMES: Final = {1: "disposed", 2: "unregistered"}
-DURABILITY_NAMES: Final = {0: "volatile", 1: "transient local", 2: "transient", 3: "persistent"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,16 +49,12 @@ class Announcement:
         guid: of the endpoint, or of the participant.
         topic: as DDS has it: ``rt/cmd_vel``.
         type: as DDS has it: ``geometry_msgs::msg::dds_::Twist_``.
-        reliable: whether samples that were lost are sent again.
-        durability: one of ``DURABILITY_NAMES``.
         name: of the participant.
     """
 
     guid: bytes
     topic: str = ""
     type: str = ""
-    reliable: bool | None = None
-    durability: str = ""
     name: str = ""
 
     @property
@@ -122,8 +114,7 @@ def read_announcement(data: bytes) -> Announcement | None:
     Args:
         data: from the encapsulation on.
     """
-    guid, participant, topic, kind, name, durability = b"", b"", "", "", "", ""
-    reliable = None
+    guid, participant, topic, kind, name = b"", b"", "", "", ""
     for number, value, order in read_parameters(data):
         parameter = number & _MUST_UNDERSTAND
         if parameter == ParameterId.ENDPOINT_GUID and len(value) >= GUID_BYTES:
@@ -136,13 +127,8 @@ def read_announcement(data: bytes) -> Announcement | None:
             kind = _text(value, order)
         elif parameter == ParameterId.ENTITY_NAME:
             name = _text(value, order)
-        elif parameter == ParameterId.RELIABILITY:
-            known = RELIABILITY_NAMES.get(int.from_bytes(value[:4], order))
-            reliable = known == "reliable" if known else None
-        elif parameter == ParameterId.DURABILITY:
-            durability = DURABILITY_NAMES.get(int.from_bytes(value[:4], order), "")
     found = guid or participant
-    return Announcement(found, topic, kind, reliable, durability, name) if found else None
+    return Announcement(found, topic, kind, name) if found else None
 
 
 def _text(value: bytes, order: Literal["big", "little"]) -> str:

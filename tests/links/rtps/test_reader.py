@@ -145,8 +145,6 @@ def test_topics_are_those_that_were_announced():
     known = {item.topic: item for item, _ in context.endpoints.announced.values()}
     assert {"rt/cmd_vel", "rt/chatter", "rt/joint_states"} <= set(known)
     assert known["rt/cmd_vel"].type == "geometry_msgs::msg::dds_::Twist_"
-    assert known["rt/cmd_vel"].reliable is True
-    assert known["rt/chatter"].reliable is False
 
 
 def test_an_endpoint_is_unknown_before_it_is_announced():

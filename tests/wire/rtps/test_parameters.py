@@ -25,10 +25,9 @@ from edoras_tools.wire.rtps.parameters import (
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("reliable", [True, False])
-def test_a_writer_is_announced(order, reliable):
-    raw = announcement("rt/cmd_vel", TWIST, reliable=reliable, order=order)
-    assert read_announcement(raw) == Announcement(PREFIX + WRITER, "rt/cmd_vel", TWIST, reliable)
+def test_a_writer_is_announced(order):
+    raw = announcement("rt/cmd_vel", TWIST, order=order)
+    assert read_announcement(raw) == Announcement(PREFIX + WRITER, "rt/cmd_vel", TWIST)
 
 
 @pytest.mark.parametrize(("order", "name"), [("<", "little"), (">", "big")])
@@ -48,8 +47,6 @@ def test_what_is_not_said_is_unknown():
     found = read_announcement(b"\0\3\0\0" + parameter(0x50, bytes(16)) + parameter(0x62, text("node")))
     assert found == Announcement(bytes(16), name="node")
     assert read_announcement(b"\0\1\0\0" + parameter(0x5A, bytes(16))) is None  # plain CDR is no list
-    durable = parameter(0x5A, bytes(16)) + parameter(0x1D, struct.pack("<I", 1))
-    assert read_announcement(b"\0\3\0\0" + durable).durability == "transient local"
 
 
 def test_long_names_and_endless_lists_end():

@@ -76,7 +76,7 @@ class CfePacketSource(RecordSource):
             self.unit = "entry"
         self._at = cfe_file.OF_PACKETS.get(subtype, FILE_HEADER.size)
         self._info = SourceInfo(name, f"cFE {what}")
-        self._time_ns = self._made_ns = (EPOCH_S + self.header["seconds"]) * SECOND
+        self._time_ns = (EPOCH_S + self.header["seconds"]) * SECOND
         self._clock_at = 0
         while window.end < self._at and window.advance(0):
             pass
