@@ -106,7 +106,9 @@ def stream_gap(lab, tmp_path, msg_id):
     whole = lab.read(tmp_path / "whole.pcap", lab.missions("rover"))
     assert not {"stream_gap", "captured_twice", "duplicated"} & {item.rule for item in whole.verdicts}
     write_segments(tmp_path / "x.pcap", [item for place, item in enumerate(segments) if place != 5])
-    return lab.read(tmp_path / "x.pcap", lab.missions("rover"))
+    cut = lab.read(tmp_path / "x.pcap", lab.missions("rover"))
+    assert 0 < cut.lost <= whole.lost  # what the capture lacks, the other end acknowledged
+    return cut
 
 
 @case

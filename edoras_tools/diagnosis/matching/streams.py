@@ -14,7 +14,7 @@ from edoras_tools.diagnosis.evidence.cut_times import handed_on
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.links import table
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Link
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding, Link
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value, numbered, quantiles
@@ -107,7 +107,8 @@ def find_streams(rows: Rows, instances: Instances) -> list[Stream]:
     order = np.lexsort([key[first] for key in reversed(keys)])
     number = np.empty_like(order)
     number[order] = np.arange(len(order))
-    return [_stream(rows, packets[members], instance) for _, members in by_value(number[which])]
+    behind = np.flatnonzero(rows.has(Finding.STREAM_GAP) & ~rows.has(Finding.FRAGMENT))
+    return [_stream(rows, packets[members], instance, behind) for _, members in by_value(number[which])]
 
 
 def find_robots(rows: Rows) -> list[Stream]:
@@ -231,7 +232,10 @@ def _nearest(
     return out
 
 
-def _stream(rows: Rows, members: NDArray[np.intp], instance: NDArray[np.int32]) -> Stream:
+def _stream(
+    rows: Rows, members: NDArray[np.intp], instance: NDArray[np.int32], behind: NDArray[np.intp]
+) -> Stream:
+    """Account for some rows; ``behind`` are all those behind bytes that the capture lacks."""
     first = int(members[0])
     routes = rows.route[members]
     known = routes[routes != NO_ROUTE]
@@ -245,6 +249,12 @@ def _stream(rows: Rows, members: NDArray[np.intp], instance: NDArray[np.int32]) 
             ahead = (count[moved] - count[moved - 1] - 1) % MODULUS
             # A step back is no wrap: whoever publishes it started again too.
             missing[moved] = np.where(rows.counted[members[moved]] & (ahead < FORWARD), ahead, 0)
+    if len(behind) and table.link(rows.link[first]).transport.tcp:
+        same = (rows.source[behind] == rows.source[first]) & (
+            rows.destination[behind] == rows.destination[first]
+        )
+        passed = np.searchsorted(behind[same], members, side="right")
+        missing[np.diff(passed, prepend=0) > 0] = 0  # TCP delivered them, the capture lacks them
     return Stream(
         link=table.link(rows.link[first]),
         msg_id=int(rows.msg_id[first]),

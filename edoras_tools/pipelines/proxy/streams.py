@@ -8,11 +8,13 @@ Rules that it keeps:
 3. The target is connected when the client's first bytes are to leave, never before: a cFS with SBN over TCP
    ends when a connection closes before its first message, as a port scan's does. On all links here the client
    speaks first.
-4. One thread moves everything and sleeps until something arrives or is due.
+4. One thread moves everything and sleeps until something arrives, is due, or has room again; no connection
+   waits for another one's target.
 """
 
 from __future__ import annotations
 
+import errno
 import selectors
 import socket
 import struct
@@ -34,14 +36,18 @@ _AT_ONCE: Final = 1 << 16
 _MOST_BYTES: Final = 1 << 20
 """Bytes that wait in one direction; more are left with their sender."""
 _WAIT_S: Final = 0.05
-_CONNECT_S: Final = 5.0
+_CONNECT_NS: Final = 5_000_000_000
+_PENDING: Final = (errno.EINPROGRESS, errno.EALREADY)
 _RESET: Final = struct.pack("ii", 1, 0)
 """``struct linger`` with a time of 0."""
 
 
 @dataclass(slots=True, eq=False)
 class _Pipe:
-    """One direction of a connection: bytes that wait, each with the time when they may leave."""
+    """One direction of a connection: bytes that wait, each with the time when they may leave.
+
+    ``full`` is whether the target took no more when it was last sent to.
+    """
 
     source: socket.socket
     faults: StreamFaults
@@ -51,6 +57,7 @@ class _Pipe:
     size: int = 0
     ended: bool = False
     told: bool = False
+    full: bool = False
 
     def receive(self, now: int) -> None:
         """Take what the source sent.
@@ -80,16 +87,19 @@ class _Pipe:
         """
         if self.target is None:
             return
+        self.full = False
         while self.due(now):
             leave, data = self.waiting[0]
             try:
                 sent = self.target.send(data)
             except BlockingIOError:
+                self.full = True
                 return
             self.size -= sent
             self.counts.octets += sent
             if sent < len(data):
                 self.waiting[0] = leave, data[sent:]
+                self.full = True
                 return
             self.waiting.popleft()
         if self.ended and not self.waiting and not self.told:
@@ -111,10 +121,15 @@ class StreamCounts:
 
 @dataclass(slots=True, eq=False)
 class _Connection:
-    """A client, and the target once it is connected: ``pipes`` begins with the way to the target."""
+    """A client, and the target once it is connected: ``pipes`` begins with the way to the target.
+
+    ``asked`` is when the target was asked for a connection, ``there`` what is to become it.
+    """
 
     pipes: list[_Pipe]
     opened: int
+    asked: int = 0
+    there: socket.socket | None = None
 
 
 class StreamProxy:
@@ -205,7 +220,12 @@ class StreamProxy:
         return time.monotonic_ns() - self._begin
 
     def _wait_s(self) -> float:
-        due = [pipe.waiting[0][0] for item in self._open for pipe in item.pipes if pipe.waiting]
+        due = [
+            pipe.waiting[0][0]
+            for item in self._open
+            for pipe in item.pipes
+            if pipe.waiting and not pipe.full and (pipe.target or not item.there)
+        ]
         return min(_WAIT_S, max(0.0, (min(due) - self._now()) / 1e9)) if due else _WAIT_S
 
     def _accept(self) -> None:
@@ -221,17 +241,24 @@ class StreamProxy:
     def _prepare(self, end: socket.socket) -> None:
         end.setblocking(False)
         end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._selector.register(end, selectors.EVENT_READ)
 
-    def _connect(self, connection: _Connection) -> bool:
-        """Connect the target for a client; return whether it took the connection."""
+    def _connect(self, connection: _Connection, now: int) -> bool:
+        """Connect the target for a client, or go on with it; return whether it may take the connection."""
         target = self._plan.targets[0]
+        there = connection.there
+        if there is None:
+            there = socket.socket(socket.AF_INET6 if ":" in target.address else socket.AF_INET)
+            connection.there, connection.asked = there, now
+            self._prepare(there)
         try:
-            there = socket.create_connection((target.address, target.port), timeout=_CONNECT_S)
-        except OSError:
+            error = there.connect_ex((target.address, target.port))
+        except OSError:  # its name is not known
+            error = errno.EHOSTUNREACH
+        if error in _PENDING and now - connection.asked < _CONNECT_NS:
+            return True
+        if error not in {0, errno.EISCONN}:
             self.refused += 1
             return False
-        self._prepare(there)
         self.connections += 1
         (to_target,) = connection.pipes
         to_target.target = there
@@ -250,7 +277,7 @@ class StreamProxy:
             first.receive(now)
             if first.target is None:
                 left = first.ended and not first.waiting
-                if left or (first.due(now) and not self._connect(connection)):
+                if left or (first.due(now) and not self._connect(connection, now)):
                     self._end(connection)
                     return
             for pipe in connection.pipes:
@@ -259,25 +286,35 @@ class StreamProxy:
         except OSError:
             self._end(connection, abort=True)
             return
-        for pipe in connection.pipes:
-            self._watch(pipe)
+        self._watch(connection)
         if all(pipe.told for pipe in connection.pipes):
             self._end(connection)
 
-    def _watch(self, pipe: _Pipe) -> None:
-        """Wait for a source only while there is room, and for nothing that it will not send."""
-        wanted = pipe.size < _MOST_BYTES and not pipe.ended
-        known = pipe.source in self._selector.get_map()
-        if wanted and not known:
-            self._selector.register(pipe.source, selectors.EVENT_READ)
-        elif known and not wanted:
-            self._selector.unregister(pipe.source)
+    def _watch(self, connection: _Connection) -> None:
+        """Wait for a source while there is room and it sends, and for a target while it is full."""
+        wanted: dict[socket.socket, int] = {}
+        for pipe in connection.pipes:
+            reads = pipe.size < _MOST_BYTES and not pipe.ended
+            wanted[pipe.source] = wanted.get(pipe.source, 0) | reads * selectors.EVENT_READ
+            target = pipe.target or connection.there
+            if target is not None:
+                writes = pipe.full or pipe.target is None
+                wanted[target] = wanted.get(target, 0) | writes * selectors.EVENT_WRITE
+        for end, events in wanted.items():
+            known = self._selector.get_map().get(end)
+            if known is None and events:
+                self._selector.register(end, events)
+            elif known is not None and not events:
+                self._selector.unregister(end)
+            elif known is not None and known.events != events:
+                self._selector.modify(end, events)
 
     def _end(self, connection: _Connection, *, abort: bool = False) -> None:
         self._open.remove(connection)
         for place in range(len(self._struck)):
             self._struck[place] += sum(pipe.faults.struck[place] for pipe in connection.pipes)
-        for end in (pipe.source for pipe in connection.pipes):
+        ends = {pipe.source for pipe in connection.pipes}
+        for end in ends | ({connection.there} if connection.there else set()):
             with suppress(KeyError, ValueError):
                 self._selector.unregister(end)
             if abort:  # what waits is lost, and the peers are told: RST

@@ -7,7 +7,7 @@ import socket
 import struct
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
 import websockets
@@ -19,6 +19,7 @@ from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.links.racs2 import RACS2
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Endpoint
+from edoras_tools.pipelines.proxy import streams
 from edoras_tools.pipelines.proxy.plan import ProxyPlan
 from edoras_tools.pipelines.proxy.streams import StreamProxy
 from edoras_tools.sessions.faults.machine import FaultPlan
@@ -116,6 +117,7 @@ def test_what_is_slow_to_read_is_not_kept_here(server, connected):
         until(held_up)
         assert held_up()
         assert made._open[0].pipes[0].size < 2 << 20
+        until(lambda: made._wait_s() > 0)  # it sleeps until there is room
         client.close()
         assert len(read_all(accepted)) == sent
 
@@ -151,6 +153,27 @@ def test_a_target_that_is_not_there_is_counted():
                 assert client.recv(1) == b""
             until(lambda: made.refused == 1)
     assert made.silent == 0
+
+
+def test_a_target_that_does_not_answer_holds_up_no_other_connection(connected, monkeypatch):
+    monkeypatch.setattr(streams, "_CONNECT_NS", 1 << 62)
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as server, ExitStack() as filled:
+        server.settimeout(PATIENCE_S)
+        with relay(server.getsockname()[1]) as made:
+            client, accepted = connected(made, server)
+            for _ in range(3):  # the server answers no more than it has room for
+                waiting = filled.enter_context(socket.socket())
+                waiting.setblocking(False)
+                waiting.connect_ex(server.getsockname())
+            late = filled.enter_context(socket.create_connection(("127.0.0.1", made.endpoint.port)))
+            late.sendall(b"!")
+            until(lambda: len(made._open) == 2 and made._open[1].there is not None)
+            accepted.sendall(b"goes on")
+            assert client.recv(7) == b"goes on"
+            assert (made.connections, made.refused) == (1, 0)
+            monkeypatch.setattr(streams, "_CONNECT_NS", 0)
+            assert late.recv(1) == b""
+            assert made.refused == 1
 
 
 @pytest.mark.parametrize("leave", ["close", "half-close", "reset", "reset while its bytes are held back"])
