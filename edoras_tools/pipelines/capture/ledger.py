@@ -36,8 +36,9 @@ _TOLD_NS: Final = MILLISECOND
 
 
 @cache
-def _bits(findings: int) -> tuple[Finding, ...]:
-    return tuple(Finding(findings))
+def _bits(findings: int) -> tuple[tuple[np.uint32, str], ...]:
+    """Return each finding's bit and name."""
+    return tuple((np.uint32(item), item.label) for item in Finding(findings))
 
 
 @dataclass(slots=True)
@@ -252,9 +253,8 @@ class Ledger:
         ends = np.append(starts[1:], len(order))
         for index in np.flatnonzero(met).tolist():
             known, own = accounts[index].findings, findings[starts[index] : ends[index]]
-            for finding in _bits(int(met[index])):
-                there = int(np.count_nonzero(own & np.uint32(finding)))
-                known[finding.label] = known.get(finding.label, 0) + there
+            for bit, label in _bits(int(met[index])):
+                known[label] = known.get(label, 0) + int(np.count_nonzero(own & bit))
 
     def routes(self) -> list[dict[str, Any]]:
         """Return a row for every stream, in the shape of ``info --json``: configured topics first."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -67,15 +68,16 @@ def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]
         size = 1 << bits
         spread = (values.astype(np.uint64) * _MIX) >> np.uint64(64 - bits)
         place = spread.astype(np.intp)
-    table = np.full(size, -1)
+    table = np.empty(size, np.intp)  # what is written is read, and nothing else
     table[place[::-1]] = rows[::-1]  # of several the last one stays: the first row
-    if (values[table[place]] != values).any():
+    met = table[place]
+    if (values[met] != values).any():
         _, first, which = np.unique(values, return_index=True, return_inverse=True)
         order = np.argsort(first)
         number = np.empty_like(order)
         number[order] = np.arange(len(order))
         return first[order], number[which.reshape(-1)]
-    first = np.sort(table[table >= 0])
+    first = np.flatnonzero(met == rows)
     table[place[first]] = np.arange(len(first))
     return first, table[place]
 
@@ -91,8 +93,8 @@ def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
     narrow = values.dtype.itemsize <= 2 or (least >= 0 and most <= 0xFFFF)
     order = np.argsort(values.astype(np.uint16) if narrow else values, kind="stable")
     ends = np.flatnonzero(np.diff(values[order])) + 1
-    for rows in np.split(order, ends):
-        yield int(values[rows[0]]), rows
+    for first, end in pairwise([0, *ends.tolist(), len(order)]):  # ``numpy.split`` takes longer
+        yield int(values[order[first]]), order[first:end]
 
 
 def quantiles(values: NDArray[Any], *shares: float) -> list[float]:
