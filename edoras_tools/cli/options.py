@@ -262,14 +262,13 @@ Share = Annotated[float | None, typer.Option(metavar="SHARE", parser=share)]
 MsgId = Annotated[Any, typer.Option(metavar="ID", parser=msg_id)]
 Moment = Annotated[Any, typer.Option(metavar="TIME", parser=moment)]
 Zone = Annotated[Any, typer.Option(metavar="ZONE", parser=zone)]
+"""Kinds of options, as ``declare`` reads them; None where an option is not given."""
 
 Config = Annotated[
     list[Path] | None, "--config -c FILE", "EDORAS bridge YAML, or a folder of it; repeatable."
 ]
-Duration = Annotated[Time, "--duration", "Stop after this time, e.g. 30 or 10m."]
-Unproved = Annotated[
-    bool, "--unproved", "Also keep readable messages of damaged chunks that no checksum covers."
-]
+Duration = Annotated[Time, "Stop after this time, e.g. 30 or 10m."]
+Unproved = Annotated[bool, "Also keep readable messages of damaged chunks that no checksum covers."]
 Jobs = Annotated[
     Count, "Processes that share the work on a large file; by default one a free core, at most 3."
 ]

@@ -34,7 +34,7 @@ from edoras_tools.diagnosis.evidence.uncaptured import HostDrops, find_holes, ho
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.streams import Reset, Stream, find_resets, find_robots, find_streams
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Link
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, HostCounters, InterfaceOutage, Link
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import Verdict
     from edoras_tools.io.frames.transfer import Unframer
     from edoras_tools.mission import Mission, Route
-    from edoras_tools.model import HostCounters, InterfaceOutage
     from edoras_tools.sessions.cfdp import Transaction
     from edoras_tools.sessions.dds import TopicWriter
     from edoras_tools.sessions.ground_counts import GroundStream

@@ -21,7 +21,7 @@ import numpy as np
 
 from edoras_tools.io.forked import await_end, fork, portable, receive, send, undisturbed
 from edoras_tools.io.processors import spare_processors
-from edoras_tools.io.shared import ROOM_BYTES, SLOT_BYTES, pickled, place, shared_memory, unpickled
+from edoras_tools.io.shared import ROOM_BYTES, SLOT_BYTES, Packed, pickled, place, shared_memory, unpickled
 
 if TYPE_CHECKING:
     import socket
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.errors import CaptureError
-    from edoras_tools.io.shared import Packed
 
 _SLOTS: Final = 3
 """Tasks of each process: the one that it works on, and others, so that it never waits for whoever submits."""

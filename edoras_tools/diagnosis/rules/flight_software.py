@@ -11,7 +11,7 @@ from edoras_tools.cfs.event_services import SQUELCHED, EventType
 from edoras_tools.cfs.executive_services import COMMAND_MSG_ID as ES_COMMAND_MSG_ID
 from edoras_tools.cfs.executive_services import RESTART
 from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
-from edoras_tools.diagnosis.accounting.losses import LEAD_NS
+from edoras_tools.diagnosis.accounting.losses import LEAD_NS, Loss, LossKind
 from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
@@ -25,7 +25,6 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from edoras_tools.diagnosis.accounting.losses import Loss, LossKind
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
 

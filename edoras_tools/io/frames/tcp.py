@@ -30,8 +30,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.io.frames.chain import walk_records
-from edoras_tools.io.frames.tcp_segments import SegmentBytes, rebuilt
-from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET
+from edoras_tools.io.frames.tcp_segments import SegmentBytes, Segments, rebuilt
+from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, StreamState
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.frames.tcp_segments import Segments
-    from edoras_tools.links.framing import Framing, StreamState
 
 CONNECTIONS: Final = 1 << 16
 """Directions that are remembered; of more, those seen first are forgotten."""
