@@ -278,3 +278,13 @@ def test_what_came_over_the_network_while_cfs_was_down_is_lost_there():
     (crossing,) = found(diagnosis, "crossing_loss")
     assert crossing.reason.startswith("53 of 250 ")
     assert crossing.reason.endswith("never came out as 0x0828, and Telemetry Output was not enabled yet")
+
+
+def test_commands_without_values_are_those_that_the_counter_has():
+    diagnosis = examined("no_ops")
+    (pipe,) = found(diagnosis, "app_pipe_limit")
+    refused = found(diagnosis, "bad_command")
+    (other,) = found(diagnosis, "unattributed_loss")  # in the first second more seem refused than there were
+    assert (pipe.lost + other.lost, pipe.of, sum(item.lost for item in refused)) == (70, 160, 41)
+    (row,) = [row for row in diagnosis.balance if (row.msg_id, row.hop) == (0x1827, "application")]
+    assert (row.out, row.not_captured - other.lost) == (92, 49)

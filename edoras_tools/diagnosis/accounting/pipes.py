@@ -37,10 +37,11 @@ if TYPE_CHECKING:
 
 LATE_NS: Final = 2 * SECOND
 """A count is seen within so long of what it counts."""
-_ORDER: Final = ((True, 0), (True, 1), (False, 0), (False, 1), (True, 2), (False, 2))
+_ORDER: Final = ((True, 0), (True, 1), (True, 3), (False, 0), (False, 1), (True, 2), (False, 2))
 """In which turn messages take counts: whether events name them, and which of ``_standing`` they are."""
 _TURNS: Final = len(_ORDER)
 _MAY_WAIT: Final = 2
+_BLIND: Final = 3
 _OVER: Final = 1.02
 _OFTEN: Final = 1
 """A size of rounds that is met more often shows how deep a pipe is."""
@@ -49,8 +50,8 @@ _FULL: Final = 0.3
 
 
 def _standing(fate: Fate) -> tuple[NDArray[np.bool_], ...]:
-    """Return which messages are missing, which are and may be superseded, and which may yet come."""
-    return fate.open & ~fate.newer, fate.open & fate.newer, fate.waits
+    """Return which messages lack, which do and may be superseded, which may yet come, which nobody sees."""
+    return fate.open & ~fate.newer, fate.open & fate.newer, fate.waits, fate.blind
 
 
 @dataclass(slots=True)
@@ -146,6 +147,8 @@ class Pipes:
         delay = max((hop.last_ns for hop in fate.hops), default=0)
         since_ns = self._taken_since(fate, times)
         for place, there in enumerate(_standing(fate)):
+            if place == _BLIND and not named:
+                continue
             rows = np.flatnonzero(there)
             turn = _ORDER.index((named, place))
             first = counts.seconds(np.maximum(times[rows] - LEAD_NS, since_ns))
@@ -185,7 +188,7 @@ class Pipes:
             if share:
                 self.lose(fate.stream, cut, kind, share, group[at], among)
         own.rows = own.rows[number:]
-        fate.open[chosen] = fate.waits[chosen] = False
+        fate.open[chosen] = fate.waits[chosen] = fate.blind[chosen] = False
 
     def lose(
         self,

@@ -214,7 +214,7 @@ def _refused(case: Case, told: set[int]) -> Iterator[tuple[int, BadCommandKind]]
     times = rows.time_ns[commands]
     for record in case.payloads.events:
         said = _REFUSED.search(record.message)
-        if not said:
+        if not said or rows.duplicates[record.row]:
             continue
         low = np.searchsorted(times, record.time_ns - _ANSWERED_NS)
         near = commands[low : np.searchsorted(times, record.time_ns, "right")]
@@ -226,9 +226,10 @@ def _refused(case: Case, told: set[int]) -> Iterator[tuple[int, BadCommandKind]]
                 (rows.msg_id[near] == int(parts["msg_id"], 16))
                 & (rows.function_code[near] == int(parts["of"]))
             ]
-        if len(near) and int(near[-1]) not in told:
-            told.add(int(near[-1]))
-            yield int(near[-1]), code if parts["code"] else length
+        # Of several that are taken in one round each is answered.
+        if left := [row for row in near.tolist() if row not in told]:
+            told.add(left[-1])
+            yield left[-1], code if parts["code"] else length
 
 
 def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:

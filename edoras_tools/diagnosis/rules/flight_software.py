@@ -128,7 +128,7 @@ def not_observable(case: Case) -> Iterator[Verdict]:
         return
     if not case.has_telemetry:
         yield _not_shown(
-            f"what became of {commands + into:,} messages into cFS is not observable from here: no "
+            f"what became of {plural(commands + into, 'message')} into cFS is not observable from here: no "
             "telemetry of that cFS is in the capture",
             (
                 "capture Telemetry Output's link too (UDP port 1235 on the ground's host): 0x803 counts, "
