@@ -18,6 +18,7 @@ from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.mission import load
+from edoras_tools.model import Finding
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import MILLISECOND, SECOND
 
@@ -60,25 +61,27 @@ def test_the_latest_equal_one_that_is_not_later():
     assert fingerprint.latest_equal(into, into_ns, out, out_ns).tolist() == [0, 2, -1, -1]
 
 
-def test_what_is_missing_lies_between_a_row_and_its_next():
-    """Of a stream with a pause, and with a count from before its first row."""
+@pytest.mark.parametrize(("link", "between"), [(TO, 2), (SBN, 0)])
+def test_what_is_missing_lies_between_a_row_and_its_next(link, between):
+    """Of a stream with a pause, with a count from before its first row, and with bytes that TCP delivered."""
     size = 10
     times = np.array([0, 1, 2, 3, 4, 30, 31, 32, 33, 34]) * SECOND
     missing = np.array([3, 0, 2, 0, 0, 19, 0, 0, 0, 0], np.int32)
     zeros = np.zeros(size, np.int32)
     rows = SimpleNamespace(
         time_ns=times,
-        link=np.full(size, TO, np.uint8),
+        link=np.full(size, link, np.uint8),
         msg_id=np.full(size, 0x827, np.int32),
         known_id=np.full(size, 0x827, np.int32),
         route=zeros - 1,
         counted=np.ones(size, bool),
         missing=missing,
+        has=lambda finding: (np.arange(size) == 2) & (finding == Finding.STREAM_GAP),
         **dict.fromkeys(("source", "destination", "processor_id", "spacecraft_id"), zeros),
         **dict.fromkeys(("duplicates", "reordered", "restarts"), zeros + 1),
     )
     (stream,) = find_streams(rows, SimpleNamespace(of_row=zeros, output=lambda source: source))
-    assert stream.missing.tolist() == [0, 2, 0, 0, 19, 0, 0, 0, 0, 0]
+    assert stream.missing.tolist() == [0, between, 0, 0, 19, 0, 0, 0, 0, 0]
     assert np.flatnonzero(stream.pauses).tolist() == [4]
     assert (stream.gaps, stream.duplicates, stream.reordered, stream.restarts) == (24, 10, 10, 9)
 
