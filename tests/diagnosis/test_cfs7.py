@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from places import ROOT
 from rewriting import datagrams, write
@@ -234,6 +235,44 @@ def test_a_command_that_leaves_to_the_robot_and_on_sbn_is_not_put_behind_the_rob
     assert (pipe["in"], pipe["entered"], pipe["elsewhere"]) == (175, 0, 196 - 175)
     (first, *_, last) = chain(examined("processor_reset"), "0x1827")
     assert (first, last) == ("publisher to ground bridge", "application to robot")
+
+
+def examined_from(name, start_s, end_s):
+    """Return what is said of a part of a capture, in seconds from its first datagram."""
+    bench = Settings().workbench()
+    examination = Examination(bench.columns.context)
+    batches = list(open_file(FOLDER / f"{name}.pcap.zst").batches())
+    since = int(batches[0].time_ns[0])
+    for batch in batches:
+        inside = (batch.time_ns >= since + int(start_s * 1e9)) & (batch.time_ns <= since + int(end_s * 1e9))
+        kept = batch.take(np.flatnonzero(inside))
+        examination.add(kept, bench.columns.decode(kept))
+    return examination.diagnose()
+
+
+def test_what_the_first_counter_of_a_part_may_have_counted_is_not_lost_behind_telemetry_output():
+    """All 50 of 0x827 that the whole lost were over its limit; four of the part were counted before it."""
+    part = examined_from("clock_set", 26.32, 32.57)
+    assert not found(part, "lost_after_cfs")
+    lost = Counter()
+    for item in part.verdicts:
+        lost[item.rule] += item.lost or 0
+    assert +lost == {"to_message_limit": 26 + 1, "unexplained_gap": 4}
+
+
+def test_what_a_peer_that_had_been_given_up_lacks_was_not_lost_on_the_network():
+    """The part begins when the peer is silent already, and ends before three of its datagrams are there."""
+    part = examined_from("sbn_peer", 6.36, 24.9)
+    assert not found(part, "lost_after_cfs")
+    (gap,) = found(part, "unexplained_gap")
+    assert any("to tell whether it was connected" in line for line in gap.evidence)
+
+
+def test_a_peer_whose_first_datagram_of_a_part_is_no_greeting_was_there_before():
+    """The bridge of n12 connected at 0.9 s, and has nothing to say for the first four seconds of the part."""
+    part = examined_from("../n12_two_hosts_ground", 8.42, 30.12)
+    assert part.lost == 0
+    assert {item["states"][0]["time_ns"] > part.start_ns for item in part.peers} == {True}
 
 
 def test_what_became_of_bad_datagrams_is_told_by_events_alone():

@@ -137,6 +137,7 @@ class Telemetry:
         self.silent: list[tuple[int, Among]] = []
         self.away: dict[int, int] = {}
         self.silences: dict[int, list[tuple[int, int]]] = {}
+        self._spare: dict[int, int] = {}
         self.losses: list[Loss] = []
         parts: list[Part] = []
         claims: dict[int, list[Claim]] = {}
@@ -156,6 +157,10 @@ class Telemetry:
             again = _left_over(parts, own, beside=others)
             settle(counts[owner], again)
             self._given(parts, again)
+        for part in parts:
+            # Of those that may have been counted before or behind all samples, a count here may be another's.
+            spare = part.outside - part.missing + sum(part.taken.values())
+            self._spare[part.owner] = self._spare.get(part.owner, 0) + max(0, spare)
         for part in parts:
             if part.closed:
                 self._tell_closed(part)
@@ -373,12 +378,21 @@ class Telemetry:
             self.untold[id(part.stream)] = self.untold.get(id(part.stream), 0) + rest
             return
         kind: LossKind = "after" if part.watched else "unknown"
+        if kind == "after" and taken and self._spare[part.owner]:
+            part.evidence.append(
+                "a sample of 0x803 outside the capture may have counted others told as counted"
+            )
+            kind = "unknown"
         handed_on = part.stream.link.only_from_cfs and part.stream.instance != part.owner
         if kind == "after" and self._known.peers_unseen:
             part.evidence.append(
                 "several cFS are here, and what they send each other over SBN is not in the capture: it may "
                 "have been lost there"
             )
+            kind = "unknown"
+        sender, receiver = part.stream.sender, part.stream.receiver
+        if kind == "after" and part.stream.link.peers and not self._known.network.crossing(sender, receiver):
+            part.evidence.append("too little that its peer sent is here to tell whether it was connected")
             kind = "unknown"
         if kind == "after" and handed_on and self._known.upstream(part.stream) is None:
             part.evidence.append(

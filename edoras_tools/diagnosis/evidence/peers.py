@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 ObservedState = Literal["connected", "silent", "timed_out", "disconnected"]
 _LEAST_ROWS: Final = 3
 _ALREADY_NS: Final = SECOND
+_BEGINS: Final = frozenset({sbn.MsgType.SUB, sbn.MsgType.PROTO, sbn.MsgType.ANNOUNCE})
+"""What a peer says first: one whose first datagram here is another was connected before the capture began."""
 _NEVER: Final = np.iinfo(np.int64).max // 2
 _STILL_NS: Final = 3 * SECOND
 """After a time-out, nobody sends to a peer for longer than this."""
@@ -250,7 +252,8 @@ class Network:
                     changes.append(PeerChange(now, "disconnected", "it sent DISCONNECT"))
                 up = False
             elif not up:
-                first = not changes and now - begin_ns < _ALREADY_NS
+                began = kind in _BEGINS
+                first = not changes and now - begin_ns < (_ALREADY_NS if began else timeout)
                 why = ALREADY if first else f"its {_name(kind)} arrived"
                 changes.append(PeerChange(now, "connected", why))
                 up = True
