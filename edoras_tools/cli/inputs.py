@@ -106,43 +106,51 @@ def open_input(
     if read and user:
         raise ConfigError("--user can only be used with live traffic; files are read as the current user")
     if read:
-        from edoras_tools.io.formats.open import is_cfe_file
-        from edoras_tools.pipelines.workbench import open_files
-
-        notes: list[str] = []
-        stored = [path for path in read if is_cfe_file(path)]
-        read = [path for path in read if path not in stored]
-        if not aligned:
-            read += stored  # clocks are aligned to that of the first
-        elif stored:
-            why = "no link carried its packets, so nothing is judged by them; sniff shows them"
-            if not read:
-                raise ConfigError(f"{stored[0]}: {why}")
-            notes = [f"{path}: {why}" for path in stored]
-        try:
-            if (aligned or stored) and len(read) > 1 and "-" not in map(str, read):
-                from edoras_tools.pipelines.clocks import open_aligned
-
-                source, notes = open_aligned(read, settings, progress)
-            else:
-                source = open_files(read)
-        except NoDatagramsError as error:
-            if not messages:
-                raise
-            from edoras_tools.pipelines.messages.opening import open_messages
-
-            return open_messages(read, settings, error)
-        try:
-            bench = settings.workbench(source.info, read)
-        except EdorasError:
-            source.close()
-            raise
-        bench.columns.context.notes += notes
-        return source, bench
+        return _open_files(read, settings, aligned=aligned, messages=messages, progress=progress)
     bench = settings.workbench()
     if user:
         return _as_user(user, given.live._replace(user=None), bench, every_port=every_port, output=output)
     return _opened(given.live, bench, every_port=every_port), bench
+
+
+def _open_files(
+    read: list[Path], settings: Settings, *, aligned: bool, messages: bool, progress: Progress | None
+) -> tuple[Source, Workbench]:
+    """Open files as one source; see ``open_input``."""
+    from edoras_tools.io.formats.open import is_cfe_file
+    from edoras_tools.pipelines.workbench import open_files
+
+    notes: list[str] = []
+    stored = [path for path in read if is_cfe_file(path)]
+    read = [path for path in read if path not in stored]
+    if not aligned:
+        read += stored  # clocks are aligned to that of the first
+    elif stored:
+        why = "no link carried its packets, so nothing is judged by them; sniff shows them"
+        if not read:
+            raise ConfigError(f"{stored[0]}: {why}")
+        notes = [f"{path}: {why}" for path in stored]
+    try:
+        if (aligned or stored) and len(read) > 1 and "-" not in map(str, read):
+            from edoras_tools.pipelines.clocks import open_aligned
+
+            source, told = open_aligned(read, settings, progress)
+            notes += told
+        else:
+            source = open_files(read)
+    except NoDatagramsError as error:
+        if not messages:
+            raise
+        from edoras_tools.pipelines.messages.opening import open_messages
+
+        return open_messages(read, settings, error)
+    try:
+        bench = settings.workbench(source.info, read)
+    except EdorasError:
+        source.close()
+        raise
+    bench.columns.context.notes += notes
+    return source, bench
 
 
 def _as_user(

@@ -101,6 +101,12 @@ def test_the_doctor_judges_no_file(call):
     assert told == {name: value for name, value in plain.items() if name != "warnings"}
 
 
+def test_the_doctor_says_of_several_captures_too_that_it_judges_no_file(call):
+    told = call("doctor", RUN, RUN, STORED, "--json")
+    warnings = json.loads(told.out)["warnings"]
+    assert sum("no link carried its packets" in item for item in warnings) == 1
+
+
 def test_events_of_a_log_are_exported(call, tmp_path):
     path = tmp_path / "events.jsonl"
     assert call("export", EVENTS, "--topic", "/edoras/events", "-o", path).code == 0
