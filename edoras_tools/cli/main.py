@@ -113,6 +113,7 @@ class Command(typer.core.TyperCommand):
             option = str(getattr(getattr(error, "param", None), "name", ""))
             if file is not None and option in (ctx.default_map or ()) and not _is_given(ctx, option):
                 error.message = f"{file.path}: {error.message}"
+            error.ctx = error.ctx or ctx  # of an option without its argument, click does not tell it
             raise
         verbose = ctx.params.get("verbose", False)
         if not self._own_verbose:

@@ -184,7 +184,7 @@ USAGE = [
     ("frobnicate", 2, "No such command 'frobnicate'; see edoras -h"),
     ("recrod", 2, "? See edoras -h"),
     ("sniff --frobnicate", 2, "No such option: --frobnicate"),
-    ("sniff -r", 2, "Option '-r' requires an argument"),
+    ("sniff -r", 2, "Option '-r' requires an argument; see edoras sniff -h"),
     ("sniff", 2, "name one input: FILE..., -i IFACE, or --listen PORT"),
     ("record", 2, "name one input"),
     ("sniff -r ok.pcap -i lo", 2, "name one input"),

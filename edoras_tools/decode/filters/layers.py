@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
+    from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.wire.layout import Layout, Slot
     from edoras_tools.wire.msg_id import MsgIds
 
@@ -46,8 +47,27 @@ _FOUND_BY: Final = {"command": "function_code", "telemetry": "mission_time_ns"}
 def layer_fields(context: Context) -> Iterator[FilterField]:
     """Yield every header and every field of it that the tree can show."""
     for link in context.links:
-        for layout in link.layouts:
-            yield from _header(layout, partial(link.places, layout), by_field=True, many=link.samples)
+        yield from _of_link(link.places, link)
+    yield from _of_packets()
+    yield from _others(context.msg_ids)
+
+
+@cache
+def _of_link(_key: object, link: LinkProtocol) -> list[FilterField]:
+    """Return the fields of a link's own headers; the key tells links apart that are equal as numbers."""
+    return [
+        field
+        for layout in link.layouts
+        for field in _header(layout, partial(link.places, layout), by_field=True, many=link.samples)
+    ]
+
+
+@cache
+def _of_packets() -> list[FilterField]:
+    return [*_packet_headers()]
+
+
+def _packet_headers() -> Iterator[FilterField]:
     yield from _header(ccsds.PRIMARY, _primary)
     yield from _header(cfe.EXTENDED, _extended)
     # Of each header the build with the most fields; the actual build is known when packets are read.
@@ -61,7 +81,6 @@ def layer_fields(context: Context) -> Iterator[FilterField]:
     yield from map(_of_any_format, _header(DEFAULT.layout, None))
     yield from _header(ENCAPSULATION, _encapsulation)
     yield from sample_fields()
-    yield from _others(context.msg_ids)
 
 
 def _others(msg_ids: MsgIds) -> Iterator[FilterField]:
