@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.export.sources import TopicSource
     from edoras_tools.render.terminal.run import Progress
 
-_TASKS: Final = 32
-"""Pieces of tables that wait to be written, those of about two batches: limits memory."""
+_TASKS: Final = 96
+"""Pieces of tables that wait to be written, those of about six batches: limits memory. With fewer, who reads
+waits for a slow write, and gives other processes nothing to do."""
 _OWN = JUDGED | {item.name for item in (*OWN_TOPICS, FAULTS)}
 
 
