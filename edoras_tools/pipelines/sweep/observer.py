@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.pipelines.workbench import Workbench
 
+_LOSSES: Final = slice(12, 16)
+"""Where the payload of 0x803 has both loss counters: ``cfe.SOFTWARE_BUS_HOUSEKEEPING``."""
 _COUNTERS: Final = (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, command_ingest.HOUSEKEEPING_MSG_ID)
 _BEFORE_NS: Final = 2500 * MILLISECOND
 """Housekeeping of this time before a step is kept if steps follow each other without a pause."""
@@ -50,7 +52,7 @@ class Mark:
         arrived: messages of the route that came from cFS.
         whole: those of them that were as expected.
         reports: 0x803 packets so far.
-        counters: contents of the last 0x803 and 0x884, if they have come.
+        counters: the loss counters of the last 0x803 and the contents of the last 0x884, if they have come.
         differs_at: first byte at which a message differed from the expected one; None if none differed.
     """
 
@@ -103,8 +105,11 @@ class Observer:
         self._datagrams.append((msg_id, item))
         if known in _COUNTERS:
             self._latest[msg_id] = item
-            self._counters[msg_id] = packet[cfe.TELEMETRY_HEADER_BYTES :]
-            self._reports += known == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
+            of_bus = known == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
+            # What else 0x803 has changes all the time: messages that nobody takes, memory in use.
+            payload = packet[cfe.TELEMETRY_HEADER_BYTES :]
+            self._counters[msg_id] = payload[_LOSSES] if of_bus else payload
+            self._reports += of_bus
         if msg_id == self._route.msg_id:
             self._compare(packet)
 

@@ -25,6 +25,7 @@ from edoras_tools.pipelines.sending.options import SendOptions
 from edoras_tools.pipelines.sweep import plan as sweep_plan
 from edoras_tools.pipelines.sweep import run as sweep_run
 from edoras_tools.pipelines.sweep import simulated as sweep_simulated
+from edoras_tools.pipelines.sweep.observer import Observer
 from edoras_tools.pipelines.sweep.plan import (
     SweepPlan,
     command_receiver,
@@ -421,3 +422,19 @@ def test_ci_cuts_at_the_same_size_behind_extended_headers():
     settings = Settings([MISSIONS / "rover_ground.yaml"], options=Options(extended_header=True))
     summary = run(settings.workbench(), "/cmd_vel", "rover", rates=(2, 2), sizes=(84, 900), **EXTENDED)
     assert (summary["threshold_bytes"], summary["limiting_hop"]) == (768, "CI_LAB_APP")
+
+
+def test_messages_that_nobody_takes_and_memory_in_use_do_not_keep_a_step_from_ending(bench):
+    made = bench(*ROVER)
+    observer = Observer(made, made.mission.find("/cmd_vel"))
+
+    def counters(**more):
+        values = dict.fromkeys(cfe.SOFTWARE_BUS_HOUSEKEEPING.by_name, 0) | more
+        payload = cfe.SOFTWARE_BUS_HOUSEKEEPING.emit(values)
+        observer.received(TO, cfe.emit_telemetry(cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, payload), 0)
+        return observer.mark().counters
+
+    still = counters()
+    assert counters(no_subscribers_counter=9, memory_in_use=3000) == still
+    for name in ("pipe_overflow_error_counter", "message_limit_error_counter"):
+        assert counters(**{name: 1}) != still
