@@ -79,7 +79,7 @@ class TableWriter(Protocol):
 
     @staticmethod
     def piece(columns: Sequence[TableColumn]) -> Any:
-        """Return some rows as ``write`` takes them; this can be done in any process."""
+        """Return some rows as ``write`` takes them; in any process, and perhaps long before."""
 
     def write(self, piece: Any) -> None:
         """Write some rows; what they were made from may change afterwards."""

@@ -16,6 +16,7 @@ from edoras_tools.io.formats.columns import TableFile
 from edoras_tools.io.workers import Workers
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.export import run
 from edoras_tools.pipelines.export.run import ExportTarget, export
 from edoras_tools.pipelines.export.sources import CaptureTopics, open_topics
 from edoras_tools.pipelines.export.tables import TableForm
@@ -80,6 +81,23 @@ def test_tables_are_the_same_with_any_number_of_processes(case, tmp_path, submit
     one, *others = (exported(tmp_path, jobs, *input_of(name), layout, **how) for jobs in (1, 2, 3))
     assert all(other == one for other in others)
     assert sum(rows for _, rows, _ in one[1]) > 60
+    assert len(submitted) > 2
+
+
+@pytest.mark.parametrize("layout", ["csv", "jsonl", "parquet", "arrow"])
+def test_so_they_are_if_everything_is_written_late(layout, tmp_path, submitted, monkeypatch):
+    one, late = exported(tmp_path, 1, ROVER, settings("a_rover"), layout), []
+    wait = run._Writing.wait
+
+    def waited(self):
+        while late:
+            work, given = late.pop(0)
+            work(*given)
+        wait(self)
+
+    monkeypatch.setattr(run._Writing, "do", lambda _, work, *given: late.append((work, given)))
+    monkeypatch.setattr(run._Writing, "wait", waited)
+    assert exported(tmp_path, 2, ROVER, settings("a_rover"), layout) == one
     assert len(submitted) > 2
 
 

@@ -5,14 +5,10 @@ from __future__ import annotations
 import re
 from typing import IO, TYPE_CHECKING, Final
 
-import numpy as np
-
-from edoras_tools.io.formats.jsonl.writer import json_texts, number_texts, time_texts
+from edoras_tools.io.formats.jsonl.writer import TextRows, json_texts, number_texts, time_texts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-
-    from numpy.typing import NDArray
 
     from edoras_tools.io.formats.columns import TableColumn, TableHead
 
@@ -27,21 +23,21 @@ class CsvWriter:
         self.write(_lines([_quoted([column.name for column in columns])]))
 
     @staticmethod
-    def piece(columns: Sequence[TableColumn]) -> NDArray[np.uint8]:
+    def piece(columns: Sequence[TableColumn]) -> TextRows:
         """Return some rows as text."""
         return _lines(zip(*map(_cells, columns), strict=True))
 
-    def write(self, piece: NDArray[np.uint8]) -> None:
+    def write(self, piece: TextRows) -> None:
         """Write some rows."""
-        self._file.write(piece.data)
+        self._file.write(piece)
 
     def close(self) -> None:
         """Do nothing: every row is written."""
 
 
-def _lines(rows: Iterable[Sequence[str]]) -> NDArray[np.uint8]:
+def _lines(rows: Iterable[Sequence[str]]) -> TextRows:
     # Cells are quoted already, a column at a time: Python's csv module takes five times as long.
-    return np.frombuffer("".join(f"{','.join(row)}\n" for row in rows).encode(), np.uint8)
+    return TextRows("".join(f"{','.join(row)}\n" for row in rows).encode())
 
 
 def _cells(column: TableColumn) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from itertools import pairwise
 from json import dumps
 from math import isfinite
@@ -21,6 +22,14 @@ NOT_FINITE: Final = {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}
 """The texts in JSON of the numbers that it does not know, by Python's."""
 _OCTETS: Final = [str(value) for value in (*range(256), *range(-128, 0))]
 """The texts of ``uint8`` and ``int8`` by value: an index below zero counts from the end."""
+
+
+class TextRows(bytes):
+    """Rows as text; between processes they go through shared memory, and are copied where they arrive."""
+
+    def __reduce_ex__(self, _: Any) -> tuple[Any, ...]:
+        """Return what the rows are made again from."""
+        return TextRows, (pickle.PickleBuffer(self),)
 
 
 def json_texts(column: TableColumn) -> list[str]:
@@ -92,16 +101,16 @@ class JsonLinesWriter:
         self._file = file
 
     @staticmethod
-    def piece(columns: Sequence[TableColumn]) -> NDArray[np.uint8]:
+    def piece(columns: Sequence[TableColumn]) -> TextRows:
         """Return some rows as text."""
         names = [dumps(column.name, ensure_ascii=False).replace("%", "%%") for column in columns]
         line = "{" + ", ".join(f"{name}: %s" for name in names) + "}\n"
         rows = zip(*map(json_texts, columns), strict=True)
-        return np.frombuffer("".join(map(line.__mod__, rows)).encode(), np.uint8)
+        return TextRows("".join(map(line.__mod__, rows)).encode())
 
-    def write(self, piece: NDArray[np.uint8]) -> None:
+    def write(self, piece: TextRows) -> None:
         """Write some rows."""
-        self._file.write(piece.data)
+        self._file.write(piece)
 
     def close(self) -> None:
         """Do nothing: every row is written."""
