@@ -229,7 +229,7 @@ def test_before_telemetry_is_enabled_nothing_can_answer(call, flight_side):
 def test_one_command_leaves_at_once_and_says_if_its_reading_is_not_known(call, flight_side):
     profile = flight_side("rover").cfs.profile
     reach = ("--target", f"{HOST}:{profile.ci_port}", "--listen", f"{HOST}:{profile.to_port}", "--json")
-    call("inject", "to-enable", *reach)
+    call("inject", "noop", "es", *reach, "--wait-for", "to-enabled")
     done = call("inject", "noop", "ci", *reach).json()  # a report may come before CI reads it, or after
     said = ["whether Command Ingest read it is not known; --max-loss 0 waits for its count before and after"]
     assert (done["ingest"]["state"], done["notes"]) in [("unknown", said), ("all", [])]
