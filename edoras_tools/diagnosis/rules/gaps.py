@@ -16,7 +16,6 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.robot import ROBOT
-from edoras_tools.links.to import TO
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -123,7 +122,9 @@ def _before_enabled(case: Case, fate: Fate, missing: NDArray[np.int64]) -> int:
     for out in {hop.out.instance for hop in fate.hops if hop.out.link.only_from_cfs} - {NOBODY}:
         boot_ns = case.instances.items[out].offset_ns + case.profile.boot_time_s * SECOND
         first_ns = min(
-            int(times[item.rows[0]]) for item in case.streams if item.link is TO and item.instance == out
+            int(times[item.rows[0]])
+            for item in case.streams
+            if item.link.only_from_cfs and item.instance == out
         )
         if any(first_ns - SECOND <= when <= first_ns for when in enabled):
             found |= (missing > boot_ns) & (missing < first_ns)
