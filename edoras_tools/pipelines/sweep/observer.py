@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.pipelines.workbench import Workbench
 
-_LOSSES: Final = slice(12, 16)
-"""Where the payload of 0x803 has both loss counters: ``cfe.SOFTWARE_BUS_HOUSEKEEPING``."""
+_SLOTS: Final = cfe.SOFTWARE_BUS_HOUSEKEEPING.by_name
+_LOSSES: Final = slice(_SLOTS["pipe_overflow_error_counter"].start, _SLOTS["message_limit_error_counter"].end)
+"""Where the payload of 0x803 has both loss counters."""
 _COUNTERS: Final = (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, command_ingest.HOUSEKEEPING_MSG_ID)
 _BEFORE_NS: Final = 2500 * MILLISECOND
 """Housekeeping of this time before a step is kept if steps follow each other without a pause."""
