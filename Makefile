@@ -1,6 +1,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# What a user installs; the lock is of all that tests need, too.
+DEMO := $(if $(LOCKED),$(VENV),.venv-demo)
 FUZZ_SECONDS ?= 60
 SOAK_SECONDS ?= 600
 SOAK_RATE ?= 1000
@@ -17,20 +19,21 @@ help:  ## Show what there is to make.
 
 venv: $(VENV)/.installed  ## Set up .venv with everything but the judges.
 
-$(VENV)/.installed: pyproject.toml
+$(VENV)/.installed: EXTRAS := [dev]
+$(sort $(VENV)/.installed $(DEMO)/.installed): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit("edoras-tools needs Python 3.10 or newer, this is " + sys.version.split()[0] + "; try: make PYTHON=python3.12" if sys.version_info < (3, 10) else 0)'
-	@$(PYTHON) -m venv $(VENV) || { echo "python3-venv is missing; on Debian: apt install python3-venv" >&2; exit 1; }
+	@$(PYTHON) -m venv $(@D) || { echo "python3-venv is missing; on Debian: apt install python3-venv" >&2; exit 1; }
 ifdef LOCKED
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(@D)/bin/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(@D)/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 else
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
+	$(@D)/bin/pip install --quiet --disable-pip-version-check -e '.$(EXTRAS)'
 endif
-	$(BIN)/python -m compileall -q edoras_tools dissectors
+	$(@D)/bin/python -m compileall -q edoras_tools dissectors
 	@touch $@
 
-demo: venv  ## Tour the main job on loopback.
-	@$(BIN)/edoras demo
+demo: $(DEMO)/.installed  ## Tour the main job on loopback, in a small environment of its own.
+	@$(DEMO)/bin/edoras demo
 
 judges:  ## Install tshark, Chromium and a C compiler, the tests' judges, where they are missing.
 	@.ci/install-judges
@@ -99,4 +102,4 @@ dist: venv  ## Build what is published, in dist/, for REPOSITORY=https://host/ow
 	$(BIN)/python .ci/make_dist.py "$(REPOSITORY)" dist
 
 clean:  ## Remove what make made.
-	rm -rf $(VENV) .ros .fprime .npm .yamcs .cosmos build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache benchmarks/out
+	rm -rf $(VENV) .venv-demo .ros .fprime .npm .yamcs .cosmos build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache benchmarks/out

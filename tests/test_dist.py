@@ -118,3 +118,16 @@ def test_links(text, wanted, tmp_path):
     assert absolute(text, REPOSITORY, tmp_path) == wanted
     with pytest.raises(SystemExit, match=r"README\.md: y\.md is not there"):
         absolute(f"{text} [a](y.md)", REPOSITORY, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("target", "folder", "package"), [("demo", ".venv-demo", "."), ("venv", ".venv", ".[dev]")]
+)
+def test_the_demo_installs_no_more_than_a_user(target, folder, package, tmp_path):
+    """Each has an environment of its own, and the one of the demo has no extras."""
+    for name in ("Makefile", "pyproject.toml"):
+        (tmp_path / name).write_bytes((ROOT / name).read_bytes())
+    done = subprocess.run(["make", "-n", target], cwd=tmp_path, capture_output=True, text=True, check=True)
+    (install,) = (line for line in done.stdout.splitlines() if "pip install" in line)
+    assert install.split()[0] == f"{folder}/bin/pip"
+    assert install.endswith(f"-e '{package}'")
