@@ -14,6 +14,9 @@ from types import SimpleNamespace
 import pytest
 from markdown_it import MarkdownIt
 from places import ROOT
+from toml_files import TOML
+
+from edoras_tools import __version__
 
 SCRIPT = ROOT / ".ci/make_dist.py"
 REPOSITORY = "https://example.org/owner/edoras-tools"
@@ -36,7 +39,7 @@ def made(tmp_path_factory):
         (metadata,) = (name for name in built.namelist() if name.endswith(".dist-info/METADATA"))
         information = packed.extractfile(f"{packed.getnames()[0]}/PKG-INFO")
         return SimpleNamespace(
-            files=set(built.namelist()),
+            files={name: built.read(name) for name in built.namelist()},
             packed={name.partition("/")[2] for name in packed.getnames()},
             wheel=email.message_from_bytes(built.read(metadata)),
             sdist=email.message_from_bytes(information.read()),
@@ -71,6 +74,38 @@ def test_the_project_s_addresses(made, kind):
         assert (ROOT / urls[name].removeprefix(f"{REPOSITORY}/blob/HEAD/")).is_file()
 
 
+@pytest.mark.parametrize("kind", ["wheel", "sdist"])
+def test_the_licences_and_the_authors(made, kind):
+    metadata, project = getattr(made, kind), TOML.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert metadata["License-Expression"] == "MIT AND GPL-2.0-only"
+    assert "License" not in metadata
+    names = {f"LICENSES/{name}.txt" for name in metadata["License-Expression"].split(" AND ")}
+    assert {*metadata.get_all("License-File")} == names
+    texts = {name: (ROOT / name).read_text() for name in names}
+    assert texts["LICENSES/MIT.txt"].startswith("MIT License")
+    assert (
+        "GNU GENERAL PUBLIC LICENSE\n                       Version 2" in texts["LICENSES/GPL-2.0-only.txt"]
+    )
+    assert f"(c) 2026 {metadata['Author']}\n" in texts["LICENSES/MIT.txt"]
+    assert metadata["Version"] == project["version"] == __version__
+    if kind == "sdist":
+        assert {"LICENSE", *names} <= made.packed
+        return
+    (folder,) = {name.partition("/")[0] for name in made.files if ".dist-info/" in name}
+    assert {name: made.files[f"{folder}/licenses/{name}"].decode() for name in names} == texts
+
+
+def test_the_files_under_the_gpl_are_those_that_import_scapy(made):
+    gpl = {name for name, text in made.files.items() if b"\n# SPDX-License-Identifier: GPL" in b"\n" + text}
+    scapy = {
+        name
+        for name, text in made.files.items()
+        if re.search(rb"^\s*(import|from) scapy\b", text, re.MULTILINE)
+    }
+    assert gpl == scapy
+    assert len(gpl) == 3
+
+
 def test_the_sdist_has_the_changelog_and_no_part_of_the_tests(made):
     assert "CHANGELOG.md" in made.packed
     assert [name for name in made.packed if name.startswith("tests/")] == []
@@ -87,7 +122,7 @@ def test_the_wheel_that_is_built_from_the_sdist_has_all_files(made):
         if name.startswith(here)
     }
     assert len(wanted) > 700
-    assert wanted - made.files == set()
+    assert wanted - made.files.keys() == set()
 
 
 @pytest.mark.parametrize("repository", ["", "edoras-tools", "http://example.org/a/b", "https://example.org/"])
