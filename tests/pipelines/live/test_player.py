@@ -311,7 +311,7 @@ def test_times_that_step_back_are_played_in_the_order_they_were_captured(tmp_pat
 
 NPM = ROOT / ".npm"
 ABSENT = NPM / "absent"
-WHY = ABSENT.read_text().strip() if ABSENT.exists() else "Foxglove's client is not installed: make foxglove"
+WHY = ABSENT.read_text().strip() if ABSENT.exists() else "Foxglove's client is not installed: make npm"
 
 
 @pytest.mark.skipif(not (NPM / ".installed").exists(), reason=WHY)

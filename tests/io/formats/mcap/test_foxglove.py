@@ -16,9 +16,7 @@ from edoras_tools.pipelines.workbench import Settings, open_files
 
 NPM = ROOT / ".npm"
 ABSENT = NPM / "absent"
-WHY = (
-    ABSENT.read_text().strip() if ABSENT.exists() else "Foxglove's libraries are not installed: make foxglove"
-)
+WHY = ABSENT.read_text().strip() if ABSENT.exists() else "Foxglove's libraries are not installed: make npm"
 
 
 def plain(value):
