@@ -42,7 +42,7 @@ def order() -> list[str]:
     settings = toml.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = settings["tool"]["importlinter"]["contracts"]
     rows = next(item["layers"] for item in contracts if item["type"] == "layers")
-    return [name.strip().removeprefix(f"{PACKAGE}.") for row in rows for name in row.split("|")]
+    return [name.strip(" ()").removeprefix(f"{PACKAGE}.") for row in rows for name in row.split("|")]
 
 
 def imports() -> dict[str, set[str]]:

@@ -6,17 +6,23 @@ import ast
 import importlib.util
 import subprocess
 import sys
+from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
 import pytest
-from toml_files import TOML
+from packaged import installed_packages
+from places import ROOT
 
-ROOT = Path(__file__).parents[1]
 PACKAGES = ("edoras_tools", "dissectors", "samples")
 SCAPY_ROOMS = ("dissectors/", "edoras_tools/io/capture/scapy_backend.py")
 """scapy is GPL-2.0-only, the project MIT."""
+COMMAND_LINES = ("cli/*", "addons/*/cli.py", "addons/*/cli/*")
 PUT_OFF = {
+    "doors.py": (
+        "edoras_tools.addons importlib.metadata",
+        "the table, when an add-on is asked for; 11 ms, and only where a package adds something",
+    ),
     "io/capture/interfaces.py": ("fcntl", "not there on Windows"),
     "io/formats/watched.py": ("concurrent.futures", "4 ms, and only to sync files"),
     "io/outputs.py": ("fcntl", "not there on Windows"),
@@ -46,7 +52,6 @@ PUT_OFF = {
         "edoras_tools.links.rtps edoras_tools.wire.rtps",
         "5 ms, and only where there is RTPS",
     ),
-    "links/table.py": ("importlib.metadata", "11 ms, and only where a package adds a link"),
     "middleware/dds/joining.py": (
         "edoras_tools.middleware.dds",
         "cyclonedds, an extra: what it says first is told",
@@ -80,7 +85,7 @@ PUT_OFF = {
     "structs/table.py": ("edoras_tools.structs", "20 ms, when the first packet that holds a struct is shown"),
     "wire/arrays/crc.py": ("isal zlib", "1 ms, and only where a CRC-32 is made"),
 }
-"""Modules outside ``cli/`` that import inside functions: what, and why. ``cli`` has the rule."""
+"""Modules outside ``COMMAND_LINES`` that import inside functions: what, and why. ``cli`` has the rule."""
 HEAVY = {"numpy", "scapy", "mcap", "rosbags", "ruamel", "yaml", "zstandard", "lz4"}
 
 
@@ -190,10 +195,15 @@ def inside_functions(tree):
 
 
 def test_imports_inside_functions_are_those_that_are_named():
-    found = {
-        name.removeprefix("edoras_tools/"): inside_functions(tree)
+    ours = {
+        name.removeprefix("edoras_tools/"): tree
         for name, tree in modules().items()
-        if name.startswith("edoras_tools/") and not name.startswith("edoras_tools/cli/")
+        if name.startswith("edoras_tools/")
+    }
+    found = {
+        name: inside_functions(tree)
+        for name, tree in ours.items()
+        if not any(fnmatchcase(name, pattern) for pattern in COMMAND_LINES)
     }
     assert {name for name, names in found.items() if names} == set(PUT_OFF)
     for name, (libraries, _) in PUT_OFF.items():
@@ -202,9 +212,35 @@ def test_imports_inside_functions_are_those_that_are_named():
 
 
 def test_every_package_is_installed():
-    settings = TOML.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
     there = {file.parent.relative_to(ROOT) for file in (ROOT / "edoras_tools").rglob("*.py")}
-    assert {".".join(folder.parts) for folder in there} <= {*settings["packages"]}
+    assert {".".join(folder.parts) for folder in there} <= {*installed_packages().names}
+
+
+def names_in(tree):
+    """What a syntax tree imports, and its texts, among which may be names of modules."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+def test_nothing_but_the_door_imports_an_add_on():
+    outside = {name: tree for name, tree in modules().items() if not name.startswith("edoras_tools/addons/")}
+    assert len(outside) > 500
+    through = {
+        name
+        for name, tree in outside.items()
+        if any(f"{item}.".startswith("edoras_tools.addons.") for item in names_in(tree))
+    }
+    assert through == {"edoras_tools/doors.py"}
+
+
+def test_the_table_of_add_ons_imports_none():
+    (table,) = (tree for name, tree in modules().items() if name == "edoras_tools/addons/__init__.py")
+    assert not [item for item in names_in(table) if f"{item}.".startswith("edoras_tools.")]
 
 
 def test_what_benchmarks_import_is_there():

@@ -35,7 +35,7 @@ SAME = (
 FACTS = ("cfs/*", "emulator/apps/generator.py")
 """Facts of one application each, and read through its module: ``command_ingest.PIPE``, ``sbn.PIPE``."""
 
-COMMANDS = "cli/*"
+COMMANDS = ("cli/*", "addons/*/cli.py", "addons/*/cli/*")
 """The command line names commands, options and their readers after what they are about; nothing else of the
 package imports it."""
 
@@ -68,7 +68,7 @@ def homes():
 
 def allowed(name, module):
     """The patterns that let a name stand in a module."""
-    if fnmatchcase(module, COMMANDS):
+    if any(fnmatchcase(module, item) for item in COMMANDS):
         return True
     return any(
         name == item and any(fnmatchcase(module, pattern) for pattern in where.split())

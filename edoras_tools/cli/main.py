@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 import typer
 import typer.core
 
-from edoras_tools import __version__
+from edoras_tools import __version__, doors
 from edoras_tools.cli import settings
 from edoras_tools.cli.endings import INTERRUPTED, tell
 from edoras_tools.cli.options import VERBOSE
 from edoras_tools.cli.usage import command_help
-from edoras_tools.errors import EdorasError
+from edoras_tools.errors import ConfigError, EdorasError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,7 +37,7 @@ _NO_MEMORY: Final = (
 )
 """Texts of errors other than ``MemoryError`` that mean that memory is exhausted."""
 
-GROUPS: Final = {
+_OF_THE_CORE: Final = {
     "Look": ("sniff", "info", "decode", "live", "plot", "host"),
     "Record": ("record", "recover", "export", "files", "archive"),
     "Explain": ("doctor", "report", "compare", "check"),
@@ -45,7 +45,23 @@ GROUPS: Final = {
     "Connect": ("bridge", "mission", "codegen", "structs", "wireshark", "xtce"),
     "Try": ("demo", "sim", "samples", "help"),
 }
-"""The commands of each group; each is a function, or a group of commands, in a module of the same name."""
+"""Each is a function, or a group of commands, in a module of the same name."""
+_INSTALLED: Final = "Installed"
+"""Heading of the commands that other packages add."""
+
+
+def _groups() -> dict[str, list[str]]:
+    """Return the commands that ship, by group."""
+    groups = {name: list(commands) for name, commands in _OF_THE_CORE.items()}
+    for row in doors.table():
+        for name, command in row.commands.items():
+            names = groups[command.group]
+            names.insert(names.index(command.before) if command.before else len(names), name)
+    return groups
+
+
+GROUPS: Final = _groups()
+"""The commands of each group: those of the core, and those of add-ons, also of absent ones."""
 COMMANDS: Final = {name: group for group, names in GROUPS.items() for name in names}
 """The group of each command."""
 
@@ -126,6 +142,14 @@ class Command(typer.core.TyperCommand):
 def _colour_option() -> Any:
     told = "Use colours and styles: auto, always or never."
     return _eager("--color", told, _set_colour, metavar="WHEN", rich_help_panel="Printing")
+
+
+class _Absent(Command):
+    """A command that this installation does not have: it ends with an error, whatever follows its name."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse nothing but a wish for help."""
+        return super().parse_args(ctx, [item for item in args if item in {"-h", "--help"}])
 
 
 class Program(Command):
@@ -221,18 +245,46 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
         epilog="Start with: edoras demo. All options of a command: edoras help COMMAND",
     )
     made.callback()(lambda: None)
-    for name in names or COMMANDS:
-        command = _command(name)
+    for name in names or [*COMMANDS, *(item.name for item in doors.installed("commands"))]:
+        command, heading = _command(name), COMMANDS.get(name, _INSTALLED)
         if isinstance(command, typer.Typer):
-            made.add_typer(command, rich_help_panel=COMMANDS[name])
+            made.add_typer(command, name=name, rich_help_panel=heading)
+        elif isinstance(command, ConfigError):
+            absent = _absent(name, command)
+            made.command(name, cls=_Absent, rich_help_panel=heading)(absent)
         else:
-            made.command(name, cls=Command, rich_help_panel=COMMANDS[name])(command)
+            made.command(name, cls=Command, rich_help_panel=heading)(command)
     return made
 
 
+def is_command(word: str) -> bool:
+    """Tell whether a word is a command; packages are asked only for what does not ship."""
+    return word in COMMANDS or (word[:1].isalpha() and doors.find("commands", word) is not None)
+
+
 def _command(name: str) -> Any:
-    module = import_module(f"edoras_tools.cli.{name}")
-    return getattr(module, name, None) or getattr(module, f"{name}_")  # `help` is a word of Python
+    """Return a command, or the error that it is absent or cannot be loaded."""
+    item = doors.shipped("commands").get(name)
+    if item is None and name in COMMANDS:
+        module = import_module(f"edoras_tools.cli.{name}")
+        return getattr(module, name, None) or getattr(module, f"{name}_")  # `help` is a word of Python
+    item = item or doors.find("commands", name)
+    assert item is not None
+    try:
+        return item.load()
+    except ConfigError as error:
+        return error
+
+
+def _absent(name: str, error: ConfigError) -> Callable[[], None]:
+    """Return a function that raises an error when its command runs; its help text says so too."""
+
+    def absent() -> None:
+        raise error
+
+    texts = {name: command.help for row in doors.table() for name, command in row.commands.items()}
+    absent.__doc__ = f"{texts.get(name, 'Cannot be loaded').removesuffix('.')} (not in this installation)."
+    return absent
 
 
 def alone(name: str) -> typer.Typer:

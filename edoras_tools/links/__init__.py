@@ -22,5 +22,3 @@ ROWS: Final = {
     "racs2": "edoras_tools.links.racs2:RACS2",
 }
 """The built-in links and where each object is; other packages add theirs by entry points."""
-ENTRY_POINT_GROUP: Final = "edoras.links"
-"""The entry point group: each entry has the name of its link's label and refers to the link's object."""

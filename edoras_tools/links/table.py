@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import re
-import sys
 from functools import cache
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools import doors
 from edoras_tools.errors import ConfigError
-from edoras_tools.links import ENTRY_POINT_GROUP, ROWS
+from edoras_tools.links import ROWS
 from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.model import OTHER, Columns, Link
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-    from importlib.metadata import EntryPoint
 
     from numpy.typing import NDArray
 
+    from edoras_tools.doors import Addition
     from edoras_tools.links.framing import Framing
 
 _LABEL: Final = re.compile(r"[a-z][a-z0-9_]{0,15}")
@@ -40,63 +39,28 @@ def links() -> tuple[LinkProtocol, ...]:
     for label, place in ROWS.items():
         module, _, name = place.partition(":")
         found[label] = getattr(import_module(module), name)
-    for entry in _entries():
-        try:
-            loaded = entry.load()
-        except Exception as error:  # an import of another package may raise anything
-            raise ConfigError(_installed(entry, f"cannot be loaded: {error}")) from error
-        found[entry.name] = _checked(entry, loaded, found)
+    for item in doors.installed("links"):
+        found[item.name] = _checked(item, item.load(), found)
     return tuple(found.values())
 
 
-def _entries() -> list[EntryPoint]:
-    """Return the entry points of installed links, by name."""
-    if not any(map(_may_name_links, sys.path)):
-        return []
-    from importlib.metadata import entry_points  # 30 ms, most of it to import the email parser
-
-    return sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda item: item.name)
-
-
-def _may_name_links(path: str) -> bool:
-    """Tell whether a package in a folder may add links; a file, such as a zip, may."""
-    folder = Path(path)
-    if not folder.is_dir():
-        return folder.exists()
-    try:
-        return any(
-            ENTRY_POINT_GROUP.encode() in file.read_bytes() for file in folder.glob("*-info/entry_points.txt")
-        )
-    except OSError:
-        return True
-
-
-def _checked(entry: Any, link: Any, known: dict[str, LinkProtocol]) -> LinkProtocol:
+def _checked(item: Addition, link: Any, known: dict[str, LinkProtocol]) -> LinkProtocol:
     """Return an installed link, checked against the rules of the table.
 
     Raises:
         ConfigError: it does not.
     """
     if not isinstance(link, LinkProtocol):
-        raise ConfigError(
-            _installed(entry, f"{entry.value} is not an object of a class made from LinkProtocol")
-        )
-    if link.label != entry.name or not _LABEL.fullmatch(link.label):
+        raise item.error(f"{item.place} is not an object of a class made from LinkProtocol")
+    if link.label != item.name or not _LABEL.fullmatch(link.label):
         form = "a small letter, then at most 15 small letters, digits or _"
-        raise ConfigError(
-            _installed(entry, f"its label is {link.label!r}; it must be its entry's name, {form}")
-        )
+        raise item.error(f"its label is {link.label!r}; it must be its entry's name, {form}")
     if link.label in known or link.label == OTHER.label:
-        raise ConfigError(_installed(entry, "another link has this label; uninstall one of them"))
+        raise item.error("another link has this label; uninstall one of them")
     if not 0 < link.code < _CODES or link.code in known.values():
         free = "choose one from 64 to 255 that is free"
-        raise ConfigError(_installed(entry, f"its code {link.code} is taken or is not a byte; {free}"))
+        raise item.error(f"its code {link.code} is taken or is not a byte; {free}")
     return link
-
-
-def _installed(entry: Any, why: str) -> str:
-    package = entry.dist.name if entry.dist else entry.value
-    return f"link {entry.name!r} of the installed package {package}: {why}"
 
 
 @cache

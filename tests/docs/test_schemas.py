@@ -2,6 +2,7 @@
 
 import json
 
+from packaged import installed_packages
 from places import ROOT
 from toml_files import TOML
 
@@ -18,8 +19,10 @@ def test_each_is_read_and_versioned():
 
 
 def test_the_wheel_takes_them():
-    tool = TOML.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
-    assert "edoras_tools.schemas" in tool["packages"]
-    assert ROOT / tool["package-dir"]["edoras_tools.schemas"] == FOLDER
-    patterns = tool["package-data"]["edoras_tools.schemas"]
-    assert {path for item in patterns for path in FOLDER.glob(item)} == set(FOLDER.iterdir())
+    packages = installed_packages()
+    assert "edoras_tools.schemas" in packages.names
+    assert ROOT / packages.folders["edoras_tools.schemas"] == FOLDER
+    patterns = TOML.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    assert {path for item in patterns["edoras_tools.schemas"] for path in FOLDER.glob(item)} == set(
+        FOLDER.iterdir()
+    )

@@ -7,4 +7,4 @@ from edoras_tools.cli import main
 
 def edoras():
     """Run what ``sys.argv`` says, to its ``SystemExit``."""
-    main.run(main.program(*(word for word in sys.argv[1:2] if word in main.COMMANDS)))
+    main.run(main.program(*(word for word in sys.argv[1:2] if main.is_command(word))))

@@ -1,0 +1,58 @@
+"""The add-ons: what the core can do without, a folder each, and the one table of what ships.
+
+A folder can be deleted: what it added is then refused in a line, and nothing else changes. Nothing outside
+imports an add-on; the core finds what they add through :mod:`edoras_tools.doors`, as it finds what packages
+of other people add. An add-on may import all of the core, and no other add-on.
+
+This file imports nothing of an add-on, so that reading the table costs nothing. docs/addons.md says how to
+write one.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+class ListedCommand(NamedTuple):
+    """A command of an add-on, as ``edoras --help`` lists it, also where the folder is absent.
+
+    Attributes:
+        group: heading under which it stands.
+        help: first sentence of its help text, the same as in its code.
+        place: of its function or ``typer.Typer``, as ``module:name`` in the folder.
+        before: command of the same group that it stands before; the last one if empty.
+    """
+
+    group: str
+    help: str
+    place: str
+    before: str = ""
+
+
+class Addon(NamedTuple):
+    """A row of the table.
+
+    Attributes:
+        folder: name of the add-on.
+        commands: name to what is listed of it.
+        adds: of each other kind of ``doors.KINDS``, name to place as ``module:name`` in the folder.
+        extra: pip extra with the libraries that it needs; empty if it needs none.
+    """
+
+    folder: str
+    commands: Mapping[str, ListedCommand] = {}
+    adds: Mapping[str, Mapping[str, str]] = {}
+    extra: str = ""
+
+    def places(self, kind: str) -> dict[str, str]:
+        """Return where everything of a kind is, by its name, as ``module:name`` in the folder."""
+        if kind == "commands":
+            return {name: command.place for name, command in self.commands.items()}
+        return dict(self.adds.get(kind, {}))
+
+
+ADDONS: Final[tuple[Addon, ...]] = ()
+"""What ships."""
