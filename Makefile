@@ -12,10 +12,10 @@ QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis rend
 SEARCHES := $(addprefix --ignore=tests/,$(addprefix diagnosis/,test_variants.py test_cuts.py test_truth.py) \
 	$(addprefix io/formats/,mcap/test_recover.py test_split.py))
 
-.PHONY: help venv demo test check long lint format bench kill explore fuzz soak lock sbom judges ros fprime npm yamcs cosmos docs dist clean
+.PHONY: help venv demo test same-bytes check long lint format bench kill explore fuzz soak lock sbom judges ros fprime npm yamcs cosmos docs dist clean
 
 help:  ## Show what there is to make.
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
 venv: $(VENV)/.installed  ## Set up .venv with everything but the judges.
 
@@ -55,6 +55,9 @@ cosmos: venv  ## Install OpenC3 COSMOS's Python package, a judge of the tests, w
 
 test: venv judges ros fprime npm yamcs cosmos lint  ## Run every check and test.
 	$(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
+
+same-bytes: venv  ## Compare what the commands print and write with the hashes in tests/same_bytes/: a minute.
+	$(BIN)/python tests/same_bytes.py
 
 check: lint  ## Run the checks and the quick tests, in less than a minute.
 	$(BIN)/pytest $(WORKERS) $(QUICK) $(SEARCHES)
