@@ -8,6 +8,7 @@ look at all of them takes 2 ms.
 
 from __future__ import annotations
 
+import re
 import sys
 from functools import cache
 from importlib import import_module
@@ -55,7 +56,7 @@ class Addition(NamedTuple):
         """Whether it is of an add-on whose folder was deleted."""
         if self.package:
             return False
-        folder = find_spec(".".join(self.place.split(".")[:3]))
+        folder = find_spec(f"{_ADDONS}.{self._folder}")
         return folder is None or folder.origin is None  # a folder that holds caches alone is no package
 
     def load(self) -> Any:
@@ -65,14 +66,12 @@ class Addition(NamedTuple):
             ConfigError: its folder was deleted, or a package's object cannot be imported.
             ImportError: an add-on needs a library that is not installed.
         """
-        module, _, name = self.place.partition(":")
         if not self.package:
             if self.absent:
                 raise self.error("it is left out of this installation; install edoras-tools whole")
-            return attrgetter(name)(import_module(module))
+            return imported(self.place)
         try:
-            loaded = import_module(module)
-            return attrgetter(name)(loaded) if name else loaded
+            return imported(self.place)
         except Exception as error:  # an import of another package may raise anything
             raise self.error(f"cannot be loaded: {error}") from error
 
@@ -81,7 +80,18 @@ class Addition(NamedTuple):
         what = f"{KINDS[self.kind]} {self.name!r} of"
         if self.package:
             return ConfigError(f"{what} the installed package {self.package}: {why}")
-        return ConfigError(f"{what} the add-on {self.place.split('.')[2]}: {why}")
+        return ConfigError(f"{what} the add-on {self._folder}: {why}")
+
+    @property
+    def _folder(self) -> str:
+        return re.split(r"[.:]", self.place)[2]
+
+
+def imported(place: str) -> Any:
+    """Import what ``module:name`` names; the module itself where no name is given."""
+    module, _, name = place.partition(":")
+    found = import_module(module)
+    return attrgetter(name)(found) if name else found
 
 
 def table() -> tuple[Addon, ...]:
@@ -94,7 +104,7 @@ def table() -> tuple[Addon, ...]:
 def shipped(kind: str) -> dict[str, Addition]:
     """Return what the add-ons of the table add, by name, also those whose folder was deleted."""
     return {
-        name: Addition(kind, name, f"{_ADDONS}.{row.folder}.{place}")
+        name: Addition(kind, name, f"{_ADDONS}.{row.folder}.{place}".replace(".:", ":"))
         for row in table()
         for name, place in row.places(kind).items()
     }

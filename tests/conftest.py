@@ -8,9 +8,10 @@ import signal
 import sys
 
 import pytest
+import waiting
 from effort import LONG, examples
 from hypothesis import settings
-from namespace import enter
+from namespace import enter, entered
 
 # Machines differ and are shared: an example may take as long as it takes. The examples are the same in every
 # run, so that a change is judged by what it changes; `make explore` draws new ones.
@@ -45,6 +46,7 @@ GRACE_S = 60
 def pytest_configure(config):
     config.addinivalue_line("markers", f"limit(seconds): what the test may take, {LIMIT_S} s else")
     config.addinivalue_line("markers", "long: only `make long` runs it")
+    config.addinivalue_line("markers", "own_network: it fails where it would meet the traffic of others")
     config.stash[STDERR] = os.fdopen(os.dup(2), "w")  # pytest takes standard error away while tests run
 
 
@@ -57,6 +59,19 @@ def pytest_collection_modifyitems(config, items):
         left = [item for item in items if item.get_closest_marker("long")]
         items[:] = [item for item in items if not item.get_closest_marker("long")]
         config.hook.pytest_deselected(items=left)
+
+
+@pytest.fixture(autouse=True)
+def _apart(request):
+    """Cyclone DDS binds every interface that it finds."""
+    if request.node.get_closest_marker("own_network"):
+        assert entered(), "not in a network of its own, which needs CAP_SYS_ADMIN: make test has one"
+
+
+@pytest.fixture
+def until():
+    """Wait for a condition."""
+    return waiting.until
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

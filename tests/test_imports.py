@@ -19,6 +19,7 @@ SCAPY_ROOMS = ("dissectors/", "edoras_tools/io/capture/scapy_backend.py")
 """scapy is GPL-2.0-only, the project MIT."""
 COMMAND_LINES = ("cli/*", "addons/*/cli.py", "addons/*/cli/*")
 PUT_OFF = {
+    "addons/dds/messages.py": ("cyclonedds", "a part of its inside, which may not be there"),
     "doors.py": (
         "edoras_tools.addons importlib.metadata",
         "the table, when an add-on is asked for; 11 ms, and only where a package adds something",
@@ -52,11 +53,6 @@ PUT_OFF = {
         "edoras_tools.links.rtps edoras_tools.wire.rtps",
         "5 ms, and only where there is RTPS",
     ),
-    "middleware/dds/joining.py": (
-        "edoras_tools.middleware.dds",
-        "cyclonedds, an extra: what it says first is told",
-    ),
-    "middleware/dds/raw.py": ("cyclonedds", "a part of its inside, which may not be there"),
     "mission/tree.py": ("yaml", "9 ms, and only where there is a mission file"),
     "pipelines/capture/record.py": (
         "edoras_tools.pipelines.capture.host edoras_tools.sessions.dds",

@@ -22,7 +22,11 @@ SAME = (
         "diagnosis/rules/ingest.py diagnosis/evidence/uncaptured.py",
         "the rule, and what it judges",
     ),
-    ("open_graph", "middleware/*", "what every middleware has, and what chooses one"),
+    (
+        "open_graph",
+        "middleware/* addons/*/graph.py",
+        "what every middleware has, and what chooses one",
+    ),
     ("emit", "wire/*", "written and read through the header's module: ccsds.emit, sbn.emit"),
     ("live_table", "render/*", "the view of a command while it runs"),
     ("outcome", "render/*", "the view of what a command did"),

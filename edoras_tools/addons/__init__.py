@@ -22,7 +22,7 @@ class ListedCommand(NamedTuple):
     Attributes:
         group: heading under which it stands.
         help: first sentence of its help text, the same as in its code.
-        place: of its function or ``typer.Typer``, as ``module:name`` in the folder.
+        place: of its function or ``typer.Typer``; see ``Addon``.
         before: command of the same group that it stands before; the last one if empty.
     """
 
@@ -33,12 +33,12 @@ class ListedCommand(NamedTuple):
 
 
 class Addon(NamedTuple):
-    """A row of the table.
+    """A row of the table; places are ``module:name`` in the folder, ``:name`` in its ``__init__.py``.
 
     Attributes:
         folder: name of the add-on.
         commands: name to what is listed of it.
-        adds: of each other kind of ``doors.KINDS``, name to place as ``module:name`` in the folder.
+        adds: of each other kind of ``doors.KINDS``, name to place.
         extra: pip extra with the libraries that it needs; empty if it needs none.
     """
 
@@ -48,11 +48,14 @@ class Addon(NamedTuple):
     extra: str = ""
 
     def places(self, kind: str) -> dict[str, str]:
-        """Return where everything of a kind is, by its name, as ``module:name`` in the folder."""
+        """Return where everything of a kind is, by its name."""
         if kind == "commands":
             return {name: command.place for name, command in self.commands.items()}
         return dict(self.adds.get(kind, {}))
 
 
-ADDONS: Final[tuple[Addon, ...]] = ()
+ADDONS: Final = (
+    Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),
+    Addon("dds", adds={"middleware": {"dds": ":DDS"}}, extra="dds"),
+)
 """What ships."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import typer
 
+from edoras_tools import doors
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import say, tell, tell_reach
@@ -16,11 +17,16 @@ from edoras_tools.cli.live import RelayOutputOptions
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.cli.relays import finish_relay, run_relay
 from edoras_tools.cli.sending import Yes, confirm_targets
+from edoras_tools.middleware.opening import middleware, names
 from edoras_tools.older import StrEnum
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from edoras_tools.pipelines.bridge.run import Bridges
+
+
+def _completed(incomplete: str) -> list[str]:
+    return [name for name in names() if name.startswith(incomplete)]
 
 
 class BridgeKind(StrEnum):
@@ -30,14 +36,15 @@ class BridgeKind(StrEnum):
     FLIGHT = "flight"
 
 
-class Ros(StrEnum):
-    """A way to connect to the ROS 2 graph."""
+_FOXGLOVE: Final = "foxglove"
 
-    ZENOH = "zenoh"
-    DDS = "dds"
-    RCLPY = "rclpy"
-    FOXGLOVE = "foxglove"
-    LOCAL = "local"
+
+def middleware_name(text: str) -> str:
+    """Read the name of a middleware."""
+    known = names()
+    if text not in known and doors.find("middleware", text) is None:
+        raise typer.BadParameter(f"{text!r} is not one of {', '.join(map(repr, known))}.")
+    return text
 
 
 @headed("ROS 2")
@@ -45,8 +52,9 @@ class RosOptions(NamedTuple):
     """How to connect to the ROS 2 graph."""
 
     ros: Annotated[
-        Ros | None,
-        typer.Option(show_default=False),
+        str | None,
+        typer.Option(parser=middleware_name, autocompletion=_completed, show_default=False),
+        f"<{'|'.join(names())}>",
         "How to connect to ROS 2; default: dds, or zenoh if RMW_IMPLEMENTATION says so.",
     ] = None
     domain: options.RosDomain = None
@@ -102,7 +110,7 @@ def bridge(
     from edoras_tools.render.bridge import bridge as view
 
     (json, quiet), output = printing, outputs.output
-    way = graph.ros.value if graph.ros else usual()
+    way = graph.ros or usual()
     request = BridgeRequest(
         kind.value if kind else None,
         tuple(packets.max_rate or ()),
@@ -154,7 +162,7 @@ def bridge(
 def _options(way: str, given: list[Any] | None, outputs: RelayOutputOptions) -> dict[str, str]:
     """Return the middleware's options; for Foxglove also the allowed origins and the token."""
     pairs: dict[str, str] = dict(given or ())
-    if way == Ros.FOXGLOVE:
+    if way == _FOXGLOVE:
         more = {"origins": ",".join(outputs.allow_origin or ()), "token": outputs.token or ""}
         pairs |= {name: text for name, text in more.items() if text}
     return pairs
@@ -169,7 +177,7 @@ def _begin(bridges: Bridges) -> None:
             f"{station.endpoint} to {station.plan.target}; Ctrl-C ends"
         )
         tell_reach(station.endpoint, "send what is published in ROS 2")
-    if bridges.ros in {Ros.DDS, Ros.RCLPY}:
+    if middleware(bridges.ros).open:
         _say(
             "the ROS 2 domain is open: every node on its network can publish messages that are bridged; "
             "--ros zenoh listens on this machine only"

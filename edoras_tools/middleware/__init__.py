@@ -1,6 +1,6 @@
-"""The ROS 2 graph as a bridge uses it: raw CDR in and out, one file or folder for each middleware."""
+"""The ROS 2 graph as a bridge uses it: raw CDR in and out, one file or add-on for each middleware."""
 
 from edoras_tools.middleware.graph import Graph, Qos
-from edoras_tools.middleware.opening import MIDDLEWARES, open_graph
+from edoras_tools.middleware.opening import open_graph
 
-__all__ = ["MIDDLEWARES", "Graph", "Qos", "open_graph"]
+__all__ = ["Graph", "Qos", "open_graph"]

@@ -53,3 +53,27 @@ class Graph(Protocol):
 
     def close(self) -> None:
         """Leave the graph. Nothing is heard after this returns; calling it again does nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Middleware:
+    """A way to join a ROS 2 graph; nothing of it is imported before somebody joins.
+
+    Attributes:
+        place: of its ``open_graph(store, node, *, domain, options)``, which returns a ``Graph``, as
+            ``module:function``.
+        needs: what an error says that it needs, and how to get it, where its library cannot be imported;
+            ``{why}`` becomes the reason.
+        implementation: value of ``RMW_IMPLEMENTATION`` that means it; empty if none does.
+        usual: whether it is meant where that variable names no other.
+        open: whether every node of its domain's network can publish.
+        peers: place of a function that takes domain and options, and returns the ROS 2 distribution of other
+            nodes, or None; empty if they do not tell.
+    """
+
+    place: str
+    needs: str = "its library ({why})"
+    implementation: str = ""
+    usual: bool = False
+    open: bool = False
+    peers: str = ""

@@ -4,33 +4,71 @@ from __future__ import annotations
 
 import os
 import sys
-from importlib import import_module
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools import doors
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import MOST_DOMAIN, Graph
+from edoras_tools.middleware.graph import MOST_DOMAIN, Graph, Middleware
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from edoras_tools.ros import TypeStore
 
-MIDDLEWARES: Final = {
-    "zenoh": "zenoh.graph",
-    "dds": "dds.joining",
-    "rclpy": "rclpy",
-    "foxglove": "foxglove",
-    "local": "local",
+_HERE: Final = "edoras_tools.middleware"
+_PYTHON: Final = f"{sys.version_info.major}.{sys.version_info.minor}"
+_OF_THE_CORE: Final = {
+    "rclpy": Middleware(
+        f"{_HERE}.rclpy:open_graph",
+        f"a ROS 2 of Python {_PYTHON} ({{why}}); source its setup.bash, or: "
+        "pip install ros-rclpy ros-rmw-fastrtps-cpp",
+        open=True,
+    ),
+    "foxglove": Middleware(
+        f"{_HERE}.foxglove:open_graph", "an extra ({why}): pip install 'edoras-tools[live]'"
+    ),
+    "local": Middleware(f"{_HERE}.local:open_graph"),
 }
-"""Name to the module of this folder that has its ``open_graph``."""
-_EXTRAS: Final = {"zenoh": "zenoh", "dds": "dds", "foxglove": "live"}
-_BY_RMW: Final = {"rmw_zenoh_cpp": "zenoh"}
+
+
+def names() -> list[str]:
+    """Return the names of all that ship."""
+    return [*doors.shipped("middleware"), *_OF_THE_CORE]
+
+
+def middleware(ros: str) -> Middleware:
+    """Return the middleware of a name.
+
+    Raises:
+        ConfigError: there is none, or its add-on was deleted.
+    """
+    if ros in _OF_THE_CORE:
+        return _OF_THE_CORE[ros]
+    item = doors.find("middleware", ros)
+    if item is None:
+        known = [*names(), *(item.name for item in doors.installed("middleware"))]
+        raise ConfigError(f"--ros {ros!r} is not known; there are {', '.join(known)}")
+    loaded = item.load()
+    if not isinstance(loaded, Middleware):
+        raise item.error(f"{item.place} is not an object of Middleware")
+    return loaded
 
 
 def usual(environ: Mapping[str, str] | None = None) -> str:
-    """Return the middleware that the environment selects: DDS unless it names Zenoh."""
-    environ = os.environ if environ is None else environ
-    return _BY_RMW.get(environ.get("RMW_IMPLEMENTATION", ""), "dds")
+    """Return the middleware that the environment selects: DDS unless it names Zenoh.
+
+    Raises:
+        ConfigError: this installation has none.
+    """
+    rmw = (os.environ if environ is None else environ).get("RMW_IMPLEMENTATION", "")
+    there = {name: item.load() for name, item in doors.shipped("middleware").items() if not item.absent}
+    for name, item in there.items():
+        if rmw and item.implementation == rmw:
+            return name
+    for name, item in there.items():
+        if item.usual:
+            return name
+    raise ConfigError(f"no middleware is usual in this installation; choose with --ros: {', '.join(names())}")
 
 
 def usual_domain(environ: Mapping[str, str] | None = None) -> int:
@@ -56,20 +94,19 @@ def open_graph(
     """Join a graph.
 
     Args:
-        ros: one of ``MIDDLEWARES``.
+        ros: name of a middleware.
         domain: ROS 2 domain.
         options: of the middleware, by name.
 
     Raises:
         ConfigError: there is no such middleware, its library is not installed, or it refuses.
     """
-    if ros not in MIDDLEWARES:
-        raise ConfigError(f"--ros {ros!r} is not known; there are {', '.join(MIDDLEWARES)}")
+    way = middleware(ros)
     try:
-        module = import_module(f"edoras_tools.middleware.{MIDDLEWARES[ros]}")
-        graph: Graph = module.open_graph(store, node, domain=domain, options=options)
+        graph: Graph = _imported(ros, way.place)(store, node, domain=domain, options=options)
     except ImportError as error:
-        raise ConfigError(_absent(ros, error)) from error
+        why = str(error).partition("\n")[0]
+        raise ConfigError(f"--ros {ros} needs {way.needs.format(why=why)}") from error
     return graph
 
 
@@ -78,21 +115,26 @@ def distro_of_peers(ros: str, domain: int, options: Mapping[str, str] = {}) -> s
 
     What prevents it is told when the graph is joined.
     """
-    if ros != "dds":
+    place = middleware(ros).peers
+    if not place:
         return None
     try:
-        told: str | None = import_module("edoras_tools.middleware.dds.peers").distro_seen(domain, options)
+        told: str | None = _imported(ros, place)(domain, options)
     except (ImportError, ConfigError):
         return None
     return told
 
 
-def _absent(ros: str, error: ImportError) -> str:
-    extra, why = _EXTRAS.get(ros), str(error).partition("\n")[0]
-    if extra is None:
-        python = f"{sys.version_info.major}.{sys.version_info.minor}"
-        return (
-            f"--ros {ros} needs a ROS 2 of Python {python} ({why}); source its setup.bash, or: "
-            "pip install ros-rclpy ros-rmw-fastrtps-cpp"
-        )
-    return f"--ros {ros} needs an extra ({why}): pip install 'edoras-tools[{extra}]'"
+def _imported(ros: str, place: str) -> Any:
+    """Import what a place names.
+
+    Raises:
+        ConfigError: its library is installed, and does not load.
+        ImportError: its library is not installed.
+    """
+    try:
+        return doors.imported(place)
+    except ImportError:
+        raise
+    except Exception as error:  # a library may raise anything while it looks for its own
+        raise ConfigError(f"--ros {ros}: its library does not load: {error}") from error

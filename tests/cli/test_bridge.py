@@ -160,7 +160,7 @@ def test_a_port_in_use_is_told_before_a_recording_is_begun(call, mission, tmp_pa
 def test_an_absent_library_is_told_with_what_to_install(call, mission, monkeypatch):
     monkeypatch.setitem(sys.modules, "zenoh", None)
     for name in ("config", "graph"):  # as in a process that has not joined a graph yet
-        monkeypatch.delitem(sys.modules, f"edoras_tools.middleware.zenoh.{name}", raising=False)
+        monkeypatch.delitem(sys.modules, f"edoras_tools.addons.zenoh.{name}", raising=False)
     result = call("bridge", "-c", mission.path, "--ros", "zenoh", "--duration", "50ms")
     assert result.code == 2
     (line,) = result.err

@@ -10,7 +10,7 @@ import pytest
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import open_graph
 from edoras_tools.middleware.local import LocalGraph
-from edoras_tools.middleware.opening import MIDDLEWARES, usual, usual_domain
+from edoras_tools.middleware.opening import middleware, usual, usual_domain
 from edoras_tools.ros import TypeStore
 
 
@@ -38,12 +38,20 @@ def test_an_absent_library_is_one_line_that_says_what_to_install(monkeypatch, ro
     def absent(*_arguments, **_options):
         raise ImportError("no such library\nand how to get it")
 
-    monkeypatch.setitem(
-        sys.modules, f"edoras_tools.middleware.{MIDDLEWARES[ros]}", SimpleNamespace(open_graph=absent)
-    )
+    module = middleware(ros).place.partition(":")[0]
+    monkeypatch.setitem(sys.modules, module, SimpleNamespace(open_graph=absent))
     with pytest.raises(ConfigError) as caught:
         open_graph(ros, TypeStore(), "node")
     assert str(caught.value) == told.replace("VERSION", str(sys.version_info.minor))
+
+
+def test_a_library_that_does_not_load_is_one_line(monkeypatch):
+    def broken(_name):
+        raise OSError("libddsc.so: wrong ELF class")
+
+    monkeypatch.setattr("edoras_tools.doors.imported", broken)
+    with pytest.raises(ConfigError, match=r"^--ros local: its library does not load: libddsc.so: wrong ELF"):
+        open_graph("local", TypeStore(), "node")
 
 
 def test_another_name_is_told():

@@ -4,8 +4,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from edoras_tools.addons.dds.domain import compatible, configuration, discovery, hold
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.dds.domain import compatible, configuration, discovery, hold
 
 
 def test_without_options_nothing_is_configured():

@@ -4,14 +4,16 @@ import sys
 
 import pytest
 
+from edoras_tools.addons.dds.graph import open_graph
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import opening
-from edoras_tools.middleware.dds.joining import open_graph
 from edoras_tools.ros import TypeStore
 
 
 def test_without_the_library_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "cyclonedds.internal", None)
+    for name in ("graph", "messages"):  # as in a process that has not joined a graph yet
+        monkeypatch.delitem(sys.modules, f"edoras_tools.addons.dds.{name}", raising=False)
     with pytest.raises(ConfigError, match=r"--ros dds needs an extra .*: pip install 'edoras-tools\[dds\]'"):
         opening.open_graph("dds", TypeStore(), "bridge")
 

@@ -10,12 +10,19 @@ from typing import TYPE_CHECKING, Any, Final
 import zenoh
 from zenoh import ext
 
+from edoras_tools.addons.zenoh.config import listen_beside, reason, session_config
+from edoras_tools.addons.zenoh.identity import (
+    ATTACHMENT,
+    GID,
+    NO_TYPE_HASH,
+    KeyedTopic,
+    NodeTokens,
+    TokenKind,
+    depth,
+    gid,
+)
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.names import check_name
-from edoras_tools.middleware.zenoh.attachment import ATTACHMENT, GID
-from edoras_tools.middleware.zenoh.config import listen_beside, reason, session_config
-from edoras_tools.middleware.zenoh.gid import gid
-from edoras_tools.middleware.zenoh.names import NO_TYPE_HASH, KeyedTopic, NodeTokens, TokenKind, depth
 from edoras_tools.ros.type_hash import type_hash
 from edoras_tools.ros.types.schema import full_name
 

@@ -1,4 +1,7 @@
-"""A node in the graph of those ROS 2 nodes that run on DDS, over Cyclone DDS."""
+"""A node among those ROS 2 nodes that run on DDS (rmw_cyclonedds, rmw_fastrtps); see docs/dds.md.
+
+ROS's quality of service becomes DDS policies as in rmw_cyclonedds.
+"""
 
 from __future__ import annotations
 
@@ -19,24 +22,30 @@ from cyclonedds.sub import DataReader, Subscriber
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
+from edoras_tools.addons.dds import domain as dds_domain
+from edoras_tools.addons.dds import peers as dds_peers
+from edoras_tools.addons.dds.messages import (
+    ANY_STATE,
+    DdsTypes,
+    is_little_endian,
+    padded,
+    rewritten,
+    taker_of,
+    trimmed,
+    writer_of,
+)
+from edoras_tools.addons.dds.peers import Discovered, OwnEndpoint, user_data
 from edoras_tools.errors import ConfigError, WireError
-from edoras_tools.middleware.dds import cdr as dds_cdr
-from edoras_tools.middleware.dds import domain as dds_domain
-from edoras_tools.middleware.dds import presence as dds_presence
-from edoras_tools.middleware.dds.peers import Discovered, OwnEndpoint, user_data
-from edoras_tools.middleware.dds.qos import BLOCKING_MS, reader_qos, writer_qos
-from edoras_tools.middleware.dds.raw import ANY_STATE, taker_of, writer_of
-from edoras_tools.middleware.dds.types import DdsTypes
-from edoras_tools.middleware.names import check_name, dds_name
+from edoras_tools.middleware.names import check_name, dds_name, node_name
 from edoras_tools.ros.type_hash import type_hash
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from cyclonedds.core import Entity
 
+    from edoras_tools.addons.dds.messages import Take
     from edoras_tools.middleware import graph
-    from edoras_tools.middleware.dds.raw import Take
     from edoras_tools.ros import TypeStore
 
     Owned = TypeVar("Owned", bound=Entity)
@@ -52,6 +61,46 @@ _UNFIT: Final = {
 of ours has to be for the other to match."""
 _PATIENCE_S: Final = 5.0
 """Seconds after which a note says that no other node was found."""
+LEAST_WAITING: Final = 1000
+"""Samples that may wait for the thread that reads them: about 50 ms at 20,000 a second."""
+BLOCKING_MS: Final = 100
+"""How long a write waits for readers that are behind: DDS's own default. ROS waits for ever."""
+_UNLIMITED: Final = -1
+
+
+def writer_qos(qos: graph.Qos, user_data: bytes = b"") -> Qos:
+    """Return the policies of a writer, and what others are told of it."""
+    history = _history(qos.depth)
+    kept = Policy.DurabilityService(0, history, _UNLIMITED, _UNLIMITED, _UNLIMITED)
+    lifecycle = Policy.WriterDataLifecycle(autodispose=False)
+    durable = (kept,) if qos.transient_local else ()
+    return Qos(*_common(qos), history, lifecycle, *durable, Policy.Userdata(user_data))
+
+
+def reader_qos(qos: graph.Qos, user_data: bytes = b"") -> Qos:
+    """Return the policies of a reader, and what others are told of it.
+
+    The depth limits how far a subscriber may fall behind. Here that is only as long as a thread takes to wake
+    up, and must not cut a burst, so more samples are kept. Of samples from before the subscription, no more
+    than the depth are asked for.
+    """
+    depth = qos.depth if qos.transient_local or not qos.depth else max(qos.depth, LEAST_WAITING)
+    return Qos(*_common(qos), _history(depth), Policy.Userdata(user_data))
+
+
+def _common(qos: graph.Qos) -> tuple[Any, ...]:
+    return (
+        Policy.Reliability.Reliable(duration(milliseconds=BLOCKING_MS))
+        if qos.reliable
+        else Policy.Reliability.BestEffort,
+        Policy.Durability.TransientLocal if qos.transient_local else Policy.Durability.Volatile,
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+        Policy.IgnoreLocal.Participant,
+    )
+
+
+def _history(depth: int) -> Any:
+    return Policy.History.KeepLast(depth) if depth else Policy.History.KeepAll
 
 
 def _loss(code: int) -> str:
@@ -155,9 +204,9 @@ class DdsGraph:
         types, write, refused = self._types, writer_of(writer), DDSException.DDS_RETCODE_BAD_PARAMETER
 
         def publish(cdr: bytes) -> None:
-            code = write(dds_cdr.padded(cdr)) if dds_cdr.is_little_endian(cdr) else refused
+            code = write(padded(cdr)) if is_little_endian(cdr) else refused
             if code == refused and not self._closed.is_set():
-                code = write(dds_cdr.padded(dds_cdr.rewritten(types, type_name, cdr)))
+                code = write(padded(rewritten(types, type_name, cdr)))
             if code and not self._closed.is_set():
                 raise WireError(f"{topic}: a message of {type_name} is lost: {_loss(code)}")
 
@@ -217,7 +266,7 @@ class DdsGraph:
 
     def _join(self) -> None:
         """Create the participant, and announce the node if the distribution has the types for it."""
-        user_data = Qos(Policy.Userdata(dds_presence.ENCLAVE))
+        user_data = Qos(Policy.Userdata(dds_peers.ENCLAVE))
         self._participant = self._own(DomainParticipant(self._domain, user_data))
         self._publisher = self._own(Publisher(self._participant))
         self._subscriber = self._own(Subscriber(self._participant))
@@ -226,7 +275,7 @@ class DdsGraph:
         self._waitset.attach(self._stop)
         self._peers = Discovered(self._participant)
         self._entities += self._peers.entities
-        self._present(dds_presence.gid_bytes_of(self._types))
+        self._present(dds_peers.gid_bytes_of(self._types))
 
     def _present(self, gid_bytes: int | None) -> None:
         """Announce the node with identifiers of so many bytes, where that is new."""
@@ -236,10 +285,10 @@ class DdsGraph:
             self._entities.remove(entity)
             entity.__del__()
         self._gid_bytes = gid_bytes
-        types = self._presence_types = dds_presence.presence_types(gid_bytes)
-        name = dds_presence.PRESENCE_TYPE
-        on = self._own(Topic(self._participant, dds_presence.PRESENCE_TOPIC, DdsTypes(types).of(name)))
-        qos = writer_qos(dds_presence.QOS, user_data(type_hash(types, name)))
+        types = self._presence_types = dds_peers.presence_types(gid_bytes)
+        name = dds_peers.PRESENCE_TYPE
+        on = self._own(Topic(self._participant, dds_peers.PRESENCE_TOPIC, DdsTypes(types).of(name)))
+        qos = writer_qos(dds_peers.QOS, user_data(type_hash(types, name)))
         writer = self._own(DataWriter(self._publisher, on, qos))
         self._presence = [writer, on]
         self._tell = writer_of(writer)
@@ -251,8 +300,8 @@ class DdsGraph:
             [entity.guid.bytes for _, entity in entities] for entities in (self._readers, self._writers)
         )
         guid = self._participant.guid.bytes
-        message = dds_presence.presence(self._presence_types, self._node, guid, readers, writers)
-        self._tell(dds_cdr.padded(message))
+        message = dds_peers.presence(self._presence_types, self._node, guid, readers, writers)
+        self._tell(padded(message))
 
     def _hash(self, type_name: str) -> str:
         """Return the hash of a type, computed once."""
@@ -296,7 +345,7 @@ class DdsGraph:
                 for cdr in ear.take():
                     if self._closed.is_set():
                         return
-                    ear.heard(dds_cdr.trimmed(self._types, ear.type_name, cdr))
+                    ear.heard(trimmed(self._types, ear.type_name, cdr))
 
     def _own(self, entity: Owned) -> Owned:
         self._entities.append(entity)
@@ -308,3 +357,21 @@ class DdsGraph:
             entity.__del__()
         self._entities.clear()
         dds_domain.release(self._domain)
+
+
+def open_graph(
+    store: TypeStore, node: str, *, domain: int = 0, options: Mapping[str, str] | None = None
+) -> DdsGraph:
+    """Join the graph as a node.
+
+    Args:
+        store: has the types of all topics.
+        node: name of the node, or ``/namespace/name``.
+        domain: ``ROS_DOMAIN_ID``.
+        options: see docs/dds.md: ``interface``, ``peers``, ``multicast``.
+
+    Raises:
+        ConfigError: an option cannot be honoured, or Cyclone DDS refuses the domain.
+        ImportError: cyclonedds is not installed.
+    """
+    return DdsGraph(store, node_name(node), domain, dds_domain.configuration(options or {}))

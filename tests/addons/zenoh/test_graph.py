@@ -11,11 +11,10 @@ import pytest
 from places import SUPPORT
 from waiting import PATIENCE_S, free_ports
 
+from edoras_tools.addons.zenoh.graph import open_graph
+from edoras_tools.addons.zenoh.identity import Attachment, gid
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import Qos, opening
-from edoras_tools.middleware.zenoh.attachment import Attachment
-from edoras_tools.middleware.zenoh.gid import gid
-from edoras_tools.middleware.zenoh.graph import open_graph
 from edoras_tools.ros import TypeStore
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -377,7 +376,7 @@ def test_options_that_cannot_be_honoured(jazzy, options, words):
 
 
 def test_a_node_with_nobody_to_talk_to_says_so_once(graphs, judge, jazzy, until, monkeypatch):
-    monkeypatch.setattr("edoras_tools.middleware.zenoh.graph._LONELY_S", 0.0)
+    monkeypatch.setattr("edoras_tools.addons.zenoh.graph._LONELY_S", 0.0)
     alone, met = graphs(jazzy, judge.port, router=""), graphs(jazzy, judge.port)
     (note,) = alone.notes()
     assert note.endswith("start a router: ros2 run rmw_zenoh_cpp rmw_zenohd")
@@ -462,7 +461,7 @@ def test_names_and_types_that_do_not_exist(graphs, jazzy):
 def test_without_the_library_one_line_names_the_extra(jazzy, monkeypatch):
     monkeypatch.setitem(sys.modules, "zenoh", None)
     for name in ("config", "graph"):  # as in a process that has not joined a graph yet
-        monkeypatch.delitem(sys.modules, f"edoras_tools.middleware.zenoh.{name}", raising=False)
+        monkeypatch.delitem(sys.modules, f"edoras_tools.addons.zenoh.{name}", raising=False)
     with pytest.raises(ConfigError) as caught:
         opening.open_graph("zenoh", jazzy, "bridge")
     assert str(caught.value).startswith("--ros zenoh needs an extra (")

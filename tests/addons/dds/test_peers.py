@@ -5,8 +5,14 @@ from uuid import uuid4
 
 import pytest
 
-from edoras_tools.middleware.dds.peers import Discovered, OwnEndpoint, PeerEndpoint
-from edoras_tools.middleware.dds.presence import PRESENCE_TOPIC, PRESENCE_TYPE, presence_types
+from edoras_tools.addons.dds.peers import (
+    PRESENCE_TOPIC,
+    PRESENCE_TYPE,
+    Discovered,
+    OwnEndpoint,
+    PeerEndpoint,
+    presence_types,
+)
 from edoras_tools.ros.type_hash import type_hash
 
 TWIST, HASH, OTHER = "geometry_msgs/msg/Twist", "RIHS01_" + 64 * "a", "RIHS01_" + 64 * "b"
@@ -81,7 +87,7 @@ def test_the_size_of_identifiers_is_that_of_the_others():
 
 
 def test_user_data_of_any_form_is_read(monkeypatch):
-    from edoras_tools.middleware.dds import peers as module
+    from edoras_tools.addons.dds import peers as module
 
     monkeypatch.setattr(module, "Policy", SimpleNamespace(Userdata=SimpleNamespace))
     for data, told in [

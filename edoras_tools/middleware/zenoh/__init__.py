@@ -1,1 +1,0 @@
-"""ROS 2 over Zenoh, compatible with rmw_zenoh."""
