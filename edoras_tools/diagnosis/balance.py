@@ -39,7 +39,19 @@ APPLICATION: Final = "application"
 _HOPS: Final = frozenset({PROXY_HOP, CI_HOP, BUS, APPLICATION, BEHIND})
 _BEFORE_CI: Final[tuple[LossKind, ...]] = ("network", "socket", "down", "restart", "ci_stopped")
 _NOT_READ: Final[tuple[LossKind, ...]] = ("sbn_socket", "down")
-_FIGURES: Final = ("came", "out", "duplicated", "superseded", "waiting", "not_captured", "unaccounted")
+_FIGURES: Final = (
+    *(
+        "came",
+        "out",
+        "duplicated",
+        "superseded",
+        "waiting",
+        "not_captured",
+        "unaccounted",
+        "uncertain",
+        "shared",
+    ),
+)
 _SEEN: Final = "datagrams in the capture"
 _COUNT: Final = "sequence count"
 NOT_COUNTED: Final = "not observable: "
@@ -71,6 +83,9 @@ class Row:
         waiting: how many may be on their way still.
         not_captured: how many could not be followed: nothing here shows what became of them.
         unaccounted: how many are missing without a cause that the capture shows.
+        uncertain: how many may be lost, or only not captured.
+        shared: how many, at the most, are among the losses of a row that is of several: see ``among``.
+        among: link, MsgId and hop of each row that a loss may be of, where it is not known of which.
         counted: figure to where it was counted.
         name: cFE's name for the packet, if it has one.
         onward: label of the link and MsgId of each packet as which it came out of the application.
@@ -90,6 +105,9 @@ class Row:
     waiting: int = 0
     not_captured: int = 0
     unaccounted: int = 0
+    uncertain: int = 0
+    shared: int = 0
+    among: tuple[tuple[str, int, str], ...] = ()
     counted: Mapping[str, str] = field(default_factory=dict)
     name: str = ""
     onward: tuple[tuple[str, int], ...] = ()
@@ -109,6 +127,7 @@ class Row:
     def adds_up(self) -> bool:
         """Whether rule 1 holds."""
         rest = self.superseded + self.waiting + self.not_captured + self.unaccounted
+        rest += self.uncertain + self.shared
         figures = (self.came, self.out, self.duplicated, *self.lost.values(), rest)
         return min(figures) >= 0 and self.came + self.duplicated == self.out + self.all_lost + rest
 
@@ -130,6 +149,12 @@ class Row:
             "waiting": self.waiting,
             "not_captured": self.not_captured,
             "unaccounted": self.unaccounted,
+            "uncertain": self.uncertain,
+            "shared": self.shared,
+            "among": [
+                {"link": link or None, "msg_id": f"0x{msg_id:04x}", "hop": hop}
+                for link, msg_id, hop in self.among
+            ],
             "counted": dict(self.counted),
         }
 
@@ -348,9 +373,11 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
     told |= {"lost": "0x803, and what cFS refuses by itself"} if case.tracks else all_out or {"lost": _NO_BUS}
     came = max(at, sum(on_bus.values()))
     out = came - sum(on_bus.values())
+    shared = min(fate.shared, out)
+    out -= shared
     told_behind = fate.seen or fate.reached is not None or fate.commanded is not None
     unfollowed = 0 if told_behind else min(fate.unaccounted, out)
-    at = add(BUS, came, out - unfollowed, lost=on_bus, unaccounted=unfollowed, counted=told)
+    at = add(BUS, came, out - unfollowed, lost=on_bus, unaccounted=unfollowed, shared=shared, counted=told)
     if fate.commanded is not None and fate.unaccounted:
         told = {"in": "what the software bus did not lose", "out": "0x880: commands that it took or refused"}
         at = add(telemetry_output.NAME, at, at - fate.unaccounted, unaccounted=fate.unaccounted, counted=told)
@@ -508,6 +535,7 @@ def _unseen(case: Case, loss: Loss) -> Row:
         0,
         lost={loss.kind: loss.lost},
         counted=_COUNTED,
+        among=loss.rivals,
     )
 
 

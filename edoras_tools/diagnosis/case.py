@@ -290,7 +290,7 @@ class Case:
     @cached_property
     def telemetry(self) -> Telemetry:
         """What is missing from sequence counts."""
-        return Telemetry(self.known, self._counts)
+        return self.commands.telemetry
 
     @cached_property
     def outages(self) -> list[Outage]:
@@ -305,7 +305,7 @@ class Case:
     @cached_property
     def commands(self) -> Commands:
         """What became of everything that went into cFS."""
-        telemetry = self.telemetry  # it takes its share of the counters first
+        telemetry = Telemetry(self.known, self._counts)
         return Commands(self.known, self._counts, self.ingests, self.refused, telemetry)
 
     @cached_property

@@ -113,4 +113,4 @@ def test_msg_ids_of_version_2_change_nothing_but_the_numbers(lab):
         ]
         told.append((sorted(rows, key=str), [item.rule for item in found.verdicts]))
     assert told[0] == told[1]
-    assert sum(lost.get("limit", 0) for *_, lost in told[0][0]) > 40
+    assert sum(row.lost.get("limit", 0) for row in found.balance) > 40

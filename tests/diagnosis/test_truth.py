@@ -22,7 +22,7 @@ from edoras_tools.wire.robot import ROBOT_PORT
 def by_route(diagnosis):
     lost = Counter()
     for item in diagnosis.verdicts:
-        if item.msg_id is not None:
+        if item.msg_id is not None or item.rule == "unattributed_loss":
             lost[item.msg_id] += item.lost or 0
     return lost
 
@@ -43,12 +43,17 @@ def test_commands_lost_beside_much_telemetry_are_seen_in_what_it_does_not_explai
     diagnosis = lab.examine(sent)
     lost = by_route(diagnosis)
     telemetry = lost[0x828] + lost[0x829]
-    assert lost[0x1827] == pytest.approx(lost[0x1828], rel=0.25)
     (track,) = diagnosis.case.tracks.values()
-    assert lost[0x1827] + lost[0x1828] == track.growth("msg_limits") - telemetry
+    # Which of both commands a count is of nothing tells: most of them are of both together.
+    assert lost[0x1827] + lost[0x1828] + lost[None] == track.growth("msg_limits") - telemetry
+    (row,) = [row for row in diagnosis.balance if row.among]
+    assert ({msg_id for _, msg_id, _ in row.among}, row.all_lost) == ({0x1827, 0x1828}, lost[None])
+    shared = {row.msg_id: row.shared for row in diagnosis.balance if row.shared}
+    assert set(shared) == {0x1827, 0x1828}
+    assert max(shared.values()) <= lost[None] <= sum(shared.values())
     # Before the first 0x803 and after the last one, up to a second each is not in the capture.
     assert track.growth("msg_limits") == pytest.approx(counters.msg_limits, abs=2 * counters.msg_limits / 50)
-    assert lost[0x1827] > 50
+    assert lost[None] > 50
     alone = lab.examine(lab.simulate("two-rovers", hz=4.0, state_hz=45.0, seconds=50)[0])
     assert {item.rule for item in alone.verdicts} == {"to_message_limit", "event_suppression"}
 
@@ -153,8 +158,7 @@ def test_two_routes_share_the_counter_and_telemetry_keeps_its_own(configured, la
     lost = by_route(diagnosis)
     assert lost[0x828] == pytest.approx(117, abs=3)
     assert lost[0x829] == pytest.approx(117, abs=3)
-    assert lost[0x1827] + lost[0x1828] == pytest.approx(counters.msg_limits - 234, abs=8)
-    assert lost[0x1827] == pytest.approx(lost[0x1828], rel=0.1)
+    assert lost[0x1827] + lost[0x1828] + lost[None] == pytest.approx(counters.msg_limits - 234, abs=8)
 
 
 def test_the_same_message_is_found_under_its_other_msg_id(lab):

@@ -18,7 +18,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.accounting.claims import Claim, Counts, grouped, settle
+from edoras_tools.diagnosis.accounting.claims import (
+    CLOSED,
+    MISSING,
+    POSSIBLE,
+    PRESSED,
+    Claim,
+    Counts,
+    alike,
+)
 from edoras_tools.diagnosis.accounting.closed import closed_at, silenced_at, silences_of, unled_silences
 from edoras_tools.diagnosis.accounting.losses import (
     BEHIND,
@@ -41,8 +49,6 @@ from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.accounting.losses import Known
@@ -53,27 +59,6 @@ if TYPE_CHECKING:
 _SLACK_NS: Final = 50 * MILLISECOND
 """By so much the times of two packets of one cFS may be wrong."""
 _MOSTLY: Final = 0.9
-
-
-def _left_over(parts: Sequence[Part], claims: Sequence[Claim], *, beside: bool) -> list[Claim]:
-    """Return what is left of claims, as counts of a full pipe: it takes no MsgId at all.
-
-    Args:
-        parts: whose the claims are.
-        claims: of one cFS.
-        beside: only those of a pipe that surely was full.
-    """
-    open_ = [item for item in claims if not parts[item.key].closed]
-    full = {
-        (parts[item.key].stream.link, parts[item.key].stream.receiver) for item in open_ if item.overflowed
-    }
-    found = []
-    for item in open_:
-        left = item.number - sum(item.taken.values())
-        stream = parts[item.key].stream
-        if left and (not beside or (stream.link, stream.receiver) in full):
-            found.append(Claim(item.key, item.first, item.last, left, ("overflow",)))
-    return found
 
 
 @dataclass(slots=True)
@@ -139,44 +124,34 @@ class Telemetry:
         self.silences: dict[int, list[tuple[int, int]]] = {}
         self._spare: dict[int, int] = {}
         self.losses: list[Loss] = []
-        parts: list[Part] = []
-        claims: dict[int, list[Claim]] = {}
+        self.parts: list[Part] = []
+        self.claims: list[Claim] = []
         for stream in known.streams:
             if not stream.link.only_to_cfs:
-                self._claim(stream, parts, claims)
+                self._claim(stream)
         self._dropped_unseen()
-        for owner, own in claims.items():
-            settle(counts[owner], own)
-            self._given(parts, own)
-        for owner, own in claims.items():
-            # An event that names an application's pipe has its counts; else those of full pipes are these.
-            others = any(
-                (item.instance, item.kind) == (owner, "overflow") and not (item.at_output or item.at_peer)
-                for item in known.reported_losses
-            )
-            again = _left_over(parts, own, beside=others)
-            settle(counts[owner], again)
-            self._given(parts, again)
-        for part in parts:
+
+    def tell(self) -> None:
+        """Make losses of what is missing, once the claims have their counts."""
+        for claim in self.claims:
+            taken = self.parts[claim.key].taken
+            for (_, kind), number in claim.by_kind().items():
+                taken[kind] = taken.get(kind, 0) + number
+            if claim.rank == POSSIBLE:  # behind the last message that came, where no gap shows it
+                self.parts[claim.key].missing += sum(claim.taken.values())
+        for part in self.parts:
             # Of those that may have been counted before or behind all samples, a count here may be another's.
             spare = part.outside - part.missing + sum(part.taken.values())
             self._spare[part.owner] = self._spare.get(part.owner, 0) + max(0, spare)
-        for part in parts:
+        for part in self.parts:
             if part.closed:
                 self._tell_closed(part)
             else:
-                self._tail(part)
                 self._tell(part)
 
-    def _given(self, parts: Sequence[Part], claims: Sequence[Claim]) -> None:
-        """Add what claims were given to their parts."""
-        for claim in claims:
-            part = parts[claim.key]
-            for kind, number in claim.taken.items():
-                part.taken[kind] = part.taken.get(kind, 0) + number
-
-    def _claim(self, stream: Stream, parts: list[Part], claims: dict[int, list[Claim]]) -> None:
+    def _claim(self, stream: Stream) -> None:
         """Divide what is missing from a stream by spans and seconds."""
+        parts = self.parts
         known = self._known
         hop = known.upstream(stream)
         if hop is None and not (stream.counted and stream.missing.any()):
@@ -233,9 +208,9 @@ class Telemetry:
             part.silenced, part.unled = bool(silenced[index]), bool(unled[index])
             if counts is not None and stream.link.only_from_cfs:
                 # A pipe that nobody empties fills up: what the software bus counts then is lost.
-                low, high = counts.seconds(np.array([from_ns[index], until_ns[index]])).tolist()
-                claims.setdefault(owner, []).append(
-                    Claim(len(parts), low, high, part.missing, tuple(COUNTERS))
+                low, high = int(from_ns[index]), int(until_ns[index])
+                self.claims.append(
+                    Claim(len(parts), low, high, part.missing, tuple(COUNTERS), (owner,), CLOSED, id(stream))
                 )
             parts.append(part)
         at, number, from_ns, until_ns = at[~closed], number[~closed], from_ns[~closed], until_ns[~closed]
@@ -249,15 +224,21 @@ class Telemetry:
             np.add.at(gaps, at[rows], number[rows])
             part.kinds = self._kinds(part, gaps, via=hop is not None)
             if counts is not None:
-                first, last = counts.seconds(from_ns[rows]), counts.seconds(until_ns[rows])
-                inside = (first >= 0) & (last < len(counts.times) - 1)
+                low, high = from_ns[rows], until_ns[rows]
+                inside = (low > counts.times[0]) & (high <= counts.times[-1])
                 part.outside = int(number[rows[~inside]].sum())
                 part.watched = 2 * part.outside <= part.missing
-                claims.setdefault(owner, []).extend(
-                    Claim(len(parts), low, high, total, part.kinds)
-                    for _, low, high, total in grouped(which[rows], first, last, number[rows])
-                )
+                others = tuple(kind for kind in COUNTERS if kind not in part.kinds)
+                for members in alike([counts], low, high):
+                    total = int(number[rows[members]].sum())
+                    span = int(low[members[0]]), int(high[members[0]])
+                    key, rank = len(parts), PRESSED if part.kinds else MISSING
+                    self.claims.append(
+                        Claim(key, *span, total, (*part.kinds, *others), (owner,), rank, id(stream))
+                    )
             parts.append(part)
+            if counts is not None:
+                self._tail(len(parts) - 1)
 
     def _dropped_unseen(self) -> None:
         """Add what a proxy dropped before a stream begins here, or behind its end: no gap shows it."""
@@ -331,22 +312,23 @@ class Telemetry:
                 found.append((not told, kind))
         return tuple(kind for _, kind in sorted(found, key=lambda item: item[0]))
 
-    def _tail(self, part: Part) -> None:
-        """Take what was lost behind the last message that came: no gap shows it, only the counter does."""
-        counts, stream, span = self._counts.get(part.owner), part.stream, part.span
-        if counts is None or not part.taken or span.last != len(stream) - 1:
+    def _tail(self, key: int) -> None:
+        """Claim counts of what was lost behind the last message that came: no gap shows it."""
+        part, known = self.parts[key], self._known
+        stream, span = part.stream, part.span
+        if not part.kinds or span.last != len(stream) - 1:
             return
-        made_ns = int(self._known.instances.made_ns[stream.rows[-1]])
-        first, last = counts.seconds(np.array([made_ns, made_ns + TAIL_NS]))
+        made_ns = int(known.instances.made_ns[stream.rows[-1]])
         most = int(0.7 * span.offered_hz + 2)
-        for hop in self._known.hops:
+        for hop in known.hops:
             if hop.out is stream and hop.matched > _MOSTLY * len(stream):
                 # It was made of what went in: no more were than went in behind the last that came out.
-                went_in = self._known.captured(hop.into)
+                went_in = known.captured(hop.into)
                 most = min(most, int((hop.absent & (went_in > went_in[hop.arrived].max())).sum()))
-        for kind, number in counts.take(part.kinds, int(first), int(last), most).items():
-            part.taken[kind] = part.taken.get(kind, 0) + number
-            part.missing += number
+        if most > 0:
+            self.claims.append(
+                Claim(key, made_ns, made_ns + TAIL_NS, most, part.kinds, (part.owner,), POSSIBLE, id(stream))
+            )
 
     def _tell(self, part: Part) -> None:
         """Make losses of what is missing from a span."""

@@ -8,19 +8,36 @@ more.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS, PipeKind
+from edoras_tools.wire.arrays.order import by_value, numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.loss_reports import Track
+
+PRESSED: Final = 0
+"""Rank of what surely is missing, where an event names it or its pipe was full."""
+ABSENT: Final = 1
+"""Rank of other commands that surely did not come out."""
+CLOSED: Final = 2
+"""Rank of what is missing while nothing took it."""
+POSSIBLE: Final = 3
+"""Ranks from here on are of messages of which it is not sure that they are missing."""
+STOPPED: Final = 98
+"""Rank of what was sent to an application that was stopped: its pipe may have come back without it."""
+MISSING: Final = 99
+"""Rank of what is missing where no pipe was full: it takes what nothing else explains."""
+
+
+Place = tuple[int, PipeKind, int]
+"""A count: of which instance, of which kind, and in which second of that counter."""
 
 
 @dataclass(slots=True)
@@ -43,39 +60,16 @@ class Counts:
             {kind: _steps(track.totals[name]) for kind, name in COUNTERS.items()},
         )
 
-    @classmethod
-    def together(cls, parts: Sequence[Counts]) -> Counts:
-        """Lay out the counts of several instances on one line of time, each at the sample that told of it."""
-        times = np.unique(np.concatenate([part.times for part in parts]))
-        found = cls(times, {kind: np.zeros(len(times) - 1, np.int64) for kind in COUNTERS})
-        for part in parts:
-            at = found.seconds(part.times[1:])
-            for kind, left in found.left.items():
-                np.add.at(left, at, part.left[kind])
-        return found
-
-    def divided(self, parts: Sequence[Counts]) -> dict[PipeKind, list[int]]:
-        """Take from the parts what was taken of them together; return how much that is of each."""
-        taken: dict[PipeKind, list[int]] = {}
-        for kind, left in self.left.items():
-            rest = left.copy()
-            for part in parts:
-                at = self.seconds(part.times[1:])
-                kept = np.minimum(part.left[kind], rest[at])
-                np.subtract.at(rest, at, kept)
-                taken.setdefault(kind, []).append(int((part.left[kind] - kept).sum()))
-                part.left[kind] = kept
-        return taken
-
     def seconds(self, times: NDArray[np.int64]) -> NDArray[np.intp]:
         """Return which of the seconds each time is in: -1 before the first sample, n behind the last."""
         return np.asarray(np.searchsorted(self.times, times) - 1)
 
-    def often(self, first: NDArray[np.intp], last: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Tell of which runs of seconds no two samples lie far apart: what is counted then was sent then."""
+    def often(self, low_ns: NDArray[np.int64], high_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell in which times no two samples lie far apart: what is counted then was sent then."""
         rare = np.concatenate(([0], np.cumsum(np.diff(self.times) > TAIL_NS)))
-        low, high = np.clip(first, 0, len(rare) - 1), np.clip(last + 1, 0, len(rare) - 1)
-        return np.asarray(rare[low] == rare[high])
+        first = np.clip(self.seconds(low_ns), 0, len(rare) - 1)
+        last = np.clip(self.seconds(high_ns) + 1, 0, len(rare) - 1)
+        return np.asarray(rare[first] == rare[last])
 
     def take(self, kinds: Sequence[PipeKind], first: int, last: int, most: int) -> dict[PipeKind, int]:
         """Take up to so many counts out of some seconds, the earliest first."""
@@ -92,28 +86,49 @@ class Counts:
 
 @dataclass(slots=True)
 class Claim:
-    """Messages that are missing, and may be what a counter counted.
+    """Messages that are missing, or may be, and that a counter may have counted.
 
     Attributes:
-        key: whose: what is taken is told by it.
-        first: the first second in which they can have been counted.
-        last: the last.
-        number: how many.
-        kinds: as which, the likelier first.
-        taken: kind to how many were.
+        key: place of their owner in a list of the caller's.
+        low_ns: capture time from which on they can have been counted.
+        high_ns: capture time until which they can.
+        number: number of messages.
+        kinds: kinds of count, the likelier first.
+        instances: cFS instances that may have counted them.
+        rank: claims of a lower rank are served first.
+        flow: traffic that they are of: id of its stream.
+        taken: (instance, kind, second of that counter) to the counts that they were given.
+        reserved: counts that they share with claims of other traffic.
     """
 
     key: int
-    first: int
-    last: int
+    low_ns: int
+    high_ns: int
     number: int
     kinds: Sequence[PipeKind]
-    taken: dict[PipeKind, int] = field(default_factory=dict)
+    instances: Sequence[int]
+    rank: int = 0
+    flow: int = 0
+    taken: dict[Place, int] = field(default_factory=dict)
+    reserved: int = 0
 
     @property
-    def overflowed(self) -> bool:
-        """Whether some of it was counted as a full pipe's."""
-        return self.taken.get("overflow", 0) > 0
+    def open(self) -> int:
+        """Messages that no count explains yet."""
+        return self.number - sum(self.taken.values()) - self.reserved
+
+    def give(self, place: Place, number: int) -> None:
+        """Add counts to those that it was given, or take some back."""
+        self.taken[place] = self.taken.get(place, 0) + number
+        if not self.taken[place]:
+            del self.taken[place]
+
+    def by_kind(self) -> dict[tuple[int, PipeKind], int]:
+        """Return how many of each kind each instance counted of them."""
+        found: dict[tuple[int, PipeKind], int] = {}
+        for (instance, kind, _), number in self.taken.items():
+            found[instance, kind] = found.get((instance, kind), 0) + number
+        return found
 
 
 def _steps(totals: list[int]) -> NDArray[np.int64]:
@@ -121,42 +136,192 @@ def _steps(totals: list[int]) -> NDArray[np.int64]:
     return np.asarray(values[1:] - values[:-1])
 
 
-def settle(counts: Counts, claims: Sequence[Claim]) -> None:
-    """Give claims what was counted: who has the least to choose from first (rule 4).
+def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0) -> None:
+    """Give claims what was counted, rank after rank, and then as much as can be given at all.
 
-    That is who can be counted as the fewest kinds, or who has the earliest end: what explains more is taken.
+    A count goes to the open claims whose time holds it, to each by how much of it is open. What is left then
+    is given by moving others' counts (augmenting paths, as of a bipartite graph): no other choice
+    explains more.
+
+    Args:
+        counts: the counters of each instance; what is given is taken out of them.
+        claims: of all of them together.
+        slack_ns: by so much the time of a claim may be wrong, on either side.
     """
-    grew = {kind for kind, left in counts.left.items() if left.any()}
-    for claim in claims:
-        claim.kinds = [kind for kind in claim.kinds if kind in grew]
-
-    def by_kinds(claim: Claim) -> tuple[Any, ...]:
-        return len(claim.kinds), claim.last, claim.first, tuple(claim.kinds)
-
-    def by_end(claim: Claim) -> tuple[Any, ...]:
-        return claim.last, len(claim.kinds), claim.first, tuple(claim.kinds)
-
-    tried = [_given(counts, sorted(claims, key=order), order) for order in (by_kinds, by_end)]
-    counts.left, given = max(tried, key=lambda each: sum(number for _, _, number in each[1]))
-    for claim, kind, number in given:
-        claim.taken[kind] = number
+    tables = [
+        _Table(instance, kind, own, claims, slack_ns)
+        for instance, own in counts.items()
+        for kind in COUNTERS
+        if own.left[kind].any()
+    ]
+    for rank in sorted({claim.rank for claim in claims}):
+        for place in range(len(COUNTERS)):
+            for table in tables:
+                table.serve([at for at in table.asking if table.prefers(at, rank, place)])
+    _improve({(table.instance, table.kind): table for table in tables}, claims)
 
 
-def _given(
-    counts: Counts, claims: Sequence[Claim], order: Callable[[Claim], Any]
-) -> tuple[dict[PipeKind, NDArray[np.int64]], list[tuple[Claim, PipeKind, int]]]:
-    """Return what is left of counts where claims in this order take theirs, and what each is given."""
-    work = Counts(counts.times, {kind: left.copy() for kind, left in counts.left.items()})
-    given: list[tuple[Claim, PipeKind, int]] = []
-    for _, together in groupby(claims, key=order):
-        members = list(together)
-        left = [claim.number for claim in members]
-        one = members[0]
-        for kind, number in work.take(one.kinds, one.first, one.last, sum(left)).items():
-            for at, share in enumerate(shares(number, left, left)):
-                given.append((members[at], kind, share))
-                left[at] -= share
-    return work.left, given
+@dataclass(slots=True)
+class Shared:
+    """Counts that are losses of several kinds of traffic together: nothing tells how many of each.
+
+    Attributes:
+        instance: cFS instance that counted them.
+        kind: kind of count.
+        flows: traffic that shares them, ids of streams.
+        number: counts.
+        start_ns: time of the sample before the first of them.
+        end_ns: time of the sample behind the last of them.
+    """
+
+    instance: int
+    kind: PipeKind
+    flows: frozenset[int]
+    number: int
+    start_ns: int
+    end_ns: int
+
+
+def settle_possible(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:
+    """Give claims of messages that may be lost what is left, rank after rank, where one traffic alone can be.
+
+    Returns:
+        what several share.
+    """
+    tables = [
+        _Table(instance, kind, own, claims, 0)
+        for instance, own in counts.items()
+        for kind in COUNTERS
+        if own.left[kind].any()
+    ]
+    found: dict[tuple[int, PipeKind, frozenset[int]], Shared] = {}
+    for rank in sorted({claim.rank for claim in claims}):
+        for place in range(len(COUNTERS)):
+            for table in tables:
+                asking = {at for at in table.asking if table.prefers(at, rank, place)}
+                for second in np.flatnonzero(table.left).tolist() if asking else ():
+                    held = [at for at in table.within(second) if at in asking and claims[at].open]
+                    flows = frozenset(claims[at].flow for at in held)
+                    number = table.give(second, held, reserve=len(flows) > 1)
+                    if len(flows) > 1 and number:
+                        times = counts[table.instance].times[second : second + 2].tolist()
+                        key = table.instance, table.kind, flows
+                        item = found.setdefault(key, Shared(*key, 0, times[0], times[1]))
+                        item.number += number
+                        item.end_ns = times[1]
+    return list(found.values())
+
+
+class _Table:
+    """Who may take the counts of one counter.
+
+    Attributes:
+        asking: places of the claims that may.
+        left: i64 (n,), its counts that nothing has taken.
+    """
+
+    def __init__(
+        self, instance: int, kind: PipeKind, own: Counts, claims: Sequence[Claim], slack_ns: int
+    ) -> None:
+        self.instance, self.kind, self.left, self._claims = instance, kind, own.left[kind], claims
+        self.asking = [
+            at for at, claim in enumerate(claims) if instance in claim.instances and kind in claim.kinds
+        ]
+        low = np.array([claims[at].low_ns for at in self.asking], np.int64)
+        high = np.array([claims[at].high_ns for at in self.asking], np.int64)
+        self._first = np.maximum(own.seconds(low - slack_ns), 0)
+        self._last = np.minimum(own.seconds(high + slack_ns), len(own.times) - 2)
+        self._place = {at: place for place, at in enumerate(self.asking)}
+
+    def prefers(self, at: int, rank: int, place: int) -> bool:
+        """Tell whether a claim is of a rank, is open, and names this kind at a place."""
+        claim = self._claims[at]
+        return claim.rank == rank and claim.kinds[place:][:1] == (self.kind,) and claim.open > 0
+
+    def within(self, second: int) -> list[int]:
+        """Return the claims whose time holds a second."""
+        there = np.flatnonzero((self._first <= second) & (self._last >= second))
+        return [self.asking[place] for place in there.tolist()]
+
+    def serve(self, asking: Sequence[int]) -> None:
+        """Give counts to claims: to all whose time holds a count, by how much of each is open."""
+        first = {at: int(self._first[self._place[at]]) for at in asking}
+        order, held, next_ = sorted(asking, key=first.__getitem__), list[int](), 0
+        for second in np.flatnonzero(self.left).tolist():
+            while next_ < len(order) and first[order[next_]] <= second:
+                held.append(order[next_])
+                next_ += 1
+            held = [at for at in held if self._last[self._place[at]] >= second and self._claims[at].open]
+            self.give(second, held)
+
+    def give(self, second: int, held: Sequence[int], *, reserve: bool = False) -> int:
+        """Give the counts of a second to some claims, or reserve them for these; return how many."""
+        turn = second % max(1, len(held))  # what does not divide goes to another one each time
+        held = [*held[turn:], *held[:turn]]
+        before = int(self.left[second])
+        for at, share in zip(held, self._shares(before, held), strict=True):
+            if share and reserve:
+                self._claims[at].reserved += share
+            elif share:
+                self._claims[at].give((self.instance, self.kind, second), share)
+            self.left[second] -= share
+        return before - int(self.left[second])
+
+    def _shares(self, number: int, same: Sequence[int]) -> list[int]:
+        """Divide counts among claims, by how much of each is open."""
+        most = [self._claims[at].open for at in same]
+        return most if sum(most) <= number else shares(number, most, most)
+
+
+def _improve(tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim]) -> None:
+    """Give what is left by moving counts between claims; what leads to no open claim is looked at once."""
+    dead: set[int] = set()
+    for (instance, kind), table in tables.items():
+        for second in np.flatnonzero(table.left).tolist():
+            while table.left[second]:
+                path = _path(tables, claims, (instance, kind, second), dead)
+                if path is None:
+                    break
+                moved = int(table.left[second])
+                moved = min(moved, claims[path[-1][1]].open)
+                for (place, _), (_, before) in zip(path[1:], path, strict=False):
+                    moved = min(moved, claims[before].taken[place])
+                for place, at in path:
+                    claims[at].give(place, moved)
+                for (place, _), (_, before) in zip(path[1:], path, strict=False):
+                    claims[before].give(place, -moved)
+                table.left[second] -= moved
+
+
+def _path(
+    tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], start: Place, dead: set[int]
+) -> list[tuple[Place, int]] | None:
+    """Return which counts go to which claims instead, from some that are left to a claim that is open.
+
+    Args:
+        dead: claims that lead nowhere; added to where there is no path.
+    """
+    from_: dict[int, tuple[Place, int | None]] = {}
+    todo: list[tuple[Place, int | None]] = [(start, None)]
+    looked: set[Place] = set()
+    while todo:
+        place, before = todo.pop()
+        if place in looked:
+            continue
+        looked.add(place)
+        for at in tables[place[0], place[1]].within(place[2]):
+            if at in from_ or at in dead:
+                continue
+            from_[at] = place, before
+            if claims[at].open:
+                path = [(place, at)]
+                while before is not None:
+                    path.append((from_[before][0], before))
+                    before = from_[before][1]
+                return path[::-1]
+            todo += [(other, at) for other in claims[at].taken if (other[0], other[1]) in tables]
+    dead.update(from_)
+    return None
 
 
 def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[int]:
@@ -178,13 +343,17 @@ def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[i
     return out
 
 
-def grouped(
-    key: NDArray[np.intp], first: NDArray[np.intp], last: NDArray[np.intp], number: NDArray[np.int64]
-) -> Iterator[tuple[int, int, int, int]]:
-    """Yield (key, first, last, sum of numbers) of rows that share the first three."""
-    if not len(key):
-        return
-    rows, which = np.unique(np.stack((key, first, last)), axis=1, return_inverse=True)
-    sums = np.bincount(which.reshape(-1), weights=number)
-    for (one, low, high), total in zip(rows.T.tolist(), sums.tolist(), strict=True):
-        yield one, low, high, int(total)
+def alike(
+    counts: Sequence[Counts], low_ns: NDArray[np.int64], high_ns: NDArray[np.int64], *keys: NDArray[np.intp]
+) -> list[NDArray[np.intp]]:
+    """Return groups of messages that the same counts may hold, as indices: one claim can speak for each.
+
+    Args:
+        counts: of the instances that may have counted them.
+        low_ns: from when on each can have been counted.
+        high_ns: and until when.
+        keys: what else those of a group have in common.
+    """
+    seconds = [own.seconds(times) for own in counts for times in (low_ns, high_ns)]
+    _, which = numbered(*seconds, *keys)
+    return [members for _, members in by_value(which)]

@@ -21,11 +21,12 @@ import numpy as np
 
 from edoras_tools.cfs import names, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.before_ci import BeforeCi
+from edoras_tools.diagnosis.accounting.claims import MISSING, POSSIBLE, settle, settle_possible
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, follow, loss_of
 from edoras_tools.diagnosis.accounting.leftover import Leftover
 from edoras_tools.diagnosis.accounting.losses import SBN_SOCKET, TAIL_NS, Among, Known, Loss
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Pipes
-from edoras_tools.diagnosis.accounting.stops import stopped
+from edoras_tools.diagnosis.accounting.stops import Stops
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
 from edoras_tools.units import SECOND
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 
 
 _COUNTS: Final = 256
+_APART_NS: Final = 3 * SECOND
 _WRAPPED: Final = 128
 """A counter of 8 bits that falls by more began again from 0, by itself."""
 
@@ -65,6 +67,7 @@ class Commands:
     """What became of everything that went into cFS.
 
     Attributes:
+        telemetry: what is missing from sequence counts.
         fates: id of a stream to what became of its messages.
         losses: what was lost.
         unplaced: id of a refusal to how many of its messages no stream here has.
@@ -82,7 +85,7 @@ class Commands:
         telemetry: Telemetry,
     ) -> None:
         self._known = known
-        self._telemetry, self._closed = telemetry.losses, telemetry.closed
+        self.telemetry = telemetry
         self.losses: list[Loss] = []
         self.fates: dict[int, Fate] = {}
         self.unplaced: dict[int, int] = {}
@@ -95,20 +98,35 @@ class Commands:
         for account in accounts:
             before_ci.share(account)
         self._refuse(refused)
-        self.losses += stopped(known, fates)
+        stops = Stops(known, fates)
         for fate in fates:
             if fate.stream.link.peers:
                 self._down(fate)
         for fate in fates:
             self._pass_on(fate)
-        pipes.settle(fates)
+            pipes.claim(fate)
+        claims = [*telemetry.claims, *pipes.claims]
+        sure = [claim for claim in claims if claim.rank < POSSIBLE]
+        settle(counts, sure)
+        # What is missing and what is counted within seconds of each other are not two things.
+        settle(counts, sure, _APART_NS)
+        possible = [claim for claim in claims if POSSIBLE <= claim.rank < MISSING]
+        shared = settle_possible(counts, possible)
+        tails = {claim.flow: sum(claim.taken.values()) for claim in possible if claim.rank == POSSIBLE}
+        pipes.tell()
+        stops.tell()
+        self.losses += stops.losses
         for account in accounts:
             before_ci.wait(account)
         for fate in fates:
-            self._rest(fate)
+            fate.shared = sum(item.number for item in shared if id(fate.stream) in item.flows)
+            self._rest(fate, tails)
         older_ns = {item.endpoint: item.older_until_ns for item in accounts}
-        leftover = Leftover(known, counts, self.fates, pipes, older_ns, telemetry.losses)
-        leftover.share()
+        leftover = Leftover(known, counts, self.fates, pipes, older_ns)
+        leftover.share(shared)
+        settle(counts, [claim for claim in claims if claim.rank == MISSING], _APART_NS)
+        telemetry.tell()
+        leftover.tell(telemetry.losses)
         self.uncaptured = leftover.uncaptured
         for fate in fates:
             self._unfollowed(fate)
@@ -159,26 +177,26 @@ class Commands:
             self.unplaced[id(item)] = left
 
     def _pass_on(self, fate: Fate) -> None:
-        """Take those that came out of the application and were lost behind it, which is told there."""
-        hops = [hop for hop in fate.hops if hop.rewritten]
-        behind = {id(hop.out) for hop in hops}
-        times, delay = self._known.captured(fate.stream), max((hop.last_ns for hop in hops), default=0)
-        left = sum(self._closed.get(key, 0) for key in behind)
-        for loss in self._telemetry:
-            if id(loss.stream) in behind:
-                # What was lost behind it in one span of time went in just before.
-                inside = (times >= loss.start_ns - delay - WAITS_NS) & (times <= loss.end_ns)
-                left += loss.lost - self._spread(fate, loss.lost, inside)
-        left -= self._spread(fate, left, fate.open)
-        fate.owed = min(left, int((fate.open & fate.newer).sum()))
+        """Mark those that may have come out of the application, and are among what is missing behind it.
 
-    @staticmethod
-    def _spread(fate: Fate, number: int, inside: NDArray[np.bool_]) -> int:
-        """Take up to so many of some messages that did not come out as lost behind; return how many."""
-        rows = np.flatnonzero(fate.open & ~fate.newer & inside)
-        number = min(number, len(rows))
-        fate.passed_on += fate.claim(rows[np.linspace(0, len(rows) - 1, number).round().astype(np.intp)])
-        return number
+        An application passes on in order. Between two messages that came out as many of the absent ones may
+        have been passed on as counts are missing between these two. No count shows those just before the
+        first and just behind the last.
+        """
+        times, open_ = self._known.captured(fate.stream), np.flatnonzero(fate.open)
+        for hop in fate.hops:
+            if not (hop.rewritten and hop.out.counted):
+                continue
+            into, out = np.sort(hop.in_rows), np.sort(hop.out_rows)
+            behind = np.searchsorted(into, open_)
+            passed = np.concatenate(([0], np.cumsum(hop.out.missing)))[out]
+            room = np.concatenate(([0], np.diff(passed), [0]))
+            # Of those in one place the first may be it, as far as there is room.
+            nth = np.arange(len(behind)) - np.searchsorted(behind, behind)
+            fate.passed[open_[nth < room[behind]]] = True
+            near = (times[open_] > times[into[0]] - LATE_NS) & (behind == 0)
+            near |= (times[open_] < times[into[-1]] + hop.last_ns + LATE_NS) & (behind == len(into))
+            fate.edge[open_[near]] = True
 
     def _unfollowed(self, fate: Fate) -> None:
         """Count what nobody can follow, of what nothing else has told."""
@@ -238,10 +256,18 @@ class Commands:
         inside = int(((times > counted_ns[0]) & (times <= counted_ns[-1] - TAIL_NS)).sum())
         fate.unaccounted = max(0, inside - (len(times) - self._untold(fate)) - fate.commanded)
 
-    def _rest(self, fate: Fate) -> None:
-        """Rules 6 and 7."""
+    def _rest(self, fate: Fate, tails: Mapping[int, int]) -> None:
+        """Rules 6 and 7.
+
+        Args:
+            tails: id of a stream to what counters have of it behind its last message.
+        """
         if not fate.seen:
             return
+        edge = np.flatnonzero(fate.open & fate.edge)[: sum(tails.get(id(hop.out), 0) for hop in fate.hops)]
+        fate.passed[edge] = True
+        fate.passed_on = int((fate.open & fate.passed).sum())
+        fate.open &= ~fate.passed
         newer = fate.open & fate.newer
         fate.superseded = int(newer.sum())
         fate.open &= ~newer
@@ -257,14 +283,15 @@ class Commands:
         if fate.stream.link.peers:
             self._rushed(fate, times)
         unaccounted = int(fate.open.sum())
-        if fate.newer.any():
-            # A newer one that came out and was lost behind that took others' place too.
-            fate.superseded -= min(fate.superseded, fate.owed)
-            fate.passed_on += fate.owed
-            more = min(unaccounted, fate.passed_on)
-            fate.superseded += more
-            unaccounted -= more
-        fate.unaccounted = unaccounted
+        # One that came out and was lost behind that took others' place, too.
+        more = min(unaccounted, fate.passed_on) if fate.newer.any() else 0
+        fate.superseded += more
+        fate.unaccounted = unaccounted - more
+        # What counters have of several together may be some of these.
+        fate.shared = min(fate.shared, fate.superseded + fate.passed_on)
+        superseded = min(fate.shared, fate.superseded)
+        fate.superseded -= superseded
+        fate.passed_on -= fate.shared - superseded
 
     def _rushed(self, fate: Fate, times: NDArray[np.int64]) -> None:
         """Tell lost in SBN's socket what did not come out, and came when SBN had more than it reads."""

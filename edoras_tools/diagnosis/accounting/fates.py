@@ -53,6 +53,10 @@ class Fate:
         late: messages that were sent so late that no count of their CI is here after them.
         unsure: messages of which the first counts of their CI do not tell whether it read them.
         doubled: messages that came out more than once.
+        shared: the most messages that may be among those that a counter has of several traffics together.
+        passed: bool (rows,), it may have come out of the application and have been lost behind it.
+        edge: bool (rows,), likewise, where no count behind it would show that.
+        stop: i64 (rows,), place of the stop of an application that it was sent into; -1 for none.
     """
 
     stream: Stream
@@ -78,6 +82,14 @@ class Fate:
     late: int = 0
     unsure: int = 0
     doubled: int = 0
+    shared: int = 0
+    passed: NDArray[np.bool_] = field(init=False)
+    edge: NDArray[np.bool_] = field(init=False)
+    stop: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.passed, self.edge = (np.zeros(len(self.stream), bool) for _ in range(2))
+        self.stop = np.full(len(self.stream), -1)
 
     @property
     def seen(self) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.cfs import names, telemetry_output
-from edoras_tools.diagnosis.accounting.claims import Counts, shares
+from edoras_tools.diagnosis.accounting.claims import Counts, Shared
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
 from edoras_tools.diagnosis.accounting.losses import (
@@ -25,7 +25,6 @@ from edoras_tools.diagnosis.accounting.losses import (
 )
 from edoras_tools.links.table import carrying
 from edoras_tools.model import NO_ROUTE
-from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -50,7 +49,6 @@ class Candidate:
         sender: who sends it, as an event names it.
         said: the events that name it.
         spans: its traffic in time.
-        weight: its share, where it has rivals.
         since_ns: until then what was counted may have been sent before the capture began.
     """
 
@@ -70,15 +68,7 @@ class Candidate:
         self.lost_from = stream
         self.spans = known.spans(stream) if stream is not None else []
         self.times = known.captured(stream) if stream is not None else np.zeros(0, np.int64)
-        self._burst_hz = known.profile.app_msg_limit * SECOND / known.profile.ci_wake_ns
-        self.weight: float = said.count if said else 1
         self.since_ns = 0
-
-    @property
-    def over(self) -> float:
-        """By how much its rate is over what a pipe takes; 0 where that is not known."""
-        seconds = (self.times[-1] - self.times[0]) / SECOND if len(self.times) > 1 else 0.0
-        return max(0.0, len(self.times) / float(seconds) - self._burst_hz) if seconds else 0.0
 
     def most_at_once(self, period_ns: int) -> int:
         """Return the most of its messages within a period of time."""
@@ -108,7 +98,6 @@ class Leftover:
         counts: of each instance, less what was told of them.
         fates: id of a stream to what became of its messages.
         older_ns: endpoint of a CI to until when it may have read what was sent before the capture.
-        gaps: losses behind cFS; another cFS may have counted those of which nothing tells where.
 
     Attributes:
         uncaptured: instance to what it counted lost while the capturing interface was away, and is told of
@@ -122,16 +111,24 @@ class Leftover:
         fates: Mapping[int, Fate],
         pipes: Pipes,
         older_ns: Mapping[int, int],
-        gaps: Sequence[Loss],
     ) -> None:
-        self._unplaced = {at: loss.lost for at, loss in enumerate(gaps) if loss.kind == "unknown"}
-        self._gaps = gaps
+        self._gaps: Sequence[Loss] = ()
+        self._unplaced: dict[int, int] = {}
         self._known, self._counts, self.fates, self._pipes = known, counts, fates, pipes
         self._older_ns, self.losses = older_ns, pipes.losses
         self.uncaptured: dict[int, int] = {}
 
-    def share(self) -> None:
-        """Share out what nothing has taken: to what events name, else to what is sent too fast for a pipe."""
+    def share(self, shared: Sequence[Shared]) -> None:
+        """Share out what nothing has taken: to what events name, else to what is sent too fast for a pipe.
+
+        Args:
+            shared: counts that several kinds of traffic share: each is a loss of its own.
+        """
+        streams = {id(stream): stream for stream in self._known.streams}
+        for item in shared:
+            rivals = [streams[flow] for flow in item.flows]
+            named = {(stream.link.label, stream.msg_id, self._pipe(stream)) for stream in rivals}
+            self._together(item, named)
         for instance, counts in self._counts.items():
             # What is counted now was sent up to a round of CI before.
             away = self._known.away(counts.times[:-1] - WAITS_NS - LEAD_NS, counts.times[1:])
@@ -141,6 +138,20 @@ class Leftover:
                     counts.left[kind][away] = 0
                 if counts.left[kind].any():
                     self._leftover(instance, counts, kind)
+
+    def tell(self, gaps: Sequence[Loss]) -> None:
+        """Make losses of what nothing explains.
+
+        Args:
+            gaps: losses behind cFS; another cFS may have counted those of which nothing tells where.
+        """
+        self._gaps = gaps
+        self._unplaced = {at: loss.lost for at, loss in enumerate(gaps) if loss.kind == "unknown"}
+        for instance, counts in self._counts.items():
+            for kind, left in counts.left.items():
+                seconds = np.flatnonzero(left).tolist()
+                if seconds:
+                    self._unknown(instance, kind, int(left.sum()), counts, seconds)
 
     def _leftover(self, instance: int, counts: Counts, kind: PipeKind) -> None:
         candidates = self._candidates(instance, kind)
@@ -156,15 +167,31 @@ class Leftover:
             groups.setdefault(active, []).append(second)
         for active, seconds in groups.items():
             number = int(left[seconds].sum())
-            weights = [candidates[index].weight for index, _ in active]
-            most = [candidates[index].most(span) for index, span in active]
-            for (index, span), share in zip(active, shares(number, weights, most), strict=True):
+            times = int(counts.times[seconds[0]]), int(counts.times[seconds[-1] + 1])
+            most = sum(candidates[index].most(span) for index, span in active)
+            share = min(number, most)
+            if len(active) == 1:
+                (((index, span),), number) = active, number - share
+                self._blame(candidates[index], span, share, times)
+            elif active:
                 number -= share
-                if share:
-                    times = int(counts.times[seconds[0]]), int(counts.times[seconds[-1] + 1])
-                    self._blame(candidates[index], span, share, times, len(active))
-            if number:
-                self._unknown(instance, kind, number, counts, seconds)
+                rivals = [candidates[index] for index, _ in active]
+                flows = frozenset(id(item.stream) for item in rivals if item.stream is not None)
+                for item in rivals:
+                    fate = self.fates.get(id(item.stream))
+                    if fate is not None:
+                        fate.shared += min(share, len(fate.stream))
+                self._together(
+                    Shared(instance, kind, flows, share, *times),
+                    {
+                        (item.stream.link.label if item.stream else "", item.msg_id, item.pipe)
+                        for item in rivals
+                    },
+                )
+            for second in seconds:
+                part = min(int(left[second]), number)
+                number -= part
+                left[second] = part
 
     def _candidates(self, instance: int, kind: PipeKind) -> list[Candidate]:
         """Return what may be counted: what events name, else what is sent faster than a pipe takes."""
@@ -198,10 +225,6 @@ class Leftover:
         for item in found:
             if item.stream is not None:
                 item.since_ns = self._older_ns.get(item.stream.receiver, 0)
-        over = [item.over for item in found]
-        if all(over):
-            for item, weight in zip(found, over, strict=True):
-                item.weight = weight
         return found
 
     def _fed(self, reported: ReportedLoss, instance: int) -> Fate | None:
@@ -235,13 +258,32 @@ class Leftover:
                 if item.most_at_once(profile.to_wake_ns) > limit and known.owner(stream) != instance:
                     yield item
 
-    def _blame(self, item: Candidate, span: int, number: int, times: tuple[int, int], rivals: int) -> None:
+    def _pipe(self, stream: Stream) -> str:
+        """Return the pipe that traffic goes into: an application's, Telemetry Output's or an SBN peer's."""
+        return APP if id(stream) in self.fates else self._known.hop(stream)
+
+    def _together(self, item: Shared, rivals: set[tuple[str, int, str]]) -> None:
+        """Tell counts that several kinds of traffic share as one loss, of none of them."""
+        text = f"0x803: {COUNTER_NAMES[item.kind]} +{item.number:,}, which may be of any of these"
+        self.losses.append(
+            Loss(
+                kind=item.kind,
+                instance=item.instance,
+                hop="software bus",
+                lost=item.number,
+                start_ns=item.start_ns,
+                end_ns=item.end_ns,
+                confidence="high",
+                evidence=[text],
+                rivals=tuple(sorted(rivals)),
+            )
+        )
+
+    def _blame(self, item: Candidate, span: int, number: int, times: tuple[int, int]) -> None:
         cut = item.spans[span] if item.spans else None
         among = self._among(item.stream, cut) if cut is not None and item.stream is not None else None
         if cut is not None and among is not None and item.said is not None:
             self._pipes.lose(among.stream, cut, item.kind, number, item.instance, among.rows)
-            if rivals > 1:
-                self.losses[-1].evidence.append("events name others too: shared out by rates, or by events")
             return
         start_ns, end_ns = (cut.start_ns, cut.end_ns) if cut else times
         text = f"0x803: {COUNTER_NAMES[item.kind]} +{number:,} that nothing else explains"
@@ -251,8 +293,6 @@ class Leftover:
                 f"event CFE_SB {PIPE_EVENTS[item.kind]} x{item.said.count}: {item.said.records[0].message}",
                 text,
             ]
-        if rivals > 1:
-            evidence.append("others are suspect too: shared out by how far each is over its limit")
         self.losses.append(
             Loss(
                 kind=item.kind,
@@ -265,7 +305,7 @@ class Leftover:
                 of=cut.count if cut else None,
                 start_ns=start_ns,
                 end_ns=end_ns,
-                confidence="medium" if rivals == 1 else "low",
+                confidence="medium",
                 evidence=evidence,
                 sender=item.sender,
                 among=among,

@@ -106,6 +106,7 @@ class Loss:
         sender: application that sent them, as an event names it.
         closed: Telemetry Output was not sending meanwhile: it would not have sent them either.
         among: the messages that it is, or is some of; None where nothing tells.
+        rivals: link label, MsgId and hop of each traffic that may have lost them; empty where that is known.
     """
 
     kind: LossKind
@@ -124,6 +125,7 @@ class Loss:
     sender: str = ""
     closed: bool = False
     among: Among | None = None
+    rivals: tuple[tuple[str, int, str], ...] = ()
 
     @property
     def offered_hz(self) -> float:

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs.software_bus import STOPS_AFTER
-from edoras_tools.diagnosis.accounting.claims import Claim, Counts, settle, shares
+from edoras_tools.diagnosis.accounting.claims import (
+    ABSENT,
+    MISSING,
+    POSSIBLE,
+    PRESSED,
+    STOPPED,
+    Claim,
+    Counts,
+    alike,
+)
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
     COUNTER_NAMES,
@@ -22,10 +31,9 @@ from edoras_tools.diagnosis.accounting.losses import (
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value, numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -37,9 +45,8 @@ if TYPE_CHECKING:
 
 LATE_NS: Final = 2 * SECOND
 """A count is seen within so long of what it counts."""
-_ORDER: Final = ((True, 0), (True, 1), (True, 3), (False, 0), (False, 1), (True, 2), (False, 2))
-"""In which turn messages take counts: whether events name them, and which of ``_standing`` they are."""
-_TURNS: Final = len(_ORDER)
+_RANKS: Final = (ABSENT, POSSIBLE + 1, POSSIBLE + 3, POSSIBLE + 2, STOPPED)
+"""Ranks of the claims of ``_standing`` messages."""
 _MAY_WAIT: Final = 2
 _BLIND: Final = 3
 _OVER: Final = 1.02
@@ -50,8 +57,15 @@ _FULL: Final = 0.3
 
 
 def _standing(fate: Fate) -> tuple[NDArray[np.bool_], ...]:
-    """Return which messages lack, which do and may be superseded, which may yet come, which nobody sees."""
-    return fate.open & ~fate.newer, fate.open & fate.newer, fate.waits, fate.blind
+    """Return which messages lack, may have gone on, may yet come, nobody sees, and were sent to nobody."""
+    sure = fate.open & ~fate.newer & ~fate.passed & ~fate.edge
+    return (
+        sure & (fate.stop < 0),
+        fate.open & ~sure,
+        fate.waits,
+        fate.blind,
+        sure & (fate.stop >= 0),
+    )
 
 
 @dataclass(slots=True)
@@ -61,17 +75,7 @@ class _Own:
     fate: Fate
     span: int
     rows: NDArray[np.intp]
-
-
-def _joined(sets: Iterable[Sequence[int]]) -> list[list[int]]:
-    """Return sets with those put together that have something in common, each in order."""
-    found: list[set[int]] = []
-    for item in sets:
-        alike = [known for known in found if known & set(item)]
-        found = [known for known in found if known not in alike]
-        if item:
-            found.append(set(item).union(*alike))
-    return [sorted(known) for known in found]
+    standing: int
 
 
 class Pipes:
@@ -79,91 +83,90 @@ class Pipes:
 
     Args:
         counts: of each instance, less what was told of them.
+
+    Attributes:
+        claims: of messages that counters may have counted.
     """
 
     def __init__(self, known: Known, counts: Mapping[int, Counts], losses: list[Loss]) -> None:
         self._known, self._counts, self.losses = known, counts, losses
         self._indexed = 0
         self._same: dict[tuple[object, ...], Loss] = {}
+        self.claims: list[Claim] = []
+        self._whose: list[_Own] = []
 
-    def settle(self, fates: Sequence[Fate]) -> None:
-        """Give messages that did not come out what the software bus counted.
+    def claim(self, fate: Fate) -> None:
+        """Claim counts for messages that did not come out, of each cFS that they may have gone to."""
+        stream = fate.stream
+        group = [
+            instance
+            for instance in self._counts
+            if fate.seen and self._known.goes_to(stream, instance) and self._leaves(fate, instance)
+        ]
+        if not group:
+            return
+        kinds = [
+            kind for kind in COUNTERS if any(self._named(stream, kind, instance)[0] for instance in group)
+        ]
+        named = bool(kinds)
+        kinds += [kind for kind in COUNTERS if kind not in kinds]
+        low_ns, high_ns = self._times(fate)
+        which = np.searchsorted([item.first for item in fate.spans], np.arange(len(stream)), "right") - 1
+        counts = [self._counts[instance] for instance in group]
+        for place, there in enumerate(_standing(fate)):
+            if place == _BLIND and not named:
+                continue
+            rows, rank = np.flatnonzero(there), _RANKS[place]
+            if named:
+                rank = PRESSED if rank == ABSENT else rank
+            elif not self._bursts(fate):
+                rank = MISSING if rank == ABSENT else rank + len(_RANKS)
+            if place == _MAY_WAIT:
+                rows = rows[np.logical_or.reduce([own.often(low_ns[rows], high_ns[rows]) for own in counts])]
+            for members in alike(counts, low_ns[rows], high_ns[rows], which[rows]):
+                own = rows[members]
+                span = int(low_ns[own[0]]), int(high_ns[own[0]])
+                self.claims.append(
+                    Claim(len(self._whose), *span, len(own), tuple(kinds), group, rank, id(stream))
+                )
+                self._whose.append(_Own(fate, int(which[own[0]]), own, place))
 
-        Where nothing tells to which of several cFS a message went, their counts are given out together.
+    def _bursts(self, fate: Fate) -> bool:
+        """Tell whether more of a stream may come to its pipe in one round than that takes."""
+        times, profile = self._known.captured(fate.stream), self._known.profile
+        period = (
+            profile.ci_wake_ns if fate.stream.link.only_to_cfs else profile.sbn_wake_ns * profile.sbn_polls
+        )
+        most = np.searchsorted(times, times + period) - np.arange(len(times))
+        return bool(most.max() > profile.app_msg_limit)
+
+    def _times(self, fate: Fate) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return from when and until when each message can have been counted: i64, capture time in ns.
+
+        CI hands on in order: what it lost was handed on before the next one that came out did.
         """
-        into = {
-            id(fate): [
-                instance
-                for instance in self._counts
-                if fate.seen and self._known.goes_to(fate.stream, instance) and self._leaves(fate, instance)
-            ]
-            for fate in fates
-        }
-        groups = _joined(into.values())
-        # Which were lost behind the application is not known: what an event names may be any of them.
-        for group, anywhere in [(group, False) for group in groups] + [(group, True) for group in groups]:
-            claims: list[Claim] = []
-            whose: list[_Own] = []
-            parts = [self._counts[instance] for instance in group]
-            counts = Counts.together(parts)
-            for fate in fates:
-                if set(into[id(fate)]) & set(group) and (fate.passed_on or not anywhere):
-                    self._claims(fate, group, counts, claims, whose, anywhere=anywhere)
-            # What events name comes first, and what no newer one can have superseded.
-            for turn in range(_TURNS):
-                settle(counts, [claim for claim in claims if claim.key % _TURNS == turn])
-            of_each = counts.divided(parts)
-            for claim in claims:
-                for kind, number in claim.taken.items():
-                    self._take(whose[claim.key // _TURNS], claim, kind, number, group, of_each[kind])
+        times = self._known.captured(fate.stream)
+        delay = max((hop.last_ns for hop in fate.hops), default=0)
+        low_ns = np.maximum(times - LEAD_NS, self._taken_since(fate, times))
+        return low_ns, times + delay + LATE_NS
+
+    def tell(self) -> None:
+        """Make losses of what was given to the claims."""
+        for claim in self.claims:
+            own, at = self._whose[claim.key], 0
+            cut = own.fate.spans[own.span]
+            rows = np.arange(cut.first, cut.last + 1)
+            among = rows[_standing(own.fate)[own.standing][rows]] if claim.taken else rows
+            for (instance, kind), number in claim.by_kind().items():
+                self.lose(own.fate.stream, cut, kind, number, instance, among)
+                chosen = own.rows[at : at + number]
+                own.fate.open[chosen] = own.fate.waits[chosen] = own.fate.blind[chosen] = False
+                at += number
 
     def _leaves(self, fate: Fate, instance: int) -> bool:
         """Tell whether an instance is the one that a stream into cFS goes to, where several are there."""
         owners = {self._known.owner(hop.out) for hop in fate.hops if not hop.out.link.last_hop}
         return not owners or instance in owners or NOBODY in owners
-
-    def _claims(
-        self,
-        fate: Fate,
-        group: Sequence[int],
-        counts: Counts,
-        claims: list[Claim],
-        whose: list[_Own],
-        *,
-        anywhere: bool,
-    ) -> None:
-        kinds = [
-            kind
-            for kind in COUNTERS
-            if any(self._named(fate.stream, kind, instance)[0] for instance in group)
-        ]
-        named = bool(kinds)
-        if anywhere and not named:
-            return
-        kinds += [kind for kind in COUNTERS if kind not in kinds]
-        times = self._known.captured(fate.stream)
-        cut = fate.spans
-        which = np.searchsorted([item.first for item in cut], np.arange(len(times)), "right") - 1
-        delay = max((hop.last_ns for hop in fate.hops), default=0)
-        since_ns = self._taken_since(fate, times)
-        for place, there in enumerate(_standing(fate)):
-            if place == _BLIND and not named:
-                continue
-            rows = np.flatnonzero(there)
-            turn = _ORDER.index((named, place))
-            first = counts.seconds(np.maximum(times[rows] - LEAD_NS, since_ns))
-            last = counts.seconds(times[rows] + delay + LATE_NS)
-            if anywhere:
-                first, last = np.zeros_like(first), np.full_like(last, len(counts.times) - 1)
-            if place == _MAY_WAIT:
-                sure = counts.often(first, last)
-                rows, first, last = rows[sure], first[sure], last[sure]
-            _, alike = numbered(which[rows], first, last)
-            for _, members in by_value(alike):
-                own, one = rows[members], int(members[0])
-                key = _TURNS * len(whose) + turn
-                claims.append(Claim(key, int(first[one]), int(last[one]), len(own), kinds))
-                whose.append(_Own(fate, int(which[own[0]]), own))
 
     def _taken_since(self, fate: Fate, times: NDArray[np.int64]) -> int:
         """Return from when on a stream was taken: CI first takes what waits from before the capture."""
@@ -174,21 +177,6 @@ class Pipes:
         profile = self._known.profile
         wakes = 1 + int(np.searchsorted(times, went_ns)) // profile.ci_datagrams_per_wake
         return out_ns - wakes * profile.ci_wake_ns - LEAD_NS
-
-    def _take(
-        self, own: _Own, claim: Claim, kind: PipeKind, number: int, group: Sequence[int], left: list[int]
-    ) -> None:
-        """Make losses of what a claim was given: of each cFS of a group as many as it counted."""
-        fate, cut = own.fate, own.fate.spans[own.span]
-        rows = np.arange(cut.first, cut.last + 1)
-        among = rows[_standing(fate)[_ORDER[claim.key % _TURNS][1]][rows]]
-        chosen = own.rows[:number]
-        for at, share in enumerate(shares(len(chosen), left, left)):
-            left[at] -= share
-            if share:
-                self.lose(fate.stream, cut, kind, share, group[at], among)
-        own.rows = own.rows[number:]
-        fate.open[chosen] = fate.waits[chosen] = fate.blind[chosen] = False
 
     def lose(
         self,

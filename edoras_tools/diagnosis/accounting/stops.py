@@ -35,23 +35,60 @@ _LINKS: Final = frozenset({*command_ingest.NAMES, *telemetry_output.NAMES})
 """Applications whose stops other accounts follow: CI's by its counter, Telemetry Output's by its port."""
 
 
-def stopped(known: Known, fates: Sequence[Fate]) -> list[Loss]:
-    """Return what was lost while applications did not run, and mark what nobody can follow."""
-    gone = [item for item in outages(known) if item.app not in _LINKS]
-    taken = [
-        fate
-        for fate in fates
-        if fate.stream.known_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE
-    ]
-    found = [loss for item in gone for fate in taken if fate.seen for loss in _followed(known, fate, item)]
-    for fate in taken:
-        own = [item for item in gone if known.goes_to(fate.stream, item.instance)]
-        if not own and not fate.seen:
-            _asked(known, fate)
-        if own and not fate.seen:
-            alone = sum(not other.seen and other.stream.link is fate.stream.link for other in taken) == 1
-            found += _unfollowed(known, fate, own, alone=alone)
-    return found
+class Stops:
+    """What was sent while applications did not run, and what nobody can follow.
+
+    Attributes:
+        losses: of what surely was lost so.
+    """
+
+    def __init__(self, known: Known, fates: Sequence[Fate]) -> None:
+        self._known = known
+        self._gone = [item for item in outages(known) if item.app not in _LINKS]
+        self._texts: list[tuple[Outage, list[str]]] = []
+        self.losses: list[Loss] = []
+        self._fates = [
+            fate
+            for fate in fates
+            if fate.stream.known_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE
+        ]
+        for fate in self._fates:
+            for item in self._gone if fate.seen else ():
+                self._mark(fate, item)
+            own = [item for item in self._gone if known.goes_to(fate.stream, item.instance)]
+            if not own and not fate.seen:
+                _asked(known, fate)
+            if own and not fate.seen:
+                alone = sum(not other.seen and other.stream.link is fate.stream.link for other in self._fates)
+                self.losses += _unfollowed(known, fate, own, alone=alone == 1)
+
+    def _mark(self, fate: Fate, item: Outage) -> None:
+        """Mark the messages that an application that was stopped did not take (rule 1)."""
+        times = self._known.captured(fate.stream)
+        back = times[fate.arrived & (times > item.start_ns + WAITS_NS)]
+        until_ns = int(back[0]) if len(back) else None
+        inside = fate.open & (times > item.start_ns - WAITS_NS) & (fate.stop < 0)
+        if until_ns is not None:
+            inside &= times < until_ns
+        # What arrived last was taken before it stopped.
+        last = times[fate.arrived & (times <= item.start_ns + WAITS_NS)]
+        inside &= times > (int(last[-1]) if len(last) else 0)
+        if not inside.any():
+            return
+        evidence = [f"event {item.said}"]
+        if item.end_ns is not None and (until_ns is None or until_ns > item.end_ns + TAIL_NS):
+            evidence.append("it was started again, and nothing came out of it after that")
+        fate.stop[inside] = len(self._texts)
+        self._texts.append((item, evidence))
+
+    def tell(self) -> None:
+        """Make losses of what was marked and no counter counted."""
+        for fate in self._fates:
+            for place in np.unique(fate.stop[fate.open & (fate.stop >= 0)]).tolist():
+                chosen = np.flatnonzero(fate.open & (fate.stop == place))
+                fate.claim(chosen)
+                item, evidence = self._texts[place]
+                self.losses.append(loss_of(self._known, fate, "stopped", chosen, evidence, hop=item.app))
 
 
 def _asked(known: Known, fate: Fate) -> None:
@@ -69,27 +106,6 @@ def _asked(known: Known, fate: Fate) -> None:
                 f"{code}, for {item.app}; no event that answers it can be read here"
             )
             return
-
-
-def _followed(known: Known, fate: Fate, item: Outage) -> list[Loss]:
-    """Rule 1."""
-    times = known.captured(fate.stream)
-    back = times[fate.arrived & (times > item.start_ns + WAITS_NS)]
-    until_ns = int(back[0]) if len(back) else None
-    inside = fate.open & (times > item.start_ns - WAITS_NS)
-    if until_ns is not None:
-        inside &= times < until_ns
-    # What arrived last was taken before it stopped.
-    last = times[fate.arrived & (times <= item.start_ns + WAITS_NS)]
-    inside &= times > (int(last[-1]) if len(last) else 0)
-    chosen = np.flatnonzero(inside)
-    if not len(chosen):
-        return []
-    fate.claim(chosen)
-    sure = [f"event {item.said}"]
-    if item.end_ns is not None and (until_ns is None or until_ns > item.end_ns + TAIL_NS):
-        sure.append("it was started again, and nothing came out of it after that")
-    return [loss_of(known, fate, "stopped", chosen, sure, hop=item.app)]
 
 
 def _unfollowed(known: Known, fate: Fate, own: Sequence[Outage], *, alone: bool) -> list[Loss]:

@@ -69,6 +69,8 @@ class Hop:
         out_ns: i64, and when each came out.
         last_ns: the longest that one took.
         first: when the first came out, and when it had gone in; None where none did.
+        in_rows: intp, the messages that came out, as indices into the rows of ``into``.
+        out_rows: intp, and what each is, as an index into those of ``out``.
     """
 
     into: Stream
@@ -83,6 +85,8 @@ class Hop:
     out_ns: NDArray[np.int64]
     last_ns: int
     first: tuple[int, int] | None
+    in_rows: NDArray[np.intp]
+    out_rows: NDArray[np.intp]
 
     @property
     def of(self) -> int:
@@ -308,6 +312,8 @@ def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went
         out_ns=out_ns[goes_row][single][by_time],
         last_ns=int(delay.max()) if len(delay) else 0,
         first=min(zip(out_ns[goes_row].tolist(), in_ns[from_row].tolist(), strict=True), default=None),
+        in_rows=from_row,
+        out_rows=goes_row,
     )
 
 

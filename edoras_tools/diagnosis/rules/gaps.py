@@ -275,17 +275,22 @@ def _remedy(case: Case, stream: Stream) -> str:
 
 
 def unattributed_loss(case: Case) -> Iterator[Verdict]:
-    """The software bus counts losses that neither an event nor the traffic seen here explains.
+    """The software bus counts losses of several kinds of traffic, or of none that is seen here.
 
-    Say how many, and what would tell which.
+    Say how many, of which they may be, and what would tell.
     """
     for loss in case.losses:
-        if loss.kind == "unknown" and loss.stream is None:
+        if loss.rivals or (loss.kind == "unknown" and loss.stream is None):
+            names = " or ".join(dict.fromkeys(case.name(msg_id) for _, msg_id, _ in loss.rivals))
             yield Verdict(
                 Severity.ERROR,
                 f"{plural(loss.lost, 'message')} lost on the software bus of {case.label(loss.instance)}; "
-                "which ones is not observable from here",
-                hop="software bus",
+                + (
+                    f"the capture cannot show whether of {names}"
+                    if names
+                    else "the capture cannot show which"
+                ),
+                hop=loss.hop,
                 lost=loss.lost,
                 span=(loss.start_ns, loss.end_ns),
                 evidence=tuple(loss.evidence),

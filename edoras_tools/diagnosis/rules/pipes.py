@@ -32,7 +32,7 @@ def app_pipe_limit(case: Case) -> Iterator[Verdict]:
     """
     for loss in case.losses:
         at_app = loss.hop != telemetry_output.PIPE and not loss.hop.startswith("SBN")
-        if loss.kind == "limit" and at_app:
+        if loss.kind == "limit" and at_app and not loss.rivals:
             yield _over_app_limit(case, loss)
 
 
@@ -89,7 +89,8 @@ def app_pipe_overflow(case: Case) -> Iterator[Verdict]:
     Name the MsgId and the pipe.
     """
     for loss in case.losses:
-        if loss.kind != "overflow" or loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN"):
+        elsewhere = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN")
+        if loss.kind != "overflow" or elsewhere or loss.rivals:
             continue
         yield loss_verdict(
             case,

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.diagnosis.accounting.claims import Claim, Counts, settle
+from edoras_tools.diagnosis.accounting.claims import POSSIBLE, Claim, Counts, settle, settle_possible
 
 SECOND = 10**9
 KINDS = ("limit", "overflow")
@@ -14,41 +14,103 @@ def counts(limit, overflow):
     return Counts(times, {"limit": np.array(limit, np.int64), "overflow": np.array(overflow, np.int64)})
 
 
+def claim(key, first, last, number, kinds, rank=0, flow=0):
+    """Return a claim of some whole seconds, first and last included."""
+    return Claim(key, first * SECOND + 1, (last + 1) * SECOND, number, kinds, (0,), rank, flow)
+
+
 @pytest.mark.parametrize(
     ("claims", "left"),
     [
         # Who can wait for a later second does, though it has one kind only.
-        ([Claim(0, 0, 1, 1, ("overflow",)), Claim(1, 0, 0, 2, KINDS)], ([0, 0], [0, 0])),
+        ([claim(0, 0, 1, 1, ("overflow",)), claim(1, 0, 0, 2, KINDS)], ([0, 0], [0, 0])),
         # Of two in one second, who has one kind only is served with it.
-        ([Claim(0, 0, 0, 1, KINDS), Claim(1, 0, 0, 1, ("overflow",))], ([0, 0], [0, 1])),
+        ([claim(0, 0, 0, 1, KINDS), claim(1, 0, 0, 1, ("overflow",))], ([0, 0], [0, 1])),
+        # Who is served first moves to another second for who is served last.
+        ([claim(0, 0, 1, 1, KINDS[:1]), claim(1, 0, 0, 1, KINDS[:1], rank=1)], ([0, 0], [1, 0])),
     ],
 )
 def test_as_many_as_possible_are_explained(claims, left):
     there = counts([1, 0], [1, 1])
-    settle(there, claims)
-    assert all(sum(claim.taken.values()) == claim.number for claim in claims)
+    if claims[1].rank:
+        there = counts([1, 1], [1, 0])
+    settle({0: there}, claims)
+    assert all(sum(item.taken.values()) == item.number for item in claims)
     assert tuple(there.left[kind].tolist() for kind in KINDS) == left
 
 
 CLAIMS = st.lists(
     st.builds(
-        lambda first, more, number, kinds: Claim(0, first, first + more, number, kinds),
+        lambda first, more, number, kinds, rank, flow: claim(
+            0, first, first + more, number, kinds, rank, flow
+        ),
         st.integers(-1, 5),
         st.integers(0, 6),
         st.integers(0, 9),
         st.sampled_from([KINDS, KINDS[:1], KINDS[1:], ()]),
+        st.integers(0, 2),
+        st.integers(0, 2),
     ),
     max_size=8,
 )
 GROWN = st.lists(st.integers(0, 9), min_size=5, max_size=5)
 
 
+def greatest(limit, overflow, claims):
+    """Return how many counts can be given at all, by moving them one by one along any path."""
+    places = [
+        (kind, second) for kind, grown in zip(KINDS, (limit, overflow), strict=True) for second in range(5)
+    ]
+    units = [place for place in places for _ in range((limit, overflow)[KINDS.index(place[0])][place[1]])]
+    rooms = [at for at, item in enumerate(claims) for _ in range(item.number)]
+
+    def fits(place, at):
+        low, high = claims[at].low_ns, claims[at].high_ns
+        inside = low <= (place[1] + 1) * SECOND and high > place[1] * SECOND
+        return place[0] in claims[at].kinds and inside
+
+    owner = {}
+
+    def seat(unit, looked):
+        for room, at in enumerate(rooms):
+            if room not in looked and fits(units[unit], at):
+                looked.add(room)
+                if room not in owner or seat(owner[room], looked):
+                    owner[room] = unit
+                    return True
+        return False
+
+    return sum(seat(unit, set()) for unit in range(len(units)))
+
+
 @given(GROWN, GROWN, CLAIMS)
-def test_what_is_taken_and_what_is_left_are_what_was_counted(limit, overflow, claims):
+def test_no_other_choice_explains_more(limit, overflow, claims):
     there = counts(limit, overflow)
-    settle(there, claims)
-    taken = {kind: sum(claim.taken.get(kind, 0) for claim in claims) for kind in KINDS}
+    settle({0: there}, claims)
+    taken = {kind: sum(item.by_kind().get((0, kind), 0) for item in claims) for kind in KINDS}
     for kind, grown in zip(KINDS, (limit, overflow), strict=True):
         assert there.left[kind].min() >= 0
         assert int(there.left[kind].sum()) + taken[kind] == sum(grown)
-    assert all(sum(claim.taken.values()) <= claim.number for claim in claims)
+    assert all(0 <= sum(item.taken.values()) <= item.number for item in claims)
+    assert sum(taken.values()) == greatest(limit, overflow, claims)
+
+
+@given(GROWN, GROWN, CLAIMS)
+def test_what_may_be_of_several_is_given_to_none(limit, overflow, claims):
+    there = counts(limit, overflow)
+    shared = settle_possible({0: there}, claims)
+    taken = sum(sum(item.taken.values()) for item in claims)
+    left = sum(int(column.sum()) for column in there.left.values())
+    assert left + taken + sum(item.number for item in shared) == sum(limit) + sum(overflow)
+    assert all(item.number > 0 and len(item.flows) > 1 for item in shared)
+    assert all(item.open >= 0 for item in claims)
+    assert sum(item.reserved for item in claims) == sum(item.number for item in shared)
+
+
+def test_what_only_one_may_have_lost_is_its_own():
+    there = counts([3, 2], [0, 0])
+    claims = [claim(0, 0, 0, 9, KINDS, POSSIBLE, flow=7), claim(1, 1, 1, 9, KINDS, POSSIBLE, flow=7)]
+    claims.append(claim(2, 1, 1, 1, KINDS, POSSIBLE, flow=8))
+    (item,) = settle_possible({0: there}, claims)
+    assert (claims[0].taken, item.number, item.flows) == ({(0, "limit", 0): 3}, 2, frozenset({7, 8}))
+    assert (item.start_ns, item.end_ns) == (SECOND, 2 * SECOND)
