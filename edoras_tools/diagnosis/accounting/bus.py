@@ -25,7 +25,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     PRESSED,
     Claim,
     Counts,
-    alike,
+    claimed_alike,
 )
 from edoras_tools.diagnosis.accounting.closed import closed_at, silenced_at, silences_of, unled_silences
 from edoras_tools.diagnosis.accounting.losses import (
@@ -229,7 +229,7 @@ class Telemetry:
                 part.outside = int(number[rows[~inside]].sum())
                 part.watched = 2 * part.outside <= part.missing
                 others = tuple(kind for kind in COUNTERS if kind not in part.kinds)
-                for members in alike([counts], low, high):
+                for members in claimed_alike([counts], low, high):
                     total = int(number[rows[members]].sum())
                     span = int(low[members[0]]), int(high[members[0]])
                     key, rank = len(parts), PRESSED if part.kinds else MISSING

@@ -30,7 +30,7 @@ CLOSED: Final = 2
 """Rank of what is missing while nothing took it."""
 POSSIBLE: Final = 3
 """Ranks from here on are of messages of which it is not sure that they are missing."""
-STOPPED: Final = 98
+INTO_STOP: Final = 98
 """Rank of what was sent to an application that was stopped: its pipe may have come back without it."""
 MISSING: Final = 99
 """Rank of what is missing where no pipe was full: it takes what nothing else explains."""
@@ -343,7 +343,7 @@ def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[i
     return out
 
 
-def alike(
+def claimed_alike(
     counts: Sequence[Counts], low_ns: NDArray[np.int64], high_ns: NDArray[np.int64], *keys: NDArray[np.intp]
 ) -> list[NDArray[np.intp]]:
     """Return groups of messages that the same counts may hold, as indices: one claim can speak for each.

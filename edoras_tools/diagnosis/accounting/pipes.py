@@ -13,10 +13,10 @@ from edoras_tools.diagnosis.accounting.claims import (
     MISSING,
     POSSIBLE,
     PRESSED,
-    STOPPED,
+    INTO_STOP,
     Claim,
     Counts,
-    alike,
+    claimed_alike,
 )
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 LATE_NS: Final = 2 * SECOND
 """A count is seen within so long of what it counts."""
-_RANKS: Final = (ABSENT, POSSIBLE + 1, POSSIBLE + 3, POSSIBLE + 2, STOPPED)
+_RANKS: Final = (ABSENT, POSSIBLE + 1, POSSIBLE + 3, POSSIBLE + 2, INTO_STOP)
 """Ranks of the claims of ``_standing`` messages."""
 _MAY_WAIT: Final = 2
 _BLIND: Final = 3
@@ -123,7 +123,7 @@ class Pipes:
                 rank = MISSING if rank == ABSENT else rank + len(_RANKS)
             if place == _MAY_WAIT:
                 rows = rows[np.logical_or.reduce([own.often(low_ns[rows], high_ns[rows]) for own in counts])]
-            for members in alike(counts, low_ns[rows], high_ns[rows], which[rows]):
+            for members in claimed_alike(counts, low_ns[rows], high_ns[rows], which[rows]):
                 own = rows[members]
                 span = int(low_ns[own[0]]), int(high_ns[own[0]])
                 self.claims.append(
