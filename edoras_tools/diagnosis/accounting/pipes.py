@@ -10,10 +10,10 @@ import numpy as np
 from edoras_tools.cfs.software_bus import STOPS_AFTER
 from edoras_tools.diagnosis.accounting.claims import (
     ABSENT,
+    INTO_STOP,
     MISSING,
     POSSIBLE,
     PRESSED,
-    INTO_STOP,
     Claim,
     Counts,
     claimed_alike,
