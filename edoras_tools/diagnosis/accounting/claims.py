@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS, PipeKind
+from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value, numbered
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ MISSING: Final = 99
 """Rank of what is missing where no pipe was full: it takes what nothing else explains."""
 
 
+_APART_NS: Final = 3 * SECOND
+"""What is missing, and what is counted within so long of it, are not two things."""
 Place = tuple[int, PipeKind, int]
 """A count: of which instance, of which kind, and in which second of that counter."""
 
@@ -70,18 +73,6 @@ class Counts:
         first = np.clip(self.seconds(low_ns), 0, len(rare) - 1)
         last = np.clip(self.seconds(high_ns) + 1, 0, len(rare) - 1)
         return np.asarray(rare[first] == rare[last])
-
-    def take(self, kinds: Sequence[PipeKind], first: int, last: int, most: int) -> dict[PipeKind, int]:
-        """Take up to so many counts out of some seconds, the earliest first."""
-        low, high = max(first, 0), min(last + 1, len(self.times) - 1)
-        if low >= high or most <= 0 or not kinds:
-            return {}
-        window = np.stack([self.left[kind][low:high] for kind in kinds], axis=1)
-        flat = window.reshape(-1)
-        part = np.minimum(flat, np.maximum(0, most - (np.cumsum(flat) - flat))).reshape(window.shape)
-        for column, kind in enumerate(kinds):
-            self.left[kind][low:high] -= part[:, column]
-        return dict(zip(kinds, part.sum(axis=0).tolist(), strict=True))
 
 
 @dataclass(slots=True)
@@ -180,6 +171,19 @@ class Shared:
     number: int
     start_ns: int
     end_ns: int
+
+
+def settle_known(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:
+    """Give counts to what surely is missing, then to what may be; see ``settle_possible``."""
+    sure = [claim for claim in claims if claim.rank < POSSIBLE]
+    settle(counts, sure)
+    settle(counts, sure, _APART_NS)
+    return settle_possible(counts, [claim for claim in claims if POSSIBLE <= claim.rank < MISSING])
+
+
+def settle_rest(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
+    """Give what nothing else explains to what is missing for no reason that is seen."""
+    settle(counts, [claim for claim in claims if claim.rank == MISSING], _APART_NS)
 
 
 def settle_possible(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:

@@ -21,7 +21,7 @@ import numpy as np
 
 from edoras_tools.cfs import names, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.before_ci import BeforeCi
-from edoras_tools.diagnosis.accounting.claims import MISSING, POSSIBLE, settle, settle_possible
+from edoras_tools.diagnosis.accounting.claims import POSSIBLE, settle_known, settle_rest
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, follow, loss_of
 from edoras_tools.diagnosis.accounting.leftover import Leftover
 from edoras_tools.diagnosis.accounting.losses import SBN_SOCKET, TAIL_NS, Among, Known, Loss
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
 
 _COUNTS: Final = 256
-_APART_NS: Final = 3 * SECOND
 _WRAPPED: Final = 128
 """A counter of 8 bits that falls by more began again from 0, by itself."""
 
@@ -106,13 +105,8 @@ class Commands:
             self._pass_on(fate)
             pipes.claim(fate)
         claims = [*telemetry.claims, *pipes.claims]
-        sure = [claim for claim in claims if claim.rank < POSSIBLE]
-        settle(counts, sure)
-        # What is missing and what is counted within seconds of each other are not two things.
-        settle(counts, sure, _APART_NS)
-        possible = [claim for claim in claims if POSSIBLE <= claim.rank < MISSING]
-        shared = settle_possible(counts, possible)
-        tails = {claim.flow: sum(claim.taken.values()) for claim in possible if claim.rank == POSSIBLE}
+        shared = settle_known(counts, claims)
+        tails = {claim.flow: sum(claim.taken.values()) for claim in claims if claim.rank == POSSIBLE}
         pipes.tell()
         stops.tell()
         self.losses += stops.losses
@@ -124,10 +118,14 @@ class Commands:
         older_ns = {item.endpoint: item.older_until_ns for item in accounts}
         leftover = Leftover(known, counts, self.fates, pipes, older_ns)
         leftover.share(shared)
-        settle(counts, [claim for claim in claims if claim.rank == MISSING], _APART_NS)
+        settle_rest(counts, claims)
         telemetry.tell()
         leftover.tell(telemetry.losses)
         self.uncaptured = leftover.uncaptured
+        self._finish(fates)
+
+    def _finish(self, fates: Sequence[Fate]) -> None:
+        """Count what nothing has told of yet."""
         for fate in fates:
             self._unfollowed(fate)
         self._number(fates)
