@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
 
 
-class Queue(Protocol):
+class Waitable(Protocol):
     """What a task can wait on: a pipe, a socket."""
 
     def get(self) -> Any:
@@ -43,7 +43,7 @@ class Queue(Protocol):
 class Receive:
     """Wait for an item; the ``yield`` returns it, or None after the time-out."""
 
-    queue: Queue
+    queue: Waitable
     timeout_ns: int | None = None
 
 
@@ -79,7 +79,7 @@ class Running:
 
     def __init__(self, steps: Task) -> None:
         self.steps = steps
-        self.waits_on: Queue | None = None
+        self.waits_on: Waitable | None = None
         self.ticket = 0
         self.value: Any = None
         self.is_done = False
@@ -127,7 +127,7 @@ class Scheduler:
         self._count += 1
         heapq.heappush(self._agenda, (max(time_ns, self.now), self._count, call, arguments))
 
-    def notify(self, queue: Queue) -> None:
+    def notify(self, queue: Waitable) -> None:
         """Note that an item was put into a queue: tasks that wait on it may run after their latency."""
         task = self._waiting.pop(id(queue), None)
         if task is not None:

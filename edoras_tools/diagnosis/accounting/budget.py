@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.cfs import queues
 from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS
 from edoras_tools.mission.model import FlightLink
 from edoras_tools.model import Link, Peer
@@ -90,35 +91,29 @@ def _unlisted(link: FlightLink, profile: SimProfile) -> tuple[str, ...]:
 def limit(link: Link, msg_id: int, profile: SimProfile, *, to_cfs: bool) -> tuple[float, str, str]:
     """Return the highest clean rate of a MsgId on a link, where the limit is, and why."""
     if link.only_to_cfs:
-        together = profile.ci_datagrams_per_wake * SECOND / profile.ci_wake_ns
+        socket = queues.ci_socket(profile)
         text = "the application's pipe takes {} of one MsgId, and CI delivers every {} ms"
-        return _ratio(
+        return _rate(
+            queues.application_pipe(profile),
             profile.app_msg_limit,
-            profile.ci_wake_ns,
             "application pipe",
-            f"{text} ({together:g}/s of all together)",
+            f"{text} ({socket.rate_hz(socket.reads):g}/s of all together)",
         )
     if link.only_from_cfs:
-        waiting = profile.to_limits.get(msg_id, profile.to_default_limit)
-        room = profile.to_pipe_depth - _HOUSEKEEPING_HZ * profile.to_wake_ns // SECOND
+        pipe = queues.telemetry_pipe(profile)
+        room = pipe.depth - _HOUSEKEEPING_HZ * pipe.round_ns // SECOND
         text = "Telemetry Output's table lets {} of the MsgId wait, and TO sends every {} ms"
-        if waiting >= room:
+        if pipe.limit(msg_id) >= room:
             text = "Telemetry Output's pipe has room for {} beside housekeeping, and TO sends every {} ms"
-        return _ratio(min(waiting, room), profile.to_wake_ns, "TO_LAB_TLM_PIPE", text)
+        return _rate(pipe, min(pipe.limit(msg_id), room), "TO_LAB_TLM_PIPE", text)
     if not to_cfs:
-        return _ratio(
-            profile.sbn_msg_limit,
-            profile.sbn_wake_ns,
-            "SBN peer pipe",
-            "the SBN peer's pipe takes {} of one MsgId, and SBN serves it every {} ms",
-        )
+        pipe = queues.peer_pipe(profile)
+        text = "the SBN peer's pipe takes {} of one MsgId, and SBN serves it every {} ms"
+        return _rate(pipe, pipe.usual_limit, "SBN peer pipe", text)
     if profile.sbn_polls:
-        return _ratio(
-            profile.app_msg_limit,
-            profile.sbn_wake_ns,
-            "application pipe",
-            "the application's pipe takes {} of one MsgId, and SBN polls every {} ms",
-        )
+        pipe = queues.application_pipe(profile, over_network=True)
+        text = "the application's pipe takes {} of one MsgId, and SBN polls every {} ms"
+        return _rate(pipe, pipe.usual_limit, "application pipe", text)
     return (
         0.0,
         "application pipe",
@@ -126,8 +121,8 @@ def limit(link: Link, msg_id: int, profile: SimProfile, *, to_cfs: bool) -> tupl
     )
 
 
-def _ratio(count: int, period_ns: int, hop: str, text: str) -> tuple[float, str, str]:
-    return count * SECOND / period_ns, hop, text.format(count, period_ns // 1_000_000)
+def _rate(queue: queues.Queue, count: int, hop: str, text: str) -> tuple[float, str, str]:
+    return queue.rate_hz(count), hop, text.format(count, queue.round_ns // 1_000_000)
 
 
 def _budget(route: Route, types: TypeStore, profile: SimProfile, headers: cfe.Headers) -> Budget:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.cfs import names, telemetry_output
+from edoras_tools.cfs import names, queues, telemetry_output
 from edoras_tools.diagnosis.accounting.claims import Counts, Shared
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
@@ -243,6 +243,7 @@ class Leftover:
 
     def _suspects(self, instance: int) -> Iterator[Candidate]:
         known, profile = self._known, self._known.profile
+        application, output = queues.application_pipe(profile), queues.telemetry_pipe(profile)
         leaving = {stream.msg_id for stream in known.streams if stream.link.only_from_cfs}
         for stream in known.streams:
             if stream.known_id in names.MSG_ID_NAMES and stream.route == NO_ROUTE:
@@ -250,12 +251,12 @@ class Leftover:
             fate = self.fates.get(id(stream))
             if stream.link.only_to_cfs and not (fate and fate.seen):
                 item = Candidate(known, instance, "limit", stream.msg_id, APP, stream)
-                if item.most_at_once(profile.ci_wake_ns) > profile.app_msg_limit:
+                if item.most_at_once(application.round_ns) > application.usual_limit:
                     yield item
             elif stream.link.peers and stream.msg_id in leaving and known.goes_to(stream, instance):
                 item = Candidate(known, instance, "limit", stream.msg_id, telemetry_output.PIPE, stream)
-                limit = profile.to_limits.get(stream.msg_id, profile.to_default_limit)
-                if item.most_at_once(profile.to_wake_ns) > limit and known.owner(stream) != instance:
+                limit = output.limit(stream.msg_id)
+                if item.most_at_once(output.round_ns) > limit and known.owner(stream) != instance:
                     yield item
 
     def _pipe(self, stream: Stream) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.cfs import queues
 from edoras_tools.cfs.software_bus import STOPS_AFTER
 from edoras_tools.diagnosis.accounting.claims import (
     ABSENT,
@@ -257,7 +258,8 @@ def pressed(known: Known, stream: Stream, span: Span, kind: PipeKind, missing: N
         missing: (rows of the stream,), what is missing behind each.
     """
     profile, output = known.profile, stream.link.only_from_cfs
-    period = profile.to_wake_ns if output else profile.sbn_wake_ns
+    queue = queues.telemetry_pipe(profile) if output else queues.peer_pipe(profile)
+    period, limit = queue.round_ns, queue.limit(stream.msg_id)
     own = known.captured(stream)
     at = np.arange(span.first, min(span.last + 1, len(own) - 1))
     at = at[missing[at] > 0]
@@ -266,13 +268,9 @@ def pressed(known: Known, stream: Stream, span: Span, kind: PipeKind, missing: N
         if not output:
             sent &= known.rows.destination == stream.receiver
         times = known.rows.time_ns[sent]
-        depth = profile.to_pipe_depth if output else profile.sbn_pipe_depth
         # Some of what fills the pipe may not be here: half of it tells.
-        full = _full(times, period, min(depth // 2, measured_depth(times, period)))
+        full = _full(times, period, min(queue.depth // 2, measured_depth(times, period)))
         return _beside(full, own[at] - period, own[at + 1] + period, missing[at])
-    limit = (
-        profile.to_limits.get(stream.msg_id, profile.to_default_limit) if output else profile.sbn_msg_limit
-    )
     rounds, clean = known.rounds(stream, span), limit
     if rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
         clean, limit = rounds.most, max(limit, rounds.most)

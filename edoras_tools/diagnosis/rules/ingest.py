@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import command_ingest
+from edoras_tools.cfs import command_ingest, queues
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
@@ -16,7 +16,6 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
 from edoras_tools.model import Finding
-from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -139,9 +138,9 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
 
     Name the route and the span; and what waits at the end, if it is more than a wake-up reads.
     """
-    profile = case.profile
-    ceiling = profile.ci_datagrams_per_wake * SECOND / profile.ci_wake_ns
-    reads = f"CI reads {profile.ci_datagrams_per_wake} a wake-up, about {ceiling:.0f}/s"
+    socket = queues.ci_socket(case.profile)
+    ceiling = socket.rate_hz(socket.reads)
+    reads = f"CI reads {socket.reads} a wake-up, about {ceiling:.0f}/s"
     remedy = f"send at most {ceiling:.0f} commands a second in all"
     for loss in case.losses:
         if loss.kind == "socket":
@@ -149,7 +148,7 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
             evidence = (*loss.evidence, *_counted(case))
             yield loss_verdict(case, loss, reason, link="ci", remedy=remedy, evidence=evidence)
     for account in case.ingests:
-        if account.waiting > profile.ci_datagrams_per_wake:
+        if account.waiting > socket.reads:
             yield Verdict(
                 Severity.WARNING,
                 f"{plural(account.waiting, 'datagram')} wait in CI's socket at its last count, or were "

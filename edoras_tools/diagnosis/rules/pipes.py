@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.cfs import command_ingest, telemetry_output
+from edoras_tools.cfs import command_ingest, queues, telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at, published
@@ -39,9 +39,9 @@ def app_pipe_limit(case: Case) -> Iterator[Verdict]:
 def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     profile = case.profile
     over_network = loss.sender.startswith("SBN") or (loss.stream is not None and loss.stream.link is SBN)
-    who, period = ("SBN", profile.sbn_wake_ns) if over_network else ("CI", profile.ci_wake_ns)
-    limit = profile.app_msg_limit
-    clean = limit * SECOND / period
+    pipe = queues.application_pipe(profile, over_network=over_network)
+    who, period, limit = "SBN" if over_network else "CI", pipe.round_ns, pipe.usual_limit
+    clean = pipe.rate_hz(limit)
     least = "at least " if loss.instance not in case.tracks else ""
     if loss.sender and not loss.sender.startswith((*command_ingest.NAMES, "SBN")):
         return loss_verdict(
@@ -147,10 +147,10 @@ def _raised(case: Case, msg_id: int, limit: int) -> str:
 
 def clean_round(case: Case, loss: Loss) -> tuple[int, int, bool]:
     """Return how many get through a round, how long a round is, and whether that was measured."""
-    rounds, period = loss.comb, case.profile.to_wake_ns
-    if rounds and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
+    rounds, pipe = loss.comb, queues.telemetry_pipe(case.profile)
+    if rounds and rounds.share >= _FULL and abs(rounds.period_ns - pipe.round_ns) < pipe.round_ns // 10:
         return rounds.most, rounds.period_ns, True
-    return case.profile.to_limits.get(loss.msg_id, case.profile.to_default_limit), period, False
+    return pipe.limit(loss.msg_id), pipe.round_ns, False
 
 
 def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
@@ -248,7 +248,8 @@ def sbn_peer_pipe(case: Case) -> Iterator[Verdict]:
 
 
 def _over_peer_limit(case: Case, loss: Loss) -> Verdict:
-    limit, period = case.profile.sbn_msg_limit, case.profile.sbn_wake_ns
+    pipe = queues.peer_pipe(case.profile)
+    limit, period = pipe.usual_limit, pipe.round_ns
     rounds = loss.comb
     evidence = list(loss.evidence)
     if rounds and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 5:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import TYPE_CHECKING
 
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.cfs import table_services
 from edoras_tools.cfs.profile import SbnPeerConfig
+from edoras_tools.cfs.queues import Fifo
 from edoras_tools.emulator.messages import command_length
 from edoras_tools.emulator.scheduler import Receive, Work
 from edoras_tools.emulator.services.sbn_node import Actions, SbnNode
@@ -19,33 +19,6 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.event_services import EventText
     from edoras_tools.emulator.cfs import Cfs
     from edoras_tools.emulator.scheduler import Task
-
-
-class Socket:
-    """A socket's queue in the operating system: of bounded length.
-
-    Attributes:
-        drops: datagrams dropped because it was full.
-    """
-
-    def __init__(self, depth: int) -> None:
-        self.drops = 0
-        self._depth = depth
-        self._queue: deque[bytes] = deque()
-
-    def put(self, data: bytes) -> None:
-        """Add a datagram, or drop it where there is no room."""
-        if len(self._queue) < self._depth:
-            self._queue.append(data)
-        else:
-            self.drops += 1
-
-    def get(self) -> bytes | None:
-        """Take the oldest datagram, or None."""
-        return self._queue.popleft() if self._queue else None
-
-    def __len__(self) -> int:
-        return len(self._queue)
 
 
 class SbnApp:
@@ -61,7 +34,7 @@ class SbnApp:
         self._is_dead = False
         cfs.events.register(facts.NAME, now=cfs.scheduler.now)
         self.node = SbnNode(cfs.profile, cfs.bus, now=cfs.scheduler.now)
-        self.socket = Socket(cfs.profile.socket_queue)
+        self.socket: Fifo[bytes] = Fifo(cfs.profile.socket_queue)
         self._commands = cfs.create_pipe(facts.PIPE, facts.COMMAND_MSG_ID)
         cfs.say(facts.SUBSCRIBED_TO_COMMANDS, msg_id=facts.COMMAND_MSG_ID)
         cfs.listen(cfs.profile.sbn_port, self.receive_datagram)

@@ -7,11 +7,11 @@ behaves in this way.
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from edoras_tools.cfs import command_ingest as facts
+from edoras_tools.cfs.queues import Fifo, QueueEnd
 from edoras_tools.emulator.messages import bus_id, command_length, from_link, headers_of
 from edoras_tools.emulator.services.events import Event
 from edoras_tools.wire import cfe
@@ -51,7 +51,7 @@ class CommandIngest:
         self.commands = 0
         self.command_errors = 0
         self.socket_drops = 0
-        self._queue: deque[bytes] = deque()
+        self._queue: Fifo[bytes] = Fifo(profile.socket_queue)
         self._buffer = bytearray(profile.ci_buffer)
 
     def __len__(self) -> int:
@@ -59,17 +59,16 @@ class CommandIngest:
 
     def receive_datagram(self, data: bytes) -> bool:
         """Put a datagram in the socket's queue until a wake-up reads it; tell whether there was room."""
-        if len(self._queue) >= self.profile.socket_queue:
-            self.socket_drops += 1
-            return False
-        self._queue.append(data)
-        return True
+        has_room = self._queue.put(data) is QueueEnd.WAITING
+        self.socket_drops += not has_room
+        return has_room
 
     def read(self) -> Ingested | None:
         """Read one datagram; None when there is none. A wake-up reads ``ci_datagrams_per_wake`` at most."""
-        if not self._queue:
+        data = self._queue.get()
+        if data is None:
             return None
-        data = self._queue.popleft()[: self.profile.ci_buffer]
+        data = data[: self.profile.ci_buffer]
         self._buffer[: len(data)] = data
         if not data:
             return Ingested()

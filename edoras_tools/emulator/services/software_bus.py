@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from edoras_tools.cfs.queues import Fifo, QueueEnd
 from edoras_tools.cfs.software_bus import (
     BAD_ARGUMENT,
     EVENTS,
@@ -28,35 +29,16 @@ if TYPE_CHECKING:
 
 
 @dataclass(slots=True, eq=False)
-class Pipe:
-    """A queue of packets that an application waits on.
+class Pipe(Fifo[bytes]):
+    """The packets that an application waits for.
 
     Attributes:
         name: as events print it.
-        depth: packets that fit.
-        limits: MsgId to the packets of it that may wait.
-        packets: those waiting, oldest first.
-        waiting: MsgId to how many of it wait.
         ignores: a sender whose packets it does not take (cFE's pipe option "ignore mine").
     """
 
-    name: str
-    depth: int
+    name: str = ""
     ignores: str = ""
-    limits: dict[int, int] = field(default_factory=dict)
-    packets: deque[bytes] = field(default_factory=deque)
-    waiting: Counter[int] = field(default_factory=Counter)
-
-    def get(self) -> bytes | None:
-        """Take the oldest packet, or None."""
-        if not self.packets:
-            return None
-        packet = self.packets.popleft()
-        self.waiting[msg_id_of(packet)] -= 1
-        return packet
-
-    def __len__(self) -> int:
-        return len(self.packets)
 
 
 @dataclass(slots=True)
@@ -117,7 +99,7 @@ class SoftwareBus:
         if name in self.pipes or depth < 1:
             raise ConfigError(f"pipe {name}: depth {depth}; a pipe is made once and holds 1 packet or more")
         depth = min(depth, self.profile.msg_max or depth)
-        pipe = self.pipes[name] = Pipe(name, depth, ignores)
+        pipe = self.pipes[name] = Pipe(depth, name=name, ignores=ignores)
         return pipe
 
     def delete_pipe(self, pipe: Pipe) -> None:
@@ -125,8 +107,7 @@ class SoftwareBus:
         del self.pipes[pipe.name]
         for wanted in list(pipe.limits):
             self.unsubscribe(pipe, wanted)
-        pipe.packets.clear()
-        pipe.waiting.clear()
+        pipe.clear()
 
     def subscribe(self, pipe: Pipe, wanted: int, limit: int | None = None, *, local: bool = False) -> None:
         """Route a MsgId to a pipe; a second time is only counted.
@@ -183,18 +164,16 @@ class SoftwareBus:
         for pipe in route:
             if sender and pipe.ignores == sender:
                 continue
-            # cFE looks at the limit first, then at the queue.
-            if pipe.waiting[wanted] >= pipe.limits[wanted]:
-                self.counters.msg_limits += 1
-                events.append(_event(MSG_LIMIT, msg_id=wanted, pipe=pipe.name, sender=sender))
-            elif len(pipe.packets) >= pipe.depth:
-                self.counters.pipe_overflows += 1
-                events.append(_event(PIPE_OVERFLOW, msg_id=wanted, pipe=pipe.name, sender=sender))
-            else:
-                pipe.packets.append(packet)
-                pipe.waiting[wanted] += 1
+            outcome = pipe.put(packet, wanted)
+            if outcome is QueueEnd.WAITING:
                 delivered.append(pipe)
                 continue
+            if outcome is QueueEnd.MSG_LIMIT:
+                self.counters.msg_limits += 1
+                events.append(_event(MSG_LIMIT, msg_id=wanted, pipe=pipe.name, sender=sender))
+            else:
+                self.counters.pipe_overflows += 1
+                events.append(_event(PIPE_OVERFLOW, msg_id=wanted, pipe=pipe.name, sender=sender))
             self.losses[wanted, pipe.name] += 1
         self.counters.send_errors += len(events)
         return Publication(packet, tuple(delivered), tuple(events))

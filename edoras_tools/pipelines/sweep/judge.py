@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import command_ingest
+from edoras_tools.cfs.queues import application_pipe
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKETS
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.to import TO
@@ -96,9 +97,9 @@ class Judge:
         main = _main(ours)
         by_cfs = min(sent, sum(verdict.lost or 0 for verdict in ours))
         if main is not None and main.rule == "app_pipe_limit" and self._measures:
-            period_ns = self._profile.sbn_wake_ns if self._route.link.peers else self._profile.ci_wake_ns
-            taken = max(1, round((sent - by_cfs) / max(1, sent) * rate_hz * period_ns / SECOND))
-            measured = replace(self._profile, app_msg_limit=taken)
+            pipe = application_pipe(self._profile, over_network=self._route.link.peers)
+            limit = max(1, round((sent - by_cfs) / max(1, sent) * rate_hz * pipe.round_ns / SECOND))
+            measured = replace(self._profile, app_msg_limit=limit)
             main = _main(self._divided(observer.diagnose(measured))[0]) or main
         not_ingested = sum(verdict.lost or 0 for verdict in ours if verdict.hop in CI_SOCKETS)
         altered = (after.arrived - before.arrived) - (after.whole - before.whole)

@@ -178,7 +178,7 @@ class BusMachine(RuleBasedStateMachine):
         for name, pipe in self.pipes.items():
             assert len(pipe) == len(self.expected[name]) <= pipe.depth
             for wanted, count in pipe.waiting.items():
-                assert count == sum(msg_id_of(item) == wanted for item in pipe.packets)
+                assert count == sum(msg_id_of(item) == wanted for _, item in pipe.messages)
         counters = self.bus.counters
         assert counters.msg_limits + counters.pipe_overflows == counters.send_errors == self.lost
 

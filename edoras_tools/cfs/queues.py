@@ -1,0 +1,339 @@
+"""The queues of cFS, sockets and pipes: what enters, what is lost and when it leaves.
+
+A queue is filled when messages arrive and read at wake-ups. Its rules, of one message as of columns:
+
+1. cFE looks at the limit of the MsgId first, then at the depth.
+2. A message that arrives at the time of a wake-up is still read by it.
+3. A wake-up reads the oldest messages first, and at most ``reads`` of them.
+
+What leaves one queue arrives at the next: ``pass_queue`` is called again with their times.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import TYPE_CHECKING, Final, Generic, TypeVar
+
+import numpy as np
+
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.cfs.profile import SimProfile
+
+_Message = TypeVar("_Message")
+NO_LIMIT: Final = 1 << 62
+
+
+class QueueEnd(IntEnum):
+    """What becomes of a message at one queue."""
+
+    DELIVERED = 0
+    WAITING = 1
+    SUPERSEDED = 2
+    MSG_LIMIT = 3
+    PIPE_OVERFLOW = 4
+    SOCKET_FULL = 5
+
+
+def admission(waiting: int, limit: int, length: int, depth: int) -> QueueEnd:
+    """Tell whether a message may enter a queue: ``WAITING``, ``MSG_LIMIT`` or ``PIPE_OVERFLOW``.
+
+    Args:
+        waiting: messages of its MsgId in the queue.
+        limit: the most of them.
+        length: messages in the queue.
+        depth: the most of them.
+    """
+    if waiting >= limit:
+        return QueueEnd.MSG_LIMIT
+    return QueueEnd.PIPE_OVERFLOW if length >= depth else QueueEnd.WAITING
+
+
+@dataclass(slots=True, eq=False)
+class Fifo(Generic[_Message]):
+    """A queue that messages enter and leave one at a time.
+
+    Attributes:
+        depth: messages that fit.
+        limits: MsgId to the messages of it that may wait; one that is not here has no limit.
+        messages: MsgId and message of those that wait, oldest first.
+        waiting: MsgId to how many of it wait.
+    """
+
+    depth: int
+    limits: dict[int, int] = field(default_factory=dict)
+    messages: deque[tuple[int, _Message]] = field(default_factory=deque)
+    waiting: Counter[int] = field(default_factory=Counter)
+
+    def put(self, message: _Message, msg_id: int = 0) -> QueueEnd:
+        """Add a message where ``admission`` lets it in; return what it said."""
+        limit = self.limits.get(msg_id, NO_LIMIT)
+        outcome = admission(self.waiting[msg_id], limit, len(self.messages), self.depth)
+        if outcome is QueueEnd.WAITING:
+            self.messages.append((msg_id, message))
+            self.waiting[msg_id] += 1
+        return outcome
+
+    def get(self) -> _Message | None:
+        """Take the oldest message, or None."""
+        if not self.messages:
+            return None
+        msg_id, message = self.messages.popleft()
+        self.waiting[msg_id] -= 1
+        return message
+
+    def clear(self) -> None:
+        """Drop what waits."""
+        self.messages.clear()
+        self.waiting.clear()
+
+    def __len__(self) -> int:
+        return len(self.messages)
+
+
+@dataclass(frozen=True, slots=True)
+class Queue:
+    """The constants of one queue.
+
+    Attributes:
+        round_ns: time between two wake-ups of its reader; 0 where each message is read at once.
+        depth: messages that fit.
+        usual_limit: messages of one MsgId that may wait.
+        limits: MsgId to its limit where it is another one.
+        reads: the most messages that one wake-up reads.
+        phase_ns: time of one of the wake-ups.
+        is_socket: whether it is a socket, which knows no MsgIds: ``SOCKET_FULL`` is then the loss.
+        keeps_newest: whether a message over its limit takes the place of the oldest one of its MsgId.
+    """
+
+    round_ns: int
+    depth: int
+    usual_limit: int = NO_LIMIT
+    limits: Mapping[int, int] = field(default_factory=dict)
+    reads: int = NO_LIMIT
+    phase_ns: int = 0
+    is_socket: bool = False
+    keeps_newest: bool = False
+
+    def limit(self, msg_id: int) -> int:
+        """Return how many messages of a MsgId may wait."""
+        return self.limits.get(msg_id, self.usual_limit)
+
+    def rate_hz(self, count: int) -> float:
+        """Return how many messages a second are ``count`` a round."""
+        return count * SECOND / self.round_ns
+
+    def wakes(self, first_ns: int, last_ns: int) -> NDArray[np.int64]:
+        """Return the times of the wake-ups, ns: from ``first_ns`` to the first one not before ``last_ns``."""
+        first, last = (-((self.phase_ns - item) // self.round_ns) for item in (first_ns, last_ns))
+        return np.arange(first, last + 1, dtype=np.int64) * self.round_ns + self.phase_ns
+
+
+def ci_socket(profile: SimProfile) -> Queue:
+    """Return the queue in front of Command Ingest."""
+    return Queue(
+        profile.ci_wake_ns, profile.socket_queue, reads=profile.ci_datagrams_per_wake, is_socket=True
+    )
+
+
+def application_pipe(profile: SimProfile, *, over_network: bool = False) -> Queue:
+    """Return an application's pipe as its sender fills it: the application reads it after each burst.
+
+    Args:
+        over_network: SBN fills it, at each of its wake-ups where it polls; else Command Ingest.
+    """
+    period_ns = profile.sbn_wake_ns if over_network else profile.ci_wake_ns
+    return Queue(period_ns, profile.app_pipe_depth, profile.app_msg_limit)
+
+
+def telemetry_pipe(profile: SimProfile) -> Queue:
+    """Return Telemetry Output's pipe."""
+    return Queue(profile.to_wake_ns, profile.to_pipe_depth, profile.to_default_limit, profile.to_limits)
+
+
+def peer_pipe(profile: SimProfile) -> Queue:
+    """Return the pipe of an SBN peer."""
+    return Queue(profile.sbn_wake_ns, profile.sbn_pipe_depth, profile.sbn_msg_limit)
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """What became of the messages that arrived at one queue, an element for each.
+
+    Attributes:
+        time_ns: i64, arrival.
+        outcome: u8, an ``QueueEnd``.
+        left_ns: i64, the wake-up that read it; -1 of a message that was not read.
+        superseded_ns: i64, when a newer one took its place; -1 where none did.
+    """
+
+    time_ns: NDArray[np.int64]
+    outcome: NDArray[np.uint8]
+    left_ns: NDArray[np.int64]
+    superseded_ns: NDArray[np.int64]
+
+    @property
+    def delivered(self) -> NDArray[np.int64]:
+        """Places of the messages that were read, in the order in which they left: they go on from here."""
+        rows = np.flatnonzero(self.outcome == QueueEnd.DELIVERED)
+        return rows[np.argsort(self.left_ns[rows], kind="stable")]
+
+    def depth(self, at_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return how many messages wait at some times, after the arrivals and wake-ups of that moment."""
+        entered = self.time_ns[self.outcome <= QueueEnd.SUPERSEDED]
+        gone = np.where(self.outcome == QueueEnd.SUPERSEDED, self.superseded_ns, self.left_ns)
+        gone = np.sort(gone[self.outcome != QueueEnd.WAITING])
+        gone = gone[gone >= 0]
+        return np.searchsorted(entered, at_ns, side="right") - np.searchsorted(gone, at_ns, side="right")
+
+
+def pass_queue(
+    queue: Queue,
+    time_ns: NDArray[np.int64],
+    msg_id: NDArray[np.integer],
+    wakes_ns: NDArray[np.int64] | None = None,
+) -> Passage:
+    """Return what becomes of messages at a queue that is empty at first.
+
+    Args:
+        time_ns: (n,), arrivals, ns, in order.
+        msg_id: (n,), what the limits go by.
+        wakes_ns: when the queue is read, in order, where that is known; by default in its rounds, until it
+            is empty.
+
+    Returns:
+        elements in the order of the arrivals. ``WAITING`` is what is not read any more.
+    """
+    count = len(time_ns)
+    reads = max(1, min(queue.reads, count))
+    if wakes_ns is not None:
+        wake = np.searchsorted(wakes_ns, time_ns)
+    elif not queue.round_ns or not count:
+        wake, wakes_ns = np.arange(count), time_ns
+    else:
+        rounds = -(-min(count, queue.depth) // reads)
+        wakes_ns = queue.wakes(int(time_ns[0]), int(time_ns[-1]) + rounds * queue.round_ns)
+        wake = np.searchsorted(wakes_ns, time_ns)
+    ids, kind = np.unique(msg_id, return_inverse=True)
+    limit = np.array([queue.limit(int(item)) for item in ids], np.int64)[kind]
+    messages = _Messages(queue, time_ns, kind, limit, np.full(count, -1, np.int64))
+    outcome = np.full(count, QueueEnd.WAITING, np.uint8)
+    left_ns = np.full(count, -1, np.int64)
+
+    rounds_at, first, arrivals = np.unique(wake, return_index=True, return_counts=True)
+    is_calm = _calm(rounds_at, arrivals, reads)
+    rows = np.flatnonzero(np.repeat(is_calm, arrivals))
+    outcome[rows] = messages.enter(rows, wake[rows])
+    rows = rows[(outcome[rows] == QueueEnd.WAITING) & (wake[rows] < len(wakes_ns))]
+    left_ns[rows] = wakes_ns[wake[rows]]
+
+    waiting, next_wake = np.zeros(0, np.int64), 0
+    for number in np.flatnonzero(~is_calm):
+        at, start = int(rounds_at[number]), int(first[number])
+        waiting = _read(waiting, left_ns, wakes_ns[next_wake:at], reads)
+        rows = np.concatenate((waiting, np.arange(start, start + arrivals[number])))
+        outcome[rows] = messages.enter(rows, np.zeros(len(rows), np.int64))
+        waiting, next_wake = rows[outcome[rows] == QueueEnd.WAITING], at
+    _read(waiting, left_ns, wakes_ns[next_wake:], reads)
+    outcome[left_ns >= 0] = QueueEnd.DELIVERED
+    return Passage(time_ns, outcome, left_ns, messages.superseded_ns)
+
+
+def _calm(rounds_at: NDArray[np.int64], arrivals: NDArray[np.int64], reads: int) -> NDArray[np.bool_]:
+    """Tell for which rounds the queue is empty before and after, even if it loses nothing.
+
+    Args:
+        rounds_at: numbers of the rounds in which something arrives.
+        arrivals: how much.
+    """
+    if not len(rounds_at):
+        return np.zeros(0, np.bool_)
+    surplus = np.cumsum(arrivals) - arrivals - reads * (rounds_at - rounds_at[0])
+    lowest: NDArray[np.int64] = np.minimum.accumulate(surplus)
+    is_calm: NDArray[np.bool_] = (surplus == lowest) & (arrivals <= reads)
+    return is_calm
+
+
+def _read(
+    waiting: NDArray[np.int64], left_ns: NDArray[np.int64], wakes_ns: NDArray[np.int64], reads: int
+) -> NDArray[np.int64]:
+    """Write when messages leave at some wake-ups, and return those that stay."""
+    leaving = waiting[: reads * len(wakes_ns)]
+    left_ns[leaving] = wakes_ns[np.arange(len(leaving)) // reads]
+    return waiting[len(leaving) :]
+
+
+@dataclass(frozen=True, slots=True)
+class _Messages:
+    """The messages of one call, and how they enter.
+
+    Attributes:
+        kind: (n,), number of the MsgId. limit: (n,), its limit.
+        superseded_ns: (n,), written by ``enter``.
+    """
+
+    queue: Queue
+    time_ns: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    limit: NDArray[np.int64]
+    superseded_ns: NDArray[np.int64]
+
+    def enter(self, rows: NDArray[np.int64], batch: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """Return the outcome of messages that arrive, in order, between two wake-ups.
+
+        The same as ``admission`` one after another. Nothing leaves in between, so the first ones of a MsgId
+        up to its limit may enter until the queue is full; from then on nothing changes any more.
+
+        Args:
+            rows: places of the messages; those that wait from before stand first.
+            batch: (rows,), ascending, between which wake-ups; the queue is empty before each.
+        """
+        limit = self.limit[rows]
+        group = np.unique(batch * (len(rows) + len(self.kind)) + self.kind[rows], return_inverse=True)[1]
+        below = _rank(group) < limit
+        entered = below & (_rank(batch, below) < self.queue.depth)
+        inside = np.bincount(group, entered)[group] if len(rows) else limit
+        full = QueueEnd.SOCKET_FULL if self.queue.is_socket else QueueEnd.PIPE_OVERFLOW
+        over = ~entered & (inside >= limit)
+        outcome = np.where(entered, QueueEnd.WAITING, np.where(over, QueueEnd.MSG_LIMIT, full)).astype(
+            np.uint8
+        )
+        if self.queue.keeps_newest and over.any():
+            self._supersede(rows, group, entered | (over & (limit > 0)), outcome)
+        return outcome
+
+    def _supersede(
+        self,
+        rows: NDArray[np.int64],
+        group: NDArray[np.int64],
+        enters: NDArray[np.bool_],
+        outcome: NDArray[np.uint8],
+    ) -> None:
+        """Let the newest of each MsgId stay; each older one is superseded by the one that took its place."""
+        order = np.flatnonzero(enters)
+        order = order[np.argsort(group[order], kind="stable")]
+        later = np.arange(len(order)) + np.minimum(self.limit[rows[order]], len(order))
+        older = later < len(order)
+        older[older] = group[order[later[older]]] == group[order[older]]
+        outcome[order] = QueueEnd.WAITING
+        outcome[order[older]] = QueueEnd.SUPERSEDED
+        self.superseded_ns[rows[order[older]]] = self.time_ns[rows[order[later[older]]]]
+
+
+def _rank(group: NDArray[np.int64], among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
+    """Return how many elements of the same group stand before each one; only those ``among`` count."""
+    order = np.argsort(group, kind="stable")
+    ones = np.ones(len(group), np.int64) if among is None else among[order].astype(np.int64)
+    before = np.cumsum(ones) - ones
+    ordered = group[order]
+    starts = np.flatnonzero(np.diff(ordered, prepend=-1))
+    rank = np.empty(len(group), np.int64)
+    rank[order] = before - np.repeat(before[starts], np.diff(starts, append=len(group)))
+    return rank
