@@ -39,10 +39,10 @@ def measure(folder: Path, packets: int) -> dict[str, object]:
 
 async def look(capture: Path, packets: int, began: float) -> dict[str, object]:
     """Drive the view without a terminal; times count from the start of the process."""
+    from edoras_tools.addons.tui.panes import ViewOptions
+    from edoras_tools.addons.tui.viewer import Viewer
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings, open_files
-    from edoras_tools.tui.panes import ViewOptions
-    from edoras_tools.tui.viewer import Viewer
 
     settings = Settings(MISSIONS)
     app = Viewer(open_files([capture]), settings.workbench(), ViewOptions(Selection(), settings))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from textual.widgets import Input
 
+from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.sniff import decode_packet
@@ -27,7 +28,6 @@ from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.svg import terminal_picture, without_fonts
 from edoras_tools.render.terminal import palette
-from edoras_tools.tui.viewer import Viewer, ViewOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -21,7 +21,7 @@ NO_BEHAVIOUR = (
     *("cfs/limits.py", "cfs/names.py", "cfs/sbn.py", "cfs/software_bus.py", "cfs/telemetry_output.py"),
     *("cfs/table_services.py", "cfs/time_services.py"),
     *("io/signals.py", "io/topics/names.py", "links/protocol.py", "middleware/graph.py"),
-    *("render/terminal/run.py", "sessions/sbn/habits.py", "tui/help.py", "tui/theme.py"),
+    *("render/terminal/run.py", "sessions/sbn/habits.py", "addons/tui/help.py", "addons/tui/theme.py"),
 )
 """Constants, types and protocols: what uses them is tested."""
 
@@ -29,6 +29,10 @@ ELSEWHERE = {
     "doctor.py": "docs/test_pages.py",
     "errors.py": "wire/test_headers.py",
     "model.py": "decode/test_agreement.py",
+    "addons/tui/*": "addons/tui/test_viewer.py",
+    "addons/tui/cli.py": "addons/tui/test_command.py",
+    "addons/tui/data/*": "addons/tui/data/test_store.py",
+    "addons/tui/lists/*": "addons/tui/test_viewer.py",
     "addons/zenoh/*": "addons/zenoh/test_graph.py",
     "cli/*": "cli/test_bad_input.py",
     "codegen/*": "codegen/test_library.py",
@@ -87,9 +91,6 @@ ELSEWHERE = {
     "structs/*": "structs/test_compiled.py",
     "structs/debug_info/*": "structs/debug_info/test_dwarf.py",
     "structs/fprime/*": "links/test_fprime.py",
-    "tui/*": "tui/test_viewer.py",
-    "tui/data/*": "tui/data/test_store.py",
-    "tui/lists/*": "tui/test_viewer.py",
     "wire/*": "wire/test_headers.py",
 }
 """Files whose behaviour shows only together with others', and the test that asks them together."""

@@ -55,6 +55,7 @@ class Addon(NamedTuple):
 
 
 ADDONS: Final = (
+    Addon("tui", adds={"parts": {"panes": "cli"}}, extra="tui"),
     Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),
     Addon("dds", adds={"middleware": {"dds": ":DDS"}}, extra="dds"),
 )

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
+from edoras_tools import doors
 from edoras_tools.cli import options, views
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import no_messages, nothing_shown
@@ -50,9 +51,8 @@ def sniff(
     limits = stop.limits(given.paths)
     settings, selection, live = decoding.settings(), chosen.selection(), not given.paths
     if view.tui:
-        from edoras_tools.cli.panes import check_terminal, show
-
-        check_terminal()
+        panes = doors.part("panes")
+        panes.check_terminal()
     source, bench = open_input(given, settings, every_port=every, messages=True)
     recorded = bool(bench.mission.recorded)
     if recorded:
@@ -64,7 +64,7 @@ def sniff(
         notable=NOTABLE if view.findings else 0,
     )
     if view.tui:
-        show(source, bench, settings, selection, view.time_format, limits, verbose=verbose)
+        panes.show(source, bench, settings, selection, view.time_format, limits, verbose=verbose)
         return
     terminal = look(sys.stdout)
     counts = view.sequence or view.stat

@@ -31,7 +31,7 @@ PANES = """
 import asyncio, sys
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.tui.viewer import Viewer, ViewOptions
+from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 
 async def main():
     settings = Settings()

@@ -11,6 +11,11 @@ from textual import on, work
 from textual.binding import Binding
 from textual.worker import get_current_worker
 
+from edoras_tools.addons.tui.data import messages
+from edoras_tools.addons.tui.data.search import matcher, next_number
+from edoras_tools.addons.tui.field_filter import filter_of
+from edoras_tools.addons.tui.panes import Panes
+from edoras_tools.addons.tui.prompts import Prompt
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.errors import EdorasError
@@ -21,11 +26,6 @@ from edoras_tools.pipelines.recorder import PushedSource
 from edoras_tools.render.capture.packet_list import COLUMNS
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean
-from edoras_tools.tui.data import messages
-from edoras_tools.tui.data.search import matcher, next_number
-from edoras_tools.tui.field_filter import filter_of
-from edoras_tools.tui.panes import Panes
-from edoras_tools.tui.prompts import Prompt
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
     from textual.message import Message
 
+    from edoras_tools.addons.tui.data.store import Part
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.tui.data.store import Part
 
 
 class Navigation(Panes):

@@ -11,9 +11,9 @@ from textual.binding import Binding
 from textual.message import Message
 from textual.strip import Strip
 
+from edoras_tools.addons.tui.lists.lines import Lines
 from edoras_tools.render.capture import hexdump
 from edoras_tools.render.terminal import palette
-from edoras_tools.tui.lists.lines import Lines
 
 if TYPE_CHECKING:
     from edoras_tools.model import Decoded

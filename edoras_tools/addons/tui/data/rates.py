@@ -15,8 +15,8 @@ from edoras_tools.render.plot.figure import Figure, Panel
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from edoras_tools.addons.tui.data.store import Part
     from edoras_tools.decode.context import Context
-    from edoras_tools.tui.data.store import Part
 
 _MOST_LINES: Final = 6
 """As many as a terminal has colours for."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
+from edoras_tools.addons.tui.data.store import PacketBlock
 from edoras_tools.errors import EdorasError
 from edoras_tools.pipelines.capture.compact import compact
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.render import units
-from edoras_tools.tui.data.store import PacketBlock
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

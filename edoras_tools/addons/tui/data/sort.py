@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.addons.tui.data.store import Part
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.field import FilterField
-    from edoras_tools.tui.data.store import Part
 
 _FIELDS: Final = {
     "time": "time_ns",

@@ -9,10 +9,10 @@ import pytest
 from places import ROOT
 from waiting import PATIENCE_S
 
+from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
-from edoras_tools.tui.viewer import Viewer, ViewOptions
 
 MISSIONS = [ROOT / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]
 

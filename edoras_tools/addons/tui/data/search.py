@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.addons.tui.data.store import PacketBlock, Part
     from edoras_tools.decode.context import Context
-    from edoras_tools.tui.data.store import PacketBlock, Part
 
     Matcher = Callable[[PacketBlock], NDArray[np.bool_]]
     """A block to a mask of the packets that match."""

@@ -11,6 +11,7 @@ from rich.text import Text
 from textual.cache import LRUCache
 from textual.strip import Strip
 
+from edoras_tools.addons.tui.lists.lines import Lines, strip_of
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode import Dissector
 from edoras_tools.decode.filters.filter import fields
@@ -22,14 +23,13 @@ from edoras_tools.render.capture.packet_list import COLUMNS, PacketList
 from edoras_tools.render.severity import EXPLANATIONS, NOTABLE, Level
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.render.units import TimeFormat
-from edoras_tools.tui.lists.lines import Lines, strip_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from edoras_tools.addons.tui.data.store import Store
     from edoras_tools.decode.context import Context
     from edoras_tools.pipelines.capture.fields import Column
-    from edoras_tools.tui.data.store import Store
 
 _GUTTER: Final = 2
 """Cells at the left for marks."""

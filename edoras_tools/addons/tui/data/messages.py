@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from edoras_tools.addons.tui.data.store import PacketBlock
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.render.capture.sequence import SequenceMessage as Run
     from edoras_tools.render.plot.figure import Figure
-    from edoras_tools.tui.data.store import PacketBlock
 
 
 class Arrived(Message):

@@ -10,12 +10,12 @@ from rich.text import Text
 from textual.binding import Binding
 from textual.strip import Strip
 
+from edoras_tools.addons.tui.lists.lines import Lines
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import departures, link_text, msg_id_text, route_text
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import Rates
 from edoras_tools.render.terminal.table import Column, build, figure, plain
-from edoras_tools.tui.lists.lines import Lines
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.addons.tui.data.store import PacketBlock
     from edoras_tools.decode.filters.filter import Where
-    from edoras_tools.tui.data.store import PacketBlock
 
 
 class FilterThread(threading.Thread):

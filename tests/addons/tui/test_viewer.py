@@ -6,11 +6,11 @@ import signal
 import pytest
 from textual.events import MouseScrollDown
 
+from edoras_tools.addons.tui.help import Help
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.sbn import SBN
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.render.units import TimeFormat
-from edoras_tools.tui.help import Help
 
 
 def test_a_file_opens_with_its_first_packet(drive):

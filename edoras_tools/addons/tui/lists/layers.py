@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 from rich.text import Text
 from textual.binding import Binding
 
+from edoras_tools.addons.tui.lists.lines import Lines, strip_of
 from edoras_tools.render.capture import tree
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clip, wrap
-from edoras_tools.tui.lists.lines import Lines, strip_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,24 +14,24 @@ from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
 from textual.widgets import ContentSwitcher, Footer, Static
 
+from edoras_tools.addons.tui import theme as themes
+from edoras_tools.addons.tui.data import messages
+from edoras_tools.addons.tui.data.store import Store
+from edoras_tools.addons.tui.help import Help
+from edoras_tools.addons.tui.lists.hex_pane import WIDE, HexPane
+from edoras_tools.addons.tui.lists.layers import Layers
+from edoras_tools.addons.tui.lists.lines import HeaderLine, Lines
+from edoras_tools.addons.tui.lists.packets import Packets
+from edoras_tools.addons.tui.lists.rate_graph import RateGraph
+from edoras_tools.addons.tui.lists.routes import Routes
+from edoras_tools.addons.tui.lists.sequence_view import SequenceView
+from edoras_tools.addons.tui.prompts import FilterLine, Prompt
 from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.render.units import TimeFormat
-from edoras_tools.tui import theme as themes
-from edoras_tools.tui.data import messages
-from edoras_tools.tui.data.store import Store
-from edoras_tools.tui.help import Help
-from edoras_tools.tui.lists.hex_pane import WIDE, HexPane
-from edoras_tools.tui.lists.layers import Layers
-from edoras_tools.tui.lists.lines import HeaderLine, Lines
-from edoras_tools.tui.lists.packets import Packets
-from edoras_tools.tui.lists.rate_graph import RateGraph
-from edoras_tools.tui.lists.routes import Routes
-from edoras_tools.tui.lists.sequence_view import SequenceView
-from edoras_tools.tui.prompts import FilterLine, Prompt
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

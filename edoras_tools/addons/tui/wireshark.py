@@ -22,8 +22,8 @@ from edoras_tools.pipelines.wireshark.program import SCRIPT, find_program
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from edoras_tools.addons.tui.data.store import Part
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.tui.data.store import Part
 
 _THEN_REMOVE: Final = '"$@"; rm -rf "$0"'
 """A shell script: Wireshark may run longer than this process, and needs its files until it ends."""

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Final
 
 from rich.text import Text
 
+from edoras_tools.addons.tui.lists.lines import Lines, strip_of
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level, explain
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean, clip, clip_middle, fit
-from edoras_tools.tui.lists.lines import Lines, strip_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

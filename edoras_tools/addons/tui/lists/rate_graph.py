@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 from rich.text import Text
 
+from edoras_tools.addons.tui.lists.lines import Lines, strip_of
 from edoras_tools.render.plot.terminal import plot_lines
-from edoras_tools.tui.lists.lines import Lines, strip_of
 
 if TYPE_CHECKING:
     from textual.strip import Strip

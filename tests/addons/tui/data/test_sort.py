@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import ROOT
 
+from edoras_tools.addons.tui.data.sort import sort_order
+from edoras_tools.addons.tui.data.store import PacketBlock, Store
 from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.tui.data.sort import sort_order
-from edoras_tools.tui.data.store import PacketBlock, Store
 
 BENCH = Settings([ROOT / "samples/missions/two_rovers_ground.yaml"]).workbench()
 WHOLE = next(iter(open_files([ROOT / "samples/captures/f_sbn_disconnect.pcap"]).batches()))

@@ -48,7 +48,7 @@ def show(
         EdorasError: the filter or a topic is wrong, the source ended early, or contained no UDP at all.
         typer.Exit: with code 3, if the capture lost packets.
     """
-    from edoras_tools.tui.viewer import Viewer, ViewOptions
+    from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 
     live = hasattr(source, "stop")
     try:

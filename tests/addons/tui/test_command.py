@@ -30,7 +30,7 @@ def call(monkeypatch, capsys, *arguments):
 
 
 def test_without_textual_it_says_what_to_install(monkeypatch, capsys):
-    monkeypatch.setattr("edoras_tools.cli.panes.find_spec", lambda name: None)
+    monkeypatch.setattr("edoras_tools.addons.tui.cli.find_spec", lambda name: None)
     code, err = call(monkeypatch, capsys, "sniff", "--tui", "-r", CAPTURE)
     assert (code, err) == (2, ["edoras: --tui needs textual: pip install 'edoras-tools[tui]'"])
 

@@ -7,8 +7,8 @@ import sys
 import pytest
 from waiting import until
 
+from edoras_tools.addons.tui import wireshark
 from edoras_tools.errors import CaptureError
-from edoras_tools.tui import wireshark
 
 PRETENDER = """#!{python}
 import shutil, sys

@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import ROOT
 
+from edoras_tools.addons.tui.data.store import PacketBlock, Store, join_blocks
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.model import Columns
 from edoras_tools.pipelines.capture.compact import compact
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.tui.data.store import PacketBlock, Store, join_blocks
 
 BENCH = Settings([ROOT / "samples/missions/two_rovers_ground.yaml"]).workbench()
 WHOLE = next(iter(open_files([ROOT / "samples/captures/f_sbn_disconnect.pcap"]).batches()))

@@ -14,24 +14,24 @@ from textual.binding import Binding
 from textual.widgets import Input
 from textual.worker import get_current_worker
 
+from edoras_tools.addons.tui.data import messages
+from edoras_tools.addons.tui.data.feed import Feed
+from edoras_tools.addons.tui.data.filter_thread import FilterThread
+from edoras_tools.addons.tui.data.rates import rate_figure
+from edoras_tools.addons.tui.data.sort import sort_order
+from edoras_tools.addons.tui.field_filter import filter_of
+from edoras_tools.addons.tui.lists.hex_pane import HexPane
+from edoras_tools.addons.tui.lists.lines import Lines
+from edoras_tools.addons.tui.navigation import Navigation
+from edoras_tools.addons.tui.panes import ViewOptions
+from edoras_tools.addons.tui.prompts import FilterLine
+from edoras_tools.addons.tui.wireshark import open_in_wireshark
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import EdorasError
 from edoras_tools.io.signals import ENDING
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.capture.conversation import Conversation
 from edoras_tools.render.severity import Level
-from edoras_tools.tui.data import messages
-from edoras_tools.tui.data.feed import Feed
-from edoras_tools.tui.data.filter_thread import FilterThread
-from edoras_tools.tui.data.rates import rate_figure
-from edoras_tools.tui.data.sort import sort_order
-from edoras_tools.tui.field_filter import filter_of
-from edoras_tools.tui.lists.hex_pane import HexPane
-from edoras_tools.tui.lists.lines import Lines
-from edoras_tools.tui.navigation import Navigation
-from edoras_tools.tui.panes import ViewOptions
-from edoras_tools.tui.prompts import FilterLine
-from edoras_tools.tui.wireshark import open_in_wireshark
 
 if TYPE_CHECKING:
     import subprocess
