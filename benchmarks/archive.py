@@ -29,8 +29,8 @@ import duckdb
 import numpy as np
 from paths import EDORAS, MISSION, ROVER
 
-from edoras_tools.emulator import Simulation
-from edoras_tools.emulator.source import frames_of
+from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.lab.emulator.source import frames_of
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcap.writer import PcapSink
 from edoras_tools.io.frames.linklayer import Demux

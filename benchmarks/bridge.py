@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from paths import MISSION, MISSIONS
 
+from edoras_tools.addons.lab.emulator import Served, Simulation, WireDatagram
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.emulator import Served, Simulation, WireDatagram
 from edoras_tools.io.net.buffer import make_buffer
 from edoras_tools.io.net.sockets import kernel_drops, open_bound, open_socket
 from edoras_tools.io.net.wire import precise_timing

@@ -231,9 +231,9 @@ def _with_missions(words: str) -> str:
 
 def emulate(name: str, path: Path) -> None:
     """Write a run of the emulated cFS, with malformed datagrams among its own, to a capture."""
+    from edoras_tools.addons.lab.emulator import BOOT_NS, Simulation
+    from edoras_tools.addons.lab.emulator.source import SimulatedSource
     from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.emulator import BOOT_NS, Simulation
-    from edoras_tools.emulator.source import SimulatedSource
     from edoras_tools.pipelines.capture.record import Target, record
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.units import SECOND

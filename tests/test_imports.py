@@ -58,7 +58,7 @@ PUT_OFF = {
         "edoras_tools.pipelines.capture.host edoras_tools.sessions.dds",
         "4 ms each, and only where a link is captured live, or there is RTPS",
     ),
-    "pipelines/demo/router.py": ("zenoh", "an extra"),
+    "addons/lab/demo/router.py": ("zenoh", "an extra"),
     "pipelines/reading.py": (
         "edoras_tools.decode.samples edoras_tools.io.frames.fragmented",
         "5 ms, and only where there is RTPS",

@@ -28,15 +28,15 @@ SAME = (
         "what every middleware has, and what chooses one",
     ),
     ("emit", "wire/*", "written and read through the header's module: ccsds.emit, sbn.emit"),
-    ("live_table", "render/*", "the view of a command while it runs"),
-    ("outcome", "render/*", "the view of what a command did"),
-    ("plan", "render/*", "the view of what a command would do"),
+    ("live_table", "render/* addons/*/views/*", "the view of a command while it runs"),
+    ("outcome", "render/* addons/*/views/*", "the view of what a command did"),
+    ("plan", "render/* addons/*/views/*", "the view of what a command would do"),
     ("examine", "doctor.py pipelines/doctor/doctor.py", "the library's door to the same function"),
     ("predict", "doctor.py diagnosis/accounting/budget.py", "the library's door to the same function"),
 )
 """A name, where it may be defined, and why it means the same there."""
 
-FACTS = ("cfs/*", "emulator/apps/generator.py")
+FACTS = ("cfs/*", "addons/lab/emulator/apps/generator.py")
 """Facts of one application each, and read through its module: ``command_ingest.PIPE``, ``sbn.PIPE``."""
 
 COMMANDS = ("cli/*", "addons/*/cli.py", "addons/*/cli/*")

@@ -55,6 +55,30 @@ class Addon(NamedTuple):
 
 
 ADDONS: Final = (
+    Addon(
+        "lab",
+        commands={
+            "sweep": ListedCommand(
+                "Send",
+                "Raise a route's rate or size until messages are lost.",
+                "cli.sweep:sweep",
+                before="proxy",
+            ),
+            "demo": ListedCommand(
+                "Try",
+                "Show the main features, or run a demo of the paper.",
+                "cli.demo:demo",
+                before="samples",
+            ),
+            "sim": ListedCommand(
+                "Try",
+                "Run an emulated cFS on loopback, with the real one's limits.",
+                "cli.sim:sim",
+                before="samples",
+            ),
+        },
+        adds={"parts": {"simulation": "live:start_simulation"}},
+    ),
     Addon("tui", adds={"parts": {"panes": "cli"}}, extra="tui"),
     Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),
     Addon("dds", adds={"middleware": {"dds": ":DDS"}}, extra="dds"),

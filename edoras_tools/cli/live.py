@@ -14,17 +14,16 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from edoras_tools import doors
 from edoras_tools.cli import options, recordings, sending
 from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import finish, say, tell, tell_reach
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json
-from edoras_tools.cli.sim import Scenario
 from edoras_tools.errors import ConfigError, EdorasError
 
 if TYPE_CHECKING:
-    from edoras_tools.emulator.source import RealTimeSource
-    from edoras_tools.io.capture.device import DeviceSource
+    from edoras_tools.io import LiveSource
     from edoras_tools.io.foxglove.origins import OriginCheck
     from edoras_tools.io.foxglove.playback import PlaybackState
     from edoras_tools.io.foxglove.sink import FoxgloveSink, ServedSink
@@ -120,7 +119,7 @@ class SourceOptions(NamedTuple):
     """What is shown."""
 
     given: InputOptions = InputOptions()
-    sim: Annotated[Scenario | None, "An emulated cFS with its bridges and robots."] = None
+    sim: Annotated[options.Scenario | None, "An emulated cFS with its bridges and robots."] = None
 
 
 class OutputOptions(NamedTuple):
@@ -317,7 +316,7 @@ def _keyboard(
 
 
 def _show(
-    source: DeviceSource | RealTimeSource,
+    source: LiveSource,
     bench: Workbench,
     selection: Selection,
     serve: Callable[..., FoxgloveSink],
@@ -352,13 +351,12 @@ def _show(
 
 def _traffic(
     given: SourceOptions, settings: Settings, output: Path | None, *, every: bool
-) -> tuple[DeviceSource | RealTimeSource, Workbench, Mapping[Receiver, Send]]:
+) -> tuple[LiveSource, Workbench, Mapping[Receiver, Send]]:
     """Open the live source; return it, its workbench, and functions that send commands without a socket."""
     if given.sim is not None:
-        from edoras_tools.pipelines.live.simulated import start_simulation
         from edoras_tools.pipelines.sending.options import Receiver
 
-        running, bench = start_simulation(given.sim.value, settings, monotonic_ns)
+        running, bench = doors.part("simulation")(given.sim.value, settings, monotonic_ns)
         return running, bench, {Receiver.CI: running.command}
     from edoras_tools.io.capture.device import DeviceSource
 

@@ -41,9 +41,9 @@ _OF_THE_CORE: Final = {
     "Look": ("sniff", "info", "decode", "live", "plot", "host"),
     "Record": ("record", "recover", "export", "files", "archive"),
     "Explain": ("doctor", "report", "compare", "check"),
-    "Send": ("replay", "inject", "sweep", "proxy"),
+    "Send": ("replay", "inject", "proxy"),
     "Connect": ("bridge", "mission", "codegen", "structs", "wireshark", "xtce"),
-    "Try": ("demo", "sim", "samples", "help"),
+    "Try": ("samples", "help"),
 }
 """Each is a function, or a group of commands, in a module of the same name."""
 _INSTALLED: Final = "Installed"

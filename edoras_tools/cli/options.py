@@ -291,6 +291,15 @@ VERBOSE: Final = "Also print versions, settings file and missions, on stderr."
 Verbose = Annotated[bool, "--verbose -v", f"{VERBOSE} Show notes in lists."]
 
 
+class Scenario(StrEnum):
+    """A demo of the EDORAS paper."""
+
+    ROVER = "rover"
+    ARM = "arm"
+    TWO_ROVERS = "two-rovers"
+    TWO_ARMS = "two-arms"
+
+
 class LinkName(StrEnum):
     """A link of this project that bridges use."""
 

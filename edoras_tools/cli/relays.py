@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
 
@@ -19,13 +19,26 @@ if TYPE_CHECKING:
 
     from edoras_tools.cli.options import PrintOptions
     from edoras_tools.pipelines.bridge.run import Bridges
-    from edoras_tools.pipelines.demo.run import Demo
     from edoras_tools.pipelines.proxy.run import Proxy
-    from edoras_tools.pipelines.proxy.streams import StreamProxy
+
+
+class Relay(Protocol):
+    """What passes traffic on until it is stopped."""
+
+    @property
+    def run(self) -> Callable[..., None]:
+        """Pass traffic on for ``duration_ns``; 0: until ``stop``."""
+        ...
+
+    def stop(self) -> None:
+        """Let ``run`` end; may be called from a signal handler."""
+
+    def close(self) -> None:
+        """Close sockets and outputs."""
 
 
 def run_relay(
-    relay: Bridges | Demo | Proxy | StreamProxy,
+    relay: Relay,
     begin: Callable[[], None],
     duration_ns: int | None,
     table: Callable[[Console], AbstractContextManager[Any]] | None = None,

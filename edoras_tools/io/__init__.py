@@ -41,6 +41,14 @@ class Source(Protocol):
         ...
 
 
+class LiveSource(Source, Protocol):
+    """A source without an end."""
+
+    def stop(self) -> None:
+        """Let ``batches`` end after what has arrived; may be called from a signal handler."""
+        ...
+
+
 class Sink(Protocol):
     """The interface of every sink."""
 

@@ -12,8 +12,8 @@ import pytest
 from schema import held
 from waiting import HOST, Ear, Program, free_ports, until
 
+from edoras_tools.addons.lab.emulator import Served, Simulation
 from edoras_tools.cfs.profile import Ports, SimProfile
-from edoras_tools.emulator import Served, Simulation
 from edoras_tools.wire import cfe, sbn
 
 TWIST = bytes.fromhex("1827")

@@ -7,10 +7,10 @@ import ctypes
 import numpy as np
 import pytest
 
+from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.codegen.generator import generator_app
-from edoras_tools.emulator import Simulation
-from edoras_tools.emulator.apps import generator
 from edoras_tools.errors import ConfigError
 from edoras_tools.pipelines.codegen import write_folder
 from edoras_tools.ros import TypeStore

@@ -8,11 +8,11 @@ from functools import cache
 import pytest
 from places import ROOT
 
+from edoras_tools.addons.lab.emulator import Simulation, WireDatagram
+from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Examination
-from edoras_tools.emulator import Simulation, WireDatagram
-from edoras_tools.emulator.apps import generator
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux

@@ -16,10 +16,10 @@ from rtps import PREFIX, announced, data, made, message
 from streams import ACK, CLIENT, SERVER, Segment, sbn_message, sbn_messages, segments_of, write_segments
 from transfer_frames import Maker, space_packet
 
+from edoras_tools.addons.lab.emulator import messages
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
 from edoras_tools.diagnosis.rules import RULES
 from edoras_tools.diagnosis.verdict import Severity
-from edoras_tools.emulator import messages
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.to import TO
 from edoras_tools.model import Endpoint, HostCounters, Peer, SocketCounters

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
+from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.lab.emulator.apps import generator
+from edoras_tools.addons.lab.emulator.source import frames_of
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.examination import Examination
-from edoras_tools.emulator import Simulation
-from edoras_tools.emulator.apps import generator
-from edoras_tools.emulator.source import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import SECOND

@@ -8,9 +8,9 @@ import pytest
 from places import ROOT
 from rewriting import datagrams, write
 
+from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import ColumnDecoder, Context
-from edoras_tools.emulator import Simulation
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN

@@ -8,10 +8,10 @@ from effort import long_but
 from places import ROOT, SAMPLE_MISSIONS
 from scapy.packet import Raw
 
+from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.dissectors import scapy_layers
-from edoras_tools.emulator import Simulation
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import load

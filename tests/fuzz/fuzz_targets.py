@@ -21,6 +21,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from rich.console import Console as StringConsole
 from schema import check, published
 
+from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.decode.lines import line_of
 from edoras_tools.diagnosis.evidence.clocks.alignment import align
@@ -29,7 +30,6 @@ from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.diagnosis.matching.comparison import compare_captures
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.diagnosis.runs import Run, run_differences
-from edoras_tools.emulator import Simulation
 from edoras_tools.errors import CaptureError, ConfigError, FieldError, WireError
 from edoras_tools.io.formats.mcap.recover import recover as run_recover
 from edoras_tools.io.formats.mcap.recover import verify

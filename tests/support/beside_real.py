@@ -12,8 +12,8 @@ from typing import NamedTuple
 import zstandard
 from places import ROOT
 
+from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.emulator import Simulation
 from edoras_tools.units import SECOND
 
 FOLDER = ROOT / "tests/captures"

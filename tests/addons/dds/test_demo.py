@@ -11,7 +11,7 @@ from dds_loopback import OPTIONS, URI
 from places import SUPPORT
 from waiting import PATIENCE_S
 
-from edoras_tools.pipelines.demo.run import Demo, DemoPlan
+from edoras_tools.addons.lab.demo.run import Demo, DemoPlan
 from edoras_tools.ros import TypeStore
 
 pytestmark = pytest.mark.own_network

@@ -7,7 +7,7 @@ from collections import Counter
 import pytest
 from places import ROOT
 
-from edoras_tools.emulator import WireDatagram
+from edoras_tools.addons.lab.emulator import WireDatagram
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.model import InterfaceOutage
 

@@ -6,9 +6,9 @@ import pytest
 from effort import long_but
 from places import CAPTURES, MISSIONS, ROOT
 
+from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.lab.emulator.source import SimulatedSource
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.emulator import Simulation
-from edoras_tools.emulator.source import SimulatedSource
 from edoras_tools.pipelines.check.draft import draft
 from edoras_tools.pipelines.check.expectations import load_expectations
 from edoras_tools.pipelines.check.junit import junit

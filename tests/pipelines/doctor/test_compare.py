@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.matching.comparison import compare_captures
-from edoras_tools.emulator import Simulation
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.mission import Mission

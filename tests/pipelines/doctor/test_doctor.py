@@ -10,10 +10,10 @@ from rewriting import Udp, write
 from transfer_frames import Maker, space_packet
 
 from edoras_tools import doctor
+from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.lab.emulator.source import SimulatedSource
 from edoras_tools.diagnosis import examination
 from edoras_tools.diagnosis.rules import RULES
-from edoras_tools.emulator import Simulation
-from edoras_tools.emulator.source import SimulatedSource
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.links.to import TO
 from edoras_tools.model import SourceInfo, SourceStatistics

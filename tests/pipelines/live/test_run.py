@@ -9,14 +9,14 @@ import foxglove_client as peer
 import pytest
 from places import ROOT
 
-from edoras_tools.emulator import Simulation
-from edoras_tools.emulator.source import RealTimeSource
+from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.lab.emulator.source import RealTimeSource
+from edoras_tools.addons.lab.live import start_simulation
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.model import Endpoint, Finding
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.live.publish import CommandPublisher
 from edoras_tools.pipelines.live.run import LEVELS, attach, live
-from edoras_tools.pipelines.live.simulated import start_simulation
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.sending.options import Receiver

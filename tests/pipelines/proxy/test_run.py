@@ -12,9 +12,9 @@ import pytest
 from effort import every
 from waiting import HOST, arrived_at, free_ports, receive, until
 
+from edoras_tools.addons.lab.emulator import Served, Simulation
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
-from edoras_tools.emulator import Served, Simulation
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.net.buffer import SendResult
 from edoras_tools.links.ci import CI

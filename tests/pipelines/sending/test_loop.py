@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from places import SAMPLES
 
+from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.emulator import Simulation
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.transmit import SendStatistics
 from edoras_tools.io.net.wire import Arrival

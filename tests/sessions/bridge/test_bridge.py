@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
-from edoras_tools.emulator import Simulation
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO

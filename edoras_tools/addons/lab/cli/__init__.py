@@ -1,0 +1,1 @@
+"""The commands ``sim``, ``demo`` and ``sweep``."""

@@ -1,0 +1,199 @@
+"""``edoras demo``: the tour, and the demos of the EDORAS paper."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
+
+import typer
+
+from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped, headed
+from edoras_tools.cli.endings import LOST, say, tell
+from edoras_tools.cli.options import Scenario
+from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.cli.relays import run_relay
+from edoras_tools.errors import ConfigError
+from edoras_tools.io.outputs import in_the_way, path_beside
+from edoras_tools.older import StrEnum
+
+if TYPE_CHECKING:
+    from edoras_tools.addons.lab.demo.run import Demo, DemoPlan
+    from edoras_tools.addons.lab.emulator import Scenario as ScenarioName
+    from edoras_tools.model import Endpoint
+
+_TOUR_S: Final = 6.0
+_DEMO_S: Final = 20.0
+_PANEL: Final = "The paper's demos"
+
+
+class Ros(StrEnum):
+    """A way to connect to the ROS 2 graph."""
+
+    LOCAL = "local"
+    ZENOH = "zenoh"
+    DDS = "dds"
+    RCLPY = "rclpy"
+
+
+@headed(_PANEL)
+class DemoOptions(NamedTuple):
+    """Options of the demos of the paper; the tour does not have them."""
+
+    ros: Annotated[Ros, "Middleware of the robots and the ground station; local: inside this process."] = (
+        Ros.LOCAL
+    )
+    rate: Annotated[
+        float, typer.Option(min=0, max=1000), "HZ", "Commands per second for each robot; 0: none."
+    ] = 10.0
+    state_rate: Annotated[
+        float | None,
+        typer.Option(min=0, max=2000, show_default=False),
+        "HZ",
+        "States per second that each of two robots publishes; default: 250, like Gazebo.",
+    ] = None
+    max_rate: Annotated[
+        float, typer.Option(min=0), "HZ", "States per second that the flight bridge forwards; 0: all."
+    ] = 30.0
+    live: Annotated[bool, "Show it in Foxglove, and drive the robots from there."] = False
+    ws_port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, show_default=False),
+        "PORT",
+        "Port for Foxglove; default: 8765, or a free port if that is in use.",
+    ] = None
+    distro: Annotated[
+        str,
+        typer.Option(envvar="ROS_DISTRO"),
+        "NAME",
+        "ROS 2 distribution; Zenoh connects only nodes of the same one.",
+    ] = options.DISTRO
+    domain: options.RosDomain = None
+    ros_options: options.RosOption = None
+
+    def plan(self, scenario: ScenarioName, output: Path, *, replace: bool) -> DemoPlan:
+        """Return these options in the form that pipelines take."""
+        from edoras_tools.addons.lab.demo.run import DemoPlan
+        from edoras_tools.middleware.opening import usual_domain
+
+        return DemoPlan(
+            scenario,
+            output,
+            command_hz=self.rate,
+            state_hz=self.state_rate,
+            max_rate=self.max_rate,
+            ros=self.ros.value,
+            domain=usual_domain() if self.domain is None else self.domain,
+            options=dict(self.ros_options or ()),
+            distro=self.distro,
+            live=_where(self.ws_port) if self.live else None,
+            replace=replace,
+        )
+
+
+@grouped
+def demo(
+    *,
+    scenario: Annotated[
+        Scenario | None, typer.Argument(), "A demo of the EDORAS paper; default: the tour."
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(parser=recordings.recording_path),
+        "--output -o PATH",
+        "The recording; for the tour, the folder for its files.",
+    ] = None,
+    force: recordings.Force = False,
+    duration: Annotated[
+        options.Time,
+        "--duration --seconds",
+        "How long it runs, e.g. 30 or 10m; default: 6 s for the tour, 20 s for a demo.",
+    ] = None,
+    demos: DemoOptions,
+    printing: options.PrintOptions,
+) -> None:
+    """Show the main features, or run a demo of the paper.
+
+    For example: edoras demo two-rovers --live
+    """
+    if scenario is None:
+        _tour(output, duration, force=force)
+        return
+    usual = Path(f"{scenario.value.replace('-', '_')}.mcap")
+    layout = usual.with_name(f"{usual.stem}_layout.json")
+    taken = in_the_way(usual) or in_the_way(layout)
+    free = path_beside(usual) if taken and not force else usual
+    plan = demos.plan(scenario.value, output or free, replace=force)
+    _show(plan, duration or int(_DEMO_S * 1e9), printing)
+
+
+def _tour(output: Path | None, duration: int | None, *, force: bool) -> None:
+    from edoras_tools.addons.lab.demo.tour import tour
+    from edoras_tools.addons.lab.views.tour import Guide
+    from edoras_tools.render.terminal.terminal import look
+
+    seconds = duration / 1e9 if duration else _TOUR_S
+    usual = Path("edoras_demo")
+    folder = output or (path_beside(usual) if usual.exists() and not force else usual)
+    if not force and folder.is_dir() and any(folder.iterdir()):
+        raise ConfigError(f"{folder}: not an empty folder; name a new one, or --force replaces a tour in it")
+    guide = Guide(sys.stdout, look(sys.stdout))
+    guide.begin(seconds, folder)
+    result = tour(folder, seconds, show=guide.packet, notice=guide.notice, replace=force)
+    guide.end(result.live.summary(), result.real.summary(), result.folder)
+
+
+def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> None:
+    """Run a demo and print its result."""
+    from edoras_tools.addons.lab.demo.run import Demo
+    from edoras_tools.addons.lab.views import view
+    from edoras_tools.render.terminal.terminal import look
+
+    json, quiet = printing
+    shows = not quiet and not json and look(sys.stderr).interactive
+    running = Demo(plan, None if shows or quiet else tell)
+    table = partial(view.live_table, output=plan.output) if shows else None
+    failure = run_relay(running, partial(_begin, running, quiet=quiet), duration_ns, table) or running.failure
+    summary = running.summary()
+    if json:
+        print_json(summary)
+    elif not quiet:
+        print_view(lambda width: view.outcome(summary, running.tracks, width, plan.output))
+    if failure is not None:
+        raise failure
+    if summary["lost"]:
+        raise typer.Exit(LOST)
+
+
+def _begin(running: Demo, *, quiet: bool) -> None:
+    """Say what is emulated, and where it is shown."""
+    if quiet:
+        return
+    from edoras_tools.addons.lab.views.view import beside
+
+    say(f"emulated {running.plan.scenario}, recorded to {running.plan.output}; Ctrl-C ends")
+    say(beside(running.summary()))
+    if running.foxglove:
+        server = running.foxglove.server
+        say(f"Foxglove: {server.app_url}\nor in a browser: {server.page_url}")
+
+
+def _where(port: int | None) -> Endpoint:
+    """Return the address for Foxglove: the port that was named, else the default port or any free port."""
+    import socket
+
+    from edoras_tools.io.foxglove.server import HERE
+    from edoras_tools.model import Endpoint
+
+    if port is None:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((HERE.address, HERE.port))
+            except OSError:
+                port = 0
+            else:
+                port = HERE.port
+    return Endpoint(HERE.address, port)

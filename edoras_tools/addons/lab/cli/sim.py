@@ -1,0 +1,110 @@
+"""``edoras sim``: the emulated cFS."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from time import time_ns
+from typing import Annotated, NamedTuple
+
+import typer
+
+from edoras_tools.cli import options
+from edoras_tools.cli.declare import grouped
+from edoras_tools.cli.endings import tell_reach
+from edoras_tools.cli.options import Scenario
+
+
+class FlightOptions(NamedTuple):
+    """How the emulated cFS is configured."""
+
+    limit: Annotated[
+        int, typer.Option(min=1, max=255), "N", "Telemetry Output: messages of one MsgId that may wait."
+    ] = 4
+    msg_max: Annotated[
+        int,
+        typer.Option(min=0),
+        "N",
+        "The host's fs.mqueue.msg_max, which cuts every pipe; 10 where nobody raised it, 0: no cut.",
+    ] = 0
+    generator: Annotated[
+        options.MsgId, "MsgId of the commands of the telemetry generator, default 0x18F0; 0: there is none."
+    ] = None
+    extended_header: Annotated[bool, "A cFE built with the extended header."] = False
+    msg_id_version: Annotated[
+        int, typer.Option(min=1, max=2), "N", "How it builds MsgIds; 2 has the extended header."
+    ] = 1
+
+
+@grouped
+def sim(
+    *,
+    scenario: Annotated[Scenario, typer.Argument(), "The EDORAS demo to emulate."] = Scenario.ROVER,
+    bridges: Annotated[
+        bool, "--bridges/--no-bridges", "Also emulate the operator, the bridges and the robots."
+    ] = True,
+    rate: Annotated[float, typer.Option(min=0.01, max=1000), "--hz HZ", "Commands per second."] = 5.0,
+    flight: FlightOptions,
+    host: Annotated[str, "ADDRESS", "Address to bind."] = "127.0.0.1",
+    duration: options.Duration = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Run an emulated cFS on loopback, with the real one's limits.
+
+    Its console is printed on stdout. Watch it from another terminal: edoras sniff -i lo
+    """
+    from threading import Event
+
+    from edoras_tools.addons.lab.emulator import Simulation, serve
+    from edoras_tools.addons.lab.emulator.messages import bus_id
+    from edoras_tools.cfs.profile import TO_TABLE, SimProfile
+    from edoras_tools.model import Endpoint
+    from edoras_tools.pipelines.interrupt import on_interrupt
+
+    # When bound to every address, the parts still use loopback among themselves.
+    address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  the user asked for it
+    profile = SimProfile()
+    limit = flight.limit
+    peers = tuple(replace(peer, address=address) for peer in profile.sbn_peers)
+    limits = {
+        msg_id: limit if room == profile.to_default_limit else room for msg_id, room in TO_TABLE.items()
+    }
+    profile = replace(
+        profile,
+        to_default_limit=limit,
+        to_limits=limits,
+        msg_max=flight.msg_max,
+        extended_header=flight.extended_header,
+        msg_id_version=flight.msg_id_version,
+        address=address,
+        sbn_peers=peers,
+        sbn_says_start=True,
+    )
+    if flight.generator is not None:
+        profile = replace(profile, generator_msg_id=bus_id(flight.generator, profile))
+    simulation = Simulation(
+        profile, scenario.value, start_ns=time_ns(), bridges=bridges, command_rate_hz=rate, state_rate_hz=rate
+    )
+    stop = Event()
+    # The system chooses the source port of telemetry.
+    bound = [item for item in simulation.endpoints if item != simulation.cfs.to_endpoint]
+    ends = ", ".join(f"{item.port}" for item in bound)
+
+    def ready() -> None:
+        tell_reach(Endpoint(host, profile.ci_port), "command the emulated cFS", instead="leave --host out")
+        sys.stderr.write(f"emulated cFS ({scenario.value}) on {host}, UDP {ends}; Ctrl-C ends\n")
+
+    def line(time_ns: int, text: str) -> None:
+        sys.stdout.write(f"{time_ns / 1e9:.6f} {text}\n")
+        sys.stdout.flush()
+
+    simulation.cfs.listener = None if quiet else line
+    with on_interrupt(stop.set):
+        sent = serve(simulation, host, duration / 1e9 if duration else None, stop, ready)
+    if quiet:
+        return
+    counters = simulation.cfs.bus.counters
+    sys.stderr.write(
+        f"{sent:,} datagrams sent; lost on the software bus: {counters.msg_limits:,} over a message limit, "
+        f"{counters.pipe_overflows:,} by full pipes\n"
+    )

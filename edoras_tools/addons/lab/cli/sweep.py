@@ -1,0 +1,235 @@
+"""``edoras sweep``: measures how much a route can carry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+from edoras_tools.cli import options, recordings, sending
+from edoras_tools.cli.declare import grouped, headed
+from edoras_tools.cli.endings import INTERRUPTED, tell_reach
+from edoras_tools.cli.options import Scenario
+from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.errors import ConfigError
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from edoras_tools.addons.lab.sweep.plan import SweepPlan
+    from edoras_tools.mission import Route
+    from edoras_tools.model import Endpoint, Link
+    from edoras_tools.pipelines.sending.options import SendOptions
+    from edoras_tools.wire.cfe import Headers
+
+_LEAST_STEP_NS = 2_000_000_000
+
+
+def span(text: str) -> tuple[int, int]:
+    """Read ``FROM..TO``, or one number for both."""
+    first, dots, last = text.partition("..")
+    try:
+        found = int(first, 0), int(last if dots else first, 0)
+    except ValueError:
+        found = 0, 0
+    if not 1 <= found[0] <= found[1] <= 65535:
+        raise typer.BadParameter(f"{text!r} is not FROM..TO; write 1..1000, in whole numbers from 1 to 65535")
+    return found
+
+
+class StepOptions(NamedTuple):
+    """What to try, for how long, and where."""
+
+    rate: Annotated[
+        Any,
+        typer.Option(parser=span),
+        "FROM..TO",
+        "Messages per second, rising; default 1..1000. With a range of sizes: one rate; default 2.",
+    ] = None
+    size: Annotated[
+        Any,
+        typer.Option(parser=span),
+        "FROM..TO",
+        "Bytes of the space packet, rising; or one size. Default: the size of the message.",
+    ] = None
+    step_time: Annotated[options.Time, "Duration of a step; default 8s."] = None
+    sim: Annotated[Scenario | None, "SCENARIO", "Use an emulated cFS in simulated time: takes a second."] = (
+        None
+    )
+    limit: Annotated[
+        int | None,
+        typer.Option(min=1, max=255),
+        "N",
+        "With --sim: messages of the route that may wait in its pipe.",
+    ] = None
+    generator: Annotated[
+        options.MsgId,
+        "MsgId of the commands of the app that 'edoras codegen generator' writes; default 0x18F0.",
+    ] = None
+    watch: Annotated[bool, "Publish nothing; only measure what arrives."] = False
+    duration: options.Duration = None
+
+    @property
+    def by_size(self) -> bool:
+        """Whether to vary sizes instead of rates."""
+        return self.size is not None and self.size[0] != self.size[1]
+
+    def check(self, target: Endpoint | None) -> None:
+        """Refuse options that exclude each other.
+
+        Raises:
+            ConfigError: such options are given.
+        """
+        if self.by_size and self.rate is not None and self.rate[0] != self.rate[1]:
+            raise ConfigError(
+                "only one range can be given: --rate FROM..TO at one --size, or --size FROM..TO at one --rate"
+            )
+        if self.limit is not None and self.sim is None:
+            raise ConfigError("--limit configures the emulated cFS; it needs --sim")
+        if self.sim is not None and target is not None:
+            raise ConfigError("--sim needs no --target: the emulated cFS is inside this program")
+        if self.sim is not None and self.watch:
+            raise ConfigError("--watch measures what other programs publish; with --sim there are none")
+        if self.step_time is not None and self.step_time < _LEAST_STEP_NS:
+            raise ConfigError("--step-time must be at least 2s, so that cFS wakes up several times in a step")
+
+    def plan(self, route: Route, send_options: SendOptions) -> SweepPlan:
+        """Return these options in the form that pipelines take."""
+        from edoras_tools.addons.lab.sweep.plan import SweepPlan
+        from edoras_tools.cfs.profile import GENERATOR_MSG_ID
+
+        return SweepPlan(
+            route,
+            self.rate or ((2, 2) if self.by_size else (1, 1000)),
+            self.size or (0, 0),
+            self.step_time or 8 * SECOND,
+            send_options,
+            self.sim.value if self.sim else None,
+            self.limit,
+            self.watch,
+            self.duration or 60 * SECOND,
+            self.generator or send_options.headers.msg_ids.of_known(GENERATOR_MSG_ID),
+        )
+
+
+@headed("Sending")
+class SendingOptions(NamedTuple):
+    """How to send."""
+
+    target: sending.Target = None
+    listen: sending.Listen = None
+    sender: sending.As = None
+    timeout: sending.Timeout = None
+    allow: sending.Allow = None
+    unlimited: sending.Unlimited = False
+    yes: sending.Yes = False
+
+    def send_options(self, link: Link, headers: Headers | None) -> SendOptions:
+        """Return these options in the form that pipelines take, for a route of this link.
+
+        Args:
+            link: of the route.
+            headers: those of the cFE; None for the usual ones.
+        """
+        from edoras_tools.addons.lab.sweep.plan import command_receiver
+        from edoras_tools.pipelines.sending.options import SendOptions
+        from edoras_tools.wire.cfe import STANDARD
+
+        return SendOptions(
+            to=command_receiver(link),
+            target=self.target,
+            listen=self.listen,
+            sender=self.sender,
+            wait_for=("peer" if link.peers else "to-enabled",),
+            timeout_ns=10 * SECOND if self.timeout is None else self.timeout,
+            allow=tuple(self.allow or ()),
+            unlimited=self.unlimited,
+            confirmed=self.yes,
+            headers=headers or STANDARD,
+        )
+
+
+class ChartOptions(NamedTuple):
+    """Files for the chart."""
+
+    svg: Annotated[Path | None, "FILE", "Write the chart as SVG."] = None
+    png: Annotated[Path | None, "FILE", "Write the chart as PNG; needs resvg."] = None
+    force: recordings.Force = False
+
+
+@grouped
+def sweep(
+    *,
+    route: Annotated[str, typer.Argument(), "ROUTE", "A topic or a key of the mission, or a MsgId."],
+    to: Annotated[options.LinkName | None, "LINK", "ci for commands, to for telemetry, sbn for both."] = None,
+    steps: StepOptions,
+    how: SendingOptions,
+    charts: ChartOptions,
+    dry_run: sending.DryRun = False,
+    printing: options.PrintOptions,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Raise a route's rate or size until messages are lost.
+
+    The limit, its hop and its cause are told.
+
+    For example: edoras sweep /cmd_vel -c rover.yaml, or with an emulated cFS: --sim rover
+    """
+    from edoras_tools.addons.lab.sweep.plan import route_of
+    from edoras_tools.addons.lab.sweep.run import sweep as carry_out
+    from edoras_tools.addons.lab.views import sweep as view
+    from edoras_tools.io.outputs import check_new
+    from edoras_tools.links.table import named
+    from edoras_tools.render import svg
+
+    json, quiet = printing
+    steps.check(how.target)
+    for path in (charts.svg, charts.png):
+        if path is not None:
+            check_new(path, force=charts.force)
+    if charts.png is not None:
+        svg.need_png()
+    bench = decoding.settings().workbench()
+    chosen = route_of(route, named(to.value) if to else None, bench.mission)
+    headers = bench.columns.context.options.headers
+    send_options = how.send_options(chosen.link, headers).placed(bench.mission)
+    plan = steps.plan(chosen, send_options)
+    plan.check(bench)
+    if dry_run:
+        summary = plan.as_json(bench)
+        if json:
+            print_json(summary)
+        else:
+            print_view(view.plan(summary))
+        return
+    if steps.sim is None:
+        assert send_options.target is not None
+        sending.confirm_targets(send_options.target, confirmed=how.yes)
+        if send_options.listen is not None:
+            tell_reach(send_options.listen, "answer")
+    with view.step_status(quiet=quiet) as trying:
+        found = carry_out(plan, bench, trying=trying)
+    summary = found.summary()
+    if json:
+        print_json(summary)
+    elif not quiet and (found.steps or found.failure is None):
+        print_view(lambda width: view.outcome(summary, width))
+    if found.steps:
+        _draw(summary, charts)
+    if found.failure is not None:
+        raise found.failure
+    if found.interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+def _draw(summary: dict[str, Any], charts: ChartOptions) -> None:
+    from edoras_tools.addons.lab.views.sweep import threshold_line
+    from edoras_tools.io.outputs import write_bytes
+    from edoras_tools.render import chart
+    from edoras_tools.render.svg import png
+
+    picture = chart.svg(chart.Chart.of(summary), f"threshold {threshold_line(summary)}")
+    if charts.svg is not None:
+        write_bytes(charts.svg, picture.encode())
+    if charts.png is not None:
+        write_bytes(charts.png, png(picture, 2 * chart.WIDTH))

@@ -1,0 +1,251 @@
+"""The nodes of a demo's ROS 2 graph besides the bridges: ground station and robots."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from math import atan2, dist
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.addons.lab.emulator.bridges import GroundOperator
+from edoras_tools.addons.lab.emulator.robots import Arm, Robot, Rover
+from edoras_tools.errors import WireError
+from edoras_tools.io.foxglove.publishing import Publisher
+from edoras_tools.middleware import Graph, Qos
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from edoras_tools.addons.lab.demo.scene import Lane
+    from edoras_tools.addons.lab.demo.scheduler import CallScheduler
+    from edoras_tools.addons.lab.demo.trace import Leg
+    from edoras_tools.ros import TypeStore
+
+
+_GIVES_WAY_NS: Final = 5 * SECOND
+"""After a command of another node, the ground station sends none to that robot for this time."""
+_TRACK: Final = 400
+_QOS: Final = Qos()
+
+
+@dataclass(slots=True)
+class RobotState:
+    """What the ground station knows about a robot.
+
+    Attributes:
+        place: of a rover x, y in m and heading in rad; of an arm its joints in rad; empty at first.
+        start: the first place.
+        way: distance moved: in m for a rover, in rad over all joints for an arm.
+        track: some places of a rover, oldest first.
+        updates: number of states received.
+    """
+
+    place: tuple[float, ...] = ()
+    start: tuple[float, ...] = ()
+    way: float = 0.0
+    track: list[tuple[float, float]] = field(default_factory=list)
+    updates: int = 0
+
+    def take(self, values: Mapping[str, Any]) -> None:
+        """Add a PoseStamped or a JointState."""
+        place = place_of(values)
+        if not self.updates:
+            self.start = place
+        elif len(place) == len(self.place):
+            moved = slice(0, 2) if "pose" in values else slice(None)
+            self.way += dist(place[moved], self.place[moved])
+        self.updates += 1
+        self.place = place
+        if "pose" in values and (not self.track or dist(place[:2], self.track[-1]) > 0.02):
+            self.track.append((place[0], place[1]))
+            if len(self.track) > _TRACK:
+                del self.track[1::2]
+
+
+def place_of(values: Mapping[str, Any]) -> tuple[float, ...]:
+    """Return a robot's place from its state."""
+    if "pose" not in values:
+        return tuple(map(float, values["position"]))
+    position, turned = values["pose"]["position"], values["pose"]["orientation"]
+    return float(position["x"]), float(position["y"]), 2 * atan2(turned["z"], turned["w"])
+
+
+class GroundStation:
+    """The operator: sends commands to every robot at a rate, and receives its state.
+
+    It pauses for some seconds when another node commands a robot.
+
+    Args:
+        commands: counts of each robot's commands.
+        states: counts of each robot's states.
+        rate_hz: commands per second for each robot; 0 for none.
+
+    Attributes:
+        seen: what it knows about each robot.
+        others: number of commands from other nodes, for each robot.
+    """
+
+    def __init__(
+        self,
+        lanes: tuple[Lane, ...],
+        commands: list[Leg],
+        states: list[Leg],
+        rate_hz: float,
+        types: TypeStore,
+        scheduler: CallScheduler,
+    ) -> None:
+        self.seen = [RobotState() for _ in lanes]
+        self.others = [0] * len(lanes)
+        self._lanes, self._commands, self._states = lanes, commands, states
+        self._rate_hz, self._types, self._scheduler = rate_hz, types, scheduler
+        self._others_ns = [-_GIVES_WAY_NS] * len(lanes)
+        self._newest = [b""] * len(lanes)
+        self._index = 0
+        self._quiet = False
+        self._publish: list[Any] = []
+        self._operator = GroundOperator(
+            lanes[0].command.type, [lane.command.msg_id for lane in lanes], rate_hz or 1
+        )
+
+    def join(self, graph: Graph) -> None:
+        """Subscribe and advertise in a graph.
+
+        Raises:
+            ConfigError: the graph refuses a topic.
+        """
+        for index, lane in enumerate(self._lanes):
+            self._publish.append(graph.advertise(lane.command.topic, lane.command.type, _QOS))
+            graph.subscribe(lane.command.topic, lane.command.type, _QOS, self._other(index))
+            graph.subscribe(lane.state.topic, lane.state.type, _QOS, self._state(index))
+
+    def start(self) -> None:
+        """Start sending commands; call it on the scheduler's thread."""
+        if self._rate_hz:
+            self._scheduler.every(self._rate_hz, self._command)
+
+    def stop(self) -> None:
+        """Stop sending commands."""
+        self._quiet = True
+
+    def _command(self) -> None:
+        if self._quiet:
+            return
+        for robot, publish in enumerate(self._publish):
+            now = time.monotonic_ns()
+            if now - self._others_ns[robot] >= _GIVES_WAY_NS:
+                cdr = self._operator.cdr(self._index, robot)
+                self._commands[robot].begin(cdr, now)
+                publish(cdr)
+        self._index += 1
+
+    def _other(self, robot: int) -> Any:
+        def heard(_cdr: bytes) -> None:
+            self.others[robot] += 1
+            self._others_ns[robot] = time.monotonic_ns()
+
+        return heard
+
+    def _state(self, robot: int) -> Any:
+        leg, ask, look, newest = self._states[robot], self._scheduler.ask, self._read_state, self._newest
+
+        def heard(cdr: bytes) -> None:
+            leg.arrive(cdr, time.monotonic_ns())
+            # Telemetry comes in bursts: only the last state of a burst is decoded.
+            waits, newest[robot] = newest[robot], cdr
+            if not waits:
+                ask(look, robot)
+
+        return heard
+
+    def _read_state(self, robot: int) -> None:
+        cdr, self._newest[robot] = self._newest[robot], b""
+        try:
+            values = self._types.decode(self._lanes[robot].state.type, cdr)
+        except WireError:
+            return
+        self.seen[robot].take(values)
+
+
+class RobotNode:
+    """A robot in the graph: it follows the flight bridge's commands and publishes its state at a rate."""
+
+    def __init__(
+        self, lane: Lane, robot: Robot, command: Leg, state: Leg, types: TypeStore, scheduler: CallScheduler
+    ) -> None:
+        self._lane, self._robot, self._types, self._scheduler = lane, robot, types, scheduler
+        self._command, self._state = command, state
+        self._quiet = False
+
+    def join(self, graph: Graph) -> None:
+        """Subscribe and advertise in a graph.
+
+        Raises:
+            ConfigError: the graph refuses a topic.
+        """
+        lane = self._lane
+        assert lane.board_command is not None
+        assert lane.board_state is not None
+        self._publish = graph.advertise(lane.board_state.topic, lane.board_state.type, _QOS)
+        graph.subscribe(lane.board_command.topic, lane.board_command.type, _QOS, self._heard)
+
+    def start(self, rate_hz: float) -> None:
+        """Start publishing; call it on the scheduler's thread."""
+        if rate_hz:
+            self._scheduler.every(rate_hz, self._tell)
+
+    def stop(self) -> None:
+        """Stop publishing."""
+        self._quiet = True
+
+    def _heard(self, cdr: bytes) -> None:
+        self._command.arrive(cdr, time.monotonic_ns())
+        self._scheduler.ask(self._obey, cdr)
+
+    def _obey(self, cdr: bytes) -> None:
+        try:
+            values = self._types.decode(self._lane.command.type, cdr)
+        except WireError:
+            return
+        self._robot.obey(values, now=time.time_ns())
+
+    def _tell(self) -> None:
+        if not self._quiet:
+            cdr = self._robot.state(now=time.time_ns())
+            self._state.begin(cdr, time.monotonic_ns())
+            self._publish(cdr)
+
+
+class AppRobot:
+    """The ``Robot`` of the flight application, which also counts its commands and states."""
+
+    def __init__(self, robot: Robot, command: Leg, state: Leg, types: TypeStore) -> None:
+        self.command_type, self.state_type = robot.command_type, robot.state_type
+        self._robot, self._command, self._state, self._types = robot, command, state, types
+
+    def obey(self, values: Mapping[str, Any], *, now: int) -> None:
+        """Execute a command."""
+        self._command.arrive(self._types.encode(self.command_type, values), time.monotonic_ns())
+        self._robot.obey(values, now=now)
+
+    def state(self, *, now: int) -> bytes:
+        """Return the state as CDR."""
+        cdr = self._robot.state(now=now)
+        self._state.begin(cdr, time.monotonic_ns())
+        return cdr
+
+
+def make_robot(lane: Lane, index: int) -> Robot:
+    """Return the robot of a lane."""
+    now = time.time_ns()
+    return Rover(now=now, y=float(index)) if "Twist" in lane.command.type else Arm(now=now, name=lane.robot)
+
+
+def commands(lanes: Sequence[Lane], types: TypeStore, graph: Graph) -> Publisher:
+    """Return a publisher that accepts the robots' commands and publishes them in the graph."""
+    topics = ", ".join(lane.command.topic for lane in lanes)
+    publisher = Publisher(types, lambda topic: f"{topic} is not a command topic; there are {topics}")
+    for lane in lanes:
+        topic, type_name = lane.command.topic, lane.command.type
+        publisher.accept(topic, type_name, graph.advertise(topic, type_name, Qos()))
+    return publisher

@@ -1,0 +1,378 @@
+"""Runs a demo of the paper: emulated cFS, bridges, robots and a ground station in one process."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import Counter, deque
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.addons.lab.demo.nodes import AppRobot, GroundStation, RobotNode, commands, make_robot
+from edoras_tools.addons.lab.demo.router import router
+from edoras_tools.addons.lab.demo.scene import (
+    LAYOUTS,
+    free_ports,
+    lanes_of,
+    profile,
+    write_missions,
+)
+from edoras_tools.addons.lab.demo.scheduler import CallScheduler
+from edoras_tools.addons.lab.demo.trace import Leg, Trace
+from edoras_tools.addons.lab.emulator import BOOT_NS, Scenario, Served, Simulation
+from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
+from edoras_tools.cfs.edoras_app import PIPE
+from edoras_tools.errors import CaptureError, ConfigError, EdorasError
+from edoras_tools.io.outputs import to_write, write_files
+from edoras_tools.middleware import Graph, open_graph
+from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
+from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
+from edoras_tools.pipelines.bridge.run import Bridges
+from edoras_tools.pipelines.capture.record import Target, check_output
+from edoras_tools.pipelines.live.run import attach
+from edoras_tools.pipelines.recorder import RelayRecorder
+from edoras_tools.pipelines.workbench import Settings, Workbench
+from edoras_tools.ros.store import USUAL_DISTRO
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from typing_extensions import Self
+
+    from edoras_tools.io.foxglove.sink import FoxgloveSink
+    from edoras_tools.render.terminal.run import Watcher
+
+_ATTEMPTS: Final = 4
+_PATIENCE_NS: Final = 3 * SECOND
+"""If a peer cannot connect within this time, the demo starts anyway, so that the failure is visible."""
+_DRAIN_NS: Final = 1_200_000_000
+"""Two wake-ups of cFS and some extra time: all messages have arrived by then."""
+_LAST_EVENTS: Final = 40
+STATE_HZ: Final = 250.0
+"""The rate at which Gazebo publishes poses."""
+
+
+@dataclass(frozen=True, slots=True)
+class DemoPlan:
+    """What to run.
+
+    Attributes:
+        scenario: one of the four demos.
+        output: the recording.
+        command_hz: commands per second for each robot; 0: other nodes send them.
+        state_hz: states per second that a robot in the graph publishes; None: 250, as Gazebo does.
+        max_rate: states per second that the flight bridge forwards; 0 for all.
+        ros: the middleware.
+        domain: ROS 2 domain.
+        options: of the middleware.
+        distro: ROS 2 distribution.
+        live: where Foxglove connects; None: no server.
+        replace: overwrite an existing recording.
+    """
+
+    scenario: Scenario
+    output: Path
+    command_hz: float = 10.0
+    state_hz: float | None = None
+    max_rate: float = 30.0
+    ros: str = "local"
+    domain: int = 0
+    options: Mapping[str, str] = field(default_factory=dict)
+    distro: str = USUAL_DISTRO
+    live: Endpoint | None = None
+    replace: bool = False
+
+
+class Demo:
+    """A demo: the constructor starts everything, robots move during ``run``; a context manager.
+
+    Args:
+        say: called with each note for the user.
+
+    Attributes:
+        plan: as given.
+        lanes: the robots.
+        bridges: the ground bridge, and the flight bridge if there is one.
+        station: the ground station.
+        trace: counts and latencies of the messages.
+        ports: of all links.
+        foxglove: the server, if there is one.
+        layout: path of the Foxglove layout, beside the recording.
+        events: the last events of cFS.
+
+    Raises:
+        CaptureError: a port, the recording or the server cannot be opened.
+        ConfigError: the middleware is not installed or refuses.
+    """
+
+    def __init__(self, plan: DemoPlan, say: Callable[[str], None] | None = None) -> None:
+        if plan.state_hz is not None and "two" not in plan.scenario:
+            raise ConfigError(
+                f"--state-rate needs two-rovers or two-arms: the robot of {plan.scenario} is part of its "
+                "flight application, which reads it once a second"
+            )
+        target = Target(plan.output, replace=plan.replace, transforms=True)
+        check_output(target, ())
+        self.plan = plan
+        self.foxglove: FoxgloveSink | None = None
+        self.events: deque[str] = deque(maxlen=_LAST_EVENTS)
+        self.event_counts: Counter[str] = Counter()
+        self.layout = plan.output.with_name(f"{plan.output.stem}_layout.json")
+        layout = {
+            self.layout: (files("edoras_tools.samples") / f"{LAYOUTS[plan.scenario]}.json").read_bytes()
+        }
+        to_write(layout, force=plan.replace)
+        self._say = say
+        self._elapsed_ns = self._began_ns = 0
+        self._begun = False
+        self._stack = ExitStack()
+        with ExitStack() as stack:
+            stack.enter_context(router(plan.ros, plan.options, say))
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="edoras-demo-")))
+            for attempt in range(_ATTEMPTS):
+                with ExitStack() as parts:
+                    try:
+                        self._open(parts, folder, target)
+                    except CaptureError:
+                        # Another program may have taken a port meanwhile; any other failure is repeated.
+                        if attempt == _ATTEMPTS - 1:
+                            raise
+                    else:
+                        stack.push(parts.pop_all())
+                        break
+            write_files(layout, force=plan.replace)
+            self._stack = stack.pop_all()
+
+    @property
+    def seconds(self) -> float:
+        """How long it has been running, in s."""
+        ended = self._elapsed_ns or (time.monotonic_ns() - self._began_ns if self._began_ns else 0)
+        return ended / 1e9
+
+    @property
+    def tracks(self) -> list[list[tuple[float, float]]]:
+        """The places of each rover, as the ground station received them."""
+        return [list(item.track) for item in self.station.seen]
+
+    @property
+    def last_events(self) -> list[str]:
+        """The last events of cFS, oldest first."""
+        return list(self.events)
+
+    @property
+    def failure(self) -> EdorasError | None:
+        """Why recording ended early, if it did."""
+        return self.bridges.recorder.failure if self.bridges.recorder else None
+
+    def run(self, *, duration_ns: int = 0, watcher: Watcher[Demo] | None = None) -> None:
+        """Run until Ctrl-C, or for a duration.
+
+        Raises:
+            CaptureError: a socket failed.
+        """
+        self._began_ns = time.monotonic_ns()
+        self._scheduler.at(self._began_ns + _PATIENCE_NS, self._begin)
+        if duration_ns:
+            active_ns = max(duration_ns - _DRAIN_NS, duration_ns // 2)
+            self._scheduler.at(self._began_ns + active_ns, self._stop_commands)
+        self._scheduler.start()
+        self._said("")
+        self.bridges.run(duration_ns=duration_ns, watcher=_DemoWatcher(self, watcher) if watcher else None)
+        self._elapsed_ns = time.monotonic_ns() - self._began_ns
+        self._stop_commands()
+        self._scheduler.close()
+
+    def stop(self) -> None:
+        """End ``run``; for any thread."""
+        self.bridges.stop()
+
+    def close(self) -> None:
+        """Close everything, the recording last; may be called twice."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
+
+    def summary(self) -> dict[str, Any]:
+        """Return the shape of ``demo SCENARIO --json``."""
+        bridges = self.bridges.summary()
+        return {
+            "demo": self.plan.scenario,
+            "ros": self.plan.ros,
+            "seconds": round(self.seconds, 3),
+            "ports": {
+                name: getattr(self.ports, name)
+                for name in ("ci", "to", *(("sbn", "peer") if len(self.bridges.stations) > 1 else ()))
+            },
+            "output": str(self.plan.output),
+            "layout": str(self.layout),
+            "foxglove": self.foxglove.summary() if self.foxglove else None,
+            "robots": [self._robot(index, bridges) for index in range(len(self.lanes))],
+            "cfs": {
+                "message_limit": self.simulation.cfs.bus.counters.msg_limits,
+                "pipe_overflow": self.simulation.cfs.bus.counters.pipe_overflows,
+                "events": dict(self.event_counts),
+            },
+            "recorded": bridges["recorded"],
+            "unrecorded": bridges["unrecorded"],
+            "lost": bridges["lost"],
+            "bridges": bridges["bridges"],
+            "notes": bridges["notes"],
+        }
+
+    def _open(self, stack: ExitStack, folder: Path, target: Target) -> None:
+        plan = self.plan
+        self.ports = free_ports()
+        paths = write_missions(plan.scenario, folder, self.ports, plan.max_rate)
+        bridged = plan_bridges(Settings(paths, plan.distro), BridgeRequest())
+        self.lanes = lanes_of(plan.scenario, [item.bridge for item in bridged.stations])
+        self.trace = Trace(self.lanes)
+        self._types = bridged.types
+        self.simulation = self._boot()
+        bench = bridged.workbench()
+        if plan.live:
+            self._show(stack, bench, plan.live)
+        stack.enter_context(Served(self.simulation, self.trace))
+        name = f"emulated {plan.scenario}"
+        tap = self.foxglove.write if self.foxglove else None
+        self.bridges = Bridges(
+            bridged,
+            ros=plan.ros,
+            domain=plan.domain,
+            options=plan.options,
+            recorder=lambda: RelayRecorder(target, bench, name, "demo", tap),
+            say=self._said,
+        )
+        stack.callback(self.bridges.close)
+        if len(self.bridges.stations) < len(bridged.stations):
+            raise CaptureError(self.bridges.notes[-1])
+        self._scheduler = CallScheduler()
+        self._start_nodes(stack)
+        stack.callback(self._scheduler.close)
+
+    def _boot(self) -> Simulation:
+        """Return a cFS that has booted, with a counted robot if its application contains one."""
+        simulation = Simulation(
+            profile(self.ports, [lane.state.msg_id for lane in self.lanes]),
+            self.plan.scenario,
+            start_ns=time.time_ns() - BOOT_NS,
+            bridges=False,
+        ).boot()
+        simulation.cfs.listener = self._event
+        app = simulation.apps.edoras
+        if isinstance(app, SingleRobotApp):
+            robot = make_robot(self.lanes[0], 0)
+            app.robot = AppRobot(robot, self.trace.commands[0], self.trace.states[0], self._types)
+        return simulation
+
+    def _start_nodes(self, stack: ExitStack) -> None:
+        """Let the ground station and the robots join the graph."""
+        trace, types, scheduler = self.trace, self._types, self._scheduler
+        self.station = GroundStation(
+            self.lanes, trace.commands, trace.states, self.plan.command_hz, types, scheduler
+        )
+        self.station.join(self._node(stack, "ground_station"))
+        self.robots = [
+            RobotNode(
+                lane, make_robot(lane, index), trace.commands[index], trace.states[index], types, scheduler
+            )
+            for index, lane in enumerate(self.lanes)
+            if lane.board_command
+        ]
+        for lane, robot in zip(self.lanes, self.robots, strict=False):
+            robot.join(self._node(stack, lane.robot))
+
+    def _node(self, stack: ExitStack, name: str) -> Graph:
+        plan = self.plan
+        graph = open_graph(plan.ros, self._types, name, domain=plan.domain, options=plan.options)
+        stack.callback(graph.close)
+        return graph
+
+    def _show(self, stack: ExitStack, bench: Workbench, where: Endpoint) -> None:
+        """Serve everything to Foxglove, and accept commands from there."""
+        publisher = commands(self.lanes, self._types, self._node(stack, "foxglove"))
+        info = SourceInfo(f"emulated {self.plan.scenario}", "demo")
+        self.foxglove = attach(bench, info, listen=where, publisher=publisher)
+        stack.callback(self.foxglove.close, SourceStatistics())
+
+    def _said(self, text: str) -> None:
+        """Forward a note; start the nodes once cFS is connected."""
+        if text and self._say is not None:
+            self._say(text)
+        if self._began_ns and all(item.machine.link.summary()["connected"] for item in self.bridges.stations):
+            self._scheduler.ask(self._begin)
+
+    def _begin(self) -> None:
+        if not self._begun:
+            self._begun = True
+            self.station.start()
+            for robot in self.robots:
+                robot.start(STATE_HZ if self.plan.state_hz is None else self.plan.state_hz)
+
+    def _stop_commands(self) -> None:
+        """Stop all nodes, so that the last messages can arrive."""
+        self.station.stop()
+        for robot in self.robots:
+            robot.stop()
+
+    def _event(self, _time_ns: int, text: str) -> None:
+        self.events.append(text)
+        place, _, _ = text.removeprefix("EVS Port1 ").partition(": ")
+        self.event_counts[place.rpartition("/")[2].partition(" ")[0]] += 1
+
+    def _robot(self, index: int, bridges: Mapping[str, Any]) -> dict[str, Any]:
+        lane, seen = self.lanes[index], self.station.seen[index]
+        crossed = (
+            self.simulation.apps.edoras.crossed
+            if isinstance(self.simulation.apps.edoras, TwoRobotApp)
+            else {}
+        )
+        command = self._leg(self.trace.commands[index], lane.command, lane.board_command, bridges)
+        if lane.board_command:
+            into_app = command["into_cfs"] - command["lost"].get(PIPE, 0)
+            command["replaced"] = max(into_app - crossed.get(lane.board_command.msg_id, 0), 0)
+        state = self._leg(self.trace.states[index], lane.board_state, lane.state, bridges)
+        return {
+            "robot": lane.robot,
+            "place": list(seen.place),
+            "start": list(seen.start),
+            "way": round(seen.way, 4),
+            "commands": {**command, "others_said": self.station.others[index]},
+            "states": state,
+        }
+
+    def _leg(self, leg: Leg, first: Any, last: Any, bridges: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the counts between two routes; one is None if the path ends at the application."""
+        losses: Counter[str] = Counter()
+        for (msg_id, pipe), number in dict(self.simulation.cfs.bus.losses).items():
+            if msg_id in {route.msg_id for route in (first, last) if route is not None}:
+                losses[pipe] += number
+        rows = [row for item in bridges["bridges"] for row in item["routes"]]
+        row = next((row for row in rows if first is not None and row["topic"] == first.topic), None)
+        return {
+            "from": first.topic if first is not None else None,
+            "to": last.topic if last is not None else None,
+            "type": (first or last).type,
+            **leg.summary(),
+            "held": row["held"] + row["waiting"] if row else 0,
+            "refused": sum(row["refused"].values()) if row else 0,
+            "lost": dict(losses),
+            "replaced": 0,
+        }
+
+
+class _DemoWatcher:
+    """Updates a watcher of the demo when the bridges' watcher is updated."""
+
+    def __init__(self, demo: Demo, watcher: Watcher[Demo]) -> None:
+        self._demo, self._watcher = demo, watcher
+
+    def update(self, _bridges: Bridges, /) -> None:
+        self._watcher.update(self._demo)

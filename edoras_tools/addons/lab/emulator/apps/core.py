@@ -1,0 +1,177 @@
+"""cFE's own five applications as far as a link shows them: no-op, counters, housekeeping once a second."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.addons.lab.emulator.cfs import EMULATOR_VERSION
+from edoras_tools.addons.lab.emulator.messages import command_length
+from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
+from edoras_tools.cfs import (
+    event_services,
+    executive_services,
+    sbn,
+    software_bus,
+    table_services,
+    time_services,
+)
+from edoras_tools.cfs.core import CORE
+from edoras_tools.cfs.event_services import EventType
+from edoras_tools.cfs.executive_services import ENDING_COMMANDS
+from edoras_tools.cfs.names import COMMANDS
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
+from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of, whole_packet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from edoras_tools.addons.lab.emulator.cfs import Cfs
+    from edoras_tools.addons.lab.emulator.scheduler import Task
+    from edoras_tools.addons.lab.emulator.services.software_bus import Pipe
+    from edoras_tools.cfs.core import CoreApp
+
+_APPLICATIONS: Final = frozenset({executive_services.RESTART, executive_services.START_APP, *ENDING_COMMANDS})
+_BUILD: Final = {"date": "000000000000", "user": "edoras-tools", "host": "emulator", "config": "emulated"}
+
+
+def start_core(cfs: Cfs) -> None:
+    """Start the five applications."""
+    profile = cfs.profile
+    loss, nobody = profile.bus_loss_events, profile.bus_no_subscribers_events
+    filters = {
+        software_bus.NAME: {
+            software_bus.NO_SUBSCRIBERS: nobody,
+            software_bus.MSG_LIMIT: loss,
+            software_bus.PIPE_OVERFLOW: loss,
+        }
+    }
+    for item in CORE:
+        cfs.events.register(item.name, now=cfs.scheduler.now, stop_after=filters.get(item.name))
+        pipe = cfs.create_pipe(item.pipe, item.command, item.request, *item.others)
+        cfs.say(item.initialized, version=EMULATOR_VERSION)
+        if item.name == executive_services.NAME:
+            _say_versions(cfs)
+        cfs.spawn(_run(cfs, item, pipe))
+
+
+def _say_versions(cfs: Cfs) -> None:
+    """Say what is built in, as Executive Services does at the start."""
+    version = {"version": EMULATOR_VERSION}
+    cfs.say(executive_services.VERSIONS, **version, checksum=0)
+    cfs.say(executive_services.MISSION, mission="emulated", **version)
+    for module in executive_services.MODULES:
+        cfs.say(executive_services.MODULE, module=module, **version)
+    cfs.say(executive_services.BUILD, **_BUILD)
+
+
+def _run(cfs: Cfs, core: CoreApp, pipe: Pipe) -> Task:
+    counters = [0, 0]
+    body = _BODIES[core.name]
+    while True:
+        packet = yield Receive(pipe)
+        wanted = msg_id_of(packet)
+        if wanted == core.request:
+            yield Work(cfs.profile.housekeeping_work_ns)
+            cfs.telemetry(core.telemetry, body(cfs, counters[0] & 0xFF, counters[1] & 0xFF), core.name)
+        elif wanted == core.command:
+            # Longer than its sender takes to go round its loop: a name is looked up, a line is printed.
+            yield Work(cfs.profile.housekeeping_work_ns)
+            accepted = _command(cfs, core, packet)
+            counters[not accepted] += 1
+            if core.name == software_bus.NAME:
+                cfs.bus.counters.commands, cfs.bus.counters.command_errors = counters
+
+
+def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
+    function_code, size = function_code_of(packet), length_of(packet)
+    payload = whole_packet(packet)[cfe.COMMAND_HEADER_BYTES :]
+    if function_code not in COMMANDS[core.command]:
+        cfs.say(core.bad_code, msg_id=core.command, code=function_code)
+        return False
+    if function_code == 0:
+        if size != cfe.COMMAND_HEADER_BYTES:
+            if core.bad_length is not None:
+                length = command_length(size, cfs.profile)
+                cfs.say(core.bad_length, msg_id=core.command, code=0, length=length)
+            return False
+        if core.name == executive_services.NAME:
+            cfs.say(executive_services.BUILD, **_BUILD)
+        cfs.say(core.no_op, version=EMULATOR_VERSION)
+        return True
+    if core.name == executive_services.NAME and function_code in _APPLICATIONS:
+        return cfs.executive.command(function_code, payload)
+    if core.name == event_services.NAME and (answers := cfs.events.command(function_code, payload)):
+        for event in answers:
+            cfs.report(event)
+        return all(event.event_type is not EventType.ERROR for event in answers)
+    if core.name == time_services.NAME and function_code in time_services.SETS:
+        event = cfs.clock.command(function_code, payload, cfs.scheduler.now)
+        cfs.report(event)
+        return event.event_type is not EventType.ERROR
+    if core.name == table_services.NAME and function_code in table_services.LENGTHS:
+        return _table(cfs, function_code, size, payload)
+    if function_code in core.packets:
+        telemetry, size = core.packets[function_code]
+        cfs.telemetry(telemetry, bytes(size), core.name)
+        return True
+    cfs.print(f"{core.name}: command {function_code} is not emulated")
+    return False
+
+
+def _table(cfs: Cfs, function_code: int, size: int, payload: bytes) -> bool:
+    """Take a command about a table; tell SBN when its own has a new image."""
+    expected = table_services.LENGTHS[function_code]
+    if size != expected:
+        length, expected = (command_length(item, cfs.profile) for item in (size, expected))
+        cfs.say(table_services.BAD_LENGTH, code=function_code, length=length, expected=expected)
+        return False
+    event = cfs.tables.command(function_code, payload)
+    if event is not None:
+        cfs.report(event)
+        return event.event_type is not EventType.ERROR
+    if payload.startswith(sbn.TABLE.encode() + b"\0"):
+        cfs.publish(cfe.emit_command(sbn.COMMAND_MSG_ID, sbn.RELOAD, bytes(4)), table_services.NAME)
+    return True
+
+
+def _executive(_: Cfs, commands: int, errors: int) -> bytes:
+    return bytes([commands, errors]).ljust(148, b"\0")
+
+
+def _events(cfs: Cfs, commands: int, errors: int) -> bytes:
+    head = bytes([commands, errors, 1, 0, 0, 1, 0, 0]) + (cfs.events.sent & 0xFFFF).to_bytes(2, "little")
+    applications = b"".join(
+        index.to_bytes(4, "little")
+        + (item.sent & 0xFFFF).to_bytes(2, "little")
+        + bytes([1, min(item.squelched, 255)])
+        for index, item in enumerate(cfs.events.applications.values(), 0x110001)
+    )
+    return (head.ljust(16, b"\0") + applications)[:144].ljust(144, b"\0")
+
+
+def _bus(cfs: Cfs, _commands: int, _errors: int) -> bytes:
+    return cfs.bus.housekeeping()
+
+
+def _time(cfs: Cfs, commands: int, errors: int) -> bytes:
+    clock, now = cfs.clock, cfs.scheduler.now
+    clock.time_ns(now)
+    parts = (divmod(value % (SECOND << 32), SECOND) for value in (clock.met_ns(now), clock.stcf_ns))
+    words = [word for seconds, rest in parts for word in (seconds, (rest << 32) // SECOND)]
+    flags = bytes(2) + b"\xff\xff" + clock.leap_seconds.to_bytes(2, "little", signed=True)
+    body = b"".join((word & 0xFFFFFFFF).to_bytes(4, "little") for word in words)
+    return (bytes([commands, errors]) + flags + body).ljust(32, b"\0")
+
+
+def _tables(_: Cfs, commands: int, errors: int) -> bytes:
+    return bytes([commands, errors]).ljust(284, b"\0")
+
+
+_BODIES: Final[Mapping[str, Callable[[Cfs, int, int], bytes]]] = {
+    "CFE_ES": _executive,
+    event_services.NAME: _events,
+    software_bus.NAME: _bus,
+    "CFE_TIME": _time,
+    table_services.NAME: _tables,
+}

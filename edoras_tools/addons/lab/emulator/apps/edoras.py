@@ -1,0 +1,192 @@
+"""The EDORAS flight applications: one with its robot behind it, one with two robots across SBN."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol
+
+from edoras_tools.addons.lab.emulator import messages
+from edoras_tools.addons.lab.emulator.messages import FixedStruct
+from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
+from edoras_tools.cfs import edoras_app as facts
+from edoras_tools.errors import WireError
+from edoras_tools.wire import cfe
+from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from edoras_tools.addons.lab.emulator.cfs import Cfs
+    from edoras_tools.addons.lab.emulator.robots import Robot
+    from edoras_tools.addons.lab.emulator.scheduler import Task
+    from edoras_tools.addons.lab.emulator.services.software_bus import Pipe
+
+_ROBOT_WORK: Final = 4
+
+
+class EdorasApp(Protocol):
+    """What the emulated cFS needs from its EDORAS application.
+
+    Attributes:
+        requests: MsgIds that the scheduler sends it once a second.
+        wakeups: MsgIds that the scheduler sends it each ``wakeup_ns``.
+        telemetry: MsgIds that go to the ground.
+    """
+
+    requests: Sequence[int]
+    wakeups: Sequence[int]
+    telemetry: Sequence[int]
+
+    def start(self, cfs: Cfs) -> None:
+        """Make its pipe and start its task."""
+
+
+def _start(cfs: Cfs, *msg_ids: int) -> Pipe:
+    cfs.events.register(facts.NAME, now=cfs.scheduler.now)
+    pipe = cfs.create_pipe(facts.PIPE, *msg_ids, limit=cfs.profile.app_msg_limit)
+    cfs.say(facts.INITIALIZED, version="Emulated")
+    return pipe
+
+
+def _accepted(cfs: Cfs, packet: bytes) -> bool:
+    """Return whether a packet is a "set"; report what is wrong with others, as the flight code does."""
+    function_code, size = function_code_of(packet), length_of(packet)
+    if function_code == facts.SET:
+        return True  # its length is not checked
+    if function_code != facts.NO_OP:
+        cfs.say(facts.BAD_FUNCTION_CODE, code=function_code)
+    elif size != cfe.COMMAND_HEADER_BYTES:
+        length, expected = (messages.command_length(n, cfs.profile) for n in (size, cfe.COMMAND_HEADER_BYTES))
+        cfs.say(
+            facts.BAD_LENGTH, msg_id=msg_id_of(packet), code=facts.NO_OP, length=length, expected=expected
+        )
+    return False
+
+
+class SingleRobotApp:
+    """Demos 1 and 2: the robot is connected to the application; its state goes to the ground once a second.
+
+    As in flight, an application that is stopped leaves its socket to the robot open: started again it cannot
+    bind it, and nothing reaches the robot until cFS begins anew.
+
+    Attributes:
+        robot: takes commands and reports its state.
+        robot_commands: commands that reached the robot.
+    """
+
+    command: Final = 0x1827
+    request: Final = 0x1828
+    state: Final = 0x0827
+    housekeeping: Final = 0x0826
+    wakeups: Sequence[int] = ()
+    requests: Sequence[int] = (request,)
+    telemetry: Sequence[int] = (housekeeping, state)
+
+    def __init__(self, robot: Robot, struct_bytes: int) -> None:
+        self.robot, self.robot_commands = robot, 0
+        self._struct = FixedStruct(struct_bytes)
+        self._requests = self._boot = 0
+        self._has_robot = False
+
+    def start(self, cfs: Cfs) -> None:
+        """Make its pipe and start its task."""
+        self._has_robot = self._boot != cfs.boots
+        self._boot = cfs.boots
+        if not self._has_robot:
+            cfs.print(facts.PORT_TAKEN)
+        # 0x0828 too: the flight app subscribes to it, although nothing here publishes it.
+        cfs.spawn(self._run(cfs, _start(cfs, self.request, self.command, 0x0828)))
+
+    def _run(self, cfs: Cfs, pipe: Pipe) -> Task:
+        while cfs.executive.run_loop(facts.NAME):
+            packet = yield Receive(pipe)
+            wanted = msg_id_of(packet)
+            if wanted == self.request:
+                yield Work(_ROBOT_WORK * cfs.profile.work_ns)
+                self._struct.put(self.robot.state(now=cfs.scheduler.now))
+                cfs.telemetry(self.state, self._struct.data, facts.NAME)
+                yield Work(_ROBOT_WORK * cfs.profile.work_ns)
+                counters = bytes([2 * self._requests & 0xFF, self._requests & 0xFF])
+                cfs.telemetry(self.housekeeping, counters.ljust(56, b"\0"), facts.NAME)
+                self._requests += 1
+            elif wanted == self.command and _accepted(cfs, packet):
+                values = messages.decode_envelope(self.robot.command_type, packet[cfe.COMMAND_HEADER_BYTES :])
+                self.robot_commands += self._has_robot
+                if values is None:
+                    cfs.print(facts.UNREADABLE)
+                elif self._has_robot:
+                    self.robot.obey(values, now=cfs.scheduler.now)
+                yield Work(cfs.profile.obey_work_ns)
+
+
+@dataclass(slots=True)
+class _Channel:
+    """The two messages of one robot, kept in structs of fixed size."""
+
+    command: FixedStruct
+    state: FixedStruct
+    fresh: bool = False
+
+
+class TwoRobotApp:
+    """Demos 3 and 4: every message is decoded, encoded again and sent on under another MsgId.
+
+    A command from the ground waits for the next wake-up, so only the last of a burst is sent on; a robot's
+    state is sent on at once.
+
+    Attributes:
+        crossed: MsgId to messages sent on under it.
+    """
+
+    commands: Final = (0x1827, 0x1828)
+    states: Final = (0x1829, 0x182A)
+    flight: Final = (0x082A, 0x082B)
+    telemetry: Sequence[int] = (0x0828, 0x0829)
+    requests: Sequence[int] = ()
+    wakeups: Sequence[int] = (0x182B,)
+
+    def __init__(self, command_type: str, state_type: str, state_bytes: int, command_bytes: int = 80) -> None:
+        self.crossed = dict.fromkeys((*self.flight, *self.telemetry), 0)
+        self._command_type, self._state_type = command_type, state_type
+        self._channels = [
+            _Channel(FixedStruct(command_bytes), FixedStruct(state_bytes)) for _ in self.commands
+        ]
+
+    def start(self, cfs: Cfs) -> None:
+        """Make its pipe and start its task."""
+        cfs.spawn(self._run(cfs, _start(cfs, *self.commands, *self.states, *self.wakeups)))
+
+    def _run(self, cfs: Cfs, pipe: Pipe) -> Task:
+        while cfs.executive.run_loop(facts.NAME):
+            packet = yield Receive(pipe)
+            wanted = msg_id_of(packet)
+            if wanted in self.wakeups:
+                for index, channel in enumerate(self._channels):
+                    if channel.fresh:
+                        channel.fresh = False
+                        self._publish(cfs, self.flight[index], channel.command)
+            elif _accepted(cfs, packet):
+                if wanted in self.commands:
+                    channel = self._channels[self.commands.index(wanted)]
+                    self._read(cfs, self._command_type, packet, channel.command)
+                    channel.fresh = True
+                else:
+                    index = self.states.index(wanted)
+                    self._read(cfs, self._state_type, packet, self._channels[index].state)
+                    self._publish(cfs, self.telemetry[index], self._channels[index].state)
+            yield Work(cfs.profile.work_ns)
+
+    def _read(self, cfs: Cfs, type_name: str, packet: bytes, struct: FixedStruct) -> None:
+        """Decode and encode again; a message that cannot be decoded leaves the last one in place."""
+        values = messages.decode_envelope(type_name, packet[cfe.COMMAND_HEADER_BYTES :])
+        if values is None:
+            cfs.print(facts.UNREADABLE)
+            return
+        try:
+            struct.put(messages.encode(type_name, values))
+        except WireError:
+            cfs.print(facts.UNREADABLE)
+
+    def _publish(self, cfs: Cfs, msg_id: int, struct: FixedStruct) -> None:
+        self.crossed[msg_id] += 1
+        cfs.telemetry(msg_id, struct.data, facts.NAME)

@@ -1,0 +1,192 @@
+"""An emulated cFS: one software bus, one event service, a clock and sockets, in simulated time.
+
+It is not flight software. It emulates what decides which messages arrive, and when: wake-ups, pipes,
+limits, two shared processors. ``docs/sim.md`` lists what is emulated and what is not.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.addons.lab.emulator.services.clock import Clock
+from edoras_tools.addons.lab.emulator.services.events import Event, EventServices
+from edoras_tools.addons.lab.emulator.services.executive_services import ExecutiveServices, LoadedApp
+from edoras_tools.addons.lab.emulator.services.software_bus import Pipe, Publication, SoftwareBus
+from edoras_tools.addons.lab.emulator.services.table_services import TableServices
+from edoras_tools.model import Endpoint
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from edoras_tools.addons.lab.emulator.scheduler import Running, Scheduler, Task
+    from edoras_tools.cfs.event_services import EventText
+    from edoras_tools.cfs.profile import SimProfile
+
+EMULATOR_VERSION: Final = "edoras-tools emulated cFS, not flight software"
+_MANY: Final = 100
+ANY_PORT: Final = 49152
+"""Source port of telemetry in simulated time, where no operating system chooses one."""
+
+
+class Cfs:
+    """One emulated instance.
+
+    Attributes:
+        profile: its constants.
+        scheduler: its clock and its tasks; several instances may share one.
+        begin: starts all applications at each boot.
+        boots: how often it has booted.
+        bus: its software bus.
+        events: its event services.
+        executive: its executive services: the applications that run.
+        clock: its time services.
+        console: its last lines, ``(time_ns, text)``, events as ``EVS Port1 66/1/APP ID: text``.
+        listener: called with every line.
+    """
+
+    def __init__(
+        self,
+        profile: SimProfile,
+        scheduler: Scheduler,
+        send: Callable[[Endpoint, Endpoint, bytes], None],
+    ) -> None:
+        """Make it, without any application: :class:`edoras_tools.addons.lab.emulator.boot.Apps` starts those.
+
+        Args:
+            send: called with source, destination and payload of each datagram that leaves.
+        """
+        self.profile = profile
+        self.scheduler = scheduler
+        self.send = send
+        self.boots = 0
+        self.console: deque[tuple[int, str]] = deque(maxlen=10_000)
+        self.listener: Callable[[int, str], None] | None = None
+        self.begin: Callable[[], object] = lambda: None
+        self._reporting: set[int] = set()
+        self.ci_endpoint = Endpoint(profile.address, profile.ci_port)
+        self.sbn_endpoint = Endpoint(profile.address, profile.sbn_port)
+        self._to_sockets = -1
+        self.to_endpoint = Endpoint(profile.address, profile.to_source_port or ANY_PORT)
+        self._listening: dict[int, Callable[[bytes], object]] = {}
+        self._tasks: list[Running] = []
+        self._reset()
+
+    def _reset(self) -> None:
+        self.bus = SoftwareBus(self.profile)
+        self.events = EventServices(self.profile)
+        self.executive = ExecutiveServices(self)
+        self.tables = TableServices(self.executive)
+        self.clock = Clock(self.profile, self.scheduler.now)
+
+    def boot(self) -> None:
+        """Start all applications anew, now; after ``halt``."""
+        self.boots += 1
+        self._reset()
+        self.begin()
+
+    def halt(self) -> None:
+        """Stop everything, now: what waits anywhere is lost, and nothing listens."""
+        for task in self._tasks:
+            self.scheduler.end(task)
+        for application in self.executive.applications.values():
+            application.runs = False
+        self._tasks.clear()
+        self._listening.clear()
+
+    def restart(self) -> None:
+        """Restart the processor: halt, and boot again after the time that it takes."""
+        self.halt()
+        self.scheduler.call_at(self.scheduler.now + self.profile.boot_ns, self.boot)
+
+    def clean_up(self, application: LoadedApp) -> None:
+        """End the tasks of an application, and close its pipes and sockets with what is in them."""
+        for task in application.tasks:
+            self.scheduler.end(task)
+        for name in (*application.pipes, *application.more_pipes()):
+            self.bus.delete_pipe(self.bus.pipes[name])
+        for port in application.ports:
+            self._listening.pop(port, None)
+        self.events.unregister(application.name)
+
+    def open_telemetry_socket(self) -> None:
+        """Choose the port that telemetry leaves by: another one each time, unless the profile names it."""
+        if not self.profile.to_source_port:
+            self._to_sockets += 1
+            self.to_endpoint = Endpoint(self.profile.address, ANY_PORT + self._to_sockets)
+
+    @property
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """The sockets: Command Ingest, SBN, and the one that telemetry leaves by."""
+        return self.ci_endpoint, self.sbn_endpoint, self.to_endpoint
+
+    def receive_datagram(self, destination: Endpoint, data: bytes) -> None:
+        """Take a datagram, now; it is dropped where nothing listens on its port."""
+        receive = self._listening.get(destination.port)
+        if receive:
+            receive(data)
+
+    def listen(self, port: int, receive: Callable[[bytes], object]) -> None:
+        """Have the datagrams of a port handed to an application."""
+        self._listening[port] = receive
+        self.executive.owns(port=port)
+
+    def mission_time(self) -> tuple[int, int]:
+        """Return mission time as telemetry headers hold it: seconds, and subseconds of 1/65536 s."""
+        seconds, rest = divmod(self.clock.time_ns(self.scheduler.now), SECOND)
+        return seconds & 0xFFFFFFFF, (rest << 16) // SECOND
+
+    def create_pipe(self, name: str, *msg_ids: int, limit: int | None = None) -> Pipe:
+        """Make an application's pipe and subscribe it."""
+        pipe = self.bus.create_pipe(name, self.profile.app_pipe_depth)
+        self.executive.owns(pipe=name)
+        for item in msg_ids:
+            self.bus.subscribe(pipe, item, limit)
+        return pipe
+
+    def publish(self, packet: bytes, sender: str, *, stamp: bool = True) -> Publication:
+        """Put a packet on the bus, wake the tasks that wait for it, report the events of the bus."""
+        publication = self.bus.publish(packet, sender, stamp=stamp)
+        for pipe in publication.delivered:
+            self.scheduler.notify(pipe)
+        for event in publication.events:
+            # As in cFE: reporting a bus error must not report the same error again.
+            if event.event_id not in self._reporting:
+                self._reporting.add(event.event_id)
+                self.report(event)
+                self._reporting.discard(event.event_id)
+        return publication
+
+    def telemetry(self, msg_id: int, payload: bytes, sender: str) -> Publication:
+        """Publish a telemetry packet with the time now."""
+        seconds, subseconds = self.mission_time()
+        return self.publish(
+            cfe.emit_telemetry(msg_id, payload, seconds=seconds, subseconds=subseconds), sender
+        )
+
+    def say(self, event: EventText, **values: object) -> None:
+        """Report an event with its values."""
+        self.report(Event.of(event, **values))
+
+    def report(self, event: Event) -> None:
+        """Report an event: it may be filtered or squelched, else it is printed and published."""
+        for item in self.events.report(event, now=self.scheduler.now):
+            self.print(f"EVS Port1 {self.profile.spacecraft_id}/{self.profile.processor_id}/{item}")
+            self.telemetry(cfe.EVENT_MSG_ID, self.events.payload(item), item.app)
+
+    def print(self, text: str) -> None:
+        """Write a line on the console."""
+        line = self.scheduler.now, text.rstrip()
+        self.console.append(line)
+        if self.listener:
+            self.listener(*line)
+
+    def spawn(self, steps: Task) -> None:
+        """Start a task; it ends with its application."""
+        task = self.scheduler.spawn(steps)
+        if len(self._tasks) > _MANY:
+            self._tasks = [item for item in self._tasks if not item.is_done]
+        self._tasks.append(task)
+        self.executive.owns(task=task)

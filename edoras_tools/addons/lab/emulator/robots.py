@@ -1,0 +1,113 @@
+"""Two robots simple enough to check by hand: a rover on a plane, and an arm that moves to its target."""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from edoras_tools.addons.lab.emulator import messages
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+ARM_JOINTS: Final = 7
+ARM_TIME_CONSTANT_S: Final = 0.5
+COMMAND_AGE_S: Final = 5.0
+"""A rover stops when it received no command for this time."""
+
+
+class Robot(Protocol):
+    """What the applications and bridges need from a robot.
+
+    Attributes:
+        command_type: ROS type of its commands.
+        state_type: ROS type that it reports.
+    """
+
+    command_type: str
+    state_type: str
+
+    def obey(self, values: Mapping[str, Any], *, now: int) -> None:
+        """Take a command."""
+
+    def state(self, *, now: int) -> bytes:
+        """Return the state as CDR."""
+
+
+class Rover:
+    """A unicycle: drives forward and turns, as the last Twist said.
+
+    Attributes:
+        x: position, m.
+        y: position, m.
+        heading: rad, counter-clockwise from x.
+    """
+
+    command_type = messages.TWIST
+    state_type = messages.POSE_STAMPED
+
+    def __init__(self, *, now: int, y: float = 0.0) -> None:
+        self.x, self.y, self.heading = 0.0, y, 0.0
+        self._speed = self._turn = 0.0
+        self._moved_ns = self._told_ns = now
+
+    def obey(self, values: Mapping[str, Any], *, now: int) -> None:
+        """Take a Twist: ``linear.x`` m/s and ``angular.z`` rad/s."""
+        self._move(now)
+        self._speed, self._turn = float(values["linear"]["x"]), float(values["angular"]["z"])
+        self._told_ns = now
+
+    def state(self, *, now: int) -> bytes:
+        """Return a PoseStamped."""
+        self._move(now)
+        return messages.pose_stamped(now, "world", self.x, self.y, self.heading)
+
+    def _move(self, now: int) -> None:
+        until = min(now, self._told_ns + int(COMMAND_AGE_S * SECOND))
+        seconds = max(0, until - self._moved_ns) / SECOND
+        self._moved_ns = now
+        # The exact arc; a straight line where it hardly turns.
+        start, end = self.heading, self.heading + self._turn * seconds
+        if abs(self._turn) > 1e-9:
+            radius = self._speed / self._turn
+            self.x += radius * (sin(end) - sin(start))
+            self.y -= radius * (cos(end) - cos(start))
+        else:
+            self.x += self._speed * seconds * cos(start)
+            self.y += self._speed * seconds * sin(start)
+        self.heading = end
+
+
+class Arm:
+    """Seven joints that move towards a target pose, each by its own share.
+
+    No kinematics: joint ``i`` goes to ``(i + 1) / 7`` of the target's distance. What matters is the traffic.
+    """
+
+    command_type = messages.POSE
+    state_type = messages.JOINT_STATE
+
+    def __init__(self, *, now: int, name: str = "big_arm") -> None:
+        self._names = [f"{name}_joint_{number}" for number in range(2, 2 + ARM_JOINTS)]
+        self._positions = [0.0] * ARM_JOINTS
+        self._target = [0.0] * ARM_JOINTS
+        self._moved_ns = now
+
+    def obey(self, values: Mapping[str, Any], *, now: int) -> None:
+        """Take a Pose."""
+        self._move(now)
+        distance = sum(float(item) ** 2 for item in values["position"].values()) ** 0.5
+        self._target = [distance * (joint + 1) / ARM_JOINTS for joint in range(ARM_JOINTS)]
+
+    def state(self, *, now: int) -> bytes:
+        """Return a JointState."""
+        self._move(now)
+        return messages.joint_state(now, self._names, self._positions)
+
+    def _move(self, now: int) -> None:
+        share = min(1.0, max(0, now - self._moved_ns) / SECOND / ARM_TIME_CONSTANT_S)
+        self._moved_ns = now
+        self._positions = [
+            at + (to - at) * share for at, to in zip(self._positions, self._target, strict=True)
+        ]

@@ -1,0 +1,156 @@
+"""The simulation on real sockets and real time: the same core, driven by the host's clock."""
+
+from __future__ import annotations
+
+import selectors
+import time
+from contextlib import ExitStack, suppress
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Final, Protocol
+
+from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.io.net.address import resolve
+from edoras_tools.io.net.sockets import open_bound, received, send_one
+from edoras_tools.model import Endpoint
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import Callable, Iterator
+
+    from typing_extensions import Self
+
+    from edoras_tools.addons.lab.emulator.simulation import Simulation, WireDatagram
+
+_LONGEST_WAIT_S: Final = 0.1
+"""A stop takes effect within this time."""
+
+
+class Watch(Protocol):
+    """Observes a simulation while it is served."""
+
+    def received(self, endpoint: Endpoint, data: bytes, /) -> None:
+        """Take a datagram that a socket has just received."""
+
+    def sent(self, sent: WireDatagram, /) -> None:
+        """Take a datagram that is sent now."""
+
+
+def serve(
+    simulation: Simulation,
+    host: str = "127.0.0.1",
+    duration: float | None = None,
+    stop: Event | None = None,
+    ready: Callable[[], None] | None = None,
+    watch: Watch | None = None,
+) -> int:
+    """Run a simulation on UDP sockets until it is told to stop.
+
+    Args:
+        simulation: what to run; its clock goes on from where it stands.
+        host: address to bind every socket to; loopback unless told otherwise.
+        duration: seconds to run; None for no end.
+        stop: ends it when set.
+        ready: called once all sockets are bound, before the first datagram leaves.
+
+    Returns:
+        datagrams sent.
+
+    Raises:
+        CaptureError: a port is in use, or may not be bound.
+    """
+    simulation.routed = False
+    with ExitStack() as stack:
+        selector = stack.enter_context(selectors.DefaultSelector())
+        sockets: dict[Endpoint, socket.socket] = {}
+
+        def open_socket(endpoint: Endpoint) -> None:
+            wanted = Endpoint(host, endpoint.port if _is_chosen(simulation, endpoint) else 0)
+            opened = stack.enter_context(
+                open_bound(wanted, f"UDP {wanted}", "choose another host, as 127.0.0.2")
+            )
+            sockets[endpoint] = opened
+            selector.register(opened, selectors.EVENT_READ, endpoint)
+
+        for endpoint in simulation.endpoints:
+            open_socket(endpoint)
+        if ready:
+            ready()
+        # The simulation's clock counts from its start; the host's from now.
+        offset = simulation.now - time.monotonic_ns()
+        end_ns = None if duration is None else simulation.now + int(duration * SECOND)
+        sent = 0
+        while not (stop and stop.is_set()):
+            now = time.monotonic_ns() + offset
+            if end_ns is not None and now >= end_ns:
+                break
+            for item in simulation.run(now):
+                if watch:
+                    watch.sent(item)
+                if item.source not in sockets:  # Telemetry Output began anew, with another socket
+                    open_socket(item.source)
+                sent += _send(sockets[item.source], item)
+            for key, _ in selector.select(_wait_s(simulation, time.monotonic_ns() + offset)):
+                for data in _waiting(sockets[key.data]):
+                    if watch:
+                        watch.received(key.data, data)
+                    # Queued, not delivered: the simulation's clock is still at the time of its last run.
+                    simulation.feed(time.monotonic_ns() + offset, key.data, data)
+        return sent
+
+
+class Served:
+    """A simulation on its sockets, in a thread of its own, for as long as a ``with`` block lasts.
+
+    Raises:
+        CaptureError: a port is in use, or may not be bound; on entering.
+    """
+
+    def __init__(self, simulation: Simulation, watch: Watch | None = None) -> None:
+        self._simulation, self._watch = simulation, watch
+        self._stop, self._ready = Event(), Event()
+        self._failure: EdorasError | None = None
+        self._thread = Thread(target=self._run, name="emulated cFS", daemon=True)
+
+    def _run(self) -> None:
+        try:
+            serve(self._simulation, stop=self._stop, ready=self._ready.set, watch=self._watch)
+        except EdorasError as error:
+            self._failure = error
+        finally:
+            self._ready.set()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._ready.wait()
+        if self._failure:
+            raise self._failure
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._stop.set()
+        self._thread.join()
+
+
+def _is_chosen(simulation: Simulation, endpoint: Endpoint) -> bool:
+    """Tell whether a port is asked for; telemetry's source is the operating system's choice unless it is."""
+    return endpoint != simulation.cfs.to_endpoint or simulation.cfs.profile.to_source_port != 0
+
+
+def _send(source: socket.socket, item: WireDatagram) -> int:
+    try:
+        to = resolve(item.destination)[1]
+    except CaptureError:
+        return 0  # telemetry can be enabled towards any text
+    return send_one(source, item.payload, to).taken
+
+
+def _wait_s(simulation: Simulation, now: int) -> float:
+    due = simulation.next_ns
+    return _LONGEST_WAIT_S if due is None else min(max(due - now, 0) / SECOND, _LONGEST_WAIT_S)
+
+
+def _waiting(opened: socket.socket) -> Iterator[bytes]:
+    with suppress(OSError):  # an error of an earlier datagram's
+        for data, _ in received(opened):
+            yield data

@@ -1,0 +1,80 @@
+"""cFE Time Services: mission time, and the commands that set and adjust it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from edoras_tools.addons.lab.emulator.services.events import Event
+from edoras_tools.cfs import time_services as facts
+from edoras_tools.units import MICROSECOND, SECOND
+
+if TYPE_CHECKING:
+    from edoras_tools.cfs.profile import SimProfile
+
+_LIMIT: int = 1 << 32
+
+
+class Clock:
+    """Mission elapsed time, and what is added to it.
+
+    Attributes:
+        leap_seconds: as its housekeeping says.
+        stcf_ns: what is added to mission elapsed time, in ns.
+    """
+
+    def __init__(self, profile: SimProfile, now: int) -> None:
+        """Start.
+
+        Args:
+            profile: gives mission elapsed time at start, and what is added to it.
+            now: ns.
+        """
+        self.leap_seconds = facts.LEAP_SECONDS
+        self.stcf_ns = profile.epoch_offset_s * SECOND
+        self._zero_ns = now - profile.boot_met_s * SECOND
+        self._adjust_ns, self._since_ns = 0, now
+
+    def met_ns(self, now: int) -> int:
+        """Return mission elapsed time in ns."""
+        return now - self._zero_ns
+
+    def time_ns(self, now: int) -> int:
+        """Return mission time in ns since its epoch; adjustments each second are in it."""
+        seconds = (now - self._since_ns) // SECOND
+        self._since_ns += seconds * SECOND
+        self.stcf_ns += seconds * self._adjust_ns
+        return (self.met_ns(now) + self.stcf_ns) % (_LIMIT * SECOND)
+
+    def command(self, function_code: int, payload: bytes, now: int) -> Event:
+        """Take a command that sets or adjusts the time; return what it says.
+
+        Args:
+            function_code: one of ``facts.SETTING``.
+            payload: two words, little-endian; of leap seconds one, of 16 bits.
+            now: ns.
+        """
+        first, second = (int.from_bytes(payload.ljust(8, b"\0")[at : at + 4], "little") for at in (0, 4))
+        if function_code == facts.SET_LEAP_SECONDS:
+            self.leap_seconds = int.from_bytes(payload[:2], "little", signed=True)
+            return Event.of(facts.LEAPS_SET, leap_seconds=self.leap_seconds)
+        setting = facts.SETTING[function_code]
+        if setting.each_second:
+            amount = first * SECOND + (second * SECOND >> 32)
+            self.time_ns(now)
+            self._adjust_ns = setting.sign * amount
+            return Event.of(setting.done, seconds=first, subseconds=second, sign=setting.direction)
+        if second >= facts.MICROSECONDS:
+            return Event.of(setting.refused, seconds=first, micros=second, sign=setting.direction)
+        wanted = first * SECOND + second * MICROSECOND
+        if function_code == facts.SET_TIME:
+            self.stcf_ns = wanted - self.met_ns(now)
+        elif function_code == facts.SET_MET:
+            self._zero_ns = now - wanted
+        elif function_code == facts.SET_STCF:
+            self.stcf_ns = wanted
+        else:
+            self.stcf_ns += setting.sign * wanted
+        fraction = (second << 32) // facts.MICROSECONDS
+        return Event.of(
+            setting.done, seconds=first, micros=second, subseconds=fraction, sign=setting.direction
+        )

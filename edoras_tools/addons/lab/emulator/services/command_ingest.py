@@ -1,0 +1,125 @@
+"""Command Ingest (CI_LAB): how it processes the datagrams that wait in its socket.
+
+One receive buffer is used for all datagrams: a datagram shorter than the last one leaves the rest of it in
+the buffer, and a packet whose length field is larger than its datagram carries that rest. The flight code
+behaves in this way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from edoras_tools.addons.lab.emulator.messages import bus_id, command_length, from_link, headers_of
+from edoras_tools.addons.lab.emulator.services.events import Event
+from edoras_tools.cfs import command_ingest as facts
+from edoras_tools.cfs.queues import Fifo, QueueEnd
+from edoras_tools.wire import cfe
+from edoras_tools.wire.cfe import function_code_of, length_of
+
+if TYPE_CHECKING:
+    from edoras_tools.cfs.profile import SimProfile
+
+
+@dataclass(frozen=True, slots=True)
+class Ingested:
+    """One datagram read.
+
+    Attributes:
+        packet: for the software bus, or None.
+        event: the event to report, or None.
+    """
+
+    packet: bytes | None = None
+    event: Event | None = None
+
+
+class CommandIngest:
+    """The socket queue and the counters of Command Ingest.
+
+    Attributes:
+        ingest_packets: datagrams handed to the software bus.
+        ingest_errors: datagrams too short to be a command.
+        commands: accepted commands to CI itself. command_errors: refused commands to CI itself.
+        socket_drops: datagrams that found the socket's queue full.
+    """
+
+    def __init__(self, profile: SimProfile) -> None:
+        self.profile = profile
+        self.ingest_packets = 0
+        self.ingest_errors = 0
+        self.commands = 0
+        self.command_errors = 0
+        self.socket_drops = 0
+        self._queue: Fifo[bytes] = Fifo(profile.socket_queue)
+        self._buffer = bytearray(profile.ci_buffer)
+
+    def __len__(self) -> int:
+        return len(self._queue)
+
+    def receive_datagram(self, data: bytes) -> bool:
+        """Put a datagram in the socket's queue until a wake-up reads it; tell whether there was room."""
+        has_room = self._queue.put(data) is QueueEnd.WAITING
+        self.socket_drops += not has_room
+        return has_room
+
+    def read(self) -> Ingested | None:
+        """Read one datagram; None when there is none. A wake-up reads ``ci_datagrams_per_wake`` at most."""
+        data = self._queue.get()
+        if data is None:
+            return None
+        data = data[: self.profile.ci_buffer]
+        self._buffer[: len(data)] = data
+        if not data:
+            return Ingested()
+        if len(data) < headers_of(self.profile).command_bytes:
+            self.ingest_errors += 1
+            word, second = self._buffer[0] << 8 | self._buffer[1], self._buffer[2] << 8 | self._buffer[3]
+            return Ingested(
+                event=Event.of(
+                    facts.TOO_SHORT,
+                    line=369,
+                    msg_id=bus_id(word, self.profile),  # it tells the two first words as they are
+                    second=second,
+                    length=len(data),
+                )
+            )
+        self.ingest_packets += 1
+        held = max(len(data), length_of(data))
+        return Ingested(packet=from_link(bytes(self._buffer[:held]), self.profile))
+
+    def refused(self, status: int) -> Event:
+        """Return the event for a packet that the software bus refused."""
+        return Event.of(facts.NOT_SENT, line=359, status=status)
+
+    def command(self, packet: bytes) -> Event | None:
+        """Take a command to CI itself; return what it says."""
+        function_code, size = function_code_of(packet), length_of(packet)
+        if function_code > 1:
+            return None  # the flight code neither counts it nor says anything
+        if size != cfe.COMMAND_HEADER_BYTES:
+            self.command_errors += 1
+            return Event.of(
+                facts.BAD_LENGTH,
+                msg_id=facts.COMMAND_MSG_ID,
+                code=function_code,
+                length=command_length(size, self.profile),
+                expected=headers_of(self.profile).command_bytes,
+            )
+        if function_code == 0:
+            self.commands += 1
+            return Event.of(facts.NOOP)
+        self.commands = self.command_errors = self.ingest_packets = self.ingest_errors = 0
+        return Event.of(facts.RESET)
+
+    def housekeeping(self) -> bytes:
+        """Return the payload of housekeeping packet 0x884, 24 bytes, little-endian."""
+        return cfe.COMMAND_INGEST_HOUSEKEEPING.emit(
+            {
+                "command_error_counter": self.command_errors & 0xFF,
+                "command_counter": self.commands & 0xFF,
+                "socket_connected": 1,
+                "ingest_packets": self.ingest_packets & 0xFFFFFFFF,
+                "ingest_errors": self.ingest_errors & 0xFFFFFFFF,
+            }
+        )

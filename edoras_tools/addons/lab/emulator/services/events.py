@@ -1,0 +1,194 @@
+"""cFE Event Services: filters, squelch, and the event packets that carry what an application says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping  # noqa: TC003  Application's annotations are read by people and tools
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.addons.lab.emulator.messages import link_id
+from edoras_tools.cfs import event_services as facts
+from edoras_tools.cfs.event_services import NAME, SQUELCHED, USUAL_TYPES, EventText, EventType
+from edoras_tools.units import MILLISECOND
+from edoras_tools.wire import cfe
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+    from edoras_tools.cfs.profile import SimProfile
+
+_COST: Final = 1000
+_LONGEST_TEXT: Final = 121  # char[122], the last one NUL
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What an application reports.
+
+    Attributes:
+        app: name of the application.
+        event_id: its number for it.
+        event_type: severity.
+        text: what it says, with names in braces where values go.
+        values: by name; ``msg_id`` as on the bus.
+    """
+
+    app: str
+    event_id: int
+    event_type: EventType
+    text: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, event: EventText, **values: object) -> Self:
+        """Return an event of cFS with its values."""
+        return cls(event.app, event.event_id, event.event_type, event.text, values)
+
+    @property
+    def message(self) -> str:
+        """Its text with its values; what does not fit in 121 bytes is cut when it is sent."""
+        return self.text.format(**self.values) if self.values else self.text
+
+    def __str__(self) -> str:
+        return f"{self.app} {self.event_id}: {self.message}"
+
+
+@dataclass(slots=True)
+class Application:
+    """The state of one application in Event Services.
+
+    Attributes:
+        name: of the application.
+        stop_after: event number to how many of it pass the filter; one that is not named always passes.
+        tokens: thousandths of events that may still be sent.
+        credited_ns: when tokens were last added.
+        seen: event number to how many came since the filter was reset.
+        sent: events that were sent.
+        squelched: events that were not sent because there were no tokens.
+        enabled: whether it may send events at all.
+        types: which it may send, a bit for each: debug 1, information 2, error 4, critical 8.
+    """
+
+    name: str
+    stop_after: Mapping[int, int]
+    tokens: int
+    credited_ns: int
+    seen: dict[int, int] = field(default_factory=dict)
+    sent: int = 0
+    squelched: int = 0
+    enabled: bool = True
+    types: int = USUAL_TYPES
+
+
+class EventServices:
+    """The events of one cFS instance.
+
+    Attributes:
+        applications: those registered, in order.
+        sent: events that were sent, of all applications.
+        commands: ground commands taken.
+        command_errors: ground commands refused.
+    """
+
+    def __init__(self, profile: SimProfile) -> None:
+        self.profile = profile
+        self.applications: dict[str, Application] = {}
+        self.sent = 0
+        self.commands = 0
+        self.command_errors = 0
+
+    def register(self, name: str, *, now: int, stop_after: Mapping[int, int] | None = None) -> None:
+        """Register an application with its filters.
+
+        Args:
+            name: of the application, 19 characters at most.
+            now: ns.
+            stop_after: event number to how many of it pass.
+        """
+        self.applications[name] = Application(
+            name, stop_after or {}, self.profile.event_burst * _COST, credited_ns=now
+        )
+
+    def unregister(self, name: str) -> None:
+        """Forget an application."""
+        self.applications.pop(name, None)
+
+    def command(self, function_code: int, payload: bytes) -> list[Event]:
+        """Take a command about events; return what is said: nothing where it is none of those."""
+        done = facts.DONE.get(function_code)
+        if done is None:
+            return []
+        chosen, app, name_bytes = list(self.applications.values()), "", 0
+        if function_code not in {facts.ENABLE_TYPE, facts.DISABLE_TYPE}:
+            name_bytes = facts.APP_NAME_BYTES
+            app = payload[:name_bytes].split(b"\0")[0].decode("ascii", "replace")
+            if app not in self.applications:
+                prefix = facts.UNKNOWN_APP_PREFIX.get(function_code, "")
+                return [Event.of(facts.UNKNOWN_APP, prefix=prefix, app=app, code=function_code)]
+            chosen = [self.applications[app]]
+        mask = int.from_bytes(payload[name_bytes : name_bytes + 1], "little")
+        by_type = {facts.ENABLE_TYPE, facts.DISABLE_TYPE, facts.ENABLE_APP_TYPE, facts.DISABLE_APP_TYPE}
+        if function_code in by_type and not 0 < mask <= facts.ALL_TYPES:
+            return [Event.of(facts.BAD_MASK, mask=mask, code=function_code)]
+        for item in chosen:
+            self._obey(function_code, item, mask)
+        return [Event.of(done, app=app, mask=mask)]
+
+    def _obey(self, function_code: int, application: Application, mask: int) -> None:
+        if function_code in {facts.ENABLE_TYPE, facts.ENABLE_APP_TYPE}:
+            application.types |= mask
+        elif function_code in {facts.DISABLE_TYPE, facts.DISABLE_APP_TYPE}:
+            application.types &= ~mask
+        elif function_code == facts.RESET_APP_COUNTER:
+            application.sent = 0
+        elif function_code == facts.RESET_ALL_FILTERS:
+            application.seen.clear()
+        else:
+            application.enabled = function_code == facts.ENABLE_APP
+
+    def report(self, event: Event, *, now: int) -> list[Event]:
+        """Process an event; return what is sent: nothing, the event, or an event about the squelch."""
+        application = self.applications.get(event.app)
+        if application is None or not application.enabled:
+            return []
+        if not application.types >> (event.event_type - 1) & 1:
+            return []
+        seen = application.seen[event.event_id] = application.seen.get(event.event_id, 0) + 1
+        if seen > application.stop_after.get(event.event_id, seen):
+            return []
+        if not self._spend(application, now):
+            application.squelched += 1
+            if application.squelched > 1 or event.app == NAME:
+                return []
+            return self.report(Event.of(SQUELCHED, app=event.app), now=now)
+        application.squelched = 0
+        application.sent += 1
+        self.sent += 1
+        if "msg_id" in event.values:
+            msg_id = link_id(event.values["msg_id"], self.profile)
+            event = replace(event, values={**event.values, "msg_id": msg_id})
+        return [event]
+
+    def _spend(self, application: Application, now: int) -> bool:
+        """Credit the time that went by, then take the cost of one event; tell whether there was enough."""
+        credit = (now - application.credited_ns) * self.profile.event_rate // MILLISECOND
+        if credit > 0:
+            application.tokens = min(application.tokens + credit, self.profile.event_burst * _COST)
+            application.credited_ns = now
+        enough = application.tokens >= _COST
+        # Below zero an application has to wait longer, by at most one second's tokens.
+        application.tokens = max(application.tokens - _COST, -self.profile.event_rate * _COST)
+        return enough
+
+    def payload(self, event: Event) -> bytes:
+        """Return the payload of the event packet, 156 bytes."""
+        return cfe.EVENT.emit(
+            {
+                "app_name": event.app.encode()[:19],
+                "event_id": event.event_id,
+                "event_type": event.event_type,
+                "spacecraft_id": self.profile.spacecraft_id,
+                "processor_id": self.profile.processor_id,
+                "message": event.message.encode()[:_LONGEST_TEXT],
+            }
+        )

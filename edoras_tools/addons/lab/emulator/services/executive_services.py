@@ -1,0 +1,197 @@
+"""cFE Executive Services: which applications run, and how they end and begin again.
+
+Rules, as in the flight code:
+
+1. A command to stop or restart an application only notes it. The application sees it the next time that it
+   goes round its main loop, and then reads nothing any more; its pipes and its socket stay and fill.
+2. A scan follows the command at once. An application that has left its loop by then is cleaned up there; any
+   other one has several seconds to do so, and is cleaned up at their end in any case.
+3. Cleaning up closes pipes and sockets with what is in them. A restart then begins it under a new number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from edoras_tools.cfs import executive_services as facts
+from edoras_tools.cfs.core import CORE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from edoras_tools.addons.lab.emulator.scheduler import Scheduler
+    from edoras_tools.cfs.event_services import EventText
+    from edoras_tools.cfs.profile import SimProfile
+
+_FIRST_ID: Final = 0x110001
+
+
+@dataclass(slots=True, eq=False)
+class LoadedApp:
+    """An application and what belongs to it.
+
+    Attributes:
+        name: as events and commands name it.
+        file: what it is loaded from.
+        begin: starts it: makes its pipes, its sockets and its tasks.
+        number: its AppID.
+        runs: whether it is loaded.
+        request: the name of what is to be done with it, as events say it; empty for nothing.
+        has_left: whether it has left its main loop.
+        tasks: to be ended with it.
+        pipes: names of the pipes that it made when it began.
+        more_pipes: returns names of pipes that it made later.
+        ports: UDP ports that it listens on.
+    """
+
+    name: str
+    file: str
+    begin: Callable[[], object]
+    number: int = 0
+    runs: bool = False
+    request: str = ""
+    has_left: bool = False
+    tasks: list[Any] = field(default_factory=list)
+    pipes: list[str] = field(default_factory=list)
+    more_pipes: Callable[[], Iterable[str]] = tuple
+    ports: list[int] = field(default_factory=list)
+
+
+class Flight(Protocol):
+    """What Executive Services need of the cFS that they belong to."""
+
+    profile: SimProfile
+    scheduler: Scheduler
+
+    def say(self, event: EventText, **values: object) -> None:
+        """Report an event with its values."""
+
+    def restart(self) -> None:
+        """Restart the processor."""
+
+    def clean_up(self, application: LoadedApp) -> None:
+        """End the tasks of an application, and close its pipes and sockets."""
+
+
+class ExecutiveServices:
+    """The applications of one cFS instance.
+
+    Attributes:
+        applications: by name; those that were stopped too.
+    """
+
+    def __init__(self, cfs: Flight) -> None:
+        self.applications: dict[str, LoadedApp] = {}
+        self._cfs = cfs
+        self._next_id = _FIRST_ID + len(CORE)
+        self._beginning: LoadedApp | None = None
+
+    def load(self, name: str, file: str, begin: Callable[[], object]) -> None:
+        """Load an application and start it, now."""
+        application = self.applications[name] = LoadedApp(name, file, begin)
+        self._start(application)
+
+    def run_loop(self, name: str) -> bool:
+        """Return whether an application goes on; its main loop asks each time it goes round."""
+        application = self.applications.get(name)
+        if application is None:
+            return True
+        application.has_left = bool(application.request) or not application.runs
+        return not application.has_left
+
+    def owns(
+        self,
+        *,
+        task: Any = None,
+        pipe: str = "",
+        port: int = 0,
+        more_pipes: Callable[[], Iterable[str]] | None = None,
+    ) -> None:
+        """Note what belongs to the application that begins just now, if any does."""
+        if self._beginning is not None:
+            self._beginning.more_pipes = more_pipes or self._beginning.more_pipes
+            self._beginning.tasks += [task] if task else []
+            self._beginning.pipes += [pipe] if pipe else []
+            self._beginning.ports += [port] if port else []
+
+    def command(self, function_code: int, payload: bytes) -> bool:
+        """Take a command that starts, stops or restarts something; return whether it was accepted."""
+        if function_code == facts.RESTART:
+            kind = int.from_bytes(payload[:2], "little")
+            if kind not in facts.RESTART_TYPES:
+                self._cfs.say(facts.BAD_RESTART_TYPE, kind=kind)
+                return False
+            self._cfs.restart()
+            return True
+        name = _text(payload[: facts.APP_NAME_BYTES])
+        if function_code == facts.START_APP:
+            return self._start_command(name, payload)
+        return self._end_command(facts.ENDING_COMMANDS[function_code], name)
+
+    def _start_command(self, name: str, payload: bytes) -> bool:
+        file = _text(payload[2 * facts.APP_NAME_BYTES : 2 * facts.APP_NAME_BYTES + facts.FILE_NAME_BYTES])
+        application = self.applications.get(name)
+        if application is None or application.runs or application.file != file:
+            why = facts.DUPLICATE_NAME if application and application.runs else facts.NOT_LOADED
+            self._cfs.say(facts.NOT_STARTED, name=name, file=file, status=why)
+            return False
+        self._start(application)
+        self._cfs.say(facts.STARTED_APP, name=name, file=file, number=application.number)
+        return True
+
+    def _end_command(self, ending: facts.Ending, name: str) -> bool:
+        application = self.applications.get(name)
+        if any(name == item.name for item in CORE) or (application and application.request):
+            self._cfs.say(ending.refused, name=name, status=facts.NOT_VALID)
+            return False
+        if application is None or not application.runs:
+            self._cfs.say(ending.unknown, name=name, status=facts.NAME_NOT_FOUND)
+            return False
+        application.request = ending.verb
+        scheduler = self._cfs.scheduler
+        scheduler.call_at(scheduler.now + self._cfs.profile.latency_ns[1], self._scan, application)
+        return True
+
+    def _scan(self, application: LoadedApp) -> None:
+        scheduler = self._cfs.scheduler
+        if application.has_left:
+            self._end(application)
+        elif application.runs and application.request:
+            scheduler.call_at(scheduler.now + self._cfs.profile.app_kill_ns, self._end, application)
+
+    def _end(self, application: LoadedApp) -> None:
+        if not application.runs:  # cFS was restarted meanwhile
+            return
+        verb = application.request
+        self._cfs.clean_up(application)
+        application.runs, application.request = False, ""
+        if verb == facts.STOP:
+            self._cfs.say(facts.STOPPED_APP, name=application.name)
+            return
+        self._next_id += 1
+        event = facts.RESTARTED_APP if verb == facts.RESTART_VERB else facts.RELOADED_APP
+        self._cfs.say(event, name=application.name, number=self._next_id - 1)
+        scheduler = self._cfs.scheduler
+        scheduler.call_at(
+            scheduler.now + self._cfs.profile.app_start_ns, self._begin, application, self._next_id - 1
+        )
+
+    def _start(self, application: LoadedApp) -> None:
+        self._next_id += 1
+        self._begin(application, self._next_id - 1)
+
+    def _begin(self, application: LoadedApp, number: int) -> None:
+        application.number, application.runs = number, True
+        application.request, application.has_left = "", False
+        application.tasks, application.pipes, application.ports = [], [], []
+        application.more_pipes = tuple
+        self._beginning = application
+        try:
+            application.begin()
+        finally:
+            self._beginning = None
+
+
+def _text(data: bytes) -> str:
+    return data.split(b"\0")[0].decode("ascii", "replace")

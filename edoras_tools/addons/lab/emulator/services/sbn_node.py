@@ -1,0 +1,270 @@
+"""The Software Bus Network application (SBN over UDP) as stock cFS runs it: peers, their pipes, events.
+
+Each peer is an ``SbnConnection`` with the habits of stock SBN. Like Command Ingest, the application uses one
+receive buffer: a short datagram is read together with the rest of the last one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.addons.lab.emulator.messages import bus_id, from_link, headers_of, link_id, to_link
+from edoras_tools.addons.lab.emulator.services.events import Event
+from edoras_tools.cfs import sbn as facts
+from edoras_tools.model import Peer
+from edoras_tools.sessions.sbn.connection import SbnConnection
+from edoras_tools.sessions.sbn.events import (
+    AppMessage,
+    Connected,
+    Disconnected,
+    Subscriptions,
+    Trigger,
+    UnknownType,
+    Version,
+)
+from edoras_tools.sessions.sbn.habits import STOCK
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe, sbn
+from edoras_tools.wire.cfe import length_of, whole_packet
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from edoras_tools.addons.lab.emulator.services.software_bus import Pipe, SoftwareBus
+    from edoras_tools.cfs.event_services import EventText
+    from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
+    from edoras_tools.sessions.sbn.events import ConnectionEvent as SbnEvent
+
+NOT_REPORTED: Final = frozenset({cfe.EVENT_MSG_ID, facts.COMMAND_MSG_ID, facts.HOUSEKEEPING_MSG_ID})
+"""Subscriptions that are not sent to peers: SBN's own, and events, which its filter holds back."""
+_BUFFER_BYTES: Final = 65536
+
+
+@dataclass(frozen=True, slots=True)
+class PeerDatagram:
+    """A datagram for a peer."""
+
+    peer: SbnPeerConfig
+    data: bytes
+
+
+@dataclass(slots=True)
+class Actions:
+    """What a call asks its caller to do, each list in order.
+
+    Attributes:
+        sends: datagrams to send.
+        publish: packets for the software bus, from sender ``SBN``, not stamped.
+        events: to report.
+        failed: the receive task ends after this datagram; the next :meth:`SbnNode.service` starts it again.
+    """
+
+    sends: list[PeerDatagram] = field(default_factory=list)
+    publish: list[bytes] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    failed: bool = False
+
+    def say(self, event: EventText, **values: object) -> None:
+        """Add an event."""
+        self.events.append(Event.of(event, **values))
+
+    def fail(self, event: EventText, consequence: EventText, **values: object) -> None:
+        """Add an error and what follows from it; end the receive task."""
+        self.say(event, **values)
+        self.say(consequence)
+        self.failed = True
+
+
+@dataclass(slots=True)
+class PeerState:
+    """A peer as this side sees it.
+
+    Attributes:
+        config: from the table.
+        connection: its SBN connection.
+        pipe: what waits to go to it; None while it is not connected.
+    """
+
+    config: SbnPeerConfig
+    connection: SbnConnection
+    pipe: Pipe | None = None
+
+    @property
+    def connected(self) -> bool:
+        """Whether messages cross."""
+        return self.connection.connected
+
+
+class SbnNode:
+    """One SBN application with all of its peers.
+
+    Attributes:
+        peers: by (SpacecraftID, ProcessorID), their only identity.
+        receiving: whether the receive task runs.
+    """
+
+    def __init__(self, profile: SimProfile, bus: SoftwareBus, *, now: int) -> None:
+        self.profile = profile
+        self.bus = bus
+        habits = replace(
+            STOCK,
+            ask_ns=profile.sbn_announce_s * SECOND,
+            heartbeat_ns=profile.sbn_heartbeat_s * SECOND,
+            timeout_ns=profile.sbn_timeout_s * SECOND,
+        )
+        self.peers = {
+            config.peer: PeerState(
+                config, SbnConnection(profile.peer, habits=habits, peer=config.peer, now=now)
+            )
+            for config in profile.sbn_peers
+        }
+        self.receiving = True
+        self._reported = 0
+        self._buffer = bytearray(_BUFFER_BYTES)
+
+    def pipe_names(self) -> list[str]:
+        """Return the names of the pipes to its peers."""
+        return [state.pipe.name for state in self.peers.values() if state.pipe is not None]
+
+    def receive_datagram(self, data: bytes, *, now: int) -> Actions:
+        """Take one datagram, any bytes."""
+        actions = Actions()
+        self._buffer[: len(data)] = data
+        whole = bytes(self._buffer)
+        header = sbn.HEADER.parse(whole)
+        if header["msg_size"] < 0:
+            self._receive_failed(actions, facts.NOT_UNPACKED)
+            return actions
+        identity = Peer(header["spacecraft_id"], header["processor_id"])
+        state = self.peers.get(identity)
+        if state is None:
+            self._receive_failed(actions, facts.UNKNOWN_PEER, **identity._asdict())
+            return actions
+        connection = state.connection
+        if not connection.connected:
+            connection.wanted = tuple(self._named(self._reportable(0)))
+        step = connection.receive_datagram(whole, now=now)
+        for event in step.events:
+            self._happened(state, event, len(data) - sbn.HEADER.size, actions)
+        self._send(state, step.datagrams, actions)
+        self.receiving = not actions.failed
+        return actions
+
+    def service(self, *, now: int) -> Actions:
+        """Do one round of the main loop, due every ``sbn_wake_ns``: subscriptions, peer pipes, time-outs."""
+        actions = Actions()
+        if not self.receiving:
+            self.receiving = True
+            actions.say(facts.RECEIVE_TASK_STARTED)
+        for wanted in list(self._reportable(self._reported)):
+            # To every peer of the table, connected or not, one MsgId a datagram.
+            for state in self.peers.values():
+                self._send(state, state.connection.subscribe(self._named([wanted]), now=now), actions)
+        self._reported = len(self.bus.subscribed)
+        for state in self.peers.values():
+            self._serve(state, actions, now)
+        return actions
+
+    def unload(self) -> Actions:
+        """Leave every peer, as before a new table: one that is connected is told."""
+        actions = Actions()
+        for index, state in enumerate(self.peers.values()):
+            if state.connected:
+                actions.say(facts.SENDING_DISCONNECT, peer=state.config.peer)
+                self._send(state, state.connection.goodbye(), actions)
+                self._disconnect(state, actions)
+            actions.say(facts.UNLOADED, index=index)
+        actions.say(facts.NET_ENDED)
+        for peer in self.peers:
+            actions.say(facts.UNSUBSCRIBED, processor_id=peer.processor_id)
+            actions.say(facts.ALREADY_DISCONNECTED, peer=peer)
+        return actions
+
+    def _serve(self, state: PeerState, actions: Actions, now: int) -> None:
+        connection = state.connection
+        while state.pipe is not None and (packet := state.pipe.get()) is not None:
+            data = to_link(whole_packet(packet), self.profile)
+            if len(data) <= sbn.LARGEST_PAYLOAD:
+                self._send(state, [connection.frame(data)], actions)
+                connection.sent(now=now)
+        step = connection.service(now=now)
+        for event in step.events:
+            self._happened(state, event, 0, actions)
+        self._send(state, step.datagrams, actions)
+
+    def _receive_failed(self, actions: Actions, event: EventText, **values: object) -> None:
+        actions.fail(event, facts.RECEIVE_FAILED, **values)
+        self.receiving = False
+
+    def _happened(self, state: PeerState, event: SbnEvent, carried: int, actions: Actions) -> None:
+        """Do what follows from an event of a connection; ``carried``: bytes that came behind the header."""
+        identity = state.config.peer
+        match event:
+            case Connected():
+                self._connect(state, actions)
+            case Disconnected(reason):
+                if reason is Trigger.TIMEOUT:
+                    actions.say(facts.TIMED_OUT, peer=identity)
+                self._disconnect(state, actions)
+            case Version(sbn.PROTOCOL_VERSION):
+                actions.say(facts.VERSION_MATCH, peer=identity)
+            case Version(version):
+                actions.say(
+                    facts.VERSION_MISMATCH,
+                    failure=facts.NOT_PROCESSED,
+                    peer=identity,
+                    own=sbn.PROTOCOL_VERSION,
+                    version=version,
+                )
+            case Subscriptions(msg_type, ident, msg_ids):
+                if ident != sbn.IDENT:
+                    actions.fail(facts.OTHER_IDENT, facts.MESSAGE_FAILED, processor_id=identity.processor_id)
+                    return
+                for item in msg_ids:
+                    self._subscription(state, msg_type, bus_id(item, self.profile), actions)
+            case AppMessage():
+                packet = event.packet
+                if headers_of(self.profile).msg_ids.of(packet) > cfe.HIGHEST_MSG_ID:
+                    actions.fail(facts.BAD_MSG_ID, facts.MESSAGE_FAILED)
+                    return
+                size = max(length_of(packet), carried, cfe.COMMAND_HEADER_BYTES)
+                actions.publish.append(from_link(packet[:size], self.profile))
+            case UnknownType(msg_type):
+                actions.fail(
+                    facts.UNKNOWN_TYPE, facts.MESSAGE_FAILED, failure=facts.NOT_PROCESSED, msg_type=msg_type
+                )
+            # Else subscriptions were cut: 65,535 entries exceed the buffer; flight code would read past it.
+
+    def _subscription(self, state: PeerState, msg_type: int, wanted: int, actions: Actions) -> None:
+        pipe = state.pipe
+        assert pipe is not None
+        if msg_type == sbn.MsgType.SUB:
+            if 0 < wanted <= cfe.HIGHEST_MSG_ID and wanted not in pipe.limits:
+                self.bus.subscribe(pipe, wanted, self.profile.sbn_msg_limit, local=True)
+        elif not self.bus.unsubscribe(pipe, wanted):
+            processor = state.config.peer.processor_id
+            actions.say(facts.NOT_SUBSCRIBED, processor_id=processor, msg_id=wanted)
+
+    def _connect(self, state: PeerState, actions: Actions) -> None:
+        identity = state.config.peer
+        name = facts.peer_pipe(identity)
+        state.pipe = self.bus.create_pipe(name, self.profile.sbn_pipe_depth, ignores=facts.NAME)
+        actions.say(facts.CONNECTING, peer=identity)
+        actions.say(facts.PIPE_CREATED, pipe=name)
+        actions.say(facts.CONNECTED, peer=identity)
+
+    def _disconnect(self, state: PeerState, actions: Actions) -> None:
+        assert state.pipe is not None
+        self.bus.delete_pipe(state.pipe)
+        state.pipe = None
+        actions.say(facts.DISCONNECTED, peer=state.config.peer)
+
+    def _send(self, state: PeerState, datagrams: Iterable[bytes], actions: Actions) -> None:
+        actions.sends += [PeerDatagram(state.config, data) for data in datagrams]
+
+    def _named(self, msg_ids: Iterable[int]) -> list[int]:
+        return [link_id(item, self.profile) for item in msg_ids]
+
+    def _reportable(self, start: int) -> Iterator[int]:
+        return (item for item in self.bus.subscribed[start:] if item not in NOT_REPORTED)

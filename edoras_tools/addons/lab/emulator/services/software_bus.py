@@ -1,0 +1,202 @@
+"""The cFE Software Bus: pipes, routes, the two limits that lose messages, and the events about them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from edoras_tools.addons.lab.emulator.services.events import Event
+from edoras_tools.cfs.queues import Fifo, QueueEnd
+from edoras_tools.cfs.software_bus import (
+    BAD_ARGUMENT,
+    EVENTS,
+    INVALID_MSG_ID,
+    MSG_LIMIT,
+    MSG_TOO_BIG,
+    NO_SUBSCRIBERS,
+    PIPE_OVERFLOW,
+    SUCCESS,
+    TOO_BIG,
+)
+from edoras_tools.errors import ConfigError
+from edoras_tools.sessions.sequence import MODULUS
+from edoras_tools.wire import cfe
+from edoras_tools.wire.cfe import length_of, msg_id_of, with_sequence_count
+
+if TYPE_CHECKING:
+    from edoras_tools.cfs.profile import SimProfile
+
+
+@dataclass(slots=True, eq=False)
+class Pipe(Fifo[bytes]):
+    """The packets that an application waits for.
+
+    Attributes:
+        name: as events print it.
+        ignores: a sender whose packets it does not take (cFE's pipe option "ignore mine").
+    """
+
+    name: str = ""
+    ignores: str = ""
+
+
+@dataclass(slots=True)
+class Counters:
+    """What the software bus counts, as in its housekeeping packet."""
+
+    commands: int = 0
+    command_errors: int = 0
+    no_subscribers: int = 0
+    send_errors: int = 0
+    duplicate_subscriptions: int = 0
+    pipe_overflows: int = 0
+    msg_limits: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """The result for one packet.
+
+    Attributes:
+        packet: as delivered, its sequence count stamped where it was asked for.
+        delivered: the pipes that accepted it.
+        events: what the bus has to say; no filter has seen them yet.
+        status: 0, or what the sender's call returns.
+    """
+
+    packet: bytes
+    delivered: tuple[Pipe, ...] = ()
+    events: tuple[Event, ...] = ()
+    status: int = SUCCESS
+
+
+class SoftwareBus:
+    """The routes between applications.
+
+    Attributes:
+        counters: what it counts.
+        losses: packets that a pipe did not take, by MsgId and pipe.
+        pipes: by name.
+        subscribed: MsgIds in the order of their first subscription, as reported to SBN.
+    """
+
+    def __init__(self, profile: SimProfile) -> None:
+        self.profile = profile
+        self.counters = Counters()
+        self.losses: Counter[tuple[int, str]] = Counter()
+        self.pipes: dict[str, Pipe] = {}
+        self.subscribed: list[int] = []
+        self._routes: dict[int, list[Pipe]] = {}
+        self._sequence: dict[int, int] = {}
+
+    def create_pipe(self, name: str, depth: int, *, ignores: str = "") -> Pipe:
+        """Make a pipe.
+
+        Raises:
+            ConfigError: there is one of that name, or it would hold nothing.
+        """
+        if name in self.pipes or depth < 1:
+            raise ConfigError(f"pipe {name}: depth {depth}; a pipe is made once and holds 1 packet or more")
+        depth = min(depth, self.profile.msg_max or depth)
+        pipe = self.pipes[name] = Pipe(depth, name=name, ignores=ignores)
+        return pipe
+
+    def delete_pipe(self, pipe: Pipe) -> None:
+        """Remove a pipe and its subscriptions; the packets in it are lost."""
+        del self.pipes[pipe.name]
+        for wanted in list(pipe.limits):
+            self.unsubscribe(pipe, wanted)
+        pipe.clear()
+
+    def subscribe(self, pipe: Pipe, wanted: int, limit: int | None = None, *, local: bool = False) -> None:
+        """Route a MsgId to a pipe; a second time is only counted.
+
+        Args:
+            limit: packets of it that may wait; the profile's ``app_msg_limit`` by default.
+            local: do not report it to SBN, whose own subscriptions on behalf of peers are such.
+        """
+        if wanted in pipe.limits:
+            self.counters.duplicate_subscriptions += 1
+            return
+        pipe.limits[wanted] = self.profile.app_msg_limit if limit is None else limit
+        if wanted not in self._routes:
+            self._routes[wanted] = []
+            self._sequence[wanted] = 0
+        if not local and wanted not in self.subscribed:
+            self.subscribed.append(wanted)
+        # cFE puts a new destination in front of the list.
+        self._routes[wanted].insert(0, pipe)
+
+    def unsubscribe(self, pipe: Pipe, wanted: int) -> bool:
+        """Stop routing a MsgId to a pipe; tell whether it was. The route itself stays, as in cFE."""
+        if pipe.limits.pop(wanted, None) is None:
+            return False
+        self._routes[wanted].remove(pipe)
+        return True
+
+    def publish(self, packet: bytes, sender: str, *, stamp: bool) -> Publication:
+        """Deliver a packet to every pipe that takes it.
+
+        Args:
+            packet: at least a command header; what its length field says counts, not ``len``.
+            sender: as events name it, ``APP`` or ``APP.TASK``.
+            stamp: write the route's next sequence count, as a publisher does; an app that hands on a packet
+                from elsewhere does not.
+        """
+        wanted, size = msg_id_of(packet), length_of(packet)
+        if not 0 < wanted <= cfe.HIGHEST_MSG_ID:
+            self.counters.send_errors += 1
+            event = _event(INVALID_MSG_ID, msg_id=wanted, sender=sender)
+            return Publication(packet, events=(event,), status=BAD_ARGUMENT)
+        if size > self.profile.bus_max_bytes:
+            self.counters.send_errors += 1
+            most = self.profile.bus_max_bytes
+            event = _event(MSG_TOO_BIG, msg_id=wanted, sender=sender, size=size, most=most)
+            return Publication(packet, events=(event,), status=TOO_BIG)
+        route = self._routes.get(wanted)
+        if route is None:
+            self.counters.no_subscribers += 1
+            return Publication(packet, events=(_event(NO_SUBSCRIBERS, msg_id=wanted, sender=sender),))
+        if stamp:
+            packet = self._stamped(packet, wanted)
+        delivered, events = [], []
+        for pipe in route:
+            if sender and pipe.ignores == sender:
+                continue
+            outcome = pipe.put(packet, wanted)
+            if outcome is QueueEnd.WAITING:
+                delivered.append(pipe)
+                continue
+            if outcome is QueueEnd.MSG_LIMIT:
+                self.counters.msg_limits += 1
+                events.append(_event(MSG_LIMIT, msg_id=wanted, pipe=pipe.name, sender=sender))
+            else:
+                self.counters.pipe_overflows += 1
+                events.append(_event(PIPE_OVERFLOW, msg_id=wanted, pipe=pipe.name, sender=sender))
+            self.losses[wanted, pipe.name] += 1
+        self.counters.send_errors += len(events)
+        return Publication(packet, tuple(delivered), tuple(events))
+
+    def _stamped(self, packet: bytes, wanted: int) -> bytes:
+        count = self._sequence[wanted] = (self._sequence[wanted] + 1) % MODULUS
+        return with_sequence_count(packet, count)
+
+    def housekeeping(self) -> bytes:
+        """Return the payload of housekeeping packet 0x803, 28 bytes; counters wrap as in flight."""
+        count = self.counters
+        return cfe.SOFTWARE_BUS_HOUSEKEEPING.emit(
+            {
+                "command_counter": count.commands & 0xFF,
+                "command_error_counter": count.command_errors & 0xFF,
+                "no_subscribers_counter": count.no_subscribers & 0xFF,
+                "message_send_error_counter": count.send_errors & 0xFF,
+                "duplicate_subscriptions_counter": count.duplicate_subscriptions & 0xFF,
+                "pipe_overflow_error_counter": count.pipe_overflows & 0xFFFF,
+                "message_limit_error_counter": count.msg_limits & 0xFFFF,
+            }
+        )
+
+
+def _event(event_id: int, **values: object) -> Event:
+    return Event.of(EVENTS[event_id], **values)

@@ -1,0 +1,82 @@
+"""cFE Table Services: which loads of tables wait, from the command until their application takes them.
+
+Rules, as in the flight code:
+
+1. A load fills a working buffer. It may be repeated, validated and aborted until it is activated.
+2. An activated load waits until its application manages the table. Telemetry Output never does: its load
+   stays pending, and no other one is taken until it is aborted. SBN does when it is told.
+3. A load ends with its application.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from edoras_tools.addons.lab.emulator.services.events import Event
+from edoras_tools.cfs import table_services as facts
+
+if TYPE_CHECKING:
+    from edoras_tools.addons.lab.emulator.services.executive_services import ExecutiveServices
+
+
+class TableServices:
+    """The loads that wait; the contents of tables are those of the profile, whatever is loaded.
+
+    Args:
+        executive: which applications run; their tables are registered.
+    """
+
+    def __init__(self, executive: ExecutiveServices) -> None:
+        self._executive = executive
+        self._loads: dict[str, tuple[int, bool]] = {}
+
+    def command(self, function_code: int, payload: bytes) -> Event | None:
+        """Take a command of the right length; return what it says, None for an activation, which is silent.
+
+        Args:
+            function_code: one of ``facts.LENGTHS``.
+        """
+        name = payload[2 * (function_code == facts.VALIDATE) :].split(b"\0")[0].decode("ascii", "replace")
+        table = facts.TABLE_OF.get(name, "") if function_code == facts.LOAD else name
+        if not table:
+            return Event.of(facts.NO_FILE, file=name)
+        number = self._owner(table)
+        if not number:
+            return Event.of(facts.NO_TABLE, table=table)
+        waits, pending = self._waiting(table)
+        if function_code == facts.LOAD:
+            if pending:
+                return Event.of(facts.STILL_PENDING, table=table)
+            self._loads[table] = number, False
+            return Event.of(facts.LOADED, file=name, table=table)
+        if function_code == facts.VALIDATE:
+            inactive = not any(payload[:2])
+            return Event.of(
+                facts.NO_INACTIVE_BUFFER if inactive and not waits else facts.ASSUMED_VALID, table=table
+            )
+        if function_code == facts.ABORT_LOAD:
+            self._loads.pop(table, None)
+            return Event.of(facts.ABORTED if waits else facts.NOT_ABORTED, table=table)
+        if not waits:
+            return Event.of(facts.NOT_ACTIVATED, table=table)
+        self._loads[table] = number, True
+        return None
+
+    def take(self, table: str) -> bool:
+        """Let an application manage its table; return whether it got a new one."""
+        taken = self._waiting(table)[1]
+        if taken:
+            del self._loads[table]
+        return taken
+
+    def _owner(self, table: str) -> int:
+        """Return the AppID of the application that registered a table; 0 if none has."""
+        application = self._executive.applications.get(table.partition(".")[0])
+        known = table in facts.TABLE_OF.values() and application is not None and application.runs
+        return application.number if known and application else 0
+
+    def _waiting(self, table: str) -> tuple[bool, bool]:
+        """Return whether a table has a load, and whether that one is activated."""
+        number, pending = self._loads.get(table, (0, False))
+        waits = bool(number) and number == self._owner(table)
+        return waits, waits and pending

@@ -1,0 +1,207 @@
+"""A demo in simulated time: the emulated cFS and, on request, the bridges, the operator and the robots."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+
+from edoras_tools.addons.lab.emulator.apps.edoras import EdorasApp, SingleRobotApp, TwoRobotApp
+from edoras_tools.addons.lab.emulator.boot import Apps
+from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge, GroundOperator
+from edoras_tools.addons.lab.emulator.cfs import Cfs
+from edoras_tools.addons.lab.emulator.messages import headers_of, link_id
+from edoras_tools.addons.lab.emulator.robots import Arm, Robot, Rover
+from edoras_tools.addons.lab.emulator.scheduler import Scheduler
+from edoras_tools.cfs.profile import FLIGHT_BRIDGE, SimProfile
+from edoras_tools.errors import ConfigError
+from edoras_tools.model import Endpoint
+from edoras_tools.units import MICROSECOND, SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from typing_extensions import Self
+
+
+Scenario = Literal["rover", "arm", "two-rovers", "two-arms"]
+SCENARIOS: Final[tuple[Scenario, ...]] = ("rover", "arm", "two-rovers", "two-arms")
+MISSIONS: Final[Mapping[Scenario, tuple[str, ...]]] = {
+    "rover": ("rover_ground",),
+    "arm": ("single_arm_ground",),
+    "two-rovers": ("two_rovers_ground", "two_rovers_flight"),
+    "two-arms": ("two_arms_ground", "two_arms_flight"),
+}
+"""The missions of a scenario, as files of ``samples/missions``."""
+BOOT_NS: Final = 3 * SECOND
+"""The emulated cFS has booted, and its bridges are connected, by then."""
+_LOOPBACK_NS: Final = 20 * MICROSECOND
+
+
+class WireDatagram(NamedTuple):
+    """A datagram on the wire."""
+
+    time_ns: int
+    source: Endpoint
+    destination: Endpoint
+    payload: bytes
+
+
+class Simulation:
+    """An emulated cFS with the EDORAS application of a demo.
+
+    Attributes:
+        scenario: which demo.
+        cfs: the flight side.
+        apps: what runs on it.
+        ground: the emulated ground bridge; None where the caller takes its place.
+        flight: the emulated flight bridge; None where there is none, or the caller takes its place.
+        routed: whether datagrams between the parts are delivered here; a server leaves that to its sockets.
+    """
+
+    def __init__(
+        self,
+        profile: SimProfile | None = None,
+        scenario: Scenario = "rover",
+        *,
+        start_ns: int = 0,
+        bridges: bool = True,
+        command_rate_hz: float = 5.0,
+        command_count: int | None = None,
+        state_rate_hz: float = 5.0,
+    ) -> None:
+        """Boot, at ``start_ns``.
+
+        Args:
+            scenario: ``rover`` and ``arm`` have the robot behind the application, the others have two on SBN.
+            start_ns: what the clock shows at start, ns since 1970.
+            command_rate_hz: commands per second and robot.
+            command_count: commands per robot; None for no end.
+            state_rate_hz: robot states per second and robot on the SBN link.
+
+        Raises:
+            ConfigError: there is no such scenario, a rate is below 0, or the profile lacks the bridge's peer.
+        """
+        if scenario not in SCENARIOS:
+            raise ConfigError(f"scenario {scenario!r} is not known; there are {', '.join(SCENARIOS)}")
+        if min(command_rate_hz, state_rate_hz) < 0:
+            raise ConfigError("a rate is 0 Hz or more")
+        profile = profile or SimProfile()
+        self.scenario = scenario
+        self.routed = True
+        self._outbox: deque[WireDatagram] = deque()
+        self._scheduler = Scheduler(profile, start_ns=start_ns)
+        self.cfs = Cfs(profile, self._scheduler, self._send)
+        self.apps = Apps(self.cfs, _application(scenario, start_ns))
+        self.ground: GroundBridge | None = None
+        self.flight: FlightBridge | None = None
+        if bridges:
+            command_type = messages_of(scenario)[0]
+            commands: Sequence[int] = TwoRobotApp.commands if "two" in scenario else (SingleRobotApp.command,)
+            commands = _on_links(commands, profile)
+            operator = GroundOperator(command_type, commands, command_rate_hz, count=command_count)
+            ground = Endpoint(profile.address, profile.to_port)
+            self.ground = GroundBridge(self._scheduler, ground, self.cfs.ci_endpoint, operator, self._send)
+            self.ground.headers = headers_of(profile)
+            if "two" in scenario:
+                self.flight = self._flight(profile, state_rate_hz)
+                self.flight.headers = headers_of(profile)
+
+    def _flight(self, profile: SimProfile, rate_hz: float) -> FlightBridge:
+        peer = next((item for item in profile.sbn_peers if item.peer == FLIGHT_BRIDGE), None)
+        if peer is None:
+            raise ConfigError(f"sim profile: sbn_peers: the flight bridge, {FLIGHT_BRIDGE}, is missing")
+        robots: list[Robot] = (
+            [Rover(now=self.now, y=float(index)) for index in range(2)]
+            if self.scenario == "two-rovers"
+            else [Arm(now=self.now, name=name) for name in ("big_arm", "little_arm")]
+        )
+        names = (_on_links(item, profile) for item in (TwoRobotApp.states, TwoRobotApp.flight))
+        links = zip(*names, strict=True)
+        return FlightBridge(
+            self._scheduler,
+            Endpoint(peer.address, peer.port),
+            peer.peer,
+            self.cfs.sbn_endpoint,
+            dict(zip(links, robots, strict=True)),
+            rate_hz,
+            self._send,
+        )
+
+    def boot(self) -> Self:
+        """Let the first ``BOOT_NS`` pass without observers; return this.
+
+        If the clock starts at ``now - BOOT_NS``, cFS has booted at ``now``.
+        """
+        for _ in self.run(self.now + BOOT_NS):
+            pass
+        return self
+
+    @property
+    def now(self) -> int:
+        """The clock, ns."""
+        return self._scheduler.now
+
+    @property
+    def next_ns(self) -> int | None:
+        """When something happens next."""
+        return self._scheduler.next_ns
+
+    @property
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """Every socket of this simulation."""
+        parts = [item.endpoint for item in (self.ground, self.flight) if item is not None]
+        return *self.cfs.endpoints, *parts
+
+    def deliver(self, destination: Endpoint, data: bytes) -> None:
+        """Hand a datagram to the part that listens at a port, now."""
+        for part in (self.ground, self.flight):
+            if part is not None and part.endpoint == destination:
+                part.receive_datagram(data)
+                return
+        self.cfs.receive_datagram(destination, data)
+
+    def feed(self, time_ns: int, destination: Endpoint, data: bytes) -> None:
+        """Have a datagram arrive from outside at a time that is not past."""
+        self._scheduler.call_at(time_ns, self.deliver, destination, data)
+
+    def inject(self, time_ns: int, packet: bytes, sender: str) -> None:
+        """Have a packet published on the software bus at a time, as if by application ``sender``."""
+
+        def publish() -> None:
+            self.cfs.publish(packet, sender, stamp=False)
+
+        self._scheduler.call_at(time_ns, publish)
+
+    def run(self, until_ns: int) -> Iterator[WireDatagram]:
+        """Let time pass up to ``until_ns``; yield every datagram that was sent, in order of time.
+
+        Time passes as far as the iterator is driven.
+        """
+        while (due := self._scheduler.next_ns) is not None and due <= until_ns:
+            self._scheduler.run(due)
+            while self._outbox:
+                yield self._outbox.popleft()
+        self._scheduler.run(until_ns)
+
+    def _send(self, source: Endpoint, destination: Endpoint, payload: bytes) -> None:
+        self._outbox.append(WireDatagram(self.now, source, destination, payload))
+        if self.routed and destination in self.endpoints:
+            self._scheduler.call_at(self.now + _LOOPBACK_NS, self.deliver, destination, payload)
+
+
+def _on_links(msg_ids: Sequence[int], profile: SimProfile) -> list[int]:
+    return [link_id(item, profile) for item in msg_ids]
+
+
+def messages_of(scenario: Scenario) -> tuple[str, str]:
+    """Return the ROS types of a scenario's commands and states."""
+    robot = Rover if "rover" in scenario else Arm
+    return robot.command_type, robot.state_type
+
+
+def _application(scenario: Scenario, now: int) -> EdorasApp:
+    if scenario == "rover":
+        return SingleRobotApp(Rover(now=now), 100)
+    if scenario == "arm":
+        return SingleRobotApp(Arm(now=now), 260)
+    return TwoRobotApp(*messages_of(scenario), 120 if scenario == "two-rovers" else 300)

@@ -1,0 +1,107 @@
+"""A simulation as a source of datagrams, without sockets or privileges, in simulated or in real time."""
+
+from __future__ import annotations
+
+from collections import deque
+from threading import Event
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.addons.lab.emulator.simulation import Simulation, WireDatagram
+from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.model import Endpoint, PacketBatch, SourceInfo, SourceStatistics
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+
+_TICK_S: Final = 0.02
+_COMMAND_SENDER: Final = Endpoint("127.0.0.1", 50000)
+"""Where the user's commands come from: a port that nothing else of the simulation has."""
+
+
+class _SimulationSource:
+    """What both sources have: an identity, counts, and batches made of datagrams.
+
+    Args:
+        simulation: what to run, from where it stands.
+
+    Attributes:
+        info: what the source is.
+        statistics: what it counted so far.
+    """
+
+    def __init__(self, simulation: Simulation) -> None:
+        self.info = SourceInfo(name=f"emulated {simulation.scenario}", kind="sim", time_resolution_ns=1)
+        self.statistics = SourceStatistics()
+        self._simulation = simulation
+        self._demux = Demux()
+
+    def close(self) -> None:
+        """Close nothing: a simulation has no handle."""
+
+    def _batch(self, sent: Sequence[WireDatagram]) -> PacketBatch:
+        frames = frames_of(sent, self.statistics.frames + 1)
+        self.statistics.frames += len(frames)
+        self.statistics.datagrams += len(frames)
+        self.statistics.bytes += int(frames.length.sum())
+        return self._demux.demux(frames)
+
+
+class SimulatedSource(_SimulationSource):
+    """A ``Source`` over a simulation in simulated time: a batch for every second of it.
+
+    Args:
+        simulation: what to run, from where it stands.
+    """
+
+    def __init__(self, simulation: Simulation, duration_ns: int) -> None:
+        super().__init__(simulation)
+        self._end_ns = simulation.now + duration_ns
+
+    def batches(self) -> Iterator[PacketBatch]:
+        """Run, a second at a time."""
+        while self._simulation.now < self._end_ns:
+            until = min(self._simulation.now + SECOND, self._end_ns)
+            if sent := list(self._simulation.run(until)):
+                yield self._batch(sent)
+
+
+class RealTimeSource(_SimulationSource):
+    """A ``Source`` over a simulation that goes by the host's clock, without sockets.
+
+    Args:
+        simulation: what to run, from where it stands.
+        clock: monotonic time in ns.
+    """
+
+    def __init__(self, simulation: Simulation, clock: Callable[[], int]) -> None:
+        super().__init__(simulation)
+        self._clock = clock
+        self._commands: deque[bytes] = deque()
+        self._stop = Event()
+
+    def command(self, data: bytes, _msg_id: int) -> str:
+        """Send a command to Command Ingest, on any thread; nothing is ever refused."""
+        self._commands.append(data)
+        return ""
+
+    def stop(self) -> None:
+        """End the batches; for any thread or signal handler."""
+        self._stop.set()
+
+    def batches(self) -> Iterator[PacketBatch]:
+        """Run, and hand over what was sent since the last time."""
+        simulation = self._simulation
+        offset = simulation.now - self._clock()
+        while not self._stop.wait(_TICK_S):
+            if sent := [*self._commanded(), *simulation.run(self._clock() + offset)]:
+                yield self._batch(sent)
+
+    def _commanded(self) -> Iterator[WireDatagram]:
+        simulation = self._simulation
+        while self._commands:
+            data = self._commands.popleft()
+            simulation.deliver(simulation.cfs.ci_endpoint, data)
+            yield WireDatagram(simulation.now, _COMMAND_SENDER, simulation.cfs.ci_endpoint, data)

@@ -1,0 +1,209 @@
+"""What happened to the messages of a step.
+
+The diagnosis says what cFS lost, where and why. A sweep adds what only it knows: how many messages it sent
+or requested, and which came back altered.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.cfs import command_ingest
+from edoras_tools.cfs.queues import application_pipe
+from edoras_tools.diagnosis.accounting.losses import CI_SOCKETS
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.links.to import TO
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from edoras_tools.addons.lab.sweep.observer import Mark, Observer
+    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.diagnosis.examination import Diagnosis
+    from edoras_tools.mission import Route
+
+_PREDICTED: Final = frozenset({"ci_cut", "ground_bridge_buffer", "flight_bridge_length"})
+"""Rules about the size of a message alone: not a loss for a sweep, because it sees what gets through."""
+_GAPS_ONLY: Final = frozenset({"lost_after_cfs", "unexplained_gap"})
+
+
+@dataclass(frozen=True, slots=True)
+class StepOutcome:
+    """What happened to the messages of a step.
+
+    Attributes:
+        sent: messages to cFS, or published by it.
+        delivered: messages that got through.
+        lost: messages that did not.
+        bus: lost by the software bus.
+        gaps: missing by their sequence counts.
+        not_ingested: dropped because Command Ingest's socket was full.
+        altered: came back with other bytes or another length.
+        unseen: requested and never published, or lost without any trace.
+        hop: where most were lost; empty if none was lost.
+        reason: why.
+        others: verdicts about other messages, or about losses that are not measured here.
+    """
+
+    sent: int
+    delivered: int
+    lost: int
+    bus: int = 0
+    gaps: int = 0
+    not_ingested: int = 0
+    altered: int = 0
+    unseen: int = 0
+    hop: str = ""
+    reason: str = ""
+    others: tuple[Verdict, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the evidence in the shape of ``sweep --json``."""
+        return {
+            "software_bus": self.bus,
+            "sequence_gaps": self.gaps,
+            "not_ingested": self.not_ingested,
+            "altered": self.altered,
+            "without_trace": self.unseen,
+        }
+
+
+class Judge:
+    """Judges the steps of one route.
+
+    Args:
+        profile: the constants of the cFS at the other end.
+        measures: take the limit of an application's pipe from what got through, not from the profile.
+    """
+
+    def __init__(self, route: Route, profile: SimProfile, *, measures: bool) -> None:
+        self._route, self._profile, self._measures = route, profile, measures
+
+    def commands(
+        self, observer: Observer, before: Mark, after: Mark, *, sent: int, rate_hz: float
+    ) -> StepOutcome:
+        """Judge messages to cFS.
+
+        Args:
+            before: at the start of the step.
+            after: when no message was under way any more.
+            sent: number of messages of the route.
+            rate_hz: messages of the route per second.
+        """
+        diagnosis = observer.diagnose(self._profile)
+        ours, others = self._divided(diagnosis)
+        main = _main(ours)
+        by_cfs = min(sent, sum(verdict.lost or 0 for verdict in ours))
+        if main is not None and main.rule == "app_pipe_limit" and self._measures:
+            pipe = application_pipe(self._profile, over_network=self._route.link.peers)
+            limit = max(1, round((sent - by_cfs) / max(1, sent) * rate_hz * pipe.round_ns / SECOND))
+            measured = replace(self._profile, app_msg_limit=limit)
+            main = _main(self._divided(observer.diagnose(measured))[0]) or main
+        not_ingested = sum(verdict.lost or 0 for verdict in ours if verdict.hop in CI_SOCKETS)
+        altered = (after.arrived - before.arrived) - (after.whole - before.whole)
+        lost = min(sent, by_cfs + altered)
+        hop = reason = ""
+        if main is not None:
+            hop, reason = main.hop or "", main.reason
+        elif altered:
+            cut = after.differs_at == self._profile.ci_buffer
+            hop, reason = (cut and _said(diagnosis, "ci_cut")) or (
+                command_ingest.NAME,
+                f"the echo differs from byte {after.differs_at} on",
+            )
+        return StepOutcome(
+            sent,
+            sent - lost,
+            lost,
+            bus=by_cfs - not_ingested,
+            not_ingested=not_ingested,
+            altered=altered,
+            hop=hop,
+            reason=reason,
+            others=others,
+        )
+
+    def telemetry(
+        self, observer: Observer, before: Mark, after: Mark, *, least: int = 0, asked: int = 0
+    ) -> StepOutcome:
+        """Judge messages from cFS.
+
+        Args:
+            before: at the start of the step.
+            after: when no message was under way any more.
+            least: messages that must have been published in that time.
+            asked: messages requested; 0 if others publish them and the step does not wait for the last ones:
+                then only gaps count, because counters come later.
+        """
+        diagnosis = observer.diagnose(self._profile)
+        ours, others = self._divided(diagnosis)
+        main = _main(ours)
+        delivered = after.whole - before.whole
+        altered = after.arrived - before.arrived - delivered
+        gaps = sum(
+            row["gaps"]
+            for row in diagnosis.routes
+            if (row["link"], row["msg_id"]) == (self._route.link.label, f"0x{self._route.msg_id:04x}")
+        )
+        lost = (sum(verdict.lost or 0 for verdict in ours) if asked else gaps) + altered
+        unseen = asked - delivered - lost if delivered + lost < least else 0
+        hop = reason = ""
+        if main is not None and lost:
+            hop, reason = main.hop or "", main.reason
+        elif altered:
+            hop, reason = "network", f"{altered:,} arrived with another length than they were published with"
+        elif lost or unseen:
+            hop, reason = self._event(diagnosis) or (
+                "unknown",
+                f"{lost + unseen:,} of 0x{self._route.msg_id:04x} never came, and cFS reported no reason",
+            )
+            if not delivered and self._route.link is TO and diagnosis.case is not None:
+                add = diagnosis.case.inject("to-add", f"0x{self._route.msg_id:04x}")
+                reason += f"; if Telemetry Output is not to send it yet: {add}"
+        return StepOutcome(
+            delivered + lost + unseen,
+            delivered,
+            lost + unseen,
+            bus=sum(verdict.lost or 0 for verdict in ours if verdict.rule not in _GAPS_ONLY),
+            gaps=gaps,
+            altered=altered,
+            unseen=unseen,
+            hop=hop,
+            reason=reason,
+            others=others,
+        )
+
+    def _divided(self, diagnosis: Diagnosis) -> tuple[list[Verdict], tuple[Verdict, ...]]:
+        """Return the verdicts on losses of the route, and those on all other losses."""
+        errors = [item for item in diagnosis.verdicts if item.severity is Severity.ERROR and item.lost]
+        ours = [
+            item
+            for item in errors
+            if (item.msg_id, item.rule in _PREDICTED) == (self._route.msg_id, False)
+            and (item.link or self._route.link.label) == self._route.link.label
+        ]
+        others = [item for item in errors if item not in ours and item.msg_id is not None]
+        if not ours and not others:
+            # No other messages were sent that could be lost.
+            ours = [item for item in errors if item.rule == "unattributed_loss"]
+        return ours, tuple(others)
+
+    def _event(self, diagnosis: Diagnosis) -> tuple[str, str] | None:
+        """Return what cFS reported about the route in an event."""
+        assert diagnosis.case is not None
+        for reported, said in diagnosis.case.reported_losses.items():
+            if reported.msg_id == self._route.msg_id:
+                return reported.pipe or "software bus", f"cFS said: {said.records[0]}"
+        return None
+
+
+def _main(verdicts: Iterable[Verdict]) -> Verdict | None:
+    return max(verdicts, key=lambda item: item.lost or 0, default=None)
+
+
+def _said(diagnosis: Diagnosis, rule: str) -> tuple[str, str] | None:
+    """Return hop and reason of a rule's first verdict."""
+    found = next((item for item in diagnosis.verdicts if item.rule == rule), None)
+    return (found.hop or "", found.reason) if found else None

@@ -1,0 +1,319 @@
+"""Raises a rate or a size until messages are lost: finds a route's limit, the hop that sets it, and why."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.addons.lab.emulator.apps import generator
+from edoras_tools.addons.lab.sweep import plan as packets
+from edoras_tools.addons.lab.sweep.judge import Judge, StepOutcome
+from edoras_tools.addons.lab.sweep.line import COMMAND_NS, Line, reset_filters
+from edoras_tools.addons.lab.sweep.observer import Observer
+from edoras_tools.addons.lab.sweep.result import Sweep, SweepStep
+from edoras_tools.addons.lab.sweep.simulated import emulated, profile_of
+from edoras_tools.cfs import software_bus
+from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.net.transmit import Listener, Transmitter
+from edoras_tools.io.net.wire import UdpWire, Wire, precise_timing
+from edoras_tools.links.table import carrying
+from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.sending.safety import called
+from edoras_tools.pipelines.sending.wait_for import Condition, conditions
+from edoras_tools.sessions.outgoing import Outgoing, Packet
+from edoras_tools.sessions.sbn.connection import SbnConnection
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe, sbn
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from edoras_tools.addons.lab.sweep.plan import SweepPlan
+    from edoras_tools.model import Endpoint, Link
+    from edoras_tools.pipelines.workbench import Workbench
+
+_SLACK_NS: Final = SECOND
+"""The time between two commands to the generator may be shorter than intended by this much."""
+_BEHIND_NS: Final = 5 * SECOND
+"""If messages of a step are still read this long after the last one, cFS is too slow for the rate."""
+_BACKGROUND_NS: Final = 4 * SECOND
+_GENERATOR_NS: Final = 4 * SECOND
+
+
+def sweep(
+    plan: SweepPlan,
+    bench: Workbench,
+    *,
+    trying: Callable[[int, int], None] = lambda *_: None,
+    ready: Callable[[Endpoint], None] = lambda _: None,
+) -> Sweep:
+    """Run a plan.
+
+    Args:
+        trying: called with rate and size before each step.
+        ready: called with the receiving endpoint, once it is open.
+
+    Raises:
+        CaptureError: a socket cannot be opened; later errors are in ``Sweep.failure``.
+    """
+    options = plan.options
+    assert options.target is not None
+    assert options.listen is not None
+    found = Sweep(plan)
+    with ExitStack() as stack:
+        local = options.listen
+        if plan.scenario is not None:
+            name = f"the emulated cFS ({plan.scenario})"
+            wire: Wire = emulated(plan, profile_of(plan, bench.mission))
+        else:
+            name = str(options.target)
+            is_sbn = plan.route.link.peers
+            transmitter = stack.enter_context(Transmitter(options.target, options.listen if is_sbn else None))
+            listeners: list[tuple[Link, Listener]] = []
+            if not is_sbn:
+                listeners.append((carrying("ground", to_cfs=False), Listener(options.listen)))
+                stack.callback(listeners[0][1].close)
+            local = listeners[0][1].local if listeners else transmitter.local
+            wire = UdpWire(transmitter, options.to.link, listeners)
+            stack.enter_context(precise_timing())
+        ready(local)
+        sweeper = _Sweeper(plan, bench, found, wire, name, local, trying)
+        stack.enter_context(on_interrupt(sweeper.line.stopped.set))
+        try:
+            sweeper.run()
+        except CaptureError as error:
+            found.failure = error
+        except KeyboardInterrupt:  # the second Ctrl-C
+            sweeper.line.stopped.set()
+        finally:
+            sweeper.clean_up()
+        found.interrupted = sweeper.line.stopped.is_set() and found.failure is None
+    return found
+
+
+class _Sweeper:
+    """One run of a sweep."""
+
+    def __init__(
+        self,
+        plan: SweepPlan,
+        bench: Workbench,
+        found: Sweep,
+        wire: Wire,
+        name: str,
+        local: Endpoint,
+        trying: Callable[[int, int], None],
+    ) -> None:
+        self.plan, self.bench, self.found, self._trying = plan, bench, found, trying
+        self.observer = Observer(bench, plan.route)
+        profile = profile_of(plan, bench.mission)
+        self._judge = Judge(plan.route, profile, measures=plan.scenario is None)
+        session = None
+        if plan.route.link.peers:
+            own = (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.EVENT_MSG_ID)
+            wanted = [*map(plan.headers.msg_ids.of_known, own)]
+            wanted += [] if plan.to_cfs else [plan.route.msg_id]
+            session = SbnConnection(plan.options.identity(bench.mission), wanted, now=wire.now())
+        self.line = Line(wire, name, self.observer, session)
+        self._undo: list[bytes] = []
+        self._background = self._behind = 0
+        first = Outgoing.packets(
+            plan.options.to.link,
+            [Packet(packets.message(plan.route, bench, plan.sizes[0]))],
+            sender=session.own if session else None,
+            headers=plan.headers,
+        )
+        out = first if plan.to_cfs else first.take(slice(0, 0))
+        seen = self.observer.seen
+        self._conditions = [
+            *conditions(
+                out, plan.options, bench.mission, responses=seen, session=session, wire=wire, local=local
+            )
+        ]
+        if session is not None:
+            # cFS sends its own subscriptions also to peers whose datagrams it refuses.
+            self._conditions.append(
+                Condition("messages", lambda: bool(seen.counts), lambda s: _nothing_came(session, local, s))
+            )
+
+    def run(self) -> None:
+        """Run the sweep."""
+        self.line.open(self._conditions, self.plan.options.timeout_ns)
+        self.line.command(reset_filters(self.plan.headers))
+        if self.plan.watch and not self.plan.to_cfs:
+            self._watch()
+            return
+        if not self.plan.to_cfs:
+            self._need_generator()
+            self._measure_background()
+        if self.plan.is_echoed:
+            add, remove = packets.echo(self.plan.route.msg_id, self.plan.headers)
+            self._undo.append(remove)
+            self.line.command(add)
+        self._search()
+
+    def clean_up(self) -> None:
+        """Restore the state of cFS, and add the notes on the whole sweep."""
+        if self._behind:
+            self.found.note(
+                f"from {self._behind} Hz on cFS is too slow: it still reads long after the last message"
+            )
+        self.line.close(self._undo)
+
+    def _search(self) -> None:
+        plan, search = self.plan, self.plan.search()
+        self.line.settle()
+        while (value := search.next) is not None and not self.line.stopped.is_set():
+            rate, size = (plan.rates[0], value) if plan.by_size else (value, plan.sizes[0])
+            size = size or packets.natural_size(plan.route, self.bench)
+            self._trying(rate, size)
+            outcome = self._commands(rate, size) if plan.to_cfs else self._telemetry(rate, size)
+            if self.line.stopped.is_set():
+                return
+            self._note(outcome)
+            search.tell(value, good=not outcome.lost)
+            self.found.steps.append(SweepStep(rate, size, outcome))
+
+    def _commands(self, rate: int, size: int) -> StepOutcome:
+        line, observer, plan = self.line, self.observer, self.plan
+        packet = packets.message(plan.route, self.bench, size)
+        observer.begin()
+        observer.expected = packet if plan.is_echoed else None
+        before = observer.mark()
+        line.command(reset_filters(self.plan.headers))
+        sent = line.evenly(packet, rate, max(1, rate * plan.step_ns // SECOND))
+        began = line.now()
+        after = line.settle()
+        if line.now() - began > _BEHIND_NS:
+            self._behind = min(self._behind or rate, rate)
+        if plan.is_echoed and after.arrived == before.arrived and not line.stopped.is_set():
+            self.found.note("no echo came back through Telemetry Output: it is not known what CI cuts")
+        return self._judge.commands(observer, before, after, sent=sent, rate_hz=rate)
+
+    def _telemetry(self, rate: int, size: int) -> StepOutcome:
+        line, observer, plan = self.line, self.observer, self.plan
+        line.command(reset_filters(self.plan.headers))
+        observer.begin()
+        observer.expected_size = size if plan.by_size else 0
+        before = observer.mark()
+        asked = max(0, rate - self._background)
+        line.command(packets.generator_command(plan, asked, size))
+        self._undo[:] = [packets.generator_command(plan, 0, size)]
+        line.listen(plan.step_ns - COMMAND_NS)
+        line.command(packets.generator_command(plan, 0, size))
+        after = line.settle()
+        least = asked * max(0, plan.step_ns - _SLACK_NS) // SECOND
+        asked = max(least, asked * plan.step_ns // SECOND)
+        return self._judge.telemetry(observer, before, after, least=least, asked=asked)
+
+    def _need_generator(self) -> None:
+        """Send the telemetry generator a stop command; its event shows that it exists.
+
+        Raises:
+            CaptureError: it does not.
+        """
+        event = software_bus.EVENTS[software_bus.NO_SUBSCRIBERS].text.partition(",")[0]
+        nobody = event.format(msg_id=self.plan.generator)
+        seen = self.observer.seen
+
+        def answers() -> int:
+            return sum(item.count for item in seen.events.values() if item.app == generator.NAME)
+
+        before = answers()
+        self.line.command(packets.generator_command(self.plan, 0, 0))
+        self.line.until(lambda: answers() > before or seen.says(nobody), _GENERATOR_NS)
+        if answers() == before and not self.line.stopped.is_set():
+            why = f"cFS says: {nobody}" if seen.says(nobody) else f"within {_GENERATOR_NS // SECOND} s"
+            raise CaptureError(
+                f"no telemetry generator answers on 0x{self.plan.generator:04x} ({why}): add the app that "
+                "'edoras codegen generator' writes to this cFS, name its MsgId with --generator, or measure "
+                "what others publish with --watch"
+            )
+
+    def _measure_background(self) -> None:
+        """Measure whether the route is already published; if so, the generator only adds the rest."""
+        before = self.observer.mark()
+        self.line.listen(_BACKGROUND_NS)
+        published = self._judge.telemetry(self.observer, before, self.observer.mark()).sent
+        self._background = round(published * SECOND / _BACKGROUND_NS)
+        if self._background:
+            self.found.note(
+                f"{called(self.plan.route.msg_id, self.bench.mission)} is already published at "
+                f"{self._background} Hz: the generator adds the rest, so messages are not evenly spaced"
+            )
+
+    def _watch(self) -> None:
+        """Measure what others publish, in steps."""
+        self.found.watched = True
+        plan, observer = self.plan, self.observer
+        end = self.line.now() + plan.watch_ns
+        while self.line.now() < end and not self.line.stopped.is_set():
+            observer.go_on(self.line.epoch())
+            before = observer.mark()
+            self._trying(0, 0)
+            self.line.command(reset_filters(self.plan.headers))
+            self.line.listen(plan.step_ns - COMMAND_NS)
+            if self.line.stopped.is_set():
+                return
+            outcome = self._judge.telemetry(observer, before, observer.mark())
+            self._note(outcome)
+            rate = round(outcome.sent * SECOND / plan.step_ns, 1)
+            self.found.steps.append(SweepStep(rate, observer.largest, outcome))
+        if not any(step.outcome.sent for step in self.found.steps):
+            raise CaptureError(
+                f"no {called(plan.route.msg_id, self.bench.mission)} came in {plan.watch_ns / SECOND:g} s; "
+                "usually it is not published, or it is not in Telemetry Output's table"
+            )
+
+    def _note(self, outcome: StepOutcome) -> None:
+        """Add notes on other losses, and on what this sweep cannot see."""
+        for verdict in outcome.others:
+            if verdict.msg_id is not None and verdict.msg_id != self.plan.route.msg_id:
+                self.found.note(
+                    f"{called(verdict.msg_id, self.bench.mission)} was lost too, at {verdict.hop}"
+                )
+        if not self.observer.mark().reports:
+            self.found.note(
+                "no 0x0803 came: without the software bus's counters, only events show losses inside cFS"
+            )
+        if self.plan.by_size:
+            for text in _size_notes(self.plan):
+                self.found.note(text)
+
+
+def _size_notes(plan: SweepPlan) -> Iterator[str]:
+    """Yield what a sweep of sizes does not see: what the bridge that it replaces does with them."""
+    first, last = plan.sizes
+    if plan.to_cfs:
+        if plan.route.link.peers:
+            yield "messages of an SBN peer are not echoed: a cut in them would not be seen"
+        return
+    if not plan.route.link.peers:
+        if last > BRIDGE_BUFFER:
+            yield (
+                f"the ground bridge receives into {BRIDGE_BUFFER:,} bytes: longer messages arrive here, but "
+                "are garbage there"
+            )
+        return
+    # A datagram is dropped if its length in a byte is shorter than its SBN header.
+    header = sbn.HEADER.size
+    window = -(-(first + 1) // BRIDGE_LENGTH_MODULUS) * BRIDGE_LENGTH_MODULUS
+    if window - header <= last:
+        yield (
+            f"the flight bridge keeps lengths in one byte: it drops packets of {window - header:,} to "
+            f"{window - 1:,} bytes, and so again every {BRIDGE_LENGTH_MODULUS}; here they arrive"
+        )
+    if last + header > FLIGHT_BRIDGE_BUFFER:
+        yield (
+            f"the flight bridge receives into {FLIGHT_BRIDGE_BUFFER:,} bytes, SBN header included: longer "
+            "messages arrive here, but are cut there"
+        )
+
+
+def _nothing_came(session: SbnConnection, local: Endpoint, seconds: float) -> str:
+    return (
+        f"SBN peer {session.answered} sent none of the messages that {session.own} at {local} subscribed "
+        f"to, within {seconds:.1f} s; usually its peer table has another identity for UDP {local.port}: "
+        "set --as SC:CPU as in the table"
+    )

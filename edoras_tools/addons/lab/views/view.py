@@ -1,0 +1,257 @@
+"""A demo while it runs, and its result: messages sent and arrived, latency, where the robots are."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from rich.console import Console, Group, RenderableType
+from rich.text import Text
+
+from edoras_tools.addons.lab.views.picture import COLOURS, draw_tracks, joints
+from edoras_tools.render import units
+from edoras_tools.render.bridge.bridge import losses as bridge_losses
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.live_table import LiveTable, Moment
+from edoras_tools.render.terminal.run import size_of
+from edoras_tools.render.terminal.table import Column, build, count_cell, figure, one_line, plain
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+
+_EVENTS: Final = 3
+_PICTURE: Final = (76, 9)
+_LEGS: Final = ("commands", "states")
+
+
+class _Demo(Protocol):
+    """A demo under way."""
+
+    @property
+    def tracks(self) -> Sequence[Sequence[tuple[float, float]]]:
+        """Where each rover was."""
+        ...
+
+    @property
+    def last_events(self) -> Sequence[str]:
+        """The last events of cFS."""
+        ...
+
+    def summary(self) -> Mapping[str, Any]:
+        """Return what there is so far, in the shape of ``demo SCENARIO --json``."""
+        ...
+
+
+def live_table(console: Console, output: Path) -> LiveTable[_Demo]:
+    """Return the view of a demo while it runs."""
+    return LiveTable(_show, _counts, console, output)
+
+
+def _counts(summary: Mapping[str, Any]) -> dict[object, int]:
+    return {
+        (robot["robot"], leg, name): robot[leg][name]
+        for robot in summary["robots"]
+        for leg in _LEGS
+        for name in ("said", "arrived")
+    }
+
+
+def _show(demo: _Demo, moment: Moment) -> Group:
+    return Group(
+        *_view(moment, demo.tracks),
+        Text(),
+        *(one_line(plain(line, palette.DIM)) for line in list(demo.last_events)[-_EVENTS:]),
+        one_line(Text(beside(moment.summary), palette.DIM)),
+        Text("Ctrl-C ends", palette.DIM),
+    )
+
+
+def outcome(
+    summary: Mapping[str, Any],
+    lines: Sequence[Sequence[tuple[float, float]]],
+    width: int,
+    output: Path,
+) -> Group:
+    """Return the result of a demo.
+
+    Args:
+        summary: in the shape of ``demo SCENARIO --json``.
+        lines: where each rover was.
+    """
+    facts = [one_line(plain(line)) for line in (*moved(summary), *loss_lines(summary))]
+    return Group(
+        *_view(Moment(summary, written=size_of(output), width=width), lines),
+        Text(),
+        *facts,
+        Text(),
+        *(one_line(plain(line)) for line in hints(summary)),
+    )
+
+
+def moved(summary: Mapping[str, Any]) -> list[str]:
+    """Return a line for each robot: its commands and how far it moved."""
+    found = []
+    for robot in summary["robots"]:
+        commands, place = robot["commands"], robot["place"]
+        by = f"{plural(commands['said'], 'command')} of the ground station"
+        if commands["others_said"]:
+            by += f", {commands['others_said']:,} of other nodes"
+        reached = commands["arrived"] + commands["of_others"]
+        line = f"{robot['robot']}: {by}; {reached:,} reached it"
+        if len(place) == 3:
+            line += f"; it drove {robot['way']:.1f} m, to x {place[0]:.2f}, y {place[1]:.2f}"
+        elif place:
+            line += f"; its joints turned {robot['way']:.1f} rad together"
+        else:
+            line += "; no state of it arrived"
+        found.append(line)
+    return found
+
+
+def loss_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return what did not arrive and why, a line each."""
+    found = []
+    for robot in summary["robots"]:
+        for leg in _LEGS:
+            row = robot[leg]
+            name = f"{robot['robot']}: {leg}"
+            found += [
+                f"{name}: {count:,} lost inside cFS: {pipe} takes no more of one MsgId at a time"
+                for pipe, count in row["lost"].items()
+            ]
+            if row["replaced"]:
+                found.append(
+                    f"{name}: {row['replaced']:,} replaced by newer ones: the flight application sends the "
+                    "last on each wake-up"
+                )
+            if row["held"]:
+                found.append(
+                    f"{name}: {row['held']:,} of {row['said']:,} held back by the bridge's rate limit"
+                )
+            gone = sum(row["lost"].values()) + row["refused"] + row["replaced"] + row["held"]
+            missing = row["said"] - gone - row["arrived"]
+            if missing > 0 and not robot["commands"]["others_said"]:
+                found.append(f"{name}: {missing:,} on their way at the end, or from before telemetry was on")
+    return found + bridge_losses(
+        {"bridges": summary["bridges"], "inbox_overflowed": 0, "unrecorded": summary["unrecorded"]}
+    )
+
+
+def beside(summary: Mapping[str, Any]) -> str:
+    """Return the command that shows the same links in another terminal."""
+    ports = summary["ports"]
+    names = {"ci": ports["ci"], "to": ports["to"]} | ({"sbn": ports["sbn"]} if "sbn" in ports else {})
+    return "in another terminal: edoras sniff -i lo " + " ".join(
+        f"--port {name}:{port}" for name, port in names.items()
+    )
+
+
+def hints(summary: Mapping[str, Any]) -> list[str]:
+    """Return what to try next, a line each."""
+    output = summary["output"]
+    return [
+        f"what was lost and why   edoras doctor {output}",
+        f"every packet            edoras sniff -r {output}",
+        f"all in one page         edoras report {output}",
+        f"Foxglove                open {output}, then its layout {summary['layout']}",
+        f"                        or play it there: edoras live {output}",
+    ]
+
+
+def _view(moment: Moment, lines: Sequence[Sequence[tuple[float, float]]]) -> list[RenderableType]:
+    summary, width = moment.summary, moment.width
+    return [
+        _head(summary, moment.written or 0),
+        Text(),
+        _table(summary, width, moment.rates),
+        Text(),
+        *_picture(summary, lines, width),
+    ]
+
+
+def _head(summary: Mapping[str, Any], written: int) -> Text:
+    head = plain(f"demo {summary['demo']}, ROS 2 through {summary['ros']}", palette.STRONG)
+    head.append(f"   {units.duration(summary['seconds'])}", palette.DIM)
+    head.append(f"   {summary['output']}: {plural(summary['recorded'], 'datagram')}", palette.DIM)
+    head.append(f", {units.size(written)}", palette.DIM)
+    if summary["foxglove"]:
+        clients = len(summary["foxglove"]["clients"])
+        head.append(f"   Foxglove {summary['foxglove']['url']}: {plural(clients, 'client')}", palette.DIM)
+    return one_line(head)
+
+
+def _table(summary: Mapping[str, Any], width: int, rates: Mapping[object, float] | None) -> RenderableType:
+    rows = [
+        {
+            **robot[leg],
+            "robot": robot["robot"],
+            "leg": leg,
+            "in": None if rates is None else rates.get((robot["robot"], leg, "said")),
+            "out": None if rates is None else rates.get((robot["robot"], leg, "arrived")),
+        }
+        for leg in _LEGS
+        for robot in summary["robots"]
+    ]
+    columns = [item for item in _COLUMNS if rates is not None or item.title not in {"in Hz", "out Hz"}]
+    return build(columns, rows, width, apart=lambda row: row["leg"])
+
+
+def _picture(
+    summary: Mapping[str, Any], lines: Sequence[Sequence[tuple[float, float]]], width: int
+) -> list[Text]:
+    robots = summary["robots"]
+    if "Twist" in robots[0]["commands"]["type"]:
+        pairs = [(line, robot["place"]) for line, robot in zip(lines, robots, strict=True)]
+        legend = Text("the plane as the ground sees it: ", palette.DIM)
+        for robot, colour in zip(robots, COLOURS, strict=False):
+            legend.append(f"{robot['robot']} ", colour)
+        return [*draw_tracks(pairs, min(width, _PICTURE[0]), _PICTURE[1]), one_line(legend)]
+    return joints([(robot["robot"], robot["place"]) for robot in robots])
+
+
+def _way(row: Mapping[str, Any]) -> Text:
+    return plain(f"{row['from'] or 'the robot'} → {row['to'] or 'the robot'}")
+
+
+def _lost(row: Mapping[str, Any]) -> Text:
+    return count_cell(sum(row["lost"].values()) + row["refused"], Level.ERROR.style)
+
+
+def _arrived(row: Mapping[str, Any]) -> Text:
+    return Text(units.count(row["arrived"] + row["of_others"]), palette.STRONG)
+
+
+def _now(name: str) -> Any:
+    def cell(row: Mapping[str, Any]) -> Text:
+        return Text(units.rate(row[name]).removesuffix(" Hz"), "" if row[name] else palette.DIM)
+
+    return cell
+
+
+def _latency(name: str, percent: str) -> Any:
+    def cell(row: Mapping[str, Any]) -> Text:
+        value = row[name][percent]
+        return Text(units.milliseconds(None if value is None else value / 1000))
+
+    return cell
+
+
+_COLUMNS: Final = (
+    Column("", lambda row: Text(row["leg"], palette.DIM), justify="left", rank=3),
+    Column("Topic", _way, justify="left", elastic=True),
+    Column("Said", figure("said")),
+    Column("in Hz", _now("in"), rank=1),
+    Column("Held", figure("held"), rank=2),
+    Column("Lost", _lost),
+    Column("Replaced", figure("replaced"), rank=2),
+    Column("Arrived", _arrived),
+    Column("out Hz", _now("out"), rank=1),
+    Column("p50", _latency("latency_us", "p50"), rank=1),
+    Column("p99", _latency("latency_us", "p99"), rank=2),
+    Column("added p50", _latency("added_us", "p50"), rank=1),
+    Column("p99 ", _latency("added_us", "p99"), rank=1),
+)
+"""``added`` is the time that everything except cFS took."""

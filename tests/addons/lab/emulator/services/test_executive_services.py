@@ -1,0 +1,126 @@
+"""Applications stop, start and restart by command, as on the console of a real cFS."""
+
+from __future__ import annotations
+
+import pytest
+
+from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire import cfe
+
+
+class Console:
+    """An emulated cFS that gets commands, and what it says after each."""
+
+    def __init__(self):
+        self.simulation = Simulation(scenario="rover", bridges=False)
+        list(self.simulation.run(2 * SECOND))
+
+    def says(self, function_code, payload=b"", wait_ns=8 * SECOND, msg_id=0x1806):
+        simulation = self.simulation
+        before = len(simulation.cfs.console)
+        packet = cfe.emit_command(msg_id, function_code, payload)
+        simulation.feed(simulation.now, simulation.cfs.ci_endpoint, packet)
+        self.sent = list(simulation.run(simulation.now + wait_ns))
+        return [text.partition("66/1/")[2] or text for _, text in list(simulation.cfs.console)[before:]]
+
+
+@pytest.fixture
+def console():
+    return Console()
+
+
+def name(app):
+    return app.encode().ljust(20, b"\0")
+
+
+def start(app, file):
+    return name(app) + name("Main") + file.encode().ljust(64, b"\0") + bytes(8)
+
+
+def test_an_application_stops_and_starts_again(console):
+    assert console.says(5, name("EDORAS_GEN")) == ["CFE_ES 8: Stop Application EDORAS_GEN Completed."]
+    assert "EDORAS_GEN_PIPE" not in console.simulation.cfs.bus.pipes
+    assert console.says(5, name("EDORAS_GEN")) == [
+        "CFE_ES 36: Stop Application EDORAS_GEN, GetAppIDByName failed. RC = 0xC4000002."
+    ]
+    assert console.says(4, start("EDORAS_GEN", "/cf/edoras_gen.so")) == [
+        "EDORAS_GEN 1: EDORAS_GEN initialized, command MID 0x18F0",
+        "CFE_ES 6: Started EDORAS_GEN from /cf/edoras_gen.so, AppID = 1114124",
+    ]
+    assert console.says(4, start("EDORAS_GEN", "/cf/edoras_gen.so")) == [
+        "CFE_ES 26: Failed to start EDORAS_GEN from /cf/edoras_gen.so, RC = 0xC400002E"
+    ]
+    assert console.says(4, start("NEW", "/cf/new.so")) == [
+        "CFE_ES 26: Failed to start NEW from /cf/new.so, RC = 0xC4000009"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("code", "verb", "refused", "unknown"),
+    [(5, "Stop", 35, 36), (6, "Restart", 38, 39), (7, "Reload", 42, 43)],
+)
+def test_what_cannot_end_says_why(console, code, verb, refused, unknown):
+    assert console.says(code, name("CFE_SB"), SECOND) == [
+        f"CFE_ES {refused}: {verb} Application CFE_SB Failed, RC = 0xC4000001"
+    ]
+    assert console.says(code, name("NOBODY"), SECOND) == [
+        f"CFE_ES {unknown}: {verb} Application NOBODY, GetAppIDByName failed. RC = 0xC4000002."
+    ]
+
+
+def test_command_ingest_restarts_and_what_is_in_its_socket_is_lost(console):
+    simulation, simple = console.simulation, cfe.emit_command(0x1884, 0)
+    first = simulation.apps.ci
+    for after_ns in (3 * SECOND, 7 * SECOND):
+        simulation.feed(simulation.now + after_ns, simulation.cfs.ci_endpoint, simple)
+    said = console.says(6, name("CI_LAB_APP"), 9 * SECOND)
+    assert [text for text in said if "CFE_SB 17" not in text] == [
+        "CFE_ES 10: Restart Application CI_LAB_APP Completed, AppID=1114124",
+        "CI_LAB_APP 3: CI Lab Initialized. Emulated",
+        "CI_LAB_APP 5: CI: NOOP command",
+    ]
+    assert simulation.apps.ci is not first
+    assert simulation.apps.ci.socket.ingest_packets == 1
+
+
+def test_telemetry_output_restarts_forgets_its_destination_and_has_another_port(console):
+    enable = cfe.emit_command(0x1880, 6, b"127.0.0.1".ljust(16, b"\0"))
+    simulation = console.simulation
+    simulation.feed(simulation.now, simulation.cfs.ci_endpoint, enable)
+    before = {item.source for item in simulation.run(simulation.now + 3 * SECOND)}
+    console.says(6, name("TO_LAB_APP"), 2 * SECOND)
+    console.says(0, wait_ns=10 * SECOND)
+    assert console.sent == []
+    console.says(6, b"127.0.0.1".ljust(16, b"\0"), 3 * SECOND, msg_id=0x1880)
+    after = {item.source for item in console.sent}
+    assert len(before) == len(after) == 1
+    assert before != after
+
+
+def test_the_processor_restarts(console):
+    assert console.says(2, b"\7\0", SECOND) == ["CFE_ES 24: Invalid cFE restart type: 7"]
+    simulation = console.simulation
+    simulation.cfs.bus.counters.msg_limits = 5
+    told = console.says(2, b"\1\0", 1500 * MILLISECOND)
+    assert told == []
+    told = console.says(0, wait_ns=2 * SECOND)
+    assert any("cFE ES Initialized" in text for text in told)
+    assert any("No-op" in text for text in told) is False  # nobody listened when it came
+    assert simulation.cfs.bus.counters.msg_limits == 0
+    assert simulation.cfs.boots == 2
+    assert any("No-op" in text for text in console.says(0))
+
+
+@pytest.mark.parametrize(
+    ("msg_id", "says"),
+    [
+        (0x1806, "CFE_ES 22: Invalid ground command code: ID = 0x1806, CC = 100"),
+        (0x1801, "CFE_EVS 15: Invalid command code -- ID = 0x00001801, CC = 100"),
+        (0x1803, "CFE_SB 42: Invalid Cmd, Unexpected Command Code 100"),
+        (0x1805, "CFE_TIME 27: Invalid command code -- ID = 0x1805, CC = 100"),
+        (0x1804, "CFE_TBL 51: Invalid command code -- ID = 0x1804, CC = 100"),
+    ],
+)
+def test_a_code_that_a_core_application_does_not_have(console, msg_id, says):
+    assert console.says(100, wait_ns=SECOND, msg_id=msg_id) == [says]

@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import socket
+from dataclasses import replace
+
+import pytest
+from waiting import HOST, PATIENCE_S, free_ports, until
+
+from edoras_tools.addons.lab.emulator import Served, Simulation, serve
+from edoras_tools.cfs.profile import Ports, SimProfile
+from edoras_tools.errors import CaptureError
+from edoras_tools.model import Peer
+from edoras_tools.units import MILLISECOND
+from edoras_tools.wire import cfe, sbn
+
+
+@pytest.fixture
+def profile():
+    """A hasty one: every period of the flight side is twenty times shorter."""
+    fast = 25 * MILLISECOND
+    return SimProfile(
+        ci_wake_ns=fast,
+        to_wake_ns=fast,
+        sbn_wake_ns=fast,
+        housekeeping_ns=2 * fast,
+    ).on(Ports(*free_ports(4)))
+
+
+def test_ground_enables_telemetry_and_is_answered_on_real_sockets(profile):
+    seen = set()
+    with (
+        Served(Simulation(profile, "rover", bridges=False)),
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground,
+    ):
+        ground.bind((HOST, profile.to_port))
+        ground.settimeout(PATIENCE_S)
+        ci = (HOST, profile.ci_port)
+        ground.sendto(cfe.emit_command(0x1880, 6, HOST.encode().ljust(16, b"\0")), ci)
+        ground.recv(2048)
+        ground.sendto(cfe.emit_command(0x1884, 0), ci)
+        ground.sendto(b"short", ci)
+
+        def complete():
+            packet = ground.recv(2048)
+            seen.add(packet[:2].hex())
+            seen.update(word for word in ("NOOP", "dropped") if word.encode() in packet)
+            return seen >= {"0800", "0803", "0827", "NOOP", "dropped"}
+
+        until(complete, lambda: seen)
+
+
+def test_a_peer_subscribes_on_a_real_socket(profile):
+    kinds = set()
+    with (
+        Served(Simulation(profile, "two-rovers", bridges=False)),
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as bridge,
+    ):
+        bridge.bind((HOST, profile.sbn_peers[0].port))
+        bridge.settimeout(PATIENCE_S)
+        wanted = sbn.emit_subscriptions([sbn.Subscription(0x0803)])
+        bridge.sendto(sbn.emit(sbn.MsgType.SUB, Peer(0x42, 3), wanted), (HOST, profile.sbn_port))
+
+        def complete():
+            kinds.add(bridge.recv(2048)[2])
+            return kinds >= {sbn.MsgType.PROTO, sbn.MsgType.SUB, sbn.MsgType.APP}
+
+        until(complete, lambda: kinds)
+
+
+def test_a_demo_runs_on_its_own(profile):
+    simulation = Simulation(profile, "two-rovers", command_rate_hz=20, state_rate_hz=20)
+    with Served(simulation):
+        until(lambda: simulation.ground.received)
+        until(lambda: simulation.apps.sbn.node.peers[Peer(0x42, 3)].connected)
+
+
+def test_it_says_when_it_is_ready_and_ends_after_its_duration(profile):
+    told = []
+    assert serve(Simulation(profile), HOST, duration=0.3, ready=lambda: told.append("ready")) >= 0
+    assert told == ["ready"]
+
+
+def test_a_port_in_use_is_one_clear_line(profile):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind((HOST, profile.ci_port))
+        with pytest.raises(CaptureError) as caught:
+            serve(Simulation(profile, bridges=False), HOST, duration=1)
+        with pytest.raises(CaptureError) as again, Served(Simulation(profile, bridges=False)):
+            pytest.fail("a port in use is not served")
+    assert str(again.value) == str(caught.value)
+    assert str(caught.value) == (
+        f"UDP 127.0.0.1:{profile.ci_port}: cannot be bound: another program has port {profile.ci_port}"
+        " (a bridge?): stop it, or choose another host, as 127.0.0.2"
+    )
+
+
+def test_an_address_that_is_not_the_host_s_is_one_clear_line(profile):
+    with pytest.raises(CaptureError, match=r"UDP 192\.0\.2\.1:\d+: cannot be bound"):
+        serve(Simulation(replace(profile), bridges=False), "192.0.2.1", duration=1)
