@@ -5,13 +5,7 @@ from __future__ import annotations
 from copy import deepcopy
 
 import pytest
-from truth import FOLDER, TRUTHS, Truth, judge
-
-from edoras_tools.decode import Options
-from edoras_tools.io.formats.open import open_file
-from edoras_tools.links import table
-from edoras_tools.pipelines.doctor.doctor import examine
-from edoras_tools.pipelines.workbench import Settings
+from truth import TRUTHS, Truth, diagnosis, judge
 
 FAILS = {
     "q04b_bridge_restarts_subscribes_one": "what a bridge no longer subscribes is not told as lost",
@@ -25,14 +19,6 @@ FAILS = {
 NAMES = [name for name in TRUTHS if name.startswith("season3/")]
 
 
-def result(name):
-    words = TRUTHS[name].options
-    pairs = (word.split(":") for word in words[1::2])
-    options = Options(ports=tuple((table.named(link), int(port)) for link, port in pairs))
-    source = open_file(FOLDER / f"{name}.pcap.zst")
-    return examine(source, Settings(configs=[], options=options).workbench(source.info)).diagnosis.as_json()
-
-
 @pytest.mark.parametrize(
     "name",
     [
@@ -43,7 +29,7 @@ def result(name):
     ],
 )
 def test_what_is_said_is_what_was_counted(name):
-    assert judge(result(name), TRUTHS[name]) == []
+    assert judge(diagnosis(name), TRUTHS[name]) == []
 
 
 ROW = {

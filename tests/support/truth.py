@@ -7,12 +7,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+
+from edoras_tools.decode import Options
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links import table
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.workbench import Settings
 
 FOLDER = Path(__file__).parents[1] / "captures"
 REST = ("lost", "unaccounted", "uncertain", "shared", "superseded", "waiting", "not_captured")
@@ -80,7 +85,7 @@ def judge(result: dict, truth: Truth) -> list[str]:
     """Return what is wrong with ``doctor --json``, of schema 1 or 2; names that are missing count as 0."""
     text = json.dumps(result, ensure_ascii=False)
     return [
-        *_sums(result),
+        *sums(result),
         *_range("whole", result, truth.lost, truth.wide),
         *_rows(result, truth),
         *(f"cause not named: {cause}" for cause in truth.causes if not causes(result)[cause]),
@@ -124,7 +129,8 @@ def _rows(result: dict, truth: Truth) -> list[str]:
     return faults
 
 
-def _sums(result: dict) -> list[str]:
+def sums(result: dict) -> list[str]:
+    """Return the sums that are wrong, of rows and of the whole, and what is negative."""
     faults = []
     for row in result["balance"]:
         name = f"row {row['msg_id']} {row['hop']}"
@@ -142,13 +148,23 @@ def _sums(result: dict) -> list[str]:
     return faults
 
 
+def diagnosed(path: Path, options: tuple[str, ...] = ()) -> dict:
+    """Return what ``edoras doctor --json`` says of a capture without a mission.
+
+    Args:
+        path: of the capture.
+        options: pairs of ``--port`` and ``LINK:PORT``.
+    """
+    ports = [word.split(":") for word in options[1::2]]
+    links = Options(ports=tuple((table.named(link), int(port)) for link, port in ports))
+    with closing(open_file(path)) as source:
+        bench = Settings(configs=[], options=links).workbench(source.info)
+        return examine(source, bench).diagnosis.as_json()
+
+
 def diagnosis(name: str) -> dict:
-    """Return what ``edoras doctor --json`` says of a capture."""
-    program = [str(Path(sys.executable).with_name("edoras")), "doctor", "--json", *TRUTHS[name].options]
-    done = subprocess.run([*program, FOLDER / f"{name}.pcap.zst"], capture_output=True, check=False)
-    if done.returncode not in {0, 3}:
-        raise RuntimeError(f"{name}: exit code {done.returncode}: {done.stderr.decode()[-300:]}")
-    return json.loads(done.stdout)
+    """Return what is said of a capture of the table."""
+    return diagnosed(FOLDER / f"{name}.pcap.zst", TRUTHS[name].options)
 
 
 def main() -> None:
@@ -157,7 +173,7 @@ def main() -> None:
     parser.add_argument("--json-dir", type=Path, help="write what the doctor says here")
     parser.add_argument("names", nargs="*", default=list(TRUTHS), metavar="NAME")
     options = parser.parse_args()
-    with ThreadPoolExecutor(2) as pool:
+    with ProcessPoolExecutor(2) as pool:
         results = dict(zip(options.names, pool.map(diagnosis, options.names), strict=True))
     right = 0
     print(f"{'capture':48}{'truth':>7}{'proven':>8}{'more':>6}  causes; faults")

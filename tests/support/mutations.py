@@ -1,0 +1,142 @@
+"""Changes of a capture that must not move a proven loss above the truth: seeded, on frames of pcap files."""
+
+from __future__ import annotations
+
+import random
+import struct
+from collections.abc import Callable
+from typing import NamedTuple
+
+import zstandard
+
+SECOND = 10**9
+
+
+class Frame(NamedTuple):
+    """One record of a pcap file: capture time in ns, bytes, and the length on the wire."""
+
+    time_ns: int
+    data: bytes
+    length: int
+
+
+Change = Callable[[list[Frame], random.Random], list[Frame]]
+
+
+def frames(path) -> list[Frame]:
+    """Return the records of a little-endian pcap file in microseconds, compressed with zstd."""
+    data, at, out = zstandard.decompress(path.read_bytes()), 24, []
+    assert data[:4] == b"\xd4\xc3\xb2\xa1"
+    while at + 16 <= len(data):
+        seconds, micros, kept, length = struct.unpack_from("<IIII", data, at)
+        out.append(Frame(seconds * SECOND + micros * 1000, data[at + 16 : at + 16 + kept], length))
+        at += 16 + kept
+    return out
+
+
+def write(path, items: list[Frame]):
+    """Write records as a pcap file of Ethernet frames in ns; return the path."""
+    out = [struct.pack("<IHHiIII", 0xA1B23C4D, 2, 4, 0, 0, 262144, 1)]
+    for item in items:
+        head = struct.pack("<IIII", *divmod(item.time_ns, SECOND), len(item.data), item.length)
+        out += head, item.data
+    path.write_bytes(b"".join(out))
+    return path
+
+
+def removed(share: float) -> Change:
+    """Leave out a share of the frames at random."""
+    return lambda items, chance: [item for item in items if chance.random() >= share]
+
+
+def doubled(share: float) -> Change:
+    """Put a share of the frames in twice: same bytes, IP identification and time."""
+    return lambda items, chance: [one for item in items for one in [item] * (1 + (chance.random() < share))]
+
+
+def displaced(within_ns: int = SECOND) -> Change:
+    """Change the order of the records, each by at most so much; times stay."""
+    return lambda items, chance: sorted(items, key=lambda item: item.time_ns + chance.randrange(within_ns))
+
+
+def cut_off(most: int) -> Change:
+    """Keep so many bytes of each frame."""
+    return lambda items, _: [item._replace(data=item.data[:most]) for item in items]
+
+
+def jittered(most_ns: int) -> Change:
+    """Let times be late by a random part of ``most_ns``; the records stay in the order of time."""
+
+    def change(items, chance):
+        moved = [item._replace(time_ns=item.time_ns + chance.randrange(most_ns)) for item in items]
+        return sorted(moved, key=lambda item: item.time_ns)
+
+    return change
+
+
+def stepped(by_ns: int) -> Change:
+    """Set the capture's clock somewhere between a quarter and three quarters of the records."""
+
+    def change(items, chance):
+        place = chance.randrange(len(items) // 4, 3 * len(items) // 4)
+        return [item._replace(time_ns=item.time_ns + by_ns * (at >= place)) for at, item in enumerate(items)]
+
+    return change
+
+
+def part(start: float, end: float) -> Change:
+    """Keep what lies between two shares of the time."""
+
+    def change(items, _):
+        first, last = items[0].time_ns, max(item.time_ns for item in items)
+        edges = first + start * (last - first), first + end * (last - first)
+        return [item for item in items if edges[0] <= item.time_ns <= edges[1]]
+
+    return change
+
+
+def without_middle(start: float, end: float) -> Change:
+    """Leave out what lies between two shares of the time."""
+
+    def change(items, chance):
+        inside = set(map(id, part(start, end)(items, chance)))
+        return [item for item in items if id(item) not in inside]
+
+    return change
+
+
+def without_telemetry(msg_id: int) -> Change:
+    """Leave out one MsgId of telemetry on TO's link, UDP port 1235."""
+
+    def change(items, _):
+        head = struct.pack(">H", msg_id)
+        return [item for item in items if not (item.data[36:38] == b"\x04\xd3" and item.data[42:44] == head)]
+
+    return change
+
+
+CHANGES: dict[str, Change] = {
+    "1 % removed": removed(0.01),
+    "5 % removed": removed(0.05),
+    "30 % removed": removed(0.3),
+    "1 % doubled": doubled(0.01),
+    "5 % doubled": doubled(0.05),
+    "displaced by up to 1 s": displaced(),
+    **{f"cut to {most}": cut_off(most) for most in (64, 80, 96, 112, 128)},
+    "times late by up to 20 ms": jittered(20_000_000),
+    "clock set ahead by 300 s": stepped(300 * SECOND),
+    "clock set back by 300 s": stepped(-300 * SECOND),
+    "the first half": part(0, 0.5),
+    "the second half": part(0.5, 1),
+    "without the middle": without_middle(0.4, 0.6),
+    **{
+        f"without 0x{msg_id:04x}": without_telemetry(msg_id)
+        for msg_id in (0x800, 0x801, 0x803, 0x804, 0x805, 0x808, 0x827, 0x884)
+    },
+}
+"""What is done to a capture, by name."""
+
+
+def changed(items: list[Frame], name: str, seed: int) -> list[Frame]:
+    """Return a capture changed in one way; the same seed gives the same."""
+    return CHANGES[name](items, random.Random(f"{name} {seed}"))
