@@ -60,7 +60,6 @@ ELSEWHERE = {
     "io/net/*": "io/net/test_transmit.py",
     "links/streams/*": "links/test_racs2.py",
     "links/rtps/*": "links/rtps/test_reader.py",
-    "io/shared.py": "pipelines/test_ahead.py",
     "io/topics/*": "io/formats/mcap/test_writer.py",
     "links/*": "decode/test_agreement.py",
     "middleware/names.py": "addons/zenoh/test_identity.py",

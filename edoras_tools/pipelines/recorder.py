@@ -13,19 +13,18 @@ Rules that a recorder keeps:
 
 from __future__ import annotations
 
+import pickle
 import queue
-import select
 import threading
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.forked import await_end, fork, killed, portable, receive, send
 from edoras_tools.io.formats.tee import Tee
 from edoras_tools.io.frames.build import HEADER_BYTES, FramePage
 from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.io.processes import Workers, portable, writer_killed
 from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.flushing import Flushing
 from edoras_tools.pipelines.capture.ledger import Ledger
@@ -33,7 +32,6 @@ from edoras_tools.pipelines.capture.record import Target, open_sink
 from edoras_tools.sessions.sequence import SequenceCounts
 
 if TYPE_CHECKING:
-    import socket
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
@@ -44,6 +42,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.foxglove.sink import FoxgloveSink
     from edoras_tools.io.net.buffer import DatagramBuffer
+    from edoras_tools.io.processes import Desk
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.faults.fault import Fault
 
@@ -176,68 +175,89 @@ class _WriterApart:
 
     def __init__(self, begin: Callable[[], _Writer], path: Path | None) -> None:
         self.recorded = Recorded()
-        self._path = path
-        self._process, self._link = fork(partial(_serve, begin))
+        shows = CaptureError("the process that shows it in Foxglove was killed")
+        service = _Service(begin)
+        self._workers = Workers(
+            1, service.run, writer_killed(path) if path else shows, set_up=service.set_up, tasks=1
+        )
+        self._workers.start()
+        if self._workers.full:
+            raise OSError("no process can be forked")
         try:
-            self._answer()
+            self._run("begin")
         except EdorasError:
-            self._end()
+            self._workers.close()
             raise
 
     def look(self) -> None:
         """Do nothing: the other process flushes in time."""
 
     def write(self, page: _Page) -> None:
-        self._answer("write", page)
+        self._run("write", pickle.PickleBuffer(pickle.dumps(page, protocol=5)))
 
     def close(self, kernel_drops: int) -> None:
         try:
-            self._answer("close", kernel_drops)
+            self._run("close", kernel_drops)
         finally:
-            self._end()
+            self._workers.close()
 
-    def _answer(self, *request: Any) -> None:
-        """Send a request, if any, and wait until it is done."""
-        try:
-            if request:
-                send(self._link, request)
-            failure, recorded = receive(self._link)
-        except (OSError, EOFError):
-            shows = CaptureError("the process that shows it in Foxglove was killed")
-            failure, recorded = killed(self._path) if self._path else shows, None
+    def _run(self, name: str, *values: Any) -> None:
+        """Let the other process do something, and wait until it is done."""
+        self._workers.submit(name, *values)
+        failure, recorded = self._workers.take()
         self.recorded = recorded or self.recorded
         if failure is not None:
             raise failure
 
-    def _end(self) -> None:
-        self._link.close()
-        await_end(self._process)
 
+class _Service:
+    """A writer in the forked process: flushes in time; after a failure it writes nothing, and repeats it."""
 
-def _serve(begin: Callable[[], _Writer], link: socket.socket) -> None:
-    """Write in the forked process until it is asked to close, or the other process has ended."""
-    writer: _Writer | None = None
-    failure: Exception | None = None
-    kind, values = "begin", list[Any]()
-    while True:
+    def __init__(self, begin: Callable[[], _Writer]) -> None:
+        self._begin = begin
+        self._writer: _Writer | None = None
+        self._failure: Exception | None = None
+
+    def set_up(self, desk: Desk) -> None:
+        desk.idle, desk.end = self._flush, self._close
+
+    def run(self, name: str, *values: Any) -> tuple[Exception | None, Recorded | None]:
+        if name == "close":
+            return self._close(*values)
+        self._attempt(self._open if name == "begin" else self._write, *values)
+        return self._failure, None
+
+    def _open(self) -> None:
+        self._writer = self._begin()
+
+    def _write(self, page: bytes) -> None:
+        assert self._writer is not None
+        self._writer.write(pickle.loads(page))  # noqa: S301  from our own process
+
+    def _flush(self) -> float | None:
+        if self._writer is None:
+            return None
+        self._attempt(self._writer.look)
+        return None if self._failure else self._writer.wait_s
+
+    def _close(self, kernel_drops: int = 0) -> tuple[Exception | None, Recorded | None]:
+        """Complete the recording, once; also where the other process ended without asking for it."""
+        writer, self._writer = self._writer, None
+        if writer is None:
+            return self._failure, None
         try:
-            if writer is None:
-                writer = begin()
-            elif kind == "close" or failure is None:
-                getattr(writer, kind)(*values)
+            writer.close(kernel_drops)
         except Exception as error:  # noqa: BLE001  the caller in the other process gets it
-            failure = failure or portable(error)
-        if kind != "look":
-            with suppress(OSError):  # the other process has ended: the next read shows it
-                send(link, (failure, writer.recorded if writer and kind == "close" else None))
-        if kind == "close" or writer is None:
-            return
-        kind, values = "look", []
-        if select.select([link], [], [], None if failure else writer.wait_s)[0]:
+            self._failure = self._failure or portable(error)
+        return self._failure, writer.recorded
+
+    def _attempt(self, work: Callable[..., None], *values: Any) -> None:
+        """Do something unless something failed before, and keep the failure."""
+        if self._failure is None:
             try:
-                kind, *values = receive(link)
-            except (OSError, EOFError):
-                kind, values = "close", [0]
+                work(*values)
+            except Exception as error:  # noqa: BLE001  the caller in the other process gets it
+                self._failure = portable(error)
 
 
 def _writer_apart(begin: Callable[[], _Writer], path: Path | None) -> _Writer | _WriterApart:

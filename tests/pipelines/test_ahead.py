@@ -18,6 +18,7 @@ from rewriting import datagrams, write
 
 from edoras_tools.decode.columns import Begun
 from edoras_tools.errors import CaptureError
+from edoras_tools.io import processes
 from edoras_tools.io.formats import stream
 from edoras_tools.model import Columns, PacketBatch
 from edoras_tools.pipelines import ahead as module
@@ -67,16 +68,16 @@ def test_info_is_the_same_with_any_number_of_processes(path):
 @settings(max_examples=10)
 @given(
     window=st.integers(6_000, 200_000),
-    slots=st.integers(1, 5),
-    rooms=st.integers(0, 2),
+    batches=st.integers(1, 6),
     room=st.sampled_from([1 << 10, 40 << 10, 9 << 20]),
     slot=st.sampled_from([1 << 10, 100 << 10, 32 << 20]),
 )
-def test_batches_are_the_same_however_they_are_cut(window, slots, rooms, room, slot):
+def test_batches_are_the_same_however_they_are_cut(window, batches, room, slot):
     path = ROOT / "samples/captures/a_rover.pcap"
     with (
         patch.multiple(stream, FIRST=window, _SECOND_WINDOW=window, SLICE=window),
-        patch.multiple(module, _SLOTS=slots, _ROOMS=slots + 1 + rooms, ROOM_BYTES=room, SLOT_BYTES=slot),
+        patch.multiple(module, _BATCHES=batches),
+        patch.multiple(processes, ROOM_BYTES=room, SLOT_BYTES=slot),
     ):
         here, there = open_files([path]), open_files([path])
         decoder = Settings().workbench(here.info).columns
@@ -97,12 +98,12 @@ def test_batches_are_the_same_however_they_are_cut(window, slots, rooms, room, s
 @pytest.mark.parametrize("here", ["all", "none", "every third"])
 def test_whoever_decodes_a_batch_reads_the_same(path, here, monkeypatch):
     count = iter(range(1 << 20))
-    taken = {
-        "all": lambda reader: reader._given,
-        "none": lambda reader: reader._given - 2,
-        "every third": lambda reader: reader._given - 2 * (next(count) % 3 > 0),
+    awaited = {
+        "all": lambda _: True,
+        "none": lambda _: False,
+        "every third": lambda _: next(count) % 3 == 0,
     }
-    monkeypatch.setattr(module._Reader, "_taken_now", taken[here])
+    monkeypatch.setattr(processes.Desk, "awaited", property(awaited[here]))
     one, two = (open_files([path]) for _ in range(2))
     decoder, other = (Settings().workbench(one.info).columns for _ in range(2))
     ahead = Ahead(two, other)
@@ -165,22 +166,22 @@ def test_what_is_not_wanted_is_not_waited_for():
 
 
 def test_what_selects_is_asked_in_one_process(monkeypatch):
-    monkeypatch.setattr("edoras_tools.pipelines.ahead.fork", None)
+    monkeypatch.setattr("edoras_tools.io.processes.fork", None)
     report = looked_at(CAPTURES / "a_rover.pcap", 2, selection=Selection(where="link == to"))
     assert 0 < report.ledger.datagrams < 1827
 
 
 def test_one_that_is_killed_is_told_and_what_came_before_is_counted(monkeypatch):
     here, given = os.getpid(), []
-    decode = module._Reader._hand_over
+    decode = module._Reader._decode
 
     def killed(self, batch):
         given.append(batch)
         if len(given) > 3 and os.getpid() != here:
             os.kill(os.getpid(), signal.SIGKILL)
-        decode(self, batch)
+        return decode(self, batch)
 
-    monkeypatch.setattr(module._Reader, "_hand_over", killed)
+    monkeypatch.setattr(module._Reader, "_decode", killed)
     report = looked_at(CAPTURES / "a_rover.pcap", 2)
     assert isinstance(report.failure, CaptureError)
     assert "a_rover.pcap: the process that read it was killed, perhaps" in str(report.failure)

@@ -17,7 +17,7 @@ from edoras_tools.model import Endpoint
 from edoras_tools.pipelines import recorder as relay_recorder
 from edoras_tools.pipelines.capture.record import Target
 from edoras_tools.pipelines.proxy.plan import as_relayed
-from edoras_tools.pipelines.recorder import RelayRecorder
+from edoras_tools.pipelines.recorder import Recorded, RelayRecorder
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe
@@ -131,7 +131,7 @@ def test_a_recording_that_fails_is_told_and_the_relay_goes_on(ends, tmp_path, mo
 def test_a_second_process_that_is_killed_is_told_and_the_relay_goes_on(ends, tmp_path):
     target = ends.port()
     proxy = ends.proxy(target, recorder=recorder(tmp_path / "a.mcap", [target], apart=True))
-    os.kill(proxy.recorder._writer._process, signal.SIGKILL)
+    os.kill(proxy.recorder._writer._workers.processes[0], signal.SIGKILL)
     client = ends.client(proxy)
     for _ in range(2):
         client.send(b"x" * 8)
@@ -147,4 +147,30 @@ def test_what_a_second_process_cannot_write_is_told_at_once(ends, tmp_path):
     before = children()
     with pytest.raises(CaptureError, match="cannot be created"):
         ends.proxy(ends.port(), recorder=recorder(tmp_path / "file" / "a.mcap", [ends.port()], apart=True))
+    assert children() <= before
+
+
+def test_a_second_process_that_cannot_flush_writes_no_more_and_closes(tmp_path):
+    class Full:
+        wait_s, recorded = 0.01, Recorded(7)
+
+        def look(self):
+            (tmp_path / "look").touch()
+            raise CaptureError("a.mcap: no space left")
+
+        def write(self, _):
+            (tmp_path / "write").touch()
+
+        def close(self, kernel_drops):
+            (tmp_path / "close").write_text(str(kernel_drops))
+
+    before = children()
+    writer = relay_recorder._WriterApart(Full, tmp_path / "a.mcap")
+    until((tmp_path / "look").exists)
+    for work in (lambda: writer.write(relay_recorder._Page()), lambda: writer.close(3)):
+        with pytest.raises(CaptureError, match=r"^a.mcap: no space left$"):
+            work()
+    assert writer.recorded == Recorded(7)
+    assert (tmp_path / "close").read_text() == "3"
+    assert not (tmp_path / "write").exists()
     assert children() <= before

@@ -24,7 +24,7 @@ from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.records import RecordSource
-from edoras_tools.io.workers import Workers
+from edoras_tools.io.processes import Workers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -17,11 +17,11 @@ from edoras_tools.errors import CaptureError, EdorasError, InterruptError
 from edoras_tools.io.formats.merge import recorded_faults
 from edoras_tools.io.formats.open import is_cfe_file
 from edoras_tools.io.formats.records import RecordSource
+from edoras_tools.io.processes import InOrder, Workers
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import APART, DATAGRAMS_TOPIC
 from edoras_tools.io.topics.rows import RECORD_BYTES, Messages, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, PreparedBatch, Streams, Topic
-from edoras_tools.io.workers import InOrder, Workers
 from edoras_tools.mission.report import printable
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.pipelines.capture.ledger import LONGEST_NOTE
@@ -180,7 +180,7 @@ class TopicSource(ABC):
                 if loop.begin_ns is not None:
                     self.zero_ns, self.last_ns = loop.begin_ns, loop.last_ns
                 if len(rows):
-                    made.add(*given(*rows.alone()), here=source.statistics.ended)
+                    made.add(*given(*rows.alone()), alone=source.statistics.ended)
                     yield from chain.from_iterable(made.results(_MOST_MADE))
             yield from chain.from_iterable(made.results(0))
             self.failure = loop.failure

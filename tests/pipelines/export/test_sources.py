@@ -13,7 +13,7 @@ from rtps import CAPTURES as DDS
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats import stream
 from edoras_tools.io.formats.columns import TableFile
-from edoras_tools.io.workers import Workers
+from edoras_tools.io.processes import Workers
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export import run
@@ -115,7 +115,7 @@ def test_a_process_that_was_killed_leaves_nothing(tmp_path, monkeypatch):
 
     def started(self):
         start(self)
-        os.kill(self._processes[0], signal.SIGKILL)
+        os.kill(self.processes[0], signal.SIGKILL)
 
     monkeypatch.setattr(Workers, "start", started)
     with pytest.raises(CaptureError, match=r"a process that made its tables was killed.*--jobs 1"):

@@ -24,8 +24,8 @@ import zstandard
 
 from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks, pack_chunks
 from edoras_tools.io.formats.mcap.index import MessageIndex
+from edoras_tools.io.processes import InOrder, Workers
 from edoras_tools.io.topics.rows import Messages, within_rows
-from edoras_tools.io.workers import InOrder, Workers
 from edoras_tools.wire.arrays.window import copy_rows, put_rows, spill_rows
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ class ChunkWriter:
         if self._press.used:
             self.flush()
         self._put_made()
-        self._made.add(*batch, here=last)
+        self._made.add(*batch, alone=last)
         self._put_made(_MOST_MADE)
 
     def flush(self) -> None:

@@ -11,10 +11,10 @@ import numpy as np
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.forked import killed
 from edoras_tools.io.formats.mcap.chunks import ChunkPress, ChunkWriter
 from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
 from edoras_tools.io.formats.split import RecordingOptions, part_path
+from edoras_tools.io.processes import Workers, writer_killed
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.recorded import RecordedStreams
@@ -26,7 +26,6 @@ from edoras_tools.io.topics.streams import (
     Streams,
     Topic,
 )
-from edoras_tools.io.workers import Workers
 from edoras_tools.model import Finding
 
 if TYPE_CHECKING:
@@ -132,7 +131,7 @@ class McapSink:
         if options.jobs > 1 and not options.split_bytes:
             with suppress(OSError):  # without them it takes longer
                 self._workers = Workers(
-                    options.jobs - 1, self._packed, killed(self._path), yields=options.yields
+                    options.jobs - 1, self._packed, writer_killed(self._path), yields=options.yields
                 )
                 self._chunks = self._chunk_writer()
 

@@ -1,16 +1,23 @@
-"""Processes that work on batches: results in order, failures told, nothing read that was written over."""
+"""Forked processes: results in order, failures told, nothing read that was written over."""
 
+import fcntl
 import os
+import pickle
 import signal
+import socket
+import struct
 import subprocess
 import sys
+import termios
 import threading
 import time
+from collections import deque
 from contextlib import closing
 from functools import cache
 from itertools import cycle, pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -23,21 +30,20 @@ from waiting import until
 
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.errors import CaptureError, WireError
-from edoras_tools.io import forked
-from edoras_tools.io import workers as module
+from edoras_tools.io import processes as module
 from edoras_tools.io.formats import stream
 from edoras_tools.io.formats.mcap import writer
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.split import RecordingOptions
-from edoras_tools.io.workers import Workers
+from edoras_tools.io.processes import Workers, receive, send, writer_killed
 from edoras_tools.mission import Mission
 from edoras_tools.model import SourceStatistics
 from edoras_tools.pipelines.workbench import Settings
 
 # From Python 3.12 on forking beside threads, such as those of pytest-xdist, is warned of.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
-GONE = forked.killed("a.mcap")
+GONE = writer_killed("a.mcap")
 KILLED = "the process that wrote it was killed; `edoras recover"
 
 
@@ -146,9 +152,9 @@ def test_a_process_that_was_killed(started, early):
     if not early:
         workers.submit(1, 60)
         workers.submit(1)
-    os.kill(workers._processes[0], signal.SIGKILL)
+    os.kill(workers.processes[0], signal.SIGKILL)
     if early:
-        os.waitid(os.P_PID, workers._processes[0], os.WEXITED | os.WNOWAIT)
+        os.waitid(os.P_PID, workers.processes[0], os.WEXITED | os.WNOWAIT)
         workers.submit(workers.lend(10))
     for _ in range(5):
         workers.lend(10)  # a source that borrows is not told
@@ -157,15 +163,103 @@ def test_a_process_that_was_killed(started, early):
             workers.take()
 
 
+@settings(max_examples=15)
+@given(
+    count=st.integers(1, 2),
+    tasks=st.integers(1, 4),
+    room=st.sampled_from([64, 4096]),
+    slot=st.sampled_from([64, 4096]),
+    steps=st.lists(st.tuples(st.booleans(), st.integers(0, 300), st.booleans()), max_size=40),
+)
+def test_each_answer_is_that_of_its_task(count, tasks, room, slot, steps):
+    """Whatever is lent, too large for a room or a slot, or taken late."""
+    with patch.multiple(module, ROOM_BYTES=room, SLOT_BYTES=slot):
+        workers, expected = Workers(count, lambda data: data[::-1].copy(), GONE, tasks=tasks), deque()
+        with closing(workers):
+            workers.start()
+            for number, (lends, size, takes) in enumerate(steps):
+                while workers.full or (takes and workers.waiting):
+                    assert workers.take().tolist() == expected.popleft()
+                data = workers.lend(size) if lends else np.empty(size, np.uint8)
+                data[:] = (np.arange(size) + number) % 251
+                expected.append(data[::-1].tolist())
+                workers.submit(data)
+            while workers.waiting:
+                assert workers.take().tolist() == expected.popleft()
+        assert not expected
+
+
+@settings(max_examples=15)
+@given(
+    tasks=st.integers(1, 4),
+    room=st.sampled_from([64, 4096]),
+    sizes=st.lists(st.integers(1, 300), min_size=1, max_size=30),
+    late=st.sets(st.integers(0, 29)),
+)
+def test_what_a_process_reads_into_lent_memory_stays_until_the_next_task(tasks, room, sizes, late):
+    """Each answer is where it was read, and shows the one before beside it."""
+
+    class Reader:
+        def set_up(self, desk):
+            self.desk, self.number = desk, 0
+
+        def next(self):
+            data = self.desk.lend(sizes[self.number])
+            data[:] = self.number % 251
+            self.number = (self.number + 1) % len(sizes)
+            return data, self.desk.awaited
+
+    reader = Reader()
+    with patch.multiple(module, ROOM_BYTES=room, SLOT_BYTES=1 << 12):
+        workers = Workers(1, reader.next, GONE, set_up=reader.set_up, tasks=tasks)
+        with closing(workers):
+            workers.start()
+            for number, size in enumerate(sizes):
+                while not workers.full:
+                    workers.submit()
+                if number in late:
+                    until(lambda: workers.ready)
+                data, awaited = workers.take()
+                assert data.tolist() == [number % 251] * size
+                assert awaited in {True, False}
+                lent = np.shares_memory(data, workers._memory._bytes[: workers._memory._rooms_end])
+                assert lent == (size <= room)
+
+
+def test_a_process_does_what_is_due_while_it_waits_and_at_the_end(tmp_path):
+    class Keeper:
+        def set_up(self, desk):
+            self.idle_count = 0
+            desk.idle, desk.end = self.idle, (tmp_path / "end").touch
+
+        def idle(self):
+            self.idle_count += 1
+            (tmp_path / f"idle_{self.idle_count}").touch()
+            return 0.01 if self.idle_count < 5 else None
+
+        def count(self):
+            return self.idle_count
+
+    keeper = Keeper()
+    with closing(Workers(1, keeper.count, GONE, set_up=keeper.set_up, tasks=1)) as workers:
+        workers.start()
+        until((tmp_path / "idle_5").exists)
+        workers.submit()
+        assert workers.take() == 5
+        until((tmp_path / "idle_6").exists)
+        assert not (tmp_path / "end").exists()
+    assert (tmp_path / "end").exists()
+
+
 def test_they_go_with_the_one_that_started_them():
     code = f"""
 import sys, time
 sys.path[:0] = {[str(Path(__file__).parents[up] / name) for up, name in ((0, "."), (1, "support"))]!r}
-from test_workers import GONE, Workers, twice
+from test_processes import GONE, Workers, twice
 workers = Workers(2, twice, GONE)
 workers.start()
 workers.submit(1, 60)
-print(*workers._processes, flush=True)
+print(*workers.processes, flush=True)
 time.sleep(60)
 """
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as starter:
@@ -183,7 +277,7 @@ def test_ctrl_c_is_heeded_by_the_one_that_asks(started, tmp_path):
     workers = started(lambda path: until(path.exists))
     workers.submit(tmp_path / "go on")
     for number in (signal.SIGINT, signal.SIGTERM):
-        os.kill(workers._processes[0], number)
+        os.kill(workers.processes[0], number)
 
     def interrupted():
         threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
@@ -215,7 +309,7 @@ def test_files_of_the_one_that_started_them_are_not_kept_open(started):
 
 
 def test_where_no_process_can_be_had(monkeypatch):
-    monkeypatch.setattr(forked.sys, "platform", "darwin")
+    monkeypatch.setattr(module.sys, "platform", "darwin")
     workers = Workers(1, twice, GONE)
     workers.start()
     assert workers.full
@@ -307,7 +401,7 @@ def test_a_recording_whose_worker_was_killed_says_how_to_repair_it(
     sink = McapSink(path, mission, types, info, RecordingOptions(jobs=2))
     sink.write(*made_up(7, [100] * 300))
     sink.flush()
-    os.kill(sink._workers._processes[0], signal.SIGKILL)
+    os.kill(sink._workers.processes[0], signal.SIGKILL)
 
     def go_on():
         sink.write(*made_up(7, [100] * 300))
@@ -334,7 +428,7 @@ def test_processors_are_left_to_others(monkeypatch, yields, works, spare, crowde
     monkeypatch.setattr(module, "spare_processors", lambda: spare)
     with closing(Workers(1, twice, GONE, yields=yields)) as workers:
         workers.start()
-        (process,) = workers._processes
+        (process,) = workers.processes
         os.kill(process, signal.SIGSTOP)  # so that it is not done too soon
         if works:
             workers.submit(1)
@@ -374,3 +468,51 @@ def test_a_recording_is_the_same_whether_it_yields(tmp_path, monkeypatch, spare)
     assert count > 10
     assert (len(given) > 1) == (max(spare) > 0)
     assert len(given) <= count - (min(spare) < 0)
+
+
+def unread(link):
+    return struct.unpack("i", fcntl.ioctl(link, termios.TIOCOUTQ, bytes(4)))[0]
+
+
+@pytest.mark.parametrize("first", [3, 8, 500])
+def test_a_value_that_a_signal_divides_is_whole(first):
+    """As where the process is stopped and goes on: what came until then is returned at once."""
+    here, there = socket.socketpair()
+    value = list(range(1000))
+    data = pickle.dumps(value, protocol=5)
+    data = len(data).to_bytes(8, "big") + data
+    handled, main = threading.Event(), threading.get_ident()
+
+    def sender():
+        there.sendall(data[:first])
+        until(lambda: not unread(there), "the first part is taken")
+        signal.pthread_kill(main, signal.SIGUSR1)
+        assert handled.wait(20)
+        there.sendall(data[first:])
+
+    before = signal.signal(signal.SIGUSR1, lambda *_: handled.set())
+    thread = threading.Thread(target=sender)
+    try:
+        with here, there:
+            thread.start()
+            found = receive(here)
+            thread.join()
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+    assert handled.is_set()
+    assert found == value
+
+
+@pytest.mark.parametrize("kept", [0, 5, 8, 20])
+def test_one_that_ends_early_is_told(kept):
+    here, there = socket.socketpair()
+    with here:
+        with there:
+            send(there, "a value")
+        data = here.recv(100)
+    here, there = socket.socketpair()
+    with here:
+        with there:
+            there.sendall(data[:kept])
+        with pytest.raises(EOFError):
+            receive(here)
