@@ -13,7 +13,11 @@ from typer.testing import CliRunner
 from edoras_tools import addons, doors
 from edoras_tools.addons import Addon, ListedCommand
 from edoras_tools.cli import main
+from edoras_tools.diagnosis.rules import RULES, rules
 from edoras_tools.errors import ConfigError
+from edoras_tools.io.formats.table import installed_formats
+from edoras_tools.middleware.opening import middleware
+from edoras_tools.structs.files import parse_layout
 
 GONE = Addon(
     "gone",
@@ -26,6 +30,16 @@ def hello(times: int = 1) -> None:
     print("hello " * times)
 
 VALUE = 7
+
+def quiet(case):
+    yield from ()
+
+def read(data, name):
+    return parse_layout(data.removeprefix(b"MODEM "), name)
+
+from edoras_tools.structs.databases import Database
+from edoras_tools.structs.files import parse_layout
+FILES = Database(lambda data: data.startswith(b"MODEM "), read)
 """
 
 
@@ -152,3 +166,42 @@ except SystemExit:
     )
     names = json.loads(done.stderr.splitlines()[-1])
     assert any(str(folder) in name for name in names) == opened
+
+
+def test_a_package_adds_a_rule_which_runs_last(package):
+    package(rules="quiet_modem = modem_tools:quiet")
+    assert [*rules()] == [*RULES, "quiet_modem"]
+    assert list(rules()["quiet_modem"](None)) == []
+
+
+def test_a_rule_whose_name_is_taken_is_refused(package):
+    package(rules="not_cfs = modem_tools:quiet")
+    with pytest.raises(
+        ConfigError, match="rule 'not_cfs' of the installed package modem-tools: another rule"
+    ):
+        rules()
+
+
+LAYOUT = b"structs: {S: {members: {a: uint8}}}\nbind: {0x0801: S}\n"
+
+
+def test_a_package_reads_other_files_of_layouts(package):
+    with pytest.raises(ConfigError, match="is not YAML|no 'structs'"):
+        parse_layout(b"MODEM " + LAYOUT, "x.modem")
+    package(databases="modem = modem_tools:FILES")
+    assert parse_layout(b"MODEM " + LAYOUT, "x.modem").structs == parse_layout(LAYOUT, "x").structs
+
+
+@pytest.mark.parametrize(
+    ("group", "ask"), [("databases", lambda: parse_layout(LAYOUT, "x")), ("formats", installed_formats)]
+)
+def test_what_is_not_of_its_kind_is_refused(package, group, ask):
+    package(**{group: "modem = modem_tools:VALUE"})
+    with pytest.raises(ConfigError, match="of the installed package modem-tools: .* is not an object of"):
+        ask()
+
+
+def test_a_middleware_that_is_none_is_refused(package):
+    package(middleware="modem = modem_tools:VALUE")
+    with pytest.raises(ConfigError, match="of the installed package modem-tools: .* is not an object of"):
+        middleware("modem")

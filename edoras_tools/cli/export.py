@@ -17,7 +17,7 @@ from edoras_tools.cli.endings import topics_read
 from edoras_tools.cli.inputs import FileOptions
 from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.errors import ConfigError
-from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, TimeForm
+from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, TimeForm, written_as
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,7 +27,7 @@ _FORMATS = ", ".join(item.suffix[1:] for item in TABLE_FORMATS)
 
 def table_format(text: str) -> str:
     """Read the name of a table's format."""
-    if f".{text}" not in [item.suffix for item in TABLE_FORMATS]:
+    if written_as(Path(f"x.{text}"), table=True) is None:
         raise typer.BadParameter(f"{text!r} is not a table format; use {_FORMATS}")
     return text
 

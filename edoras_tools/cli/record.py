@@ -35,7 +35,7 @@ _FORMATS = ", ".join(suffix[1:] for suffix in FILE_SUFFIXES)
 
 def stream_format(text: str) -> str:
     """Read the name of a recording's format."""
-    if f".{text}" not in FILE_SUFFIXES:
+    if written_as(Path(f"x.{text}")) is None:
         raise typer.BadParameter(f"{text!r} is not a format of recordings; use {_FORMATS}")
     return text
 

@@ -34,9 +34,9 @@ def trigger(text: str) -> tuple[str, str]:
     if kind == "where":
         options.where(rest)
     elif kind == "rule":
-        from edoras_tools.diagnosis.rules import RULES
+        from edoras_tools.diagnosis.rules import rules
 
-        known = list(RULES)
+        known = list(rules())
     else:
         from edoras_tools.model import Finding
 

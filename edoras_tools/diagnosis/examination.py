@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.chains import Chain, chains
 from edoras_tools.diagnosis.evidence.relays.proxied import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.missing import Missing, missing
-from edoras_tools.diagnosis.rules import OTHERS, RULES, SINGLE
+from edoras_tools.diagnosis.rules import OTHERS, SINGLE, rules
 from edoras_tools.diagnosis.rules.capture import too_many
 from edoras_tools.diagnosis.samples import lost_samples, sample_rows
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, WHOLE, Choice, Severity, Verdict
@@ -251,20 +251,21 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
     """
     if not len(case.rows):
         return [_told(case, rule.__name__, verdict) for rule in OTHERS for verdict in rule(case)]
+    every = rules()
     found: dict[str, list[Verdict]] = {}
-    for name in (name for name in RULES if name in SINGLE):
-        progress(len(found), len(RULES))
-        found[name] = [_told(case, name, verdict) for verdict in RULES[name](case)]
+    for name in (name for name in every if name in SINGLE):
+        progress(len(found), len(every))
+        found[name] = [_told(case, name, verdict) for verdict in every[name](case)]
     for item in (item for members in found.values() for item in members if item.lost):
         figures = item.start_ns, item.end_ns, item.lost or 0, item.of
         case.refused.append(Refused(item.rule, item.link, item.msg_id, item.hop, *figures))
     left = iter(map(case.commands.refusals, case.refused))
     for members in found.values():
         members[:] = [_lost_here(item, next(left)) if item.lost else item for item in members]
-    for name, rule in RULES.items():
+    for name, rule in every.items():
         if name not in found:
             found[name] = [_told(case, name, verdict) for verdict in rule(case)]
-            progress(len(found), len(RULES))
+            progress(len(found), len(every))
         case.verdicts += found[name]
     return case.verdicts
 

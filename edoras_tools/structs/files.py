@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.structs.databases import read_database
 from edoras_tools.structs.packets import UDP_KEY
 from edoras_tools.structs.shapes import (
     BASIC,
@@ -87,7 +88,7 @@ def parse_layout(data: bytes, name: str) -> StructLayout:
     """
     if len(data) > _LARGEST:
         raise ConfigError(f"{name}: larger than {_LARGEST >> 20} MiB; that is not a layout file")
-    return layout_of(_parsed(data, name), name)
+    return read_database(data, name) or layout_of(_parsed(data, name), name)
 
 
 def layout_of(raw: Any, name: str) -> StructLayout:

@@ -1,4 +1,4 @@
-"""The example link of ``samples/links``, installed as any package is; no file of ours knows it."""
+"""The package of ``samples/links``, installed as any is: a link, a format, a command; no file knows it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import shutil
 import struct
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from places import SAMPLES
 from toml_files import TOML
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
-from edoras_tools.errors import ConfigError, WireError
+from edoras_tools.errors import CaptureError, ConfigError, WireError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import table
 from edoras_tools.wire import cfe
@@ -70,16 +71,20 @@ def header(station: int, count: int) -> bytes:
 def site(tmp_path_factory):
     """A folder with the package installed, as pip would lay it out."""
     folder = tmp_path_factory.mktemp("site")
-    shutil.copy(SAMPLES / "links/edoras_radio_link.py", folder)
-    project = TOML.loads((SAMPLES / "links/pyproject.toml").read_text())["project"]
+    settings = TOML.loads((SAMPLES / "links/pyproject.toml").read_text())
+    project = settings["project"]
+    for name in settings["tool"]["setuptools"]["py-modules"]:
+        shutil.copy(SAMPLES / f"links/{name}.py", folder)
     info = folder / f"edoras_radio_link-{project['version']}.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(
         f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
     )
-    entries = project["entry-points"]["edoras.links"].items()
-    lines = "".join(f"{name} = {value}\n" for name, value in entries)
-    (info / "entry_points.txt").write_text(f"[edoras.links]\n{lines}")
+    groups = (
+        [f"[{group}]", *(f"{name} = {value}" for name, value in entries.items())]
+        for group, entries in project["entry-points"].items()
+    )
+    (info / "entry_points.txt").write_text("\n".join(line for group in groups for line in group) + "\n")
     return folder
 
 
@@ -128,6 +133,68 @@ def test_it_is_recorded_and_read_back(edoras, capture, tmp_path):
     assert (tmp_path / "again.pcap").read_bytes() == capture.read_bytes()
     back = edoras("sniff", "-r", tmp_path / "radio.mcap", "--json", "--link", "radio")
     assert back == edoras("sniff", "-r", capture, "--json", "--link", "radio")
+
+
+def test_its_command_counts_who_heard_the_modem(edoras, capture):
+    assert edoras("radio", capture) == (
+        "station 7  2 datagrams  -90 to -90 dBm\nstation 9  1 datagrams  -90 to -90 dBm\n"
+    )
+    assert "Show which ground stations heard the modem, and how well." in edoras("--help")
+    assert "FILE" in edoras("help", "radio")
+
+
+def logged(payload, time_ns, source=40000, destination=PORT):
+    return struct.pack(">qHHHH", time_ns, source, destination, len(payload), 0) + payload
+
+
+def test_its_format_is_written_and_read(edoras, capture, tmp_path):
+    log = tmp_path / "radio.radiolog"
+    edoras("record", "-r", capture, "-o", log, "-q")
+    (batch,) = open_file(capture).batches()
+    payloads = [batch[row].payload for row in range(len(batch))]
+    assert log.read_bytes() == b"RADIOLOG" + b"".join(
+        logged(payload, (1_795_000_000 + number) * 10**9) for number, payload in enumerate(payloads)
+    )
+    assert json.loads(edoras("info", log, "--json"))["kind"] == "radio log"
+    assert edoras("radio", log) == edoras("radio", capture)
+    there, here = (
+        [
+            {key: item[key] for key in ("number", "time_ns", "link", "length")}
+            for item in map(json.loads, edoras("sniff", "-r", path, "--json").splitlines())
+        ]
+        for path in (log, capture)
+    )
+    assert there == here
+    edoras("record", "-r", log, "-o", tmp_path / "again.mcap", "-q")
+    edoras("record", "-r", tmp_path / "again.mcap", "-o", tmp_path / "again.radiolog", "-q")
+    assert (tmp_path / "again.radiolog").read_bytes() == log.read_bytes()
+
+
+def test_without_the_package_its_file_is_no_capture(tmp_path):
+    path = tmp_path / "radio.radiolog"
+    path.write_bytes(b"RADIOLOG" + logged(b"x", 1))
+    with pytest.raises(CaptureError, match=r"looks like text; pcap, pcapng and MCAP can be read"):
+        open_file(path)
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 2**62), st.integers(0, 65535), st.binary(max_size=90)), max_size=9),
+    st.integers(0, 200),
+)
+def test_a_log_cut_anywhere_is_read_as_far_as_it_goes(installed, tmp_path_factory, entries, cut):
+    path = tmp_path_factory.mktemp("log") / "cut.radiolog"
+    whole = [logged(payload, time_ns, destination=port) for time_ns, port, payload in entries]
+    data = (b"RADIOLOG" + b"".join(whole))[: max(8, 8 + sum(map(len, whole)) - cut)]
+    path.write_bytes(data)
+    complete, room = 0, len(data) - 8
+    while complete < len(whole) and room >= len(whole[complete]):
+        room -= len(whole[complete])
+        complete += 1
+    source, found = open_file(path), []
+    with pytest.raises(CaptureError, match="ends inside record") if room else nullcontext():
+        for batch in source.batches():
+            found += [(item.time_ns, item.payload) for item in (batch[row] for row in range(len(batch)))]
+    assert found == [(time_ns, payload) for time_ns, _, payload in entries[:complete]]
 
 
 def test_it_is_counted(edoras, capture):
@@ -180,7 +247,8 @@ def installed(site):
         cached.cache_clear()
     yield table.named("radio")
     sys.path.remove(str(site))
-    sys.modules.pop("edoras_radio_link", None)
+    for name in ("edoras_radio_link", "edoras_radio_log"):
+        sys.modules.pop(name, None)
     for cached in caches:
         cached.cache_clear()
 

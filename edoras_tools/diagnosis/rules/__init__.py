@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools import doors
 from edoras_tools.diagnosis.rules import (
     capture,
     commands,
@@ -117,7 +118,22 @@ RULES: Final[Mapping[str, Rule]] = {
         *_OF_SAMPLES,
     )
 }
-"""By the name that their verdicts carry."""
+"""Those that ship, by the name that their verdicts carry."""
+
+
+def rules() -> dict[str, Rule]:
+    """Return all rules, by the name that their verdicts carry: those that installed packages add come last.
+
+    Raises:
+        ConfigError: a package's rule cannot be loaded, or its name is taken.
+    """
+    found = dict(RULES)
+    for item in doors.installed("rules"):
+        if item.name in found:
+            raise item.error("another rule has this name; uninstall one of them")
+        found[item.name] = item.load()
+    return found
+
 
 SINGLE: Final = frozenset(
     {

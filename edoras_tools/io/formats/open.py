@@ -20,7 +20,15 @@ from edoras_tools.io.formats.stream import (
     Window,
     settled_file,
 )
-from edoras_tools.io.formats.table import CFE, MCAP, PCAPNG, READABLE, TOPIC_READERS
+from edoras_tools.io.formats.table import (
+    CFE,
+    LONGEST_MAGIC,
+    MCAP,
+    PCAPNG,
+    READABLE,
+    TOPIC_READERS,
+    installed_formats,
+)
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
@@ -30,7 +38,6 @@ _MCAP = b"\x89MCAP0\r\n"
 _DATABASE = b"SQLite f"
 """Of rosbag2's storage in SQLite, as its ``.db3`` files begin."""
 _COMPRESSED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
-_LONGEST_MAGIC = 8
 _MODIFIED_PCAP = {b"\x34\xcd\xb2\xa1", b"\xa1\xb2\xcd\x34"}
 _OTHERS = (
     (b"GMBU", "a Microsoft Network Monitor capture"),
@@ -118,6 +125,10 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
         return _mcap(stream, path, b"" if there else head)
     if head.startswith(_DATABASE):
         raise _database(stream, path, b"" if there else head)
+    for item in installed_formats():
+        if item.magic and head.startswith(item.magic):
+            of_package: Source = item.source()(Window(stream, head))
+            return of_package
     raise CaptureError(f"{stream.name}: {_looks_like(head, wrapped)}")
 
 
@@ -182,9 +193,9 @@ def _open(path: str | Path) -> io.FileIO:
 
 def _head(stream: ByteStream) -> bytes:
     """Read the bytes of the longest magic number; fewer at the end of the stream."""
-    buffer = bytearray(_LONGEST_MAGIC)
+    buffer = bytearray(LONGEST_MAGIC)
     filled = 0
-    while filled < _LONGEST_MAGIC and (count := stream.fill(memoryview(buffer)[filled:])):
+    while filled < LONGEST_MAGIC and (count := stream.fill(memoryview(buffer)[filled:])):
         filled += count
     return bytes(buffer[:filled])
 

@@ -1,19 +1,23 @@
 """The table of all formats of captures and recordings: name, suffix, reader and writer.
 
-A file is read by its content, and written by its suffix. A new format needs its folder and a line here.
+A file is read by its content, and written by its suffix. A new format needs its folder and a line here; that
+of another package an entry point ``edoras.formats``, which is asked where no line fits.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools import doors
 from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
+
+
+LONGEST_MAGIC: Final = 8
+"""Bytes by which a file's format is told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,10 +27,13 @@ class Format:
     Attributes:
         name: for the user.
         suffix: of its files; empty for a directory, which needs an option.
-        reader: its source class, as ``folder:class`` of this folder; for rosbag2 the class that reads
-            messages; empty if the format is only written.
-        writer: its sink class, as ``folder:class``.
+        reader: place of its source class, as ``module:class``; for rosbag2 of the class that reads messages;
+            empty if the format is only written.
+        writer: place of its sink class or ``TableWriter``; empty if the format is only read.
         messages: whether its sink also writes messages by topic, and can be split.
+        table: whether it holds a table of the messages of a topic, and is only written.
+        magic: first bytes of its files, at most 8, for a format of another package that is read: its source
+            takes a ``Window``.
     """
 
     name: str
@@ -34,29 +41,38 @@ class Format:
     reader: str
     writer: str
     messages: bool = False
+    table: bool = False
+    magic: bytes = b""
 
     def source(self) -> Any:
         """Return the class of ``reader``; imported on use, because that takes time."""
-        return _class(self.reader, "reader")
+        return doors.imported(self.reader)
 
     def sink(self) -> Any:
         """Return the class of ``writer``; imported on use."""
-        return _class(self.writer, "writer")
+        return doors.imported(self.writer)
 
 
-PCAP: Final = Format("pcap", ".pcap", "pcap:PcapSource", "pcap:PcapSink")
-PCAPNG: Final = Format("pcapng", ".pcapng", "pcapng:PcapngSource", "pcapng:PcapngSink")
-MCAP: Final = Format("MCAP", ".mcap", "mcap:McapSource", "mcap:McapSink", messages=True)
-ROSBAG2: Final = Format("rosbag2", "", "rosbag2:Rosbag", "rosbag2:Rosbag2Sink", messages=True)
-CFE: Final = Format("cFE file", "", "cfe:CfePacketSource", "")
+_HERE: Final = "edoras_tools.io.formats"
+PCAP: Final = Format("pcap", ".pcap", f"{_HERE}.pcap.reader:PcapSource", f"{_HERE}.pcap.writer:PcapSink")
+PCAPNG: Final = Format(
+    "pcapng", ".pcapng", f"{_HERE}.pcapng.reader:PcapngSource", f"{_HERE}.pcapng.writer:PcapngSink"
+)
+MCAP: Final = Format(
+    "MCAP", ".mcap", f"{_HERE}.mcap.reader:McapSource", f"{_HERE}.mcap.writer:McapSink", messages=True
+)
+ROSBAG2: Final = Format(
+    "rosbag2", "", f"{_HERE}.rosbag2.reader:Rosbag", f"{_HERE}.rosbag2.writer:Rosbag2Sink", messages=True
+)
+CFE: Final = Format("cFE file", "", f"{_HERE}.cfe.reader:CfePacketSource", "")
 
 FILE_FORMATS: Final = (PCAP, PCAPNG, MCAP, ROSBAG2)
 
 TABLE_FORMATS: Final = (
-    Format("Parquet", ".parquet", "", "arrow:ParquetWriter"),
-    Format("Arrow", ".arrow", "", "arrow:ArrowWriter"),
-    Format("CSV", ".csv", "", "csv:CsvWriter"),
-    Format("JSON Lines", ".jsonl", "", "jsonl:JsonLinesWriter"),
+    Format("Parquet", ".parquet", "", f"{_HERE}.arrow.writer:ParquetWriter", table=True),
+    Format("Arrow", ".arrow", "", f"{_HERE}.arrow.writer:ArrowWriter", table=True),
+    Format("CSV", ".csv", "", f"{_HERE}.csv.writer:CsvWriter", table=True),
+    Format("JSON Lines", ".jsonl", "", f"{_HERE}.jsonl.writer:JsonLinesWriter", table=True),
 )
 """Tables of the messages of a topic, which are only written; their writers are ``TableWriter``."""
 
@@ -69,10 +85,34 @@ class TimeForm(StrEnum):
     SECONDS = "seconds"
 
 
-def written_as(path: Path, among: Sequence[Format] = FILE_FORMATS) -> Format | None:
-    """Return the format of a file's suffix; None if it is not among these formats."""
+def written_as(path: Path, *, table: bool = False) -> Format | None:
+    """Return the format of a file's suffix, among those of recordings or of tables; None where none fits.
+
+    Raises:
+        ConfigError: a format of an installed package cannot be loaded.
+    """
     suffix = path.suffix.lower()
-    return next((item for item in among if suffix and item.suffix == suffix), None)
+    if not suffix:
+        return None
+    for item in TABLE_FORMATS if table else FILE_FORMATS:
+        if item.suffix == suffix:
+            return item
+    return next((item for item in installed_formats() if (item.suffix, item.table) == (suffix, table)), None)
+
+
+def installed_formats() -> list[Format]:
+    """Return the formats that installed packages add.
+
+    Raises:
+        ConfigError: one cannot be loaded, or is no ``Format``.
+    """
+    found = []
+    for item in doors.installed("formats"):
+        loaded = item.load()
+        if not isinstance(loaded, Format) or len(loaded.magic) > LONGEST_MAGIC:
+            raise item.error(f"{item.place} is not an object of Format, with at most 8 bytes of magic")
+        found.append(loaded)
+    return found
 
 
 def _listed(names: list[str], last: str) -> str:
@@ -91,8 +131,3 @@ WRITTEN: Final = _listed(FILE_SUFFIXES, "or")
 """The suffixes of outputs, for the user: ``.mcap, .pcapng or .pcap``."""
 TABLES_WRITTEN: Final = _listed([item.suffix for item in TABLE_FORMATS], "or")
 """The suffixes of tables, for the user."""
-
-
-def _class(where: str, role: str) -> Any:
-    folder, _, name = where.partition(":")
-    return getattr(import_module(f"edoras_tools.io.formats.{folder}.{role}"), name)

@@ -37,7 +37,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 from edoras_tools.decode.filters.syntax import WhereError, parse_filter
-from edoras_tools.diagnosis.rules import RULES
+from edoras_tools.diagnosis.rules import rules
 from edoras_tools.mission.fields import suggestion
 from edoras_tools.mission.report import Mistakes
 from edoras_tools.mission.tree import ScalarNode, SequenceNode, Tree, named_entries, read_document
@@ -264,7 +264,7 @@ class _Reader:
             self.report.mistake(value.line, place, str(error))
 
     def _allowed(self, key: str, value: Tree) -> frozenset[str]:
-        known = list(RULES) if key == "verdicts" else [item.label for item in Finding]
+        known = list(rules()) if key == "verdicts" else [item.label for item in Finding]
         names = self._texts(value, key)
         for name, line in names:
             if name not in known:

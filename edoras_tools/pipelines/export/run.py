@@ -6,6 +6,7 @@ import queue
 import threading
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
@@ -20,7 +21,6 @@ from edoras_tools.pipelines.export.tables import TableForm, check_fields, chosen
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
-    from pathlib import Path
 
     from edoras_tools.pipelines.export.block import TopicBlock
     from edoras_tools.pipelines.export.sources import TopicSource
@@ -63,9 +63,9 @@ class ExportTarget:
         Raises:
             ConfigError: the suffix names another format, or none.
         """
-        named = next((item for item in TABLE_FORMATS if item.suffix == f".{name}"), None)
+        named = written_as(Path(f"x.{name}"), table=True) if name else None
         folder |= path.is_dir()
-        told = None if folder else written_as(path, TABLE_FORMATS)
+        told = None if folder else written_as(path, table=True)
         if told is not None and named not in {None, told}:
             raise ConfigError(f"{path}: is {told.name} by its suffix, and --format says {name}; choose one")
         special = path.exists() and not path.is_file() and not folder  # as /dev/stdout
