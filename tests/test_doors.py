@@ -176,9 +176,7 @@ def test_a_package_adds_a_rule_which_runs_last(package):
 
 def test_a_rule_whose_name_is_taken_is_refused(package):
     package(rules="not_cfs = modem_tools:quiet")
-    with pytest.raises(
-        ConfigError, match="rule 'not_cfs' of the installed package modem-tools: another rule"
-    ):
+    with pytest.raises(ConfigError, match="package modem-tools: another rule"):
         rules()
 
 
@@ -186,7 +184,7 @@ LAYOUT = b"structs: {S: {members: {a: uint8}}}\nbind: {0x0801: S}\n"
 
 
 def test_a_package_reads_other_files_of_layouts(package):
-    with pytest.raises(ConfigError, match="is not YAML|no 'structs'"):
+    with pytest.raises(ConfigError, match=r"is not YAML|no 'structs'"):
         parse_layout(b"MODEM " + LAYOUT, "x.modem")
     package(databases="modem = modem_tools:FILES")
     assert parse_layout(b"MODEM " + LAYOUT, "x.modem").structs == parse_layout(LAYOUT, "x").structs
@@ -197,11 +195,11 @@ def test_a_package_reads_other_files_of_layouts(package):
 )
 def test_what_is_not_of_its_kind_is_refused(package, group, ask):
     package(**{group: "modem = modem_tools:VALUE"})
-    with pytest.raises(ConfigError, match="of the installed package modem-tools: .* is not an object of"):
+    with pytest.raises(ConfigError, match=r"of the installed package modem-tools: .* is not an object of"):
         ask()
 
 
 def test_a_middleware_that_is_none_is_refused(package):
     package(middleware="modem = modem_tools:VALUE")
-    with pytest.raises(ConfigError, match="of the installed package modem-tools: .* is not an object of"):
+    with pytest.raises(ConfigError, match=r"of the installed package modem-tools: .* is not an object of"):
         middleware("modem")
