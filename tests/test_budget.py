@@ -39,8 +39,8 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(66_769, 150, 58_000),
-    "lines with code, all": Limit(75_449, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(66_817, 150, 58_000),
+    "lines with code, all": Limit(75_497, 150, 84_000),  # with what is still to come
     "files": Limit(603, 10, 450),
     "files below 170 lines, of 1,000": Limit(523, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(6, 0, 0),

@@ -37,8 +37,7 @@ def quiet(case):
 def read(data, name):
     return parse_layout(data.removeprefix(b"MODEM "), name)
 
-from edoras_tools.structs.databases import Database
-from edoras_tools.structs.files import parse_layout
+from edoras_tools.structs.files import Database, parse_layout
 FILES = Database(lambda data: data.startswith(b"MODEM "), read)
 """
 

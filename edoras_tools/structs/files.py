@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 import reprlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
+from edoras_tools import doors
 from edoras_tools.errors import ConfigError
-from edoras_tools.structs.databases import read_database
 from edoras_tools.structs.packets import UDP_KEY
 from edoras_tools.structs.shapes import (
     BASIC,
@@ -29,7 +30,7 @@ from edoras_tools.wire.msg_id import VERSION_1, VERSION_2
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
 LAYOUT_VERSION: Final = 1
 LAYOUT_FILE: Final = "structs.yaml"
@@ -48,6 +49,21 @@ _IN_C: Final = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _SECONDARY_HEADER: Final = 0x0800
 _HIGHEST: Final = 0x1FFF
 """The highest MsgId; tables by MsgId keep rows without a packet (-1) at 0xFFFF."""
+
+
+@dataclass(frozen=True, slots=True)
+class Database:
+    """A kind of file with message layouts, which an installed package reads (``edoras.databases``).
+
+    What it reads can stand wherever a layout file can: ``--structs``, ``xtce``, ``wireshark``.
+
+    Attributes:
+        recognise: tells from a file's whole content whether it is of this kind; raises nothing.
+        read: makes the layout of a content and the file's name; raises ``ConfigError`` with all mistakes.
+    """
+
+    recognise: Callable[[bytes], bool]
+    read: Callable[[bytes, str], StructLayout]
 
 
 def load_layout(path: str | os.PathLike[str]) -> StructLayout:
@@ -88,7 +104,22 @@ def parse_layout(data: bytes, name: str) -> StructLayout:
     """
     if len(data) > _LARGEST:
         raise ConfigError(f"{name}: larger than {_LARGEST >> 20} MiB; that is not a layout file")
-    return read_database(data, name) or layout_of(_parsed(data, name), name)
+    return _of_package(data, name) or layout_of(_parsed(data, name), name)
+
+
+def _of_package(data: bytes, name: str) -> StructLayout | None:
+    """Return the layout in a file of a kind that a package reads; None if it is of none.
+
+    Raises:
+        ConfigError: the file holds mistakes, or the package cannot be loaded.
+    """
+    for item in doors.installed("databases"):
+        loaded = item.load()
+        if not isinstance(loaded, Database):
+            raise item.error(f"{item.place} is not an object of Database")
+        if loaded.recognise(data):
+            return loaded.read(data, name)
+    return None
 
 
 def layout_of(raw: Any, name: str) -> StructLayout:

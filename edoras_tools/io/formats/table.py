@@ -27,8 +27,8 @@ class Format:
     Attributes:
         name: for the user.
         suffix: of its files; empty for a directory, which needs an option.
-        reader: place of its source class, as ``module:class``; for rosbag2 of the class that reads messages;
-            empty if the format is only written.
+        reader: place of its source class, as ``module:class``, in this folder ``.module:class``; of rosbag2
+            that of messages; empty if the format is only written.
         writer: place of its sink class or ``TableWriter``; empty if the format is only read.
         messages: whether its sink also writes messages by topic, and can be split.
         table: whether it holds a table of the messages of a topic, and is only written.
@@ -46,33 +46,26 @@ class Format:
 
     def source(self) -> Any:
         """Return the class of ``reader``; imported on use, because that takes time."""
-        return doors.imported(self.reader)
+        return _imported(self.reader)
 
     def sink(self) -> Any:
         """Return the class of ``writer``; imported on use."""
-        return doors.imported(self.writer)
+        return _imported(self.writer)
 
 
-_HERE: Final = "edoras_tools.io.formats"
-PCAP: Final = Format("pcap", ".pcap", f"{_HERE}.pcap.reader:PcapSource", f"{_HERE}.pcap.writer:PcapSink")
-PCAPNG: Final = Format(
-    "pcapng", ".pcapng", f"{_HERE}.pcapng.reader:PcapngSource", f"{_HERE}.pcapng.writer:PcapngSink"
-)
-MCAP: Final = Format(
-    "MCAP", ".mcap", f"{_HERE}.mcap.reader:McapSource", f"{_HERE}.mcap.writer:McapSink", messages=True
-)
-ROSBAG2: Final = Format(
-    "rosbag2", "", f"{_HERE}.rosbag2.reader:Rosbag", f"{_HERE}.rosbag2.writer:Rosbag2Sink", messages=True
-)
-CFE: Final = Format("cFE file", "", f"{_HERE}.cfe.reader:CfePacketSource", "")
+PCAP: Final = Format("pcap", ".pcap", ".pcap.reader:PcapSource", ".pcap.writer:PcapSink")
+PCAPNG: Final = Format("pcapng", ".pcapng", ".pcapng.reader:PcapngSource", ".pcapng.writer:PcapngSink")
+MCAP: Final = Format("MCAP", ".mcap", ".mcap.reader:McapSource", ".mcap.writer:McapSink", messages=True)
+ROSBAG2: Final = Format("rosbag2", "", ".rosbag2.reader:Rosbag", ".rosbag2.writer:Rosbag2Sink", messages=True)
+CFE: Final = Format("cFE file", "", ".cfe.reader:CfePacketSource", "")
 
 FILE_FORMATS: Final = (PCAP, PCAPNG, MCAP, ROSBAG2)
 
 TABLE_FORMATS: Final = (
-    Format("Parquet", ".parquet", "", f"{_HERE}.arrow.writer:ParquetWriter", table=True),
-    Format("Arrow", ".arrow", "", f"{_HERE}.arrow.writer:ArrowWriter", table=True),
-    Format("CSV", ".csv", "", f"{_HERE}.csv.writer:CsvWriter", table=True),
-    Format("JSON Lines", ".jsonl", "", f"{_HERE}.jsonl.writer:JsonLinesWriter", table=True),
+    Format("Parquet", ".parquet", "", ".arrow.writer:ParquetWriter", table=True),
+    Format("Arrow", ".arrow", "", ".arrow.writer:ArrowWriter", table=True),
+    Format("CSV", ".csv", "", ".csv.writer:CsvWriter", table=True),
+    Format("JSON Lines", ".jsonl", "", ".jsonl.writer:JsonLinesWriter", table=True),
 )
 """Tables of the messages of a topic, which are only written; their writers are ``TableWriter``."""
 
@@ -131,3 +124,7 @@ WRITTEN: Final = _listed(FILE_SUFFIXES, "or")
 """The suffixes of outputs, for the user: ``.mcap, .pcapng or .pcap``."""
 TABLES_WRITTEN: Final = _listed([item.suffix for item in TABLE_FORMATS], "or")
 """The suffixes of tables, for the user."""
+
+
+def _imported(place: str) -> Any:
+    return doors.imported(f"edoras_tools.io.formats{place}" if place.startswith(".") else place)
