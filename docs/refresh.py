@@ -325,7 +325,7 @@ def _balance() -> str:
 
 def _index() -> str:
     """Return the tables of an archive's index."""
-    from edoras_tools.pipelines.archive import tables
+    from edoras_tools.addons.archive import tables
 
     lines = []
     for table in tables.TABLES.values():

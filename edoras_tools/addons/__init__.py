@@ -56,6 +56,13 @@ class Addon(NamedTuple):
 
 ADDONS: Final = (
     Addon(
+        "archive",
+        commands={
+            "archive": ListedCommand("Record", "Index many recordings, and ask the index.", "cli:archive")
+        },
+        extra="archive",
+    ),
+    Addon(
         "lab",
         commands={
             "sweep": ListedCommand(

@@ -39,7 +39,7 @@ _NO_MEMORY: Final = (
 
 _OF_THE_CORE: Final = {
     "Look": ("sniff", "info", "decode", "live", "plot", "host"),
-    "Record": ("record", "recover", "export", "files", "archive"),
+    "Record": ("record", "recover", "export", "files"),
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "proxy"),
     "Connect": ("bridge", "mission", "codegen", "structs", "wireshark", "xtce"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from time import time_ns
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -19,7 +20,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from edoras_tools.pipelines.archive.questions import ArchiveSpan
+    from edoras_tools.addons.archive.questions import ArchiveSpan
 
 
 class _Archive(Group):
@@ -31,6 +32,20 @@ class _Archive(Group):
         if args and args[0] not in own and not args[0].startswith("--color"):
             args = ["index", *args]
         return super().parse_args(ctx, args)
+
+
+class _ArchiveCommand(Command):
+    """A command of it, refused in a line where the libraries of the extra are missing."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run it."""
+        missing = [name for name in ("duckdb", "distributed", "fsspec", "pyarrow") if find_spec(name) is None]
+        if missing:
+            raise ConfigError(
+                f"edoras archive needs {', '.join(missing)}, not installed here: "
+                "pip install 'edoras-tools[archive]'"
+            )
+        return super().invoke(ctx)
 
 
 archive = command_group(
@@ -71,8 +86,8 @@ class SpanOptions(NamedTuple):
         Raises:
             ConfigError: a time has no date.
         """
+        from edoras_tools.addons.archive.questions import ArchiveSpan
         from edoras_tools.older import UTC
-        from edoras_tools.pipelines.archive.questions import ArchiveSpan
 
         found: list[int | None] = []
         for name, value in (("--since", self.since), ("--until", self.until)):
@@ -86,7 +101,7 @@ class SpanOptions(NamedTuple):
         return ArchiveSpan(*found)
 
 
-@archive.command("index", cls=Command)
+@archive.command("index", cls=_ArchiveCommand)
 @grouped
 def index_captures(
     *,
@@ -107,9 +122,9 @@ def index_captures(
 
     Only new and changed captures are read. Exit code 3: some cannot be read whole; the index says which.
     """
-    from edoras_tools.pipelines.archive.index import open_index
-    from edoras_tools.pipelines.archive.update import Update, bring_up_to_date
-    from edoras_tools.render.archive.tables import update_lines
+    from edoras_tools.addons.archive.index import open_index
+    from edoras_tools.addons.archive.update import Update, bring_up_to_date
+    from edoras_tools.addons.archive.views import update_lines
 
     if work.jobs and work.scheduler:
         raise ConfigError(
@@ -145,21 +160,21 @@ def index_captures(
         raise typer.Exit(LOST)
 
 
-@archive.command("list", cls=Command)
+@archive.command("list", cls=_ArchiveCommand)
 @grouped
 def list_(
     *, index: Index = _INDEX, csv: Csv = False, json: options.Json = False, chosen: SpanOptions
 ) -> None:
     """List the captures of the index: when, how many datagrams, what was lost, which are not whole."""
-    from edoras_tools.pipelines.archive.index import open_index
-    from edoras_tools.pipelines.archive.questions import list_captures
+    from edoras_tools.addons.archive.index import open_index
+    from edoras_tools.addons.archive.questions import list_captures
 
     with open_index(index) as opened:
         rows = list_captures(opened, chosen.span())
     _print_rows("captures", rows, csv=csv, json=json)
 
 
-@archive.command(cls=Command)
+@archive.command(cls=_ArchiveCommand)
 @grouped
 def losses(
     *,
@@ -176,8 +191,8 @@ def losses(
 
     Exit code 3: something is listed.
     """
-    from edoras_tools.pipelines.archive.index import open_index
-    from edoras_tools.pipelines.archive.questions import count_examined, list_losses
+    from edoras_tools.addons.archive.index import open_index
+    from edoras_tools.addons.archive.questions import count_examined, list_losses
 
     with open_index(index) as opened:
         span, topics = chosen.span(), tuple(topic or ())
@@ -198,12 +213,12 @@ def _print_rows(what: str, rows: list[dict[str, Any]], *, csv: bool, json: bool)
     elif csv:
         print_csv(rows)
     else:
-        from edoras_tools.render.archive.tables import ROW_TABLES
+        from edoras_tools.addons.archive.views import ROW_TABLES
 
         print_view(lambda width: ROW_TABLES[what](rows, width))
 
 
-@archive.command(cls=Command)
+@archive.command(cls=_ArchiveCommand)
 @grouped
 def query(
     *,
@@ -213,12 +228,12 @@ def query(
     json: options.Json = False,
 ) -> None:
     """Ask the index in SQL; 'edoras help archive' and docs/archive.md name its tables."""
-    from edoras_tools.pipelines.archive.index import open_index
+    from edoras_tools.addons.archive.index import open_index
 
     with open_index(index) as opened:
         names, rows = opened.answer(sys.stdin.read() if sql == "-" else sql)
         if json:
-            from edoras_tools.render.archive.tables import json_rows
+            from edoras_tools.addons.archive.views import json_rows
 
             print_json({"columns": names, "rows": json_rows(rows)})
         elif csv:
@@ -226,12 +241,12 @@ def query(
 
             write_csv(names, rows)
         else:
-            from edoras_tools.render.archive.tables import answer_table
+            from edoras_tools.addons.archive.views import answer_table
 
             print_view(answer_table(names, rows))
 
 
-@archive.command(cls=Command)
+@archive.command(cls=_ArchiveCommand)
 @grouped
 def report(
     *,
@@ -242,10 +257,10 @@ def report(
     chosen: SpanOptions,
 ) -> None:
     """Write one HTML page: runs over time, trends of losses and latencies, the worst of both."""
+    from edoras_tools.addons.archive.index import open_index
+    from edoras_tools.addons.archive.page import archive_page
+    from edoras_tools.addons.archive.questions import trends_of
     from edoras_tools.io.outputs import check_new
-    from edoras_tools.pipelines.archive.index import open_index
-    from edoras_tools.pipelines.archive.questions import trends_of
-    from edoras_tools.render.archive.page import archive_page
     from edoras_tools.render.doctor.report import Made
 
     check_new(output, [index], force=force)
@@ -257,7 +272,7 @@ def report(
         sys.stderr.write(f"{output}: {size / 1024:.0f} KiB\n")
 
 
-@archive.command(cls=Command)
+@archive.command(cls=_ArchiveCommand)
 @grouped
 def export(
     *,
@@ -267,8 +282,8 @@ def export(
     printing: options.PrintOptions,
 ) -> None:
     """Write the index as Parquet: a folder for each table, partitioned by date, link and topic."""
-    from edoras_tools.pipelines.archive.dataset import export_dataset
-    from edoras_tools.pipelines.archive.index import open_index
+    from edoras_tools.addons.archive.dataset import export_dataset
+    from edoras_tools.addons.archive.index import open_index
 
     with open_index(index) as opened:
         written = export_dataset(opened, output, force=force)

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any, Final
 import duckdb
 
 from edoras_tools import __version__
+from edoras_tools.addons.archive.tables import SHAPE, TABLES
 from edoras_tools.errors import CaptureError, ConfigError, EdorasError
-from edoras_tools.pipelines.archive.tables import SHAPE, TABLES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from edoras_tools.pipelines.archive.places import ListedFile
+    from edoras_tools.addons.archive.places import ListedFile
 
 _ABOUT: Final = "CREATE TABLE about (name VARCHAR, value VARCHAR)"
 

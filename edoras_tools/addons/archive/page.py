@@ -7,9 +7,9 @@ from datetime import datetime, timedelta
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.addons.archive.views import short
 from edoras_tools.older import UTC
 from edoras_tools.render import units
-from edoras_tools.render.archive.tables import short
 from edoras_tools.render.doctor.report.charts import Frame
 from edoras_tools.render.doctor.report.parts import (
     chart_card,
@@ -49,7 +49,7 @@ _PARTS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class ArchiveTrends:
-    """What a report shows; rows are as the queries of ``pipelines.archive.questions`` name them.
+    """What a report shows; rows are as the queries of ``addons.archive.questions`` name them.
 
     Attributes:
         name: of the index.

@@ -7,12 +7,12 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.addons.archive.tables import TABLES
 from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.outputs import check_folder
-from edoras_tools.pipelines.archive.tables import TABLES
 
 if TYPE_CHECKING:
-    from edoras_tools.pipelines.archive.index import Index
+    from edoras_tools.addons.archive.index import Index
 
 _DATE: Final = "coalesce(strftime(c.began, '%Y-%m-%d'), 'unknown')"
 

@@ -17,12 +17,12 @@ from distributed import LocalCluster
 from moto.server import ThreadedMotoServer
 from places import CAPTURES
 
+from edoras_tools.addons.archive.index import open_index
+from edoras_tools.addons.archive.places import find_captures, listed_now
+from edoras_tools.addons.archive.tables import TABLES
+from edoras_tools.addons.archive.update import Update, bring_up_to_date
+from edoras_tools.addons.archive.work import Task, examine_group, fingerprint
 from edoras_tools.errors import CaptureError
-from edoras_tools.pipelines.archive.index import open_index
-from edoras_tools.pipelines.archive.places import find_captures, listed_now
-from edoras_tools.pipelines.archive.tables import TABLES
-from edoras_tools.pipelines.archive.update import Update, bring_up_to_date
-from edoras_tools.pipelines.archive.work import Task, examine_group, fingerprint
 from edoras_tools.pipelines.workbench import Settings
 
 NAMES = ("a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect")

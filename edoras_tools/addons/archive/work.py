@@ -14,12 +14,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools import __version__
-from edoras_tools.diagnosis.balance import Row, sent
-from edoras_tools.diagnosis.evidence.payloads import EventRecord, events_in
-from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.formats.open import open_file
-from edoras_tools.older import UTC
-from edoras_tools.pipelines.archive.places import (
+from edoras_tools.addons.archive.places import (
     ListedFile,
     at_hand,
     cause_of,
@@ -27,7 +22,12 @@ from edoras_tools.pipelines.archive.places import (
     listed_now,
     reason_of,
 )
-from edoras_tools.pipelines.archive.tables import TABLES, IndexTable
+from edoras_tools.addons.archive.tables import TABLES, IndexTable
+from edoras_tools.diagnosis.balance import Row, sent
+from edoras_tools.diagnosis.evidence.payloads import EventRecord, events_in
+from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.older import UTC
 from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.doctor.doctor import Findings, examine
 from edoras_tools.words import plural

@@ -20,23 +20,23 @@ from distributed import Client, Future, as_completed
 from distributed.client import FutureCancelledError
 from distributed.scheduler import KilledWorker
 
-from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.pipelines.archive.cluster import workers
-from edoras_tools.pipelines.archive.places import ListedFile, find_captures, root_of
-from edoras_tools.pipelines.archive.work import (
+from edoras_tools.addons.archive.cluster import workers
+from edoras_tools.addons.archive.places import ListedFile, find_captures, root_of
+from edoras_tools.addons.archive.work import (
     CHANGING,
     Task,
     examine_group,
     failed,
     fingerprint,
 )
+from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from edoras_tools.pipelines.archive.index import Index
+    from edoras_tools.addons.archive.index import Index
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.run import Progress
 

@@ -21,14 +21,14 @@ from distributed import LocalCluster
 from distributed.scheduler import KilledWorker
 from places import CAPTURES, MISSIONS
 
+from edoras_tools.addons.archive import cluster, work
+from edoras_tools.addons.archive.index import open_index
+from edoras_tools.addons.archive.places import find_captures
+from edoras_tools.addons.archive.questions import ArchiveSpan, list_captures, list_losses
+from edoras_tools.addons.archive.tables import TABLES
+from edoras_tools.addons.archive.update import Update, UpdateReport, _Run, bring_up_to_date
+from edoras_tools.addons.archive.work import Task, examine_group, fingerprint
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.pipelines.archive import cluster, work
-from edoras_tools.pipelines.archive.index import open_index
-from edoras_tools.pipelines.archive.places import find_captures
-from edoras_tools.pipelines.archive.questions import ArchiveSpan, list_captures, list_losses
-from edoras_tools.pipelines.archive.tables import TABLES
-from edoras_tools.pipelines.archive.update import Update, UpdateReport, _Run, bring_up_to_date
-from edoras_tools.pipelines.archive.work import Task, examine_group, fingerprint
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.doctor import examine
@@ -271,7 +271,7 @@ def test_captures_of_a_group_are_read_as_if_alone(tmp_path):
 
 def test_a_worker_with_another_mission_is_refused(folder, updated, monkeypatch):
     assert "other mission files" in examine_group(Task(((str(ROVER), ""),), SETTINGS, "other")).misfit
-    monkeypatch.setattr("edoras_tools.pipelines.archive.update.fingerprint", lambda _settings: "other")
+    monkeypatch.setattr("edoras_tools.addons.archive.update.fingerprint", lambda _settings: "other")
     with pytest.raises(ConfigError, match="a worker sees other mission files"):
         updated(folder / "x.duckdb", folder)
 
@@ -327,8 +327,8 @@ def test_what_loses_workers_is_read_alone_then_listed(folder):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from edoras_tools.pipelines.archive.index import open_index
-from edoras_tools.pipelines.archive.update import Update, bring_up_to_date
+from edoras_tools.addons.archive.index import open_index
+from edoras_tools.addons.archive.update import Update, bring_up_to_date
 from edoras_tools.pipelines.workbench import Settings
 
 class Progress:
@@ -369,8 +369,8 @@ FULL = """
 import resource, signal, sys
 from pathlib import Path
 from edoras_tools.errors import CaptureError
-from edoras_tools.pipelines.archive.index import open_index
-from edoras_tools.pipelines.archive.tables import TABLES
+from edoras_tools.addons.archive.index import open_index
+from edoras_tools.addons.archive.tables import TABLES
 
 path = Path(sys.argv[1])
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -559,8 +559,8 @@ def test_questions(made):
 
 
 def test_many_small_captures_are_few_groups(tmp_path):
-    from edoras_tools.pipelines.archive.places import ListedFile
-    from edoras_tools.pipelines.archive.update import _tasks
+    from edoras_tools.addons.archive.places import ListedFile
+    from edoras_tools.addons.archive.update import _tasks
 
     files = [ListedFile(f"/{number}", 1_000_000, "1") for number in range(1000)]
     files.append(ListedFile("/large", 1 << 40, "1"))

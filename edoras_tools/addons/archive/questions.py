@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.addons.archive.page import BINS, ArchiveTrends, bin_ns
 from edoras_tools.errors import CaptureError
 from edoras_tools.pipelines.names import fits_topic
-from edoras_tools.render.archive.page import BINS, ArchiveTrends, bin_ns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from edoras_tools.pipelines.archive.index import Index
+    from edoras_tools.addons.archive.index import Index
 
 
 _LISTED: Final = """

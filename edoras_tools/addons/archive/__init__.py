@@ -1,0 +1,1 @@
+"""An index of many recordings: made in parallel, brought up to date, asked, reported on, exported."""
