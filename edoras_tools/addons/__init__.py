@@ -63,6 +63,20 @@ ADDONS: Final = (
         extra="archive",
     ),
     Addon(
+        "codegen",
+        commands={
+            "codegen": ListedCommand(
+                "Connect",
+                "Write messages in C for flight software: no ROS, no heap.",
+                "cli.codegen:codegen",
+                before="structs",
+            ),
+            "xtce": ListedCommand(
+                "Connect", "Describe packets for ground systems, as XTCE or for COSMOS.", "cli.xtce:xtce"
+            ),
+        },
+    ),
+    Addon(
         "lab",
         commands={
             "sweep": ListedCommand(

@@ -42,7 +42,7 @@ _OF_THE_CORE: Final = {
     "Record": ("record", "recover", "export", "files"),
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "proxy"),
-    "Connect": ("bridge", "mission", "codegen", "structs", "wireshark", "xtce"),
+    "Connect": ("bridge", "mission", "structs", "wireshark"),
     "Try": ("samples", "help"),
 }
 """Each is a function, or a group of commands, in a module of the same name."""

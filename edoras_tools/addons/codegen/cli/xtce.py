@@ -1,0 +1,47 @@
+"""``edoras xtce``: the packets of a mission for ground systems."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from edoras_tools.cli import options, recordings
+from edoras_tools.cli.declare import grouped
+from edoras_tools.cli.endings import tell
+from edoras_tools.older import StrEnum
+
+
+class GroundForm(StrEnum):
+    """A language that describes packets."""
+
+    XTCE = "xtce"
+    COSMOS = "cosmos"
+
+
+@grouped
+def xtce(
+    *,
+    output: Annotated[Path | None, "--output -o FILE", "Write it here; default: standard output."] = None,
+    form: Annotated[GroundForm, "--format FORM", "xtce, or cosmos: a file for cmd_tlm/."] = GroundForm.XTCE,
+    system: Annotated[str, "NAME", "Name of the space system, or the target."] = "edoras",
+    force: recordings.Force = False,
+    quiet: options.Quiet = False,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Describe packets for ground systems, as XTCE or for COSMOS.
+
+    Of the missions that -c names and the C structs of --structs: telemetry of Telemetry Output and of cFE
+    itself, field by field; commands to Command Ingest of fixed size.
+    """
+    from edoras_tools.addons.codegen.writing import describe_packets
+    from edoras_tools.words import plural
+
+    output = recordings.text_output(output, force=force)
+    made = describe_packets(decoding.settings().workbench(), system, for_cosmos=form is GroundForm.COSMOS)
+    recordings.put_text(made.text.decode(), output)
+    if not quiet:
+        for note in made.notes:
+            tell(note)
+        if output is not None:
+            what = f"{plural(made.telemetry, 'telemetry packet')}, {plural(made.commands, 'command')}"
+            tell(f"{output}: {what}")

@@ -1,0 +1,199 @@
+"""Generates a library: selects the types and makes the text of each file."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.addons.codegen.bounds import SEQUENCES_DEFAULT, STRINGS_DEFAULT, Bounds
+from edoras_tools.addons.codegen.codec import codec
+from edoras_tools.addons.codegen.header import UMBRELLA, header_name, package_header, umbrella
+from edoras_tools.addons.codegen.layout import LINE_WIDTH, banner, guarded
+from edoras_tools.addons.codegen.mission import side_files
+from edoras_tools.addons.codegen.plan import CLibrary, CMember, Message, plan_messages
+from edoras_tools.errors import ConfigError, RouteError
+from edoras_tools.mission import Mission
+from edoras_tools.ros.store import USUAL_DISTRO
+from edoras_tools.ros.types.schema import full_name
+from edoras_tools.wire.envelope import EnvelopeFormat
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from edoras_tools.ros import TypeStore
+
+RUNTIME: Final = Path(__file__).parent / "runtime"
+"""C that is the same for every library: CDR, and the functions of edoras_core."""
+_CONFIG: Final = "edoras_core/config.h"
+POOL_DEFAULT: Final = 4
+MOST_POOLED: Final = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryOrder:
+    """The options of a library.
+
+    Attributes:
+        types: names, as ``geometry_msgs/msg/Twist`` or ``geometry_msgs/Twist``, or whole packages.
+        bounds: of sequences and strings.
+        mission: its types are added, and its tables for cFS.
+        pool: messages of a type that may be in use at once, where edoras_core takes them from a heap.
+        envelope: of the EDORAS envelope, see ``wire.envelope``.
+        keep_values: whether a ``get_`` function that fails leaves the app's variable alone; it writes 0 else.
+    """
+
+    types: Sequence[str] = ()
+    bounds: Bounds = Bounds()  # noqa: RUF009  frozen, and the same for all
+    mission: Mission = Mission()  # noqa: RUF009
+    pool: int = POOL_DEFAULT
+    envelope: EnvelopeFormat = EnvelopeFormat()  # noqa: RUF009
+    keep_values: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Generated:
+    """A library in C.
+
+    Attributes:
+        library: its messages.
+        files: their texts by name.
+    """
+
+    library: CLibrary
+    files: dict[str, str]
+
+
+def generate(types: TypeStore, order: LibraryOrder) -> Generated:
+    """Make a library.
+
+    Raises:
+        RouteError: a type is not known.
+        ConfigError: no type is named, or an order cannot be followed.
+    """
+    wanted = [*_chosen(types, order.types), *(route.type for route in order.mission.routes)]
+    if not wanted:
+        raise ConfigError("no message type is named: give types, packages, or a mission with -c")
+    if not 1 <= order.pool <= MOST_POOLED:
+        raise ConfigError(f"--pool: {order.pool} is not from 1 to {MOST_POOLED}")
+    library, command = plan_messages(types, wanted, order.bounds), _command(types, order)
+    files = {
+        path.relative_to(RUNTIME).as_posix(): banner(command) + path.read_text(encoding="utf-8")
+        for path in sorted(RUNTIME.rglob("*.[ch]"))
+    }
+    files[_CONFIG] = _config(order, command)
+    files[UMBRELLA] = umbrella(library, command)
+    files["edoras_types.c"] = tables(library, command)
+    files |= side_files(order.mission, command)
+    for package in library.packages:
+        files[header_name(package)] = package_header(library, package, command)
+        files[f"edoras_msgs_{package}.c"] = codec(library, package, command)
+    return Generated(library, files)
+
+
+def _command(types: TypeStore, order: LibraryOrder) -> str:
+    """Return the command line that makes the same files, without the folders."""
+    words = ["edoras", "codegen", *order.types]
+    words += [word for name in sorted(order.mission.files) for word in ("-c", name)]
+    words += [word for rule in order.bounds.rules for word in ("--bound", rule.text)]
+    for option, value, default in (
+        ("--strings", order.bounds.strings, STRINGS_DEFAULT),
+        ("--sequences", order.bounds.sequences, SEQUENCES_DEFAULT),
+        ("--pool", order.pool, POOL_DEFAULT),
+        ("--envelope", str(order.envelope), str(EnvelopeFormat())),
+        ("--distro", types.distro, USUAL_DISTRO),
+    ):
+        words += [option, str(value)] if value != default else []
+    words += ["--keep-values"] * order.keep_values
+    return shlex.join(words)
+
+
+def _config(order: LibraryOrder, command: str) -> str:
+    body = f"""\
+/** Messages, and buffers, of each type that create_msg and its like hand out in turn. */
+#define EDORAS_POOL {order.pool}U
+
+/** Bytes of each of the two lengths of the EDORAS envelope, and whether their first byte is the highest. */
+#define EDORAS_ENVELOPE_WORD {order.envelope.width}
+#define EDORAS_ENVELOPE_BIG_ENDIAN {int(order.envelope.byte_order == "big")}
+
+/** Whether a get_ function that fails leaves the app's variable as it was; otherwise it writes 0. */
+#define EDORAS_KEEP_VALUES {int(order.keep_values)}
+"""
+    return banner(command, "What the library was made for.") + guarded(_CONFIG, body)
+
+
+def _chosen(types: TypeStore, names: Iterable[str]) -> list[str]:
+    """Return the types of some names and packages.
+
+    Raises:
+        RouteError: a package has none.
+    """
+    chosen = []
+    for name in names:
+        if "/" in name:
+            chosen.append(full_name(name))
+            continue
+        found = [item for item in types.types() if item.startswith(f"{name}/msg/")]
+        if not found:
+            raise RouteError(
+                f"no package {name!r} of messages is known; write geometry_msgs/msg/Twist or geometry_msgs"
+            )
+        chosen += found
+    return chosen
+
+
+_INCLUDES: Final = f'#include "{UMBRELLA}"\n#include "edoras_core/tables.h"\n'
+
+
+def tables(library: CLibrary, command: str) -> str:
+    """Return the text of the file that holds the tables."""
+    about = "Every field by its name, for the functions of edoras_core, and the pools behind create_msg."
+    wanted = {message.ros_name for message in library.wanted}
+    parts = [banner(command, about) + _INCLUDES]
+    parts += [_table(message, pooled=message.ros_name in wanted) for message in library.messages]
+    listed = sorted(
+        library.messages, key=lambda message: (message.package, message.short_name, message.ros_name)
+    )
+    rows = "".join(f'    {{"edoras_codegen", &{message.name}__type}},\n' for message in listed)
+    parts.append(
+        f"const TypeSupport_t edoras_types[] = {{\n{rows}}};\n\n"
+        "const size_t edoras_types_count = EDORAS_CAPACITY(edoras_types);\n"
+    )
+    return "\n".join(parts)
+
+
+def _table(message: Message, *, pooled: bool) -> str:
+    name = message.name
+    rows = "".join(_row(name, member) for member in sorted(message.members, key=lambda item: item.ros.name))
+    return f"""\
+EDORAS_FUNCTIONS({name})
+
+static const MemberInfo_t {name}__members[] = {{
+{rows}}};
+
+{f"EDORAS_MAKE_POOL({name}){chr(10) * 2}" if pooled else ""}\
+static const TypeInfo_t {name}__type = {{
+    "{message.package}",
+    "{message.short_name}",
+    {len(message.members)}U,
+    sizeof({name}),
+    EDORAS_BUFFER_SIZE({name}),
+    {name}__members,
+    {name}__init_any,
+    {name}__encode_any,
+    {name}__decode_any,
+    {f"&{name}__pool" if pooled else "NULL"},
+}};
+"""
+
+
+def _row(owner: str, member: CMember) -> str:
+    shape = "EDORAS_SEQUENCE" if member.is_sequence else "EDORAS_ARRAY" if member.elements else "EDORAS_ONE"
+    nested = f"&{member.message.name}__type" if member.message else "NULL"
+    length = member.characters + 1 if member.characters else 0
+    head = f'    {{"{member.ros.name}", EDORAS_KIND_{member.kind.upper()}, '
+    head += f"{'true' if member.is_sequence else 'false'}, {length}U, {nested},"
+    where = f"{shape}({owner}, {member.name})}},\n"
+    return f"{head} {where}" if len(head) + len(where) < LINE_WIDTH else f"{head}\n     {where}"

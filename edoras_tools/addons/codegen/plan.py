@@ -1,0 +1,260 @@
+"""Message types for C: in the order that C requires, each with the maximum size of its fields."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from dataclasses import dataclass
+from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.addons.codegen import sizes
+from edoras_tools.addons.codegen.names import c_type_name, member_name
+from edoras_tools.errors import ConfigError
+from edoras_tools.ros.cdr.plan import WIDE_UNIT
+from edoras_tools.ros.cdr.reader import ENCAPSULATION_BYTES
+from edoras_tools.ros.types.schema import PLACEHOLDER, PRIMITIVES, STRINGS, MessageField, Shape
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from edoras_tools.addons.codegen.bounds import Bounds
+    from edoras_tools.ros import TypeStore
+    from edoras_tools.ros.types.schema import Constant, Definition
+
+_LARGEST_MESSAGE: Final = 1 << 26
+"""Most bytes of one message; a larger static array is a mistake."""
+
+
+@dataclass(frozen=True, slots=True)
+class CMember:
+    """One field of a message.
+
+    Attributes:
+        ros: the field as its definition has it.
+        name: in C.
+        elements: of an array, or the most of a sequence; 0 for a single value.
+        characters: most of a string, without its end; 0 for other types.
+        message: the type of a nested message.
+    """
+
+    ros: MessageField
+    name: str
+    elements: int
+    characters: int
+    message: Message | None
+
+    @property
+    def is_sequence(self) -> bool:
+        """Whether a count comes first."""
+        return self.ros.shape is Shape.SEQUENCE
+
+    @property
+    def kind(self) -> str:
+        """The name of what it holds one or more of, in the names of the runtime's functions."""
+        if self.message:
+            return "message"
+        return "uint8" if self.ros.type in {"byte", "char"} else self.ros.type
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message type.
+
+    Attributes:
+        definition: what it was made from.
+        members: in wire order; an empty message has the placeholder that ROS 2 sends.
+        most_trailing: bytes that writers of ROS 2 may leave behind the last field.
+    """
+
+    definition: Definition
+    members: tuple[CMember, ...]
+    most_trailing: int
+
+    @property
+    def ros_name(self) -> str:
+        """As ``geometry_msgs/msg/Twist``."""
+        return self.definition.name
+
+    @property
+    def name(self) -> str:
+        """The C type, and what its functions start with."""
+        return c_type_name(self.ros_name)
+
+    @property
+    def package(self) -> str:
+        """As ``geometry_msgs``."""
+        return self.ros_name.partition("/")[0]
+
+    @property
+    def short_name(self) -> str:
+        """As ``Twist``."""
+        return self.ros_name.rpartition("/")[2]
+
+    @property
+    def constants(self) -> tuple[Constant, ...]:
+        """Named values."""
+        return self.definition.constants
+
+    @property
+    def fingerprint(self) -> str:
+        """The start of the SHA-256 of its definition."""
+        return hashlib.sha256(self.definition.text.encode()).hexdigest()[:16]
+
+    @cached_property
+    def matrix(self) -> NDArray[np.int64]:
+        """Its longest CDR, see ``sizes``."""
+        matrix = sizes.nothing()
+        for member in self.members:
+            matrix = sizes.then(matrix, _matrix(member))
+        return matrix
+
+    @cached_property
+    def most_bytes(self) -> int:
+        """Bytes of its longest CDR, encapsulation included."""
+        return ENCAPSULATION_BYTES + sizes.longest(self.matrix)
+
+    @cached_property
+    def has_defaults(self) -> bool:
+        """Whether a new message is anything but zeros."""
+        return any(
+            member.ros.default is not None or (member.message is not None and member.message.has_defaults)
+            for member in self.members
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class CLibrary:
+    """All messages that are generated together.
+
+    Attributes:
+        messages: those that others use before them.
+        wanted: those that were asked for, by type, sorted; the others are nested in them.
+    """
+
+    messages: tuple[Message, ...]
+    wanted: tuple[Message, ...]
+
+    @property
+    def packages(self) -> tuple[str, ...]:
+        """Those that others use before them."""
+        return tuple(dict.fromkeys(message.package for message in self.messages))
+
+    def of(self, package: str) -> tuple[Message, ...]:
+        """Return the messages of a package, those that others use before them."""
+        return tuple(message for message in self.messages if message.package == package)
+
+    def uses(self, package: str) -> tuple[str, ...]:
+        """Return the other packages whose messages a package nests, sorted."""
+        used = {
+            member.message.package for item in self.of(package) for member in item.members if member.message
+        }
+        return tuple(sorted(used - {package}))
+
+
+def plan_messages(types: TypeStore, wanted: Iterable[str], bounds: Bounds) -> CLibrary:
+    """Plan the messages for some types, and for all that they nest.
+
+    Raises:
+        RouteError: a type is not known.
+        ConfigError: a definition holds mistakes, a bound does not fit it, or packages use each other.
+    """
+    names = sorted(set(wanted))
+    definitions = {item.name: item for name in names for item in types.definitions(name)}
+    bounds.check(definitions.values())
+    messages: dict[str, Message] = {}
+    for name in _ordered(definitions):
+        members = _members(definitions[name], bounds, messages)
+        message = messages[name] = Message(definitions[name], members, types.most_trailing(name))
+        if message.most_bytes > _LARGEST_MESSAGE:
+            raise ConfigError(
+                f"{name}: {message.most_bytes:,} bytes at these bounds, {_LARGEST_MESSAGE:,} are the most; "
+                "lower --sequences, --strings or a --bound"
+            )
+    return CLibrary(tuple(messages.values()), tuple(messages[name] for name in names))
+
+
+def _ordered(definitions: dict[str, Definition]) -> list[str]:
+    """Return the types, package by package, each after all that it nests."""
+    graph = {
+        name: sorted({field.type for field in item.fields if "/" in field.type})
+        for name, item in sorted(definitions.items())
+    }
+    packages = {name: name.partition("/")[0] for name in graph}
+    uses: dict[str, set[str]] = {package: set() for package in sorted(packages.values())}
+    for name, nested in graph.items():
+        uses[packages[name]] |= {packages[item] for item in nested} - {packages[name]}
+    try:
+        order = list(TopologicalSorter({package: sorted(uses[package]) for package in uses}).static_order())
+    except CycleError as error:
+        raise ConfigError(
+            f"packages use each other: {' > '.join(error.args[1])}; C wants one first"
+        ) from error
+    ranks = {package: rank for rank, package in enumerate(order)}
+    return sorted(TopologicalSorter(graph).static_order(), key=lambda name: ranks[packages[name]])
+
+
+def _members(definition: Definition, bounds: Bounds, messages: dict[str, Message]) -> tuple[CMember, ...]:
+    owner, names = definition.name, {item.name for item in definition.fields}
+    members = tuple(
+        CMember(
+            item,
+            member_name(item.name, names),
+            bounds.elements(owner, item),
+            bounds.characters(owner, item),
+            messages.get(item.type),
+        )
+        for item in definition.fields
+    )
+    for member in members:
+        _check_default(owner, member)
+    placeholder = MessageField(PLACEHOLDER, "uint8")
+    return members or (CMember(placeholder, PLACEHOLDER, 0, 0, None),)
+
+
+def _check_default(owner: str, member: CMember) -> None:
+    """Check that a default value fits the bounds."""
+    default = member.ros.default
+    if default is None:
+        return
+    values = default if isinstance(default, list) else [default]
+    longest = max((len(_characters(member, item)) for item in values), default=0) if member.characters else 0
+    for what, length, most in (
+        ("elements", len(values), member.elements),
+        ("characters", longest, member.characters),
+    ):
+        if most and length > most:
+            raise ConfigError(
+                f"{owner}.{member.ros.name}: its default has {length} {what}, its bound is {most}"
+            )
+
+
+def _characters(member: CMember, value: str) -> bytes | tuple[int, ...]:
+    """Return the characters of a string as they count towards its bound."""
+    return value.encode() if member.ros.type == "string" else utf16(value)
+
+
+def utf16(value: str) -> tuple[int, ...]:
+    """Return the UTF-16 units of a string."""
+    data = value.encode("utf-16-le", "surrogatepass")
+    return struct.unpack(f"<{len(data) // 2}H", data)
+
+
+def _matrix(member: CMember) -> NDArray[np.int64]:
+    """Return the longest CDR of a field."""
+    if member.message:
+        one = member.message.matrix
+    elif member.ros.type in STRINGS:
+        narrow = member.ros.type == "string"
+        unit = sizes.aligned(1 if narrow else WIDE_UNIT)
+        most = member.characters + narrow
+        one = sizes.then(sizes.aligned(4), sizes.up_to(unit, most))
+    else:
+        one = sizes.aligned(struct.calcsize("<" + PRIMITIVES[member.ros.type]))
+    if member.is_sequence:
+        return sizes.then(sizes.aligned(4), sizes.up_to(one, member.elements))
+    return sizes.times(one, member.elements) if member.elements else one
