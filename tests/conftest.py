@@ -12,6 +12,7 @@ import waiting
 from effort import LONG, examples
 from hypothesis import settings
 from namespace import enter, entered
+from order import Order
 
 # Machines differ and are shared: an example may take as long as it takes. The examples are the same in every
 # run, so that a change is judged by what it changes; `make explore` draws new ones.
@@ -21,6 +22,9 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "edoras"))
 
 # As edoras itself does: to look for garbage more often takes a sixth of all the time, and finds next to none.
 gc.set_threshold(200_000)
+
+# A screen is drawn fifteen times a second at the most, not sixty: that is a quarter of what views take.
+os.environ.setdefault("TEXTUAL_FPS", "15")
 
 # What whoever runs the tests has set for their own terminal is not what the tests speak of.
 for name in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "COLORFGBG", "ROS_DISTRO"):
@@ -47,6 +51,7 @@ def pytest_configure(config):
     config.addinivalue_line("markers", f"limit(seconds): what the test may take, {LIMIT_S} s else")
     config.addinivalue_line("markers", "long: only `make long` runs it")
     config.addinivalue_line("markers", "own_network: it fails where it would meet the traffic of others")
+    config.pluginmanager.register(Order(config))
     config.stash[STDERR] = os.fdopen(os.dup(2), "w")  # pytest takes standard error away while tests run
 
 
@@ -72,6 +77,11 @@ def _apart(request):
 def until():
     """Wait for a condition."""
     return waiting.until
+
+
+def pytest_collection_finish():
+    """Spare the collector of garbage what stays to the end: all tests, and what they imported."""
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
