@@ -3,6 +3,7 @@
 import re
 from contextlib import closing
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -33,10 +34,11 @@ def decoded(name, context):
     )
 
 
-CAPTURES = {
-    "a_rover": (ROVER, decoded("a_rover", ROVER)),
-    "b_arm_single": (ARM, decoded("b_arm_single", ARM)),
-}
+@cache
+def capture_of(name):
+    """Return the context of a capture, and what was decoded of it with that."""
+    context = {"a_rover": ROVER, "b_arm_single": ARM}[name]
+    return context, decoded(name, context)
 
 
 def layer(packet, name, field):
@@ -57,7 +59,7 @@ def joints(packet, name="position"):
 
 
 def elapsed(packet):
-    return packet.datagram.time_ns - CAPTURES["a_rover"][1][0].time_ns[0]
+    return packet.datagram.time_ns - capture_of("a_rover")[1][0].time_ns[0]
 
 
 # What is written, and which packets of the rover's capture must pass.
@@ -165,7 +167,7 @@ CASES += [("b_arm_single", *case) for case in ON_ARM.items()]
 
 @pytest.mark.parametrize(("capture", "text", "wanted"), CASES, ids=[case[1] for case in CASES])
 def test_what_passes(capture, text, wanted):
-    context, (batch, columns, packets) = CAPTURES[capture]
+    context, (batch, columns, packets) = capture_of(capture)
     expected = [bool(wanted(packet)) for packet in packets]
     assert Where(text, context).mask(batch, columns).tolist() == expected
     assert Where(text, context).judge(packets).tolist() == expected
@@ -174,13 +176,13 @@ def test_what_passes(capture, text, wanted):
 def test_that_the_cases_tell_packets_apart():
     told = 0
     for capture, text, _ in CASES:
-        context, (batch, columns, _) = CAPTURES[capture]
+        context, (batch, columns, _) = capture_of(capture)
         told += 0 < np.count_nonzero(Where(text, context).mask(batch, columns)) < len(batch)
     assert told > 0.8 * len(CASES)
 
 
 def test_time_counts_from_the_first_datagram_of_the_first_batch():
-    context, (batch, columns, _) = CAPTURES["a_rover"]
+    context, (batch, columns, _) = capture_of("a_rover")
     where = Where("time < 10s", context)
     parts = [slice(0, 100), slice(100, None)]
     masks = [where.mask(batch.take(part), columns.take(part)) for part in parts]
@@ -189,7 +191,7 @@ def test_time_counts_from_the_first_datagram_of_the_first_batch():
 
 def test_what_is_cheap_is_asked_first(monkeypatch):
     """Only what the columns let through is dissected."""
-    context, (batch, columns, _) = CAPTURES["a_rover"]
+    context, (batch, columns, _) = capture_of("a_rover")
     asked = []
     monkeypatch.setattr(
         "edoras_tools.decode.filters.rows.Dissector.dissect",
@@ -302,7 +304,7 @@ def test_without_a_mission_message_fields_ask_for_one():
 
 
 def test_addresses_of_version_6():
-    _, (batch, _, _) = CAPTURES["a_rover"]
+    _, (batch, _, _) = capture_of("a_rover")
     two = replace(
         batch.take(slice(0, 2)),
         ip_version=np.array([6, 4], np.uint8),
