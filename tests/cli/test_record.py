@@ -316,9 +316,9 @@ def test_bytes_that_rmw_leaves_behind_a_message_are_a_note(edoras, missions, rec
 
 
 @pytest.mark.parametrize("kind", ["mcap", "pcapng", "pcap"])
-def test_standard_output_gets_what_a_file_does(kind, edoras, captures, missions, tmp_path):
+def test_standard_output_gets_what_a_file_does(kind, call, edoras, captures, missions, tmp_path):
     words = ["record", "-q", captures("a_rover"), *missions("rover_ground"), "-o"]
-    assert edoras(*words, tmp_path / f"x.{kind}").returncode == 0
+    assert call(*words, tmp_path / f"x.{kind}").code == 0
     done = edoras(*words, "-", *(["--format", kind] if kind != "mcap" else []))
     assert (done.returncode, done.stderr) == (0, b"")
     assert done.stdout == (tmp_path / f"x.{kind}").read_bytes()
@@ -328,9 +328,9 @@ def test_standard_output_gets_what_a_file_does(kind, edoras, captures, missions,
         assert done.stdout == captures("a_rover").read_bytes()
 
 
-def test_standard_input_may_be_a_file(edoras, captures, tmp_path):
+def test_standard_input_may_be_a_file(call, edoras, captures, tmp_path):
     path = tmp_path / "x.mcap"
-    assert edoras("record", "-q", captures("a_rover"), "-o", path).returncode == 0
+    assert call("record", "-q", captures("a_rover"), "-o", path).code == 0
     with path.open("rb") as file:
         assert json.loads(edoras("info", "-", "--json", stdin=file).stdout)["datagrams"] == 1827
 

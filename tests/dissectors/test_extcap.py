@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from waiting import Program, free_ports
 
+from edoras_tools.cli.extcap import main
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import table
 from edoras_tools.links.sbn import SBN
@@ -36,6 +37,7 @@ def asked(launcher, *arguments, code=0):
 
 
 def test_interfaces(launcher):
+    assert asked(launcher, "--extcap-interface", "edoras-ci", "--extcap-dlts") == extcap.link_types()
     lines = asked(launcher, "--extcap-interfaces", "--extcap-version=4.0")
     assert all(SENTENCE.fullmatch(line) for line in lines)
     assert [line.partition("display=")[2] for line in lines[1:]] == [
@@ -50,10 +52,11 @@ def test_interfaces(launcher):
 
 
 @pytest.mark.parametrize("name", [f"edoras-{link.label}" for link in table.links()])
-def test_link_types_and_options(name, launcher):
-    types = asked(launcher, "--extcap-interface", name, "--extcap-dlts")
-    assert types == ["dlt {number=101}{name=RAW}{display=Raw IP}"]
-    lines = asked(launcher, "--extcap-interface", name, "--extcap-config")
+def test_link_types_and_options(name, capsys):
+    assert main(["--extcap-interface", name, "--extcap-dlts"]) == 0
+    assert capsys.readouterr().out == "dlt {number=101}{name=RAW}{display=Raw IP}\n"
+    assert main(["--extcap-interface", name, "--extcap-config"]) == 0
+    lines = capsys.readouterr().out.splitlines()
     assert all(SENTENCE.fullmatch(line) for line in lines)
     calls = [re.search(r"\{call=--(\w+)\}", line)[1] for line in lines if line.startswith("arg")]
     assert calls == ["interface", "listen", "ports", "config"]
