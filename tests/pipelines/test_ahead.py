@@ -5,12 +5,13 @@ import signal
 import sys
 from contextlib import closing
 from dataclasses import fields, replace
-from itertools import zip_longest
+from itertools import cycle, product, zip_longest
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 from children import children
+from effort import long_but
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import CAPTURES, ROOT
@@ -94,8 +95,17 @@ def test_batches_are_the_same_however_they_are_cut(window, batches, room, slot):
     assert ahead.statistics.datagrams == 1827
 
 
-@pytest.mark.parametrize("path", sorted(CAPTURES.glob("*.pcap*")), ids=lambda path: path.name)
-@pytest.mark.parametrize("here", ["all", "none", "every third"])
+FILES = sorted(CAPTURES.glob("*.pcap*"))
+READERS = ("all", "none", "every third")
+# In `make test` each file has one kind of reader, and each kind reads two files.
+IN_TURNS = list(zip(FILES, cycle(READERS)))
+
+
+@pytest.mark.parametrize(
+    ("path", "here"),
+    long_but(IN_TURNS, list(product(FILES, READERS))),
+    ids=lambda item: item if isinstance(item, str) else item.name,
+)
 def test_whoever_decodes_a_batch_reads_the_same(path, here, monkeypatch):
     count = iter(range(1 << 20))
     awaited = {

@@ -21,7 +21,7 @@ def test_the_packages_are_there():
 
 
 @pytest.mark.parametrize("name", TYPES)
-@settings(max_examples=examples(25, least=5), deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=examples(25, least=3), deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), little=st.booleans())
 def test_both_directions(store, rosbags_store, tools, name, data, little):
     values = data.draw(tools.messages(store, name))
@@ -36,7 +36,7 @@ def test_both_directions(store, rosbags_store, tools, name, data, little):
 
 
 @pytest.mark.parametrize("name", TYPES)
-@settings(max_examples=examples(15, least=5), deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=examples(15, least=3), deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_what_rosbags_reads_is_valid(store, rosbags_store, tools, name, data):
     cdr = bytearray(store.encode(name, data.draw(tools.messages(store, name))))

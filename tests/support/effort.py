@@ -6,10 +6,10 @@ import pytest
 
 LONG = bool(os.environ.get("EDORAS_LONG"))
 _ALL = LONG or os.environ.get("HYPOTHESIS_PROFILE") == "explore"
-_PART = 4
+_PART = 8
 
 
-def examples(count, part=_PART, least=20):
+def examples(count, part=_PART, least=10):
     """Return how many of ``count`` examples this run draws: one of ``part``, but so many at least."""
     return count if _ALL else min(count, max(least, count // part))
 

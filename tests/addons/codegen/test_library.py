@@ -6,6 +6,7 @@ import math
 import struct
 
 import pytest
+from effort import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
@@ -20,7 +21,7 @@ STANDARD = [name for name in get_typestore(Stores.ROS2_JAZZY).fielddefs if name.
 TYPES = [*sorted(STANDARD), *PROBES]
 NOT_OF_ROSBAGS = {"probe_msgs/msg/Wide", "probe_msgs/msg/Defaults"}
 """wstring is not of rosbags."""
-examples = settings(max_examples=5, suppress_health_check=list(HealthCheck))
+few = settings(max_examples=examples(5, least=2), suppress_health_check=list(HealthCheck))
 
 
 def exact(value):
@@ -33,7 +34,7 @@ def test_every_package_is_there():
 
 
 @pytest.mark.parametrize("name", TYPES)
-@examples
+@few
 @given(data=st.data())
 def test_both_ways(library, store, rosbags_store, tools, name, data):
     values = data.draw(tools.messages(store, name))
@@ -64,7 +65,7 @@ def test_new_messages_have_their_defaults(library, store, name):
 
 
 @pytest.mark.parametrize("name", TYPES)
-@examples
+@few
 @given(data=st.data())
 def test_what_is_read_is_what_our_reader_reads(library, store, tools, name, data):
     """Spoilt messages: valid for the one where for the other, but for what is longer than its bound."""

@@ -201,7 +201,7 @@ def test_another_protocol_on_the_port_is_kept_as_parts(data):
     kept = b"".join(item.frame[54:] for item in rows)
     assert kept == data
     demux = Demux()
-    for at in range(200):
+    for at in range(100):
         chunk = Segment(at * len(data), data)
         demux.demux(frames([chunk], at + 1))
     waiting = demux.finish()

@@ -7,6 +7,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from effort import every
 from places import CAPTURES, MISSIONS, SAMPLE_MISSIONS
 from rtps import CAPTURES as DDS
 
@@ -78,7 +79,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_tables_are_the_same_with_any_number_of_processes(case, tmp_path, submitted):
     name, layout, how = case
-    one, *others = (exported(tmp_path, jobs, *input_of(name), layout, **how) for jobs in (1, 2, 3))
+    one, *others = (exported(tmp_path, jobs, *input_of(name), layout, **how) for jobs in every(2, (1, 2, 3)))
     assert all(other == one for other in others)
     assert sum(rows for _, rows, _ in one[1]) > 60
     assert len(submitted) > 2

@@ -34,7 +34,7 @@ TYPES = [
     "odd_msgs/msg/Empties",
     "odd_msgs/msg/Deep",
 ]
-FEW = settings(max_examples=examples(20, least=8), deadline=None, suppress_health_check=list(HealthCheck))
+FEW = settings(max_examples=examples(20, least=4), deadline=None, suppress_health_check=list(HealthCheck))
 
 
 @pytest.fixture(autouse=True, params=[0, 2], ids=["together", "few alone"])
