@@ -79,11 +79,6 @@ def until():
     return waiting.until
 
 
-def pytest_collection_finish():
-    """Spare the collector of garbage what stays to the end: all tests, and what they imported."""
-    gc.freeze()
-
-
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item):
     """Fail a test that hangs, with the stacks of all threads; end the session where not even that works."""

@@ -19,7 +19,8 @@ class Order:
 
     def __init__(self, config):
         self._cache = getattr(config, "cache", None)  # none with -p no:cacheprovider
-        self._whole = config.args_source is config.ArgsSource.TESTPATHS and not config.option.keyword
+        whole = config.args_source is config.ArgsSource.TESTPATHS
+        self._whole = whole and not config.option.keyword and not config.option.markexpr
         self._seconds = Counter()
 
     @pytest.hookimpl(trylast=True)

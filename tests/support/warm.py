@@ -3,7 +3,6 @@
 To start is most of what a short command takes; for tests that run many, and are not about how it starts.
 """
 
-import gc
 import json
 import os
 import pkgutil
@@ -50,7 +49,6 @@ def serve(asked):
         for item in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             with suppress(ImportError):  # of an extra that is not installed
                 import_module(item.name)
-    gc.freeze()  # what is there already is looked at by no child, and so not copied
     while True:
         given, outputs, _, _ = socket.recv_fds(asked, 1 << 20, 1)
         if not given:
