@@ -38,8 +38,8 @@ def without_sizes(text):
     return re.sub(r"\d+\.\d [KM]iB", "SIZE", text)
 
 
-# Two take long, and what they show is held by tests/pipelines/sweep and tests/diagnosis too.
-QUICK = [page for page in REFRESHED if page.stem not in {"sweep", "balance"}]
+# Three take long and are for `make long`: what they show is held by tests of sweep, diagnosis, archive too.
+QUICK = [page for page in REFRESHED if page.stem not in {"sweep", "balance", "archive"}]
 
 
 @pytest.mark.parametrize("page", long_but(QUICK, REFRESHED), ids=identity)
