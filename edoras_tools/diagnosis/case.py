@@ -33,6 +33,7 @@ from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.uncaptured import HostDrops, find_holes, host_drops
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.streams import Reset, Stream, find_resets, find_robots, find_streams
+from edoras_tools.diagnosis.quality import Quality, assess_quality
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, HostCounters, InterfaceOutage, Link
 from edoras_tools.units import SECOND
@@ -198,6 +199,20 @@ class Case:
     def away(self) -> list[tuple[int, int]]:
         """From when to when nothing could be captured."""
         return sorted([*self.capture.away, *self.holes])
+
+    @cached_property
+    def quality(self) -> Quality:
+        """What bounds the datagrams that the capture missed."""
+        return assess_quality(
+            self.rows,
+            self.payloads,
+            self.instances,
+            self.streams,
+            self.hops,
+            self.tracks,
+            self.away,
+            self.capture.drops,
+        )
 
     @cached_property
     def network(self) -> Network:

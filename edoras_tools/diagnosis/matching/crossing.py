@@ -63,6 +63,9 @@ class Hop:
         known: bool, a row of ``into`` each: it has a fingerprint, so it can be found again.
         arrived: bool, likewise: it came out.
         newer: bool, likewise: it did not, and a newer one of the same round did, where only the newest does.
+        single: bool, one for each that is ``known``: no other of them has its fingerprint.
+        origin: i64, a row of ``out`` each: the place in ``into`` that it came from, -1 where there is none.
+        sole: bool, likewise: its fingerprint occurs once coming out, and not twice going in.
         doubled: how often one came out that already had.
         latency: of those whose values occur once.
         delays_ns: i64, the delay of each of those.
@@ -79,6 +82,9 @@ class Hop:
     known: NDArray[np.bool_]
     arrived: NDArray[np.bool_]
     newer: NDArray[np.bool_]
+    single: NDArray[np.bool_]
+    origin: NDArray[np.intp]
+    sole: NDArray[np.bool_]
     doubled: int
     latency: Latency | None
     delays_ns: NDArray[np.int64]
@@ -278,8 +284,8 @@ def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went
     """Give every message that came out the latest equal one that had gone in and not come out yet."""
     in_ns, out_ns = rows.time_ns[into.rows], rows.time_ns[out.rows]
     from_ = paired(came, in_ns, went, out_ns)
+    from_[out_ns - in_ns[from_] > _LONGEST_NS] = -1
     goes_row = np.flatnonzero(from_ >= 0)
-    goes_row = goes_row[out_ns[goes_row] - in_ns[from_[goes_row]] <= _LONGEST_NS]
     from_row = from_[goes_row]
     delay = out_ns[goes_row] - in_ns[from_row]
 
@@ -296,8 +302,8 @@ def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went
         # Of two that are half a round apart every other pair is taken in one; where more lack, they are lost.
         together = np.clip(1 - np.diff(in_ns) / _ROUND_NS, 0, None).sum()
         newer &= bool(newer.sum() <= _OFTENER * together + _LEAST_DIFFERENT)
-    values, counts = np.unique(came, return_counts=True)
-    single = np.isin(came[from_row], values[counts == 1])
+    often, out_often = _occurrences(came), _occurrences(went)
+    single = often[from_row] == 1
     by_time = np.argsort(out_ns[goes_row][single], kind="stable")
     return Hop(
         into=into,
@@ -306,6 +312,9 @@ def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went
         known=came != 0,
         arrived=arrived,
         newer=newer,
+        single=often[came != 0] == 1,
+        origin=from_,
+        sole=(went != 0) & (out_often == 1) & ~np.isin(went, came[often > 1]),
         doubled=int(np.isin(went, came[arrived]).sum()) - len(goes_row),
         latency=latency_of(delay[single]),
         delays_ns=delay[single][by_time],
@@ -315,6 +324,12 @@ def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went
         in_rows=from_row,
         out_rows=goes_row,
     )
+
+
+def _occurrences(values: NDArray[np.uint64]) -> NDArray[np.intp]:
+    """Return how often each value occurs."""
+    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray(counts[which])
 
 
 def _newest_only(out_ns: NDArray[np.int64]) -> bool:

@@ -1,0 +1,403 @@
+"""How much the capture itself may have missed.
+
+A capture that drops frames at random drops some of those that other evidence proves to have been sent. So
+datagrams are checked of which something else in the capture says that they passed the tap:
+
+1. *Identifications*. A Linux host numbers its IPv4 packets to one address one by one, and skips numbers only
+   where a clock tick lies between two. If the packets before and after a number were captured within a
+   millisecond, the packet between them passed too. Only even numbers are checked, by odd ones, so no packet
+   is both evidence and checked.
+2. *Inputs*. What an application sends was made of a command that it got. Values that occur once tell which.
+3. *Counts of CI*. Between two times of rest, CI counted so many datagrams that the tap saw before.
+4. *Sequence counts*. A message that cFS counted left it, while the bus counted no loss.
+
+Whether a datagram is checked never depends on whether it was captured, so those that are missing are a fair
+sample. Evidence of one kind about datagrams of one sending host is a group. Groups are not added up: two
+kinds may check the same datagram, which is no more evidence than one. A network that loses datagrams on their
+way to the tap makes a group look worse than the capture is, never better, and so does traffic that was left
+out on purpose. So every group bounds from above what the capture missed, and the lowest bound holds. It is
+assumed that a tap drops frames whoever sent them.
+
+Where CI counted fewer than the tap saw, something behind the tap lost commands, and could hide as many that
+the capture lacks: the counts of that CI check nothing. Times at which nothing was captured are left out; they
+are no share. Frames that were captured twice are counted once before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from math import exp, lgamma, log, log1p, sqrt
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.links.table import among
+from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.arrays.order import by_value, numbered
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.instances import Instances
+    from edoras_tools.diagnosis.evidence.loss_reports import Track
+    from edoras_tools.diagnosis.evidence.payloads import Payloads
+    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.matching.crossing import Hop
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+EvidenceKind = Literal["identifications", "inputs", "ci_counts", "sequence_counts"]
+
+CONFIDENCE: Final = 0.999
+_TICK_NS: Final = MILLISECOND
+"""The shortest clock tick of a Linux kernel."""
+_ALIKE: Final = 0.5
+_MOSTLY_ONCE: Final = 0.9
+_START_NS: Final = 2 * SECOND
+_REST_NS: Final = 1500 * MILLISECOND
+"""CI has read what was sent so long ago, unless its socket is full."""
+_LATE_NS: Final = 100 * MILLISECOND
+_ROUNDS_NS: Final = 2 * SECOND
+"""A message is lost on the bus, or leaves, within so long."""
+_MOST_MISSING: Final = 64
+"""A count that steps further is that of another time."""
+_DEVIATIONS: Final = 12
+_BISECTIONS: Final = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Datagrams that were sent past the tap, as something else than their own capture shows.
+
+    Attributes:
+        kind: the kind of evidence.
+        sender: the host that sent them, as a number of ``Instances.hosts``.
+        checked: the number of datagrams.
+        missing: the number of these that the capture lacks.
+    """
+
+    kind: EvidenceKind
+    sender: int
+    checked: int
+    missing: int
+
+
+@dataclass(frozen=True)
+class Quality:
+    """A bound of what a capture missed at random.
+
+    Attributes:
+        evidence: what was checked.
+        drops: frames that the kernel or the recorder dropped by their own count; None where nothing counted.
+    """
+
+    evidence: tuple[Evidence, ...] = ()
+    drops: int | None = None
+
+    @cached_property
+    def groups(self) -> list[tuple[int, int]]:
+        """The numbers of datagrams checked and missing, in each group of evidence that bounds by itself."""
+        found: dict[tuple[int, str], tuple[int, int]] = {}
+        for item in self.evidence:
+            checked, missing = found.get((item.sender, item.kind), (0, 0))
+            found[item.sender, item.kind] = checked + item.checked, missing + item.missing
+        return sorted({group for group in found.values() if group[0]})
+
+    @cached_property
+    def _best(self) -> tuple[int, int]:
+        return min(self.groups, key=lambda group: largest_share(*group), default=(0, 0))
+
+    @property
+    def checked(self) -> int:
+        """The number of datagrams that were checked in the group that bounds best: k."""
+        return self._best[0]
+
+    @property
+    def missing(self) -> int:
+        """The number of these that the capture lacks: m."""
+        return self._best[1]
+
+    @property
+    def known_zero(self) -> bool:
+        """Whether drops were counted, there were none, and not all evidence contradicts that."""
+        return self.drops == 0 and (not self.groups or any(not missing for _, missing in self.groups))
+
+    def upper_share(self, confidence: float = CONFIDENCE) -> float:
+        """Return the largest share of its frames that the capture can have missed, 0 to 1.
+
+        Args:
+            confidence: the probability that a capture that misses more would show more missing.
+        """
+        return 0.0 if self.known_zero else largest_share(*self._best, self._each(confidence))
+
+    def may_have_missed(self, count: int, confidence: float = CONFIDENCE) -> int:
+        """Return how many of so many datagrams the capture can have missed at most."""
+        return largest_number(count, self.upper_share(confidence), confidence)
+
+    def excludes(self, share: float, confidence: float = CONFIDENCE) -> bool:
+        """Tell whether the capture cannot have missed such a share: it would lack one of those checked."""
+        each = self._each(confidence)
+        return self.known_zero or any(
+            share > largest_share(checked, missing, each) for checked, missing in self.groups if not missing
+        )
+
+    def _each(self, confidence: float) -> float:
+        """Return how surely each group has to bound where the best is chosen by what they say."""
+        return 1 - (1 - confidence) / max(len(self.groups), 1)
+
+
+def assess_quality(
+    rows: Rows,
+    payloads: Payloads,
+    instances: Instances,
+    streams: Sequence[Stream],
+    hops: Sequence[Hop],
+    tracks: Mapping[int, Track],
+    holes: Sequence[tuple[int, int]] = (),
+    drops: int | None = None,
+) -> Quality:
+    """Return what bounds the losses of a capture.
+
+    Args:
+        rows: each datagram once, in order of time.
+        payloads: of these rows.
+        streams: of these rows.
+        hops: streams that come out again as others.
+        tracks: instance to the counters of its software bus.
+        holes: from when to when nothing was captured, ns.
+        drops: as in ``Quality``.
+    """
+    found = [
+        *check_identifications(rows, instances.hosts),
+        *check_inputs(rows, hops, instances.hosts, holes),
+        *check_ci_counts(rows, payloads, instances, holes),
+        *check_sequence_counts(rows, streams, instances, tracks, holes),
+    ]
+    return Quality(tuple(item for item in found if item.checked), drops)
+
+
+def check_identifications(rows: Rows, hosts: NDArray[np.int32]) -> Iterator[Evidence]:
+    """Yield for each sender how many identifications lie between two captured ones, and lack.
+
+    Args:
+        hosts: endpoint to the number of its address.
+    """
+    own = np.flatnonzero((rows.identification != 0) & ~rows.streamed)
+    _, pair = numbered(hosts[rows.source[own]], hosts[rows.destination[own]])
+    totals: dict[int, tuple[int, int]] = {}
+    for _, members in by_value(pair):
+        mine = own[members]
+        checked, missing = _between(rows.time_ns[mine], rows.identification[mine])
+        sender = int(hosts[rows.source[mine[0]]])
+        before = totals.get(sender, (0, 0))
+        totals[sender] = before[0] + checked, before[1] + missing
+    yield from (Evidence("identifications", sender, *counts) for sender, counts in totals.items())
+
+
+def _between(time_ns: NDArray[np.int64], identification: NDArray[np.uint16]) -> tuple[int, int]:
+    """Return how many even numbers have both neighbours within a tick, and how many of these are missing."""
+    if len(time_ns) < 2:
+        return 0, 0
+    run = np.concatenate(([0], np.cumsum(np.diff(time_ns) >= _TICK_NS)))
+    first = np.flatnonzero(np.diff(run, prepend=-1))
+    ahead = identification.astype(np.int64) - identification[first][run]
+    ahead = (ahead + (1 << 15)) % (1 << 16) - (1 << 15)
+    order = np.lexsort((ahead, run))  # two senders on one host overtake each other on the way to the tap
+    run, ahead, time_ns, odd = run[order], ahead[order], time_ns[order], identification[order] % 2 == 1
+    different = np.concatenate(([True], (np.diff(ahead) != 0) | (np.diff(run) != 0)))
+    run, ahead, time_ns, odd = run[different], ahead[different], time_ns[different], odd[different]
+
+    def both(places: int, step: int) -> int:
+        """Count pairs so many places apart whose numbers are so many apart, within a tick."""
+        near = (run[places:] == run[:-places]) & (np.abs(time_ns[places:] - time_ns[:-places]) < _TICK_NS)
+        return int((near & odd[:-places] & (ahead[places:] - ahead[:-places] == step)).sum())
+
+    captured, missing = both(2, 2), both(1, 2)
+    return captured + missing, missing
+
+
+def check_inputs(
+    rows: Rows, hops: Sequence[Hop], hosts: NDArray[np.int32], holes: Sequence[tuple[int, int]] = ()
+) -> Iterator[Evidence]:
+    """Yield for each way in how many messages came out, and how many of these were not captured before.
+
+    Args:
+        hosts: endpoint to the number of its address.
+        holes: from when to when nothing was captured, ns.
+    """
+    start_ns = int(rows.time_ns[0]) if len(rows) else 0
+    ways: dict[tuple[int, int, int, int], list[Hop]] = {}
+    for hop in hops:
+        to = hop.out
+        ways.setdefault((to.link.code, to.sender, to.receiver, to.msg_id), []).append(hop)
+    found: dict[int, Evidence] = {}
+    for members in ways.values():
+        longest_ns = max(hop.last_ns for hop in members)
+        leaving = np.unique(np.concatenate([hop.out.rows for hop in members]))
+        sole, captured = np.zeros((2, len(leaving)), bool)
+        for hop in members:
+            place = np.searchsorted(leaving, hop.out.rows)
+            sole[place] |= hop.sole & (_distinct(hop) >= _MOSTLY_ONCE)
+            captured[place] |= hop.origin >= 0
+        when = rows.time_ns[leaving]
+        early = when - start_ns <= _START_NS + 2 * longest_ns
+        usable = sole & ~early & ~_within(when - longest_ns - _START_NS, when, holes)
+        if usable.any() and captured[usable].mean() >= _ALIKE:
+            into = members[0].into
+            sender = int(hosts[rows.source[into.rows[0]]])
+            evidence = Evidence("inputs", sender, int(usable.sum()), int((usable & ~captured).sum()))
+            # What comes out on several ways checks what goes in once.
+            if evidence.checked > (found[id(into)].checked if id(into) in found else 0):
+                found[id(into)] = evidence
+    yield from found.values()
+
+
+def _distinct(hop: Hop) -> float:
+    """Return what part of the messages that went in have a value of their own."""
+    return float(hop.single.mean()) if len(hop.single) else 0.0
+
+
+def check_ci_counts(
+    rows: Rows, payloads: Payloads, instances: Instances, holes: Sequence[tuple[int, int]] = ()
+) -> Iterator[Evidence]:
+    """Yield for each CI how many datagrams it counted between times of rest, and how many lack.
+
+    Args:
+        holes: from when to when nothing was captured, ns.
+    """
+    to_ci = np.flatnonzero(among(rows.link, lambda link: link.only_to_cfs))
+    samples = payloads.ingest
+    whose = instances.of_row[samples["row"]]
+    known = np.flatnonzero(whose != NOBODY)
+    systems = np.array([*instances.systems, NOBODY])[whose[known]]
+    host_of = np.array([*(item.host for item in instances.items), NOBODY])[whose[known]]
+    for host, places in by_value(host_of):
+        mine = to_ci[instances.hosts[rows.destination[to_ci]] == host]
+        if len(np.unique(systems[places])) > 1 or len(np.unique(rows.destination[mine])) != 1:
+            continue
+        chosen = known[places]
+        made_ns = instances.made_ns[samples["row"][chosen]]
+        order = np.argsort(made_ns, kind="stable")
+        made_ns, chosen = made_ns[order], chosen[order]
+        total = samples["packets"][chosen] + samples["errors"][chosen]
+        counted, seen = _rests(rows.time_ns[mine], made_ns, total, holes)
+        if len(counted) and (seen <= counted).all():
+            sender = int(np.bincount(instances.hosts[rows.source[mine]]).argmax())
+            yield Evidence("ci_counts", sender, int(counted.sum()), int((counted - seen).sum()))
+
+
+def _rests(
+    sent_ns: NDArray[np.int64],
+    made_ns: NDArray[np.int64],
+    total: NDArray[np.int64],
+    holes: Sequence[tuple[int, int]],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return what CI counted, and what was captured, between two samples at which it had read everything."""
+    before = np.searchsorted(sent_ns, made_ns - _REST_NS)
+    rest = np.flatnonzero(before == np.searchsorted(sent_ns, made_ns + _LATE_NS))
+    counted, seen = np.diff(total[rest]), np.diff(before[rest])
+    usable = (counted >= 0) & (np.diff(made_ns[rest]) > 0)
+    usable &= ~_within(made_ns[rest][:-1] - _REST_NS, made_ns[rest][1:], holes)
+    return counted[usable], seen[usable]
+
+
+def check_sequence_counts(
+    rows: Rows,
+    streams: Sequence[Stream],
+    instances: Instances,
+    tracks: Mapping[int, Track],
+    holes: Sequence[tuple[int, int]] = (),
+) -> Iterator[Evidence]:
+    """Yield for each sender how many messages it counted while its bus lost none, and how many lack.
+
+    Args:
+        tracks: instance to the counters of its software bus.
+        holes: from when to when nothing was captured, ns.
+    """
+    totals: dict[int, tuple[int, int]] = {}
+    for stream in streams:
+        track = tracks.get(stream.instance)
+        if not (stream.counted and stream.link.from_cfs and track and len(track.times) > 1):
+            continue
+        own = stream.rows
+        made_ns, missing = instances.made_ns[own], stream.missing[:-1]
+        few = np.flatnonzero(missing <= _MOST_MISSING)
+        steps = missing[few] + 1
+        of, last = np.repeat(few, steps), np.cumsum(steps) - 1
+        place = np.arange(len(of)) - np.repeat(last - steps + 1, steps) + 1
+        when = made_ns[of] + (made_ns[of + 1] - made_ns[of]) * place // np.repeat(steps, steps)
+        absent = np.ones(len(of), bool)
+        absent[last] = False
+        start_ns, end_ns = when - _ROUNDS_NS, when + _ROUNDS_NS
+        usable = _quiet(track, start_ns, end_ns) & ~_within(start_ns, end_ns, holes)
+        sender = int(instances.hosts[rows.source[own[0]]])
+        before = totals.get(sender, (0, 0))
+        totals[sender] = before[0] + int(usable.sum()), before[1] + int((usable & absent).sum())
+    yield from (Evidence("sequence_counts", sender, *counts) for sender, counts in totals.items())
+
+
+def _quiet(track: Track, start_ns: NDArray[np.int64], end_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell in which times samples on both sides say that the bus lost nothing."""
+    times = np.array(track.times, np.int64)
+    lost = np.array(track.totals["pipe_overflows"]) + np.array(track.totals["msg_limits"])
+    low = np.searchsorted(times, start_ns, "right") - 1
+    high = np.searchsorted(times, end_ns)
+    inside = (low >= 0) & (high < len(times))
+    return np.asarray(inside & (lost[np.maximum(low, 0)] == lost[np.minimum(high, len(times) - 1)]))
+
+
+def _within(
+    start_ns: NDArray[np.int64], end_ns: NDArray[np.int64], holes: Sequence[tuple[int, int]]
+) -> NDArray[np.bool_]:
+    """Tell which times overlap a hole."""
+    out = np.zeros(len(start_ns), bool)
+    for begin, end in holes:
+        out |= (start_ns < end) & (end_ns > begin)
+    return out
+
+
+def binomial_tail(missing: int, checked: int, share: float) -> float:
+    """Return the probability that at most ``missing`` of ``checked`` are missed, each with a probability."""
+    if share <= 0 or missing >= checked:
+        return 1.0
+    if share >= 1:
+        return 0.0
+    reach = int(_DEVIATIONS * sqrt(checked * share * (1 - share))) + _DEVIATIONS * _DEVIATIONS
+    if missing > checked * share + reach:
+        return 1.0
+    top = lgamma(checked + 1) - lgamma(missing + 1) - lgamma(checked - missing + 1)
+    top += missing * log(share) + (checked - missing) * log1p(-share)
+    # Each term is made of the one above it; what lies further down is less than the last digit.
+    lower = np.arange(missing, max(missing - 2 * reach, 0), -1)
+    ratios = np.log(lower) - np.log(checked - lower + 1) + log1p(-share) - log(share)
+    return min(1.0, float(np.exp(top + np.cumsum(ratios)).sum()) + exp(top))
+
+
+@cache
+def largest_share(checked: int, missing: int, confidence: float = CONFIDENCE) -> float:
+    """Return the upper end of the one-sided interval of Clopper and Pearson for a share, 0 to 1."""
+    if missing >= checked:
+        return 1.0
+    low, high = missing / checked, 1.0
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        if binomial_tail(missing, checked, middle) > 1 - confidence:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def largest_number(count: int, share: float, confidence: float = CONFIDENCE) -> int:
+    """Return the quantile of a binomial distribution: the least number that so many stay at or below."""
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        if binomial_tail(middle, count, share) >= confidence:
+            high = middle
+        else:
+            low = middle + 1
+    return low

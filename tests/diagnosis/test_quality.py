@@ -1,0 +1,191 @@
+"""What bounds the losses of a capture: exact binomial bounds, and captures with frames removed at random."""
+
+from fractions import Fraction
+from math import comb
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from places import CAPTURES
+
+from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.diagnosis.quality import (
+    Evidence,
+    Quality,
+    _between,
+    _rests,
+    binomial_tail,
+    largest_number,
+    largest_share,
+)
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.units import MILLISECOND, SECOND
+
+
+def exact_tail(missing, checked, share):
+    share = Fraction(share)
+    return sum(comb(checked, n) * share**n * (1 - share) ** (checked - n) for n in range(missing + 1))
+
+
+@given(st.integers(1, 60), st.data())
+def test_the_tail_is_that_of_exact_fractions(checked, data):
+    missing = data.draw(st.integers(0, checked))
+    share = data.draw(st.floats(0.0, 1.0))
+    expected = float(exact_tail(missing, checked, share))
+    assert binomial_tail(missing, checked, share) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("missing", "checked", "confidence", "share"),
+    [
+        # Clopper and Pearson's 95 % intervals from two sides have these upper ends.
+        (5, 100, 0.975, 0.11283),
+        (10, 50, 0.975, 0.33718),
+        (0, 10, 0.975, 0.30850),
+        (1, 20, 0.975, 0.24873),
+        (0, 1000, 0.95, 0.0029912),
+        (0, 1000, 0.999, 0.0068840),
+        (7, 7, 0.999, 1.0),
+        (0, 0, 0.999, 1.0),
+    ],
+)
+def test_the_largest_share_is_that_of_tables(missing, checked, confidence, share):
+    assert largest_share(checked, missing, confidence) == pytest.approx(share, rel=1e-4)
+
+
+def test_bounds_of_many_are_bounds_of_few_made_narrower():
+    shares = [largest_share(10**power, 10**power // 20) for power in range(2, 8)]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[-1] == pytest.approx(0.05, abs=0.0003)
+
+
+@given(st.integers(0, 80), st.floats(0.0, 1.0))
+def test_the_largest_number_is_the_quantile(count, share):
+    number = largest_number(count, share)
+    assert float(exact_tail(number, count, share)) >= 0.999 - 1e-9
+    assert number == 0 or float(exact_tail(number - 1, count, share)) <= 0.999 + 1e-9
+
+
+def test_what_lacks_none_excludes_the_share_that_the_issue_names():
+    quality = Quality((Evidence("inputs", 0, 100, 0),))
+    assert 0.93**100 < 0.001 < 0.94**100
+    assert quality.excludes(0.07)
+    assert not quality.excludes(0.06)
+    assert not quality.known_zero
+    assert 0 < quality.may_have_missed(100) < 25
+
+
+def test_one_that_lacks_excludes_nothing():
+    assert not Quality((Evidence("inputs", 0, 1000, 1),)).excludes(1.0)
+
+
+def test_nothing_checked_may_have_missed_all():
+    quality = Quality()
+    assert (quality.checked, quality.upper_share(), quality.may_have_missed(7)) == (0, 1.0, 7)
+    assert not quality.excludes(0.99)
+
+
+def test_counted_drops_of_zero_exclude_unless_all_evidence_lacks_some():
+    assert Quality(drops=0).excludes(0.0001)
+    assert Quality(drops=0).may_have_missed(10_000) == 0
+    assert not Quality(drops=3).excludes(0.9)
+    contradicted = Quality((Evidence("inputs", 0, 100, 5),), drops=0)
+    assert contradicted.upper_share() > 0.05
+
+
+def test_a_network_that_loses_on_one_way_does_not_hide_that_the_capture_is_good():
+    quality = Quality((Evidence("sequence_counts", 0, 1000, 90), Evidence("identifications", 1, 400, 0)))
+    assert (quality.checked, quality.missing) == (400, 0)
+    assert quality.excludes(0.09)
+
+
+def test_two_kinds_about_one_host_are_not_added_up():
+    quality = Quality((Evidence("inputs", 0, 300, 0), Evidence("ci_counts", 0, 400, 0)))
+    assert quality.checked == 400
+
+
+def test_the_best_of_two_groups_has_to_be_surer():
+    alone = Quality((Evidence("inputs", 0, 500, 0),))
+    chosen = Quality((*alone.evidence, Evidence("inputs", 1, 300, 9)))
+    assert alone.upper_share() < chosen.upper_share() < 1.1 * alone.upper_share()
+
+
+def between(*packets):
+    time_us, identification = zip(*packets, strict=True)
+    return _between(np.array(time_us, np.int64) * 1000, np.array(identification, np.uint16))
+
+
+def test_a_number_between_two_of_one_tick_is_checked():
+    assert between((0, 7), (10, 8), (20, 9)) == (1, 0)
+    assert between((0, 7), (20, 9)) == (1, 1)
+
+
+def test_odd_numbers_are_evidence_and_not_checked():
+    assert between((0, 8), (10, 9), (20, 10)) == (0, 0)
+    assert between((0, 8), (20, 10)) == (0, 0)
+
+
+def test_numbers_that_a_clock_tick_may_have_skipped_are_not():
+    assert between((0, 7), (1200, 9)) == (0, 0)
+    assert between((0, 7), (600, 8), (1200, 9)) == (0, 0)
+    assert between((0, 7), (20, 10)) == (0, 0)
+
+
+def test_numbers_wrap_overtake_and_come_twice():
+    assert between((0, 65534), (10, 65535), (20, 0), (30, 1)) == (1, 0)
+    assert between((0, 5), (10, 7), (20, 6), (30, 8)) == (1, 0)
+    assert between((0, 5), (10, 5), (20, 6), (30, 7)) == (1, 0)
+    assert between((0, 5)) == (0, 0)
+
+
+def rests(sent_s, made_s, total, holes=()):
+    sent, made = (np.array(np.array(item) * SECOND, np.int64) for item in (sent_s, made_s))
+    return [column.tolist() for column in _rests(sent, made, np.array(total), holes)]
+
+
+def test_counts_of_ci_are_compared_where_it_rests():
+    assert rests([3, 4, 9, 11], [0, 7, 10, 15], [1, 3, 4, 6]) == [[2, 3], [2, 2]]
+
+
+def test_counts_of_ci_that_fall_or_span_a_hole_are_not():
+    assert rests([3, 4, 9], [0, 7, 15], [1, 3, 1]) == [[2], [2]]
+    hole = [(8 * SECOND, 8 * SECOND + MILLISECOND)]
+    assert rests([3, 4, 9], [0, 7, 15], [1, 3, 4], hole) == [[2], [2]]
+
+
+class Lossy:
+    """A capture, read once, of which frames are removed at random."""
+
+    def __init__(self, path):
+        self._batches = list(open_file(path).batches())
+
+    def quality(self, share=0.0, seed=0):
+        columns = Settings().workbench().columns
+        examination, random = Examination(columns.context), np.random.default_rng(seed)
+        for batch in self._batches:
+            some = batch.take(np.flatnonzero(random.random(len(batch)) >= share))
+            examination.add(some, columns.decode(some))
+        return examination.diagnose().case.quality
+
+
+@pytest.fixture(scope="module", params=["a_rover.pcap", "c1_tlm_rate_limit4.pcap.gz"])
+def lossy(request):
+    return Lossy(CAPTURES / request.param)
+
+
+def test_a_whole_capture_lacks_nothing(lossy):
+    quality = lossy.quality()
+    assert quality.missing == 0
+    assert quality.checked > 400
+    assert quality.excludes(0.02)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.3])
+def test_the_true_share_is_below_the_bound(lossy, share):
+    for seed in range(4):
+        quality = lossy.quality(share, seed)
+        assert sum(item.missing for item in quality.evidence) > 0
+        assert share <= quality.upper_share() < 2 * share + 0.05
+        assert not quality.excludes(share)
