@@ -135,7 +135,7 @@ def test_every_folder_and_file_that_the_architecture_names_is_there():
     package = ROOT / "edoras_tools"
     folder = package
     for line in text.splitlines():
-        if row := re.match(r"\| `(\w+)/` \|", line):
+        if row := re.match(r"\| `([\w/]+)/` \|", line):
             folder = package / row[1]
             assert folder.is_dir(), line
         for name in re.findall(r"`((?:\w+/)*(?:\w+/|\w+\.py))`", line):
