@@ -13,11 +13,13 @@ Rules:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.cfs import executive_services, telemetry_output
+from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.claims import (
     CLOSED,
     MISSING,
@@ -44,7 +46,7 @@ from edoras_tools.diagnosis.accounting.pipes import pressed
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.spans import Span
 from edoras_tools.links.table import among
-from edoras_tools.model import Finding
+from edoras_tools.model import NO_ROUTE, Finding
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND
 
@@ -77,6 +79,7 @@ class Part:
         closed: whether the way out was closed: nobody would have sent them.
         silenced: whether Telemetry Output as a whole was silent until it was enabled.
         unled: whether it was silent as a whole, and what it was told is not in the capture.
+        cause: why the way out was closed, where that lost them: kind of the loss, place, evidence.
         among: which they are.
     """
 
@@ -92,6 +95,7 @@ class Part:
     closed: bool = False
     silenced: bool = False
     unled: bool = False
+    cause: tuple[LossKind, str, str] | None = None
     evidence: list[str] = field(default_factory=list)
 
 
@@ -130,6 +134,17 @@ class Telemetry:
             if not stream.link.only_to_cfs:
                 self._claim(stream)
         self._dropped_unseen()
+
+    def passed(self, stream: Stream) -> NDArray[np.int64]:
+        """Return how many counts are missing behind each row of a stream, of what was meant for its receiver.
+
+        What cFS publishes for others while an SBN peer is away is not.
+        """
+        found = stream.missing.copy()
+        for part in self.parts:
+            if part.stream is stream and part.closed and stream.link.peers:
+                found[part.span.first] = 0
+        return found
 
     def tell(self) -> None:
         """Make losses of what is missing, once the claims have their counts."""
@@ -206,11 +221,22 @@ class Telemetry:
                 stream, int(at[index]), owner, int(number[index]), among(np.array([index]))
             )
             part.silenced, part.unled = bool(silenced[index]), bool(unled[index])
+            if not part.silenced and not part.unled:
+                part.cause = self._cause(part)
             if counts is not None and stream.link.only_from_cfs:
                 # A pipe that nobody empties fills up: what the software bus counts then is lost.
                 low, high = int(from_ns[index]), int(until_ns[index])
                 self.claims.append(
-                    Claim(len(parts), low, high, part.missing, tuple(COUNTERS), (owner,), CLOSED, id(stream))
+                    Claim(
+                        len(parts),
+                        low,
+                        high,
+                        part.missing,
+                        tuple(COUNTERS),
+                        (owner,),
+                        CLOSED + (part.cause is None),
+                        id(stream),
+                    )
                 )
             parts.append(part)
         at, number, from_ns, until_ns = at[~closed], number[~closed], from_ns[~closed], until_ns[~closed]
@@ -273,6 +299,23 @@ class Telemetry:
         span = Span(at, behind, start_ns, end_ns, 0, number)
         return Part(stream, span, owner, among, number, closed=True)
 
+    def _cause(self, part: Part) -> tuple[LossKind, str, str] | None:
+        """Return what closed the way out of messages of the mission, unless a command took them off it."""
+        known, stream, span = self._known, part.stream, part.span
+        if stream.known_id in MSG_ID_NAMES and stream.route == NO_ROUTE:
+            return None
+        if not stream.link.only_from_cfs:
+            return None
+        for command in known.payloads.executive:
+            when = int(known.rows.time_ns[command.row])
+            stops = (
+                command.function_code == executive_services.STOP_APP and command.app in telemetry_output.NAMES
+            )
+            if stops and span.start_ns - TAIL_NS < when < span.end_ns:
+                text = f"packet {known.rows.number[command.row]} told ES to stop {command.app}"
+                return "stopped", command.app, text
+        return None
+
     def _tell_closed(self, part: Part) -> None:
         """Make losses of what was counted while the way out was closed; the rest nobody counts."""
         for kind, number in part.taken.items():
@@ -283,6 +326,11 @@ class Telemetry:
             ]
             self.losses.append(self._loss(part, kind, number, part.missing, "medium"))
         rest = part.missing - sum(part.taken.values())
+        if part.cause is not None and rest:
+            kind_, hop, text = part.cause
+            part.evidence = [text]
+            self.losses.append(replace(self._loss(part, kind_, rest, part.missing, "high"), hop=hop))
+            return
         where = self.silenced if part.silenced else self.untold if part.unled else self.closed
         where[id(part.stream)] = where.get(id(part.stream), 0) + rest
         if part.silenced:

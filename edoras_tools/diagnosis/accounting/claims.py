@@ -28,8 +28,8 @@ PRESSED: Final = 0
 ABSENT: Final = 1
 """Rank of other commands that surely did not come out."""
 CLOSED: Final = 2
-"""Rank of what is missing while nothing took it."""
-POSSIBLE: Final = 3
+"""Rank of what is missing while nothing took it; the next one's is that of cFS's own packets."""
+POSSIBLE: Final = 4
 """Ranks from here on are of messages of which it is not sure that they are missing."""
 INTO_STOP: Final = 98
 """Rank of what was sent to an application that was stopped: its pipe may have come back without it."""

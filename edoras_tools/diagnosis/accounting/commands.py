@@ -187,7 +187,7 @@ class Commands:
                 continue
             into, out = np.sort(hop.in_rows), np.sort(hop.out_rows)
             behind = np.searchsorted(into, open_)
-            passed = np.concatenate(([0], np.cumsum(hop.out.missing)))[out]
+            passed = np.concatenate(([0], np.cumsum(self.telemetry.passed(hop.out))))[out]
             room = np.concatenate(([0], np.diff(passed), [0]))
             # Of those in one place the first may be it, as far as there is room.
             nth = np.arange(len(behind)) - np.searchsorted(behind, behind)

@@ -41,7 +41,7 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
             yield loss_verdict(
                 case,
                 loss,
-                f"{lost_at(case, loss)}: they went into cFS while the peer that they go to was away",
+                f"{lost_at(case, loss)}: the peer that they go to was away",
                 link=loss.stream.link.label if loss.stream else None,
                 remedy="restart the peer; it is connected again with its first SUB or PROTO",
             )
