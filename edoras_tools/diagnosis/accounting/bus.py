@@ -221,24 +221,7 @@ class Telemetry:
                 stream, int(at[index]), owner, int(number[index]), among(np.array([index]))
             )
             part.silenced, part.unled = bool(silenced[index]), bool(unled[index])
-            if not part.silenced and not part.unled:
-                part.cause = self._cause(part)
-            if counts is not None and stream.link.only_from_cfs:
-                # A pipe that nobody empties fills up: what the software bus counts then is lost.
-                low, high = int(from_ns[index]), int(until_ns[index])
-                self.claims.append(
-                    Claim(
-                        len(parts),
-                        low,
-                        high,
-                        part.missing,
-                        tuple(COUNTERS),
-                        (owner,),
-                        CLOSED + (part.cause is None),
-                        id(stream),
-                    )
-                )
-            parts.append(part)
+            self._claim_closed(part, int(from_ns[index]), int(until_ns[index]))
         at, number, from_ns, until_ns = at[~closed], number[~closed], from_ns[~closed], until_ns[~closed]
         absent = absent[~closed]
         cut = known.spans(stream)
@@ -298,6 +281,16 @@ class Telemetry:
         start_ns, end_ns = self._known.rows.time_ns[stream.rows[[at, behind]]].tolist()
         span = Span(at, behind, start_ns, end_ns, 0, number)
         return Part(stream, span, owner, among, number, closed=True)
+
+    def _claim_closed(self, part: Part, low_ns: int, high_ns: int) -> None:
+        """Claim counts of what is missing: a pipe that nobody empties fills up, and the bus counts that."""
+        if not part.silenced and not part.unled:
+            part.cause = self._cause(part)
+        if part.owner in self._counts and part.stream.link.only_from_cfs:
+            key, rank, kinds = len(self.parts), CLOSED + (part.cause is None), tuple(COUNTERS)
+            claim = Claim(key, low_ns, high_ns, part.missing, kinds, (part.owner,), rank, id(part.stream))
+            self.claims.append(claim)
+        self.parts.append(part)
 
     def _cause(self, part: Part) -> tuple[LossKind, str, str] | None:
         """Return what closed the way out of messages of the mission, unless a command took them off it."""
