@@ -226,6 +226,8 @@ class Case:
 
     def _follows(self, into: Stream, out: Stream) -> bool:
         """Tell whether what arrives as one stream may leave as another: of the same cFS, not its sibling."""
+        if into.msg_id in self._not_taken:
+            return False
         if self._of_another(into, out):
             return False
         if into.link.only_to_cfs or out.link.last_hop:
@@ -239,6 +241,15 @@ class Case:
         if arrives and leaves:
             return arrives == leaves
         return f"{into.processor[0]}:{into.processor[1]}" != leaves
+
+    @cached_property
+    def _not_taken(self) -> set[int]:
+        """MsgIds of what CI or SBN handed to the software bus, and that nobody had subscribed to."""
+        return {
+            item.msg_id
+            for item in self.reported_losses
+            if item.kind == "no_subscriber" and item.sender.startswith((*command_ingest.NAMES, "SBN"))
+        }
 
     def _of_another(self, into: Stream, out: Stream) -> bool:
         """Tell whether one goes to an address, and the other leaves one with a receiver of its own."""

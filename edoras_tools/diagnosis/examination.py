@@ -101,6 +101,11 @@ class Diagnosis:
         return sum(row.unaccounted for row in self.balance)
 
     @property
+    def uncertain(self) -> int:
+        """Messages that may be lost, or only not seen to arrive."""
+        return sum(row.uncertain for row in self.balance)
+
+    @property
     def estimated(self) -> int:
         """Messages that are missing by an estimate: nothing counted them, and no other figure has them."""
         return sum(item.estimated or 0 for item in self.verdicts)
@@ -204,6 +209,7 @@ class Diagnosis:
             "lost": self.lost,
             "superseded": self.superseded,
             "unaccounted": self.unaccounted,
+            "uncertain": self.uncertain,
             "estimated": self.estimated,
             "verdicts": [verdict.as_json() for verdict in self.verdicts],
             "habits": [verdict.as_json() for verdict in self.habits],

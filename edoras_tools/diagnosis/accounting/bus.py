@@ -136,14 +136,15 @@ class Telemetry:
         self._dropped_unseen()
 
     def passed(self, stream: Stream) -> NDArray[np.int64]:
-        """Return how many counts are missing behind each row of a stream, of what was meant for its receiver.
+        """Return how many of a stream are behind each row and its next, of what was meant for its receiver.
 
-        What cFS publishes for others while an SBN peer is away is not.
+        The next one is one of them, and its counts that are missing; not what cFS publishes for others while
+        an SBN peer is away.
         """
-        found = stream.missing.copy()
+        found = stream.missing + 1
         for part in self.parts:
             if part.stream is stream and part.closed and stream.link.peers:
-                found[part.span.first] = 0
+                found[part.span.first] = 1
         return found
 
     def tell(self) -> None:

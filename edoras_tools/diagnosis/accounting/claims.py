@@ -175,9 +175,10 @@ class Shared:
 
 def settle_known(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:
     """Give counts to what surely is missing, then to what may be; see ``settle_possible``."""
-    sure = [claim for claim in claims if claim.rank < POSSIBLE]
-    settle(counts, sure)
-    settle(counts, sure, _APART_NS)
+    for most in (CLOSED, POSSIBLE - 1):
+        sure = [claim for claim in claims if claim.rank <= most]
+        settle(counts, sure)
+        settle(counts, sure, _APART_NS)
     return settle_possible(counts, [claim for claim in claims if POSSIBLE <= claim.rank < MISSING])
 
 

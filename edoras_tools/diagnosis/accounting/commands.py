@@ -24,7 +24,14 @@ from edoras_tools.diagnosis.accounting.before_ci import BeforeCi
 from edoras_tools.diagnosis.accounting.claims import POSSIBLE, settle_known, settle_rest
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, follow, loss_of
 from edoras_tools.diagnosis.accounting.leftover import Leftover
-from edoras_tools.diagnosis.accounting.losses import SBN_SOCKET, TAIL_NS, Among, Known, Loss
+from edoras_tools.diagnosis.accounting.losses import (
+    COUNTERS,
+    SBN_SOCKET,
+    TAIL_NS,
+    Among,
+    Known,
+    Loss,
+)
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Pipes
 from edoras_tools.diagnosis.accounting.stops import Stops
 from edoras_tools.links.table import among
@@ -178,8 +185,8 @@ class Commands:
         """Mark those that may have come out of the application, and are among what is missing behind it.
 
         An application passes on in order. Between two messages that came out as many of the absent ones may
-        have been passed on as counts are missing between these two. No count shows those just before the
-        first and just behind the last.
+        have been passed on as came out with other values, or are missing there by their counts. No count
+        shows those just before the first and just behind the last.
         """
         times, open_ = self._known.captured(fate.stream), np.flatnonzero(fate.open)
         for hop in fate.hops:
@@ -188,7 +195,7 @@ class Commands:
             into, out = np.sort(hop.in_rows), np.sort(hop.out_rows)
             behind = np.searchsorted(into, open_)
             passed = np.concatenate(([0], np.cumsum(self.telemetry.passed(hop.out))))[out]
-            room = np.concatenate(([0], np.diff(passed), [0]))
+            room = np.concatenate(([0], np.diff(passed) - 1, [0]))
             # Of those in one place the first may be it, as far as there is room.
             nth = np.arange(len(behind)) - np.searchsorted(behind, behind)
             fate.passed[open_[nth < room[behind]]] = True
@@ -290,6 +297,9 @@ class Commands:
         superseded = min(fate.shared, fate.superseded)
         fate.superseded -= superseded
         fate.passed_on -= fate.shared - superseded
+        last = [loss.span for loss in self.losses if loss.stream is fate.stream and loss.kind in COUNTERS]
+        # What a pipe loses to the end may be among those that are last.
+        fate.uncertain = fate.waiting if fate.spans[-1] in last else 0
 
     def _rushed(self, fate: Fate, times: NDArray[np.int64]) -> None:
         """Tell lost in SBN's socket what did not come out, and came when SBN had more than it reads."""

@@ -94,7 +94,7 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
             "the network may have lost these before CI, and doubled those"
         )
     closed = unsent == len(missing)
-    why = "Telemetry Output was not enabled yet" if closed else "nothing in the capture says why"
+    why = "Telemetry Output was not enabled yet" if closed else "the capture cannot show why"
     return Verdict(
         Severity.WARNING if closed else Severity.ERROR,
         f"{fate.unaccounted:,} of {len(stream):,} messages that went into cFS on {into} are not accounted "
@@ -107,8 +107,8 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
         evidence=(*evidence, *case.drops_text()),
         remedy=f"enable Telemetry Output as soon as cFS runs: {case.inject(ENABLE_OUTPUT)}"
         if closed
-        else "look at the application's own counters and console: it received them and did not pass them "
-        "on, or its task was not there; a capture on the cFS host shows which of them arrive there",
+        else "look at the application's own counters and console; a capture on the cFS host, from before the "
+        "traffic, shows which of them arrive there",
         confidence="medium" if visible else "low",
     )
 
