@@ -172,6 +172,8 @@ class Headline:
         waiting: how many may be on their way still.
         not_captured: how many could not be followed.
         unaccounted: how many are missing without a cause.
+        uncertain: how many may be lost, or are only not seen.
+        shared: the most that may be among the losses of several together.
         instance: of which cFS, where several have the route; else None.
     """
 
@@ -183,6 +185,8 @@ class Headline:
     waiting: int
     not_captured: int
     unaccounted: int
+    uncertain: int = 0
+    shared: int = 0
     instance: str | None = None
 
     def __str__(self) -> str:
@@ -195,6 +199,8 @@ class Headline:
                 ("waiting", self.waiting),
                 ("not captured", self.not_captured),
                 ("unaccounted for", self.unaccounted),
+                ("uncertain", self.uncertain),
+                ("perhaps among losses of several", self.shared),
             )
             if number
         ]
@@ -266,6 +272,8 @@ def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:
         waiting=sum(row.waiting for row in members),
         not_captured=sum(row.not_captured for row in members),
         unaccounted=sum(row.unaccounted for row in members),
+        uncertain=sum(row.uncertain for row in members),
+        shared=sum(row.shared for row in members),
     )
 
 
@@ -494,14 +502,14 @@ def _peer(before: Row, silent: Unheard) -> Row:
         before,
         hop=f"{PEER} {silent.peer}",
         came=before.out,
-        out=before.out - silent.lost - silent.unaccounted - silent.uncertain,
+        out=before.out - silent.lost - silent.unaccounted,
         duplicated=0,
         lost={UNHEARD: silent.lost} if silent.lost else {},
         superseded=0,
         waiting=0,
         not_captured=0,
         unaccounted=silent.unaccounted,
-        uncertain=silent.uncertain,
+        uncertain=0,
         shared=0,
         counted={"in": _SEEN, "out": "what it was sent while it was not silent"},
     )

@@ -35,7 +35,7 @@ _ROBOT, _SBN = (link.label for link in (ROBOT, SBN))
 _GIVE_BAG: Final = f"{NOT_COUNTED}give --bag"
 _CAPTURE_MORE: Final = f"{NOT_COUNTED}capture the robot link, or SBN"
 _INSIDE: Final = frozenset({PROXY_HOP, CI_HOP, BUS})
-_REST: Final = ("superseded", "waiting", "not_captured", "unaccounted")
+_REST: Final = ("superseded", "waiting", "not_captured", "unaccounted", "uncertain", "shared")
 
 
 class BridgeCount(NamedTuple):

@@ -72,6 +72,7 @@ def adds_up(found):
     assert [row for row in found.balance if not row.adds_up] == []
     for line in found.headlines:
         rest = line.superseded + line.lost + line.waiting + line.not_captured + line.unaccounted
+        rest += line.uncertain + line.shared
         assert line.arrived is None or line.sent == line.arrived + rest, line
     for chain in found.chains:
         counted = [hop for hop in chain.hops if hop.observed]

@@ -57,6 +57,7 @@ FAILS = {
     """,
     "5 % doubled": """
         a_rover
+        e2_ci_nosubs
         n1_to_remove_all
         n3_cfs_restart
         n8_time_jumps
@@ -100,12 +101,6 @@ FAILS = {
         n11_jointstate_sizes
     """,
     "without 0x0803": """
-        n11_jointstate_sizes
-    """,
-    "without 0x0804": """
-        n11_jointstate_sizes
-    """,
-    "without 0x0805": """
         n11_jointstate_sizes
     """,
     "without 0x0827": """

@@ -23,14 +23,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.accounting.losses import Known
-    from edoras_tools.diagnosis.evidence.peers import PeerSilence
     from edoras_tools.diagnosis.matching.streams import Stream
 
 
-_OFTEN: Final = 20
-_PAUSE_NS: Final = 2 * SECOND
-_STEADY: Final = 4
-"""One that sends so often pauses if it does not for so long, and for so many times its longest steps."""
 _SILENT_WAKES: Final = 5
 _STOPS_NS: Final = 3 * SECOND
 """After a command that stops them, packets come for so long, also over a slow network."""
@@ -142,14 +137,12 @@ class Unheard:
         peer: who, as ``66:3``.
         lost: how many, to one that was given up.
         unaccounted: how many, to one that was silent when the capture ended.
-        uncertain: how many, in a pause of one that sends all the time and was not given up.
         rows: those that are lost, as indices into the stream's rows.
     """
 
     peer: str
     lost: int = 0
     unaccounted: int = 0
-    uncertain: int = 0
     rows: list[int] = field(default_factory=list)
 
 
@@ -159,10 +152,9 @@ def unheard(known: Known) -> dict[int, Unheard]:
     party = known.network.party
     for (peer, observer), connection in known.network.connections.items():
         silences = list(connection.silences(known.end_ns))
-        pauses = _pauses(known, connection.heard_ns, silences)
         for stream in known.streams:
             ends = party(stream.receiver), party(stream.sender)
-            if not (silences or pauses) or not stream.link.peers or ends != (peer, observer):
+            if not silences or not stream.link.peers or ends != (peer, observer):
                 continue
             item = found.setdefault(id(stream), Unheard(connection.peer))
             times = known.captured(stream)
@@ -173,18 +165,4 @@ def unheard(known: Known) -> dict[int, Unheard]:
                     item.rows += inside
                 else:
                     item.unaccounted += len(inside)
-            item.uncertain = sum(int(((times > low) & (times < high)).sum()) for low, high in pauses)
     return found
-
-
-def _pauses(
-    known: Known, heard_ns: NDArray[np.int64], silences: Sequence[PeerSilence]
-) -> list[tuple[int, int]]:
-    """Return when a peer that sends all the time sent nothing, and was not given up for it."""
-    steps = np.diff(heard_ns)
-    if len(steps) < _OFTEN:
-        return []
-    longest = max(_PAUSE_NS, _STEADY * int(np.quantile(steps, 0.9)))
-    found = [(int(heard_ns[at]), int(heard_ns[at + 1])) for at in np.flatnonzero(steps > longest).tolist()]
-    away = [(item.start_ns, item.until_ns) for item in silences] + list(known.outages)
-    return [(low, high) for low, high in found if not any(low < end and start < high for start, end in away)]

@@ -81,14 +81,12 @@ class Connection:
         observer: the cFS that sees it.
         changes: its states, in order of time.
         sent_ns: capture times of application messages that the observer sent to it.
-        heard_ns: capture times of its own datagrams to the observer.
     """
 
     peer: str
     observer: str
     changes: list[PeerChange]
     sent_ns: NDArray[np.int64]
-    heard_ns: NDArray[np.int64]
 
     def state_at(self, time_ns: int) -> ObservedState | None:
         """Return the state at a time; None before anything was seen."""
@@ -208,7 +206,7 @@ class Network:
                 changes = self._changes(rows, heard, alive_ns, end_ns, _farewells(rows, sent))
                 changes = _believed(changes, rows.time_ns[app])
                 self.connections[peer, observer] = Connection(
-                    peer[0], observer[0], changes, rows.time_ns[app], rows.time_ns[heard]
+                    peer[0], observer[0], changes, rows.time_ns[app]
                 )
 
     def _changes(
