@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "a8b001aaf5f070be"
+local DIGEST = "ba8cf590737f40e0"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -2122,19 +2122,19 @@ D.commands = {
 		[0] = {name = "NOOP", lengths = {8}},
 		[1] = {name = "RESET_COUNTERS", lengths = {8}},
 		[2] = {name = "SEND_DIAGNOSTIC", lengths = {8}},
-		[3] = {name = "SET_SOURCE"},
-		[4] = {name = "SET_STATE"},
-		[5] = {name = "ADD_DELAY"},
-		[6] = {name = "SUB_DELAY"},
-		[7] = {name = "SET_TIME"},
-		[8] = {name = "SET_MET"},
-		[9] = {name = "SET_STCF"},
-		[10] = {name = "SET_LEAP_SECONDS"},
-		[11] = {name = "ADD_ADJUST"},
-		[12] = {name = "SUB_ADJUST"},
-		[13] = {name = "ADD_ONE_HZ"},
-		[14] = {name = "SUB_ONE_HZ"},
-		[15] = {name = "SET_SIGNAL"},
+		[3] = {name = "SET_SOURCE", lengths = {10}},
+		[4] = {name = "SET_STATE", lengths = {10}},
+		[5] = {name = "ADD_DELAY", lengths = {16}},
+		[6] = {name = "SUB_DELAY", lengths = {16}},
+		[7] = {name = "SET_TIME", lengths = {16}},
+		[8] = {name = "SET_MET", lengths = {16}},
+		[9] = {name = "SET_STCF", lengths = {16}},
+		[10] = {name = "SET_LEAP_SECONDS", lengths = {10}},
+		[11] = {name = "ADD_ADJUST", lengths = {16}},
+		[12] = {name = "SUB_ADJUST", lengths = {16}},
+		[13] = {name = "ADD_ONE_HZ", lengths = {16}},
+		[14] = {name = "SUB_ONE_HZ", lengths = {16}},
+		[15] = {name = "SET_SIGNAL", lengths = {10}},
 	},
 	[6150] = {
 		[0] = {name = "NOOP", lengths = {8}},

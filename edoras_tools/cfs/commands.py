@@ -11,6 +11,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs import event_services, executive_services, sbn, telemetry_output
+from edoras_tools.cfs.arguments import ARGUMENTS
 from edoras_tools.cfs.names import COMMANDS, MSG_ID_NAMES
 from edoras_tools.errors import ConfigError
 
@@ -63,25 +64,37 @@ class NamedCommand:
         Raises:
             ConfigError: the argument is none that it takes.
         """
+        if self.argument is Argument.NONE:
+            if text:
+                raise ConfigError(f"takes no argument; leave {text!r} out")
+            return b""
+        values = self._values(text)
+        if self.has_limit:
+            values["limit"] = limit
+        layout = ARGUMENTS[self.msg_id, self.function_code]
+        for name, value in values.items():
+            if isinstance(value, str):
+                slot = layout.by_name[name]
+                self._check(value, slot.end - slot.start)
+        return layout.emit(values)
+
+    def _values(self, text: str) -> dict[str, int | str]:
+        """Return the value of each field."""
         if self.argument is Argument.MSG_ID:
             number = _number(text)
             if not 0 < number <= _HIGHEST:
                 raise ConfigError(f"takes {self.argument.value}, e.g. 0x0827, not {text!r}")
-            return number.to_bytes(4, "little") + (bytes([0, 0, limit, 0]) if self.has_limit else b"")
-        if self.argument is Argument.APP:
-            return self._text(text, executive_services.APP_NAME_BYTES)
+            return {"msg_id": number}
         if self.argument is Argument.START:
             return self._start(text)
         if self.argument is Argument.RESET:
             if text not in _RESETS:
                 raise ConfigError(f"takes {self.argument.value}, not {text!r}")
-            return _RESETS[text].to_bytes(2, "little")
-        if text:
-            raise ConfigError(f"takes no argument; leave {text!r} out")
-        return b""
+            return {"restart_type": _RESETS[text]}
+        return {"app_name": text}
 
-    def _start(self, text: str) -> bytes:
-        """Return the payload that starts an application: name, entry point, file, stack, priority."""
+    def _start(self, text: str) -> dict[str, int | str]:
+        """Return the fields of the command that starts an application."""
         app, *rest = (item.strip() for item in text.split(","))
         if not rest and app not in executive_services.STARTS:
             known = ", ".join(executive_services.STARTS)
@@ -91,17 +104,13 @@ class NamedCommand:
         values[: len(numbers)] = [_number(item) for item in numbers]
         if len(rest) == 1 or len(values) > 2 or not (0 < values[0] < 256 and 0 < values[1] < 1 << 32):
             raise ConfigError(f"takes {self.argument.value}, not {text!r}")
-        priority, stack = values
-        names = [self._text(item, executive_services.APP_NAME_BYTES) for item in (app, entry)]
-        path = self._text(file, executive_services.FILE_NAME_BYTES)
-        return b"".join([*names, path, stack.to_bytes(4, "little"), bytes(2), priority.to_bytes(2, "little")])
+        names = {"app_name": app, "entry_point": entry, "file_name": file}
+        return {**names, "stack_size": values[1], "priority": values[0]}
 
-    def _text(self, text: str, size: int) -> bytes:
-        """Return a text in a field of so many bytes, at least one NUL behind it."""
-        data = text.encode()
-        if not 0 < len(data) < size:
+    def _check(self, text: str, size: int) -> None:
+        """Refuse a text that leaves no room for a NUL in its field."""
+        if not 0 < len(text.encode()) < size:
             raise ConfigError(f"takes {self.argument.value}, {size - 1} bytes at most, not {text!r}")
-        return data.ljust(size, b"\0")
 
 
 def _number(text: str) -> int:

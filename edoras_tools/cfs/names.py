@@ -128,6 +128,9 @@ COMMANDS: Final[dict[int, dict[int, Command]]] = {
         *("SET_TIME", "SET_MET", "SET_STCF", "SET_LEAP_SECONDS", "ADD_ADJUST", "SUB_ADJUST", "ADD_ONE_HZ"),
         *("SUB_ONE_HZ", "SET_SIGNAL"),
         SEND_DIAGNOSTIC=(8,),
+        **dict.fromkeys(("SET_SOURCE", "SET_STATE", "SET_LEAP_SECONDS", "SET_SIGNAL"), (10,)),
+        **dict.fromkeys(("ADD_DELAY", "SUB_DELAY", "SET_TIME", "SET_MET", "SET_STCF"), (16,)),
+        **dict.fromkeys(("ADD_ADJUST", "SUB_ADJUST", "ADD_ONE_HZ", "SUB_ONE_HZ"), (16,)),
     ),
     0x1880: _commands(
         *(

@@ -20,8 +20,8 @@ PIPE: Final = "SBN_CMD_PIPE"
 COMMAND_MSG_ID: Final = 0x18FA
 HOUSEKEEPING_MSG_ID: Final = 0x08FA
 TABLE: Final = "SBN.SBN_ConfTbl"
-HOUSEKEEPING, RELOAD = 10, 110
-"""Function codes; Table Services send the second one, with 4 bytes, when the table has a new image."""
+RESET_PEER, HOUSEKEEPING, RELOAD = 2, 10, 110
+"""Function codes; Table Services send the last one, with 4 bytes, when the table has a new image."""
 
 HEARTBEAT_S: Final = 6
 """Whole seconds without sending, after which a connected peer is sent a heartbeat."""

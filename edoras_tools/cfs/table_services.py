@@ -8,8 +8,8 @@ from edoras_tools.cfs.event_services import EventText, EventType
 
 NAME: Final = "CFE_TBL"
 LOAD, VALIDATE, ACTIVATE, ABORT_LOAD = 2, 4, 5, 9
-LENGTHS: Final = {LOAD: 72, VALIDATE: 50, ACTIVATE: 48, ABORT_LOAD: 48}
-"""Function code to packet bytes: a file name is 64 long, a table name 40; VALIDATE has a u16 before it."""
+CODES: Final = frozenset({LOAD, VALIDATE, ACTIVATE, ABORT_LOAD})
+TABLE_NAME_BYTES: Final = 40
 TABLE_OF: Final = {"/cf/to_lab_sub.tbl": "TO_LAB_APP.TO_LAB_Subs", "/cf/sbn_conf_tbl.tbl": "SBN.SBN_ConfTbl"}
 """The files of a cFS, and the table that each is an image of; its name begins with its application."""
 

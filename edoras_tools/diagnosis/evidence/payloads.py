@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services, telemetry_output
+from edoras_tools.cfs.arguments import APPLICATIONS, arguments_of, command_text
 from edoras_tools.errors import TruncatedError
 from edoras_tools.links.table import among
 from edoras_tools.model import Columns, Finding, PacketBatch
@@ -18,7 +19,7 @@ from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
     from typing_extensions import Self
@@ -39,6 +40,7 @@ _BUS_COUNTERS: Final = (
 )
 _CI_COUNTERS: Final = cfe.COMMAND_INGEST_HOUSEKEEPING, ("ingest_packets", "ingest_errors")
 _CI_7_COUNTERS: Final = cfe.COMMAND_INGEST_HOUSEKEEPING_7, _CI_COUNTERS[1]
+_CHANGES: Final = np.isin(np.arange(1 << 16), list(APPLICATIONS))
 _TO_COUNTERS: Final = cfe.TELEMETRY_OUTPUT_HOUSEKEEPING, ("command_counter", "command_error_counter")
 
 
@@ -134,6 +136,26 @@ class SubscriptionMessage:
 
 
 @dataclass(frozen=True, slots=True)
+class CommandRecord:
+    """One command that changes what a cFS does.
+
+    Attributes:
+        row: of the table.
+        msg_id: of version 1.
+        function_code: its number at the application that takes it.
+        values: its arguments, as ``cfs.arguments`` has them.
+    """
+
+    row: int
+    msg_id: int
+    function_code: int
+    values: Mapping[str, Any]
+
+    def __str__(self) -> str:
+        return command_text(self.msg_id, self.function_code, self.values)
+
+
+@dataclass(frozen=True, slots=True)
 class OutputCommand:
     """One command to Telemetry Output.
 
@@ -178,6 +200,7 @@ class Payloads:
         events: of 0x808 what applications said.
         output: commands to Telemetry Output.
         executive: commands to Executive Services.
+        commands: all those that change what a cFS does, with their arguments; nothing that cFS itself sends.
     """
 
     housekeeping: Samples = field(
@@ -190,6 +213,7 @@ class Payloads:
     events: list[EventRecord] = field(default_factory=list)
     output: list[OutputCommand] = field(default_factory=list)
     executive: list[ExecutiveCommand] = field(default_factory=list)
+    commands: list[CommandRecord] = field(default_factory=list)
     _content: dict[int, int] = field(default_factory=dict)
 
     def add(self, batch: PacketBatch, columns: Columns, base: int) -> None:
@@ -227,6 +251,13 @@ class Payloads:
         executive = known == executive_services.COMMAND_MSG_ID
         for row in np.flatnonzero(executive & (columns.function_code >= 0) & ~downward).tolist():
             self._executive(int(columns.function_code[row]), base + row, _payload(batch, columns, row))
+        changes = _CHANGES[np.maximum(known, 0)] & ~among(columns.link, lambda link: link.only_from_cfs)
+        changes &= columns.function_code > 0
+        for row in np.flatnonzero(changes).tolist()[: max(0, _MOST - len(self.commands))]:
+            key = int(known[row]), int(columns.function_code[row])
+            values = arguments_of(*key, _payload(batch, columns, row))
+            if values is not None:
+                self.commands.append(CommandRecord(base + row, *key, values))
 
     def over(self, kept: NDArray[np.intp], count: int) -> Payloads:
         """Return those of the rows that are kept, for a table of only these rows, in their order.
@@ -252,6 +283,7 @@ class Payloads:
             events=moved(self.events),
             output=moved(self.output),
             executive=moved(self.executive),
+            commands=moved(self.commands),
         )
 
     def timed(self, time_ns: NDArray[np.int64]) -> Payloads:

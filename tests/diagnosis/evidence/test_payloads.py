@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from edoras_tools.decode import ColumnDecoder, Context, Options
-from edoras_tools.diagnosis.evidence.payloads import events_in
+from edoras_tools.diagnosis.evidence.payloads import Payloads, events_in
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import Endpoint
@@ -48,3 +49,24 @@ def test_events(payloads):
         for row, read in wanted
     ]
     assert [item.message for item in found] == [read["message"].strip() for _, read in wanted]
+
+
+def test_commands_that_change_what_a_cfs_does():
+    """With their arguments; not those that ask only, or are too short."""
+    ci = Endpoint("10.0.0.1", 1234)
+    add = cfe.emit_command(0x1880, 2, bytes.fromhex("2708000000000100"))
+    sent = [
+        (GROUND, ci, cfe.emit_command(0x1806, 5, b"SBN".ljust(20, b"\0"))),
+        (GROUND, ci, cfe.emit_command(0x1806, 5, b"SBN")),
+        (GROUND, ci, cfe.emit_command(0x1806, 8, b"SBN".ljust(20, b"\0"))),
+        (GROUND, ci, add),
+        (GROUND, ci, cfe.emit_command(0x1827, 2, bytes(24))),
+    ]
+    batch = Demux().demux(frames_of([(at, *item) for at, item in enumerate(sent)], 1))
+    payloads = Payloads()
+    payloads.add(batch, ColumnDecoder(Context(options=OPTIONS)).decode(batch), base=40)
+    assert [(item.row, str(item)) for item in payloads.commands] == [
+        (40, "STOP_APP SBN"),
+        (43, "ADD_PACKET 0x0827, limit 1"),
+    ]
+    assert [item.row for item in payloads.over(np.array([43]), 50).commands] == [0]

@@ -15,6 +15,7 @@ from edoras_tools.cfs import (
     table_services,
     time_services,
 )
+from edoras_tools.cfs.arguments import ARGUMENTS, TBL_MSG_ID
 from edoras_tools.cfs.core import CORE
 from edoras_tools.cfs.event_services import EventType
 from edoras_tools.cfs.executive_services import ENDING_COMMANDS
@@ -109,7 +110,7 @@ def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
         event = cfs.clock.command(function_code, payload, cfs.scheduler.now)
         cfs.report(event)
         return event.event_type is not EventType.ERROR
-    if core.name == table_services.NAME and function_code in table_services.LENGTHS:
+    if core.name == table_services.NAME and function_code in table_services.CODES:
         return _table(cfs, function_code, size, payload)
     if function_code in core.packets:
         telemetry, size = core.packets[function_code]
@@ -121,7 +122,7 @@ def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
 
 def _table(cfs: Cfs, function_code: int, size: int, payload: bytes) -> bool:
     """Take a command about a table; tell SBN when its own has a new image."""
-    expected = table_services.LENGTHS[function_code]
+    expected = cfe.COMMAND_HEADER_BYTES + ARGUMENTS[TBL_MSG_ID, function_code].size
     if size != expected:
         length, expected = (command_length(item, cfs.profile) for item in (size, expected))
         cfs.say(table_services.BAD_LENGTH, code=function_code, length=length, expected=expected)

@@ -34,7 +34,7 @@ class TableServices:
         """Take a command of the right length; return what it says, None for an activation, which is silent.
 
         Args:
-            function_code: one of ``facts.LENGTHS``.
+            function_code: one of ``facts.CODES``.
         """
         name = payload[2 * (function_code == facts.VALIDATE) :].split(b"\0")[0].decode("ascii", "replace")
         table = facts.TABLE_OF.get(name, "") if function_code == facts.LOAD else name
