@@ -30,6 +30,9 @@ from edoras_tools.diagnosis.evidence.loss_reports import (
 )
 from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
+from edoras_tools.diagnosis.evidence.timeline.network import capture_changes, network_changes
+from edoras_tools.diagnosis.evidence.timeline.software import SoftwareChanges
+from edoras_tools.diagnosis.evidence.timeline.table import Timeline
 from edoras_tools.diagnosis.evidence.uncaptured import HostDrops, find_holes, host_drops
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.streams import Reset, Stream, find_resets, find_robots, find_streams
@@ -218,6 +221,13 @@ class Case:
     def network(self) -> Network:
         """The Software Bus Network."""
         return Network(self.rows, self.payloads, self.instances, self.profile, self.away)
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        """The states of everything over time."""
+        software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps)
+        network = network_changes(self.rows, self.payloads, self.instances, self.network)
+        return Timeline([*software.changes(), *network, *capture_changes(self.away)])
 
     @cached_property
     def hops(self) -> list[Hop]:

@@ -1,0 +1,242 @@
+"""State changes that commands, events and boots show: of a cFS, its applications, tables, clock and output.
+
+1. A command takes effect at most ``_SLACK_NS`` after it was sent; one that ends an application within
+   ``_ENDS_NS``: it is killed where it does not end by itself. Without an answer that is not sure.
+2. An event is said at the latest when its packet was made. It confirms the command before it.
+3. A boot ends every state: applications run, Telemetry Output sends nothing and has the table it starts with.
+4. A Telemetry Output that is started again has forgotten whom it sends to, and what was added and removed.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs import (
+    command_ingest,
+    event_services,
+    executive_services,
+    sbn,
+    telemetry_output,
+    time_services,
+)
+from edoras_tools.cfs.arguments import EVS_MSG_ID, TBL_MSG_ID, TIME_MSG_ID
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Change, Subject
+from edoras_tools.links.table import among
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from edoras_tools.diagnosis.evidence.clocks.steady import Jump
+    from edoras_tools.diagnosis.evidence.instances import Instances
+    from edoras_tools.diagnosis.evidence.payloads import CommandRecord, EventRecord, Payloads
+    from edoras_tools.diagnosis.evidence.table import Rows
+
+_SLACK_NS: Final = 2 * SECOND
+_ENDS_NS: Final = 10 * SECOND
+_ROUND_NS: Final = SECOND
+_CLOCK: Final = Subject("clock")
+_OUTPUT: Final = Subject("output")
+_ALL_ENTRIES: Final = Subject("entry")
+_APP_EVENTS: Final = (
+    (frozenset({executive_services.STARTED}), "running", re.compile(r"Started (\S+) from")),
+    (frozenset({executive_services.STOPPED}), "stopped", re.compile(r"Stop Application (\S+) Completed")),
+    # It ended; what it had opened was not all closed.
+    (frozenset({37}), "stopped", re.compile(r"Stop Application (\S+) Failed: CleanUpApp")),
+    (
+        frozenset({executive_services.RESTARTED}),
+        "running",
+        re.compile(r"Restart Application (\S+) Completed"),
+    ),
+    (frozenset({executive_services.RELOADED}), "running", re.compile(r"Reload Application (\S+) Completed")),
+)
+_APP_STATES: Final = {
+    executive_services.START_APP: "running",
+    executive_services.STOP_APP: "stopped",
+    executive_services.RESTART_APP: "restarting",
+    executive_services.RELOAD_APP: "restarting",
+}
+_EVENT_STATES: Final = {
+    event_services.ENABLE_APP: "enabled",
+    event_services.DISABLE_APP: "disabled",
+    event_services.ENABLE_APP_TYPE: "types enabled",
+    event_services.DISABLE_APP_TYPE: "types disabled",
+    event_services.SET_FILTER: "filtered",
+    event_services.ADD_FILTER: "filtered",
+    event_services.DELETE_FILTER: "filter deleted",
+    event_services.RESET_FILTER: "filters reset",
+    event_services.RESET_ALL_FILTERS: "filters reset",
+}
+_COMMAND_EVENTS: Final = (telemetry_output.ADDED, telemetry_output.REMOVED, telemetry_output.ALL_REMOVED)
+
+
+class SoftwareChanges:
+    """Makes the changes of a capture.
+
+    Args:
+        jumps: clocks that were set, as they were measured.
+    """
+
+    def __init__(
+        self, rows: Rows, payloads: Payloads, instances: Instances, jumps: Sequence[Jump] = ()
+    ) -> None:
+        self._rows = rows
+        self._payloads = payloads
+        self._instances = instances
+        self._jumps = [item for item in jumps if item.clock != "capture"]
+
+    def changes(self) -> Iterator[Change]:
+        """Yield all changes, those of a boot last."""
+        for command in self._payloads.commands:
+            yield from self._command(command)
+        for event in self._payloads.events:
+            yield from self._event(event)
+        yield from self._boots()
+
+    def _system(self, endpoint: int, time_ns: int) -> int:
+        """Return the cFS that takes what is sent to an endpoint: of its address, nearest in time."""
+        items, systems = self._instances.items, self._instances.systems
+        if len(set(systems)) < 2:
+            return systems[0] if systems else 0
+        here = [at for at, item in enumerate(items) if item.host == self._instances.hosts[endpoint]]
+
+        def away(at: int) -> int:
+            return max(items[at].first_ns - time_ns, time_ns - items[at].last_ns, 0)
+
+        return systems[min(here or range(len(items)), key=away)]
+
+    def _command(self, command: CommandRecord) -> Iterator[Change]:
+        sent_ns = int(self._rows.time_ns[command.row])
+        system = self._system(int(self._rows.destination[command.row]), sent_ns)
+        values, code = command.values, command.function_code
+
+        def change(
+            subject: Subject, state: str, value: int | str | None = None, *, slack_ns: int = _SLACK_NS
+        ) -> Change:
+            rows = (command.row,)
+            return Change(
+                system, subject, state, sent_ns, sent_ns + slack_ns, str(command), rows, value, sure=False
+            )
+
+        if command.msg_id == executive_services.COMMAND_MSG_ID:
+            yield from self._executive(command, change(_CLOCK, ""))
+        elif command.msg_id == telemetry_output.COMMAND_MSG_ID:
+            entry = Subject("entry", "", values.get("msg_id", 0) & 0xFFFF)
+            if code == telemetry_output.ENABLE:
+                yield change(_OUTPUT, "enabled", values["address"])
+            elif code == telemetry_output.ADD_PACKET:
+                yield change(entry, "subscribed", values["limit"])
+            elif code == telemetry_output.REMOVE_PACKET:
+                yield change(entry, "unsubscribed")
+            elif code == telemetry_output.REMOVE_ALL:
+                yield change(_ALL_ENTRIES, "unsubscribed")
+        elif command.msg_id == TIME_MSG_ID and code in time_services.SETS:
+            yield self._clock(command, change(_CLOCK, "set"))
+        elif command.msg_id == EVS_MSG_ID and code in _EVENT_STATES:
+            yield change(Subject("events", values["app_name"]), _EVENT_STATES[code], values.get("event_id"))
+        elif command.msg_id == TBL_MSG_ID and ("file_name" in values or "table_name" in values):
+            name = values.get("file_name") or values["table_name"]
+            yield change(Subject("table", name), str(command).split(" ", 1)[0].lower())
+        elif command.msg_id == sbn.COMMAND_MSG_ID and code == sbn.RELOAD:
+            yield change(Subject("table", sbn.TABLE), "reload")
+        elif command.msg_id == command_ingest.COMMAND_MSG_ID and code == command_ingest.RESET_COUNTERS:
+            yield change(Subject("counters", "", command_ingest.HOUSEKEEPING_MSG_ID), "reset", command.row)
+
+    def _executive(self, command: CommandRecord, pattern: Change) -> Iterator[Change]:
+        state = _APP_STATES.get(command.function_code)
+        if state is None:
+            return
+        app = command.values["app_name"]
+        sent_ns, system = pattern.not_before_ns, pattern.system
+        ends = state != "running"
+        by_ns = sent_ns + (_ENDS_NS if ends else _SLACK_NS)
+        rows, witness, sure = pattern.rows, pattern.witness, False
+        if ends and app in telemetry_output.NAMES and (last_ns := self._last_sent(system, sent_ns)):
+            sent_ns, by_ns, sure = last_ns, last_ns + _ROUND_NS, True
+            witness += "; it sent nothing more"
+        yield Change(system, Subject("app", app), state, sent_ns, by_ns, witness, rows, sure=sure)
+        if state == "restarting":
+            yield Change(
+                system, Subject("app", app), "running", sent_ns, sent_ns + _ENDS_NS, witness, rows, sure=False
+            )
+        if app in telemetry_output.NAMES:
+            yield Change(system, _OUTPUT, "disabled", sent_ns, by_ns, witness, rows, sure=sure)
+            yield Change(system, _ALL_ENTRIES, "as at the start", sent_ns, by_ns, witness, rows, sure=sure)
+
+    def _last_sent(self, system: int, told_ns: int) -> int | None:
+        """Return when Telemetry Output, told to end, sent last before it fell silent; None if it did not."""
+        rows, instances = self._rows, self._instances
+        own = among(rows.link, lambda link: link.only_from_cfs) & (rows.time_ns > told_ns - _ROUND_NS)
+        whose = np.array([*instances.systems, NOBODY])[instances.of_row]
+        times = np.append(rows.time_ns[own & (whose == system)], NEVER)
+        quiet = np.flatnonzero(np.diff(times) > _SLACK_NS)
+        last_ns = int(times[quiet[0]]) if len(quiet) and len(times) > 1 else None
+        return max(last_ns, told_ns) if last_ns is not None and last_ns < told_ns + _ENDS_NS else None
+
+    def _clock(self, command: CommandRecord, change: Change) -> Change:
+        """Return that the clock was set, by how much where that was measured or the command says it."""
+        low, high = change.not_before_ns - _ROUND_NS, change.not_after_ns + _ROUND_NS
+        setting = time_services.SETTING.get(command.function_code)
+        value: int | None = None
+        if setting and setting.sign and not setting.each_second:
+            micros = command.values["seconds"] * 10**6 + command.values["microseconds"]
+            value = setting.sign * micros * 1000
+        else:
+            measured = [item for item in self._jumps if low <= int(self._rows.time_ns[item.row]) <= high]
+            value = measured[0].by_ns if len(measured) == 1 else None
+        fields = (change.witness, change.rows, value)
+        return Change(
+            change.system, _CLOCK, "set", change.not_before_ns, change.not_after_ns, *fields, sure=False
+        )
+
+    def _event(self, event: EventRecord) -> Iterator[Change]:
+        made_ns = int(self._instances.made_ns[event.row])
+        instance = self._instances.saying(event)
+        systems = self._instances.systems
+        system = systems[instance] if 0 <= instance < len(systems) else 0
+        witness = f"event {event}"
+
+        def change(subject: Subject, state: str, value: int | str | None = None) -> Change:
+            # An application reads no more for some time before it is said to have ended.
+            low = made_ns - (_ENDS_NS if state == "stopped" else _ROUND_NS)
+            return Change(system, subject, state, low, made_ns, witness, (event.row,), value)
+
+        if event.app == executive_services.NAME:
+            for ids, state, pattern in _APP_EVENTS:
+                if event.event_id in ids and (named := pattern.search(event.message)):
+                    yield change(Subject("app", named[1]), state)
+        elif event.app in telemetry_output.NAMES:
+            if enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
+                yield change(_OUTPUT, "enabled", enabled["address"])
+            elif telemetry_output.SUPPRESSED.phrase in event.message:
+                yield change(_OUTPUT, "suppressed")
+            for text in _COMMAND_EVENTS:
+                if event.event_id == text.event_id and (read := text.pattern.search(event.message)):
+                    found = read.groupdict()
+                    number = int(found["msg_id"], 16) if "msg_id" in found else _ALL_ENTRIES.msg_id
+                    entry = Subject("entry", "", number)
+                    limit = int(found["limit"]) if "limit" in found else None
+                    yield change(entry, "unsubscribed" if limit is None else "subscribed", limit)
+        elif event.app == sbn.NAME and event.message == sbn.NOT_RELOADED[1].text:
+            yield change(Subject("app", sbn.NAME), "failed")
+
+    def _boots(self) -> Iterator[Change]:
+        items, systems = self._instances.items, self._instances.systems
+        last: dict[int, int] = {}
+        for at in sorted(range(len(items)), key=lambda item: items[item].first_ns):
+            system, item = systems[at], items[at]
+            if system in last and last[system] < item.first_ns:
+                low, high = last[system], item.first_ns
+                witness = "its clock and counts began anew"
+                for subject, state in (
+                    (Subject("cfs"), "down"),
+                    (_OUTPUT, "disabled"),
+                    (_ALL_ENTRIES, "as at the start"),
+                ):
+                    yield Change(system, subject, state, low, high, witness)
+                yield Change(system, Subject("cfs"), "running", low, high, witness)
+            last[system] = max(last.get(system, 0), item.last_ns)

@@ -1,0 +1,224 @@
+"""One table of state changes in time: of a cFS, its applications, tables and peers, the capture itself.
+
+1. A change has an interval [not before, not after] of capture time: a command takes effect between its
+   sending and the next round of who takes it, an event is said some time before it is captured.
+2. Every state has a witness. What nothing shows is no state: :meth:`Timeline.state` is None there.
+3. A subject is in one state at a time. Changes are put in order; one that repeats the state confirms it, and
+   makes its interval no wider. So the spans of a subject never overlap.
+4. What a boot ends, it ends for all subjects of its cFS; who makes the changes says so (``software``).
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+
+import numpy as np
+
+from edoras_tools.model import NO_MSG_ID
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+Kind = Literal[
+    "cfs",
+    "app",
+    "output",
+    "entry",
+    "peer",
+    "subscription",
+    "events",
+    "table",
+    "clock",
+    "counters",
+    "schedule",
+    "capture",
+    "port",
+]
+NEVER: Final = int(np.iinfo(np.int64).max)
+
+
+class Subject(NamedTuple):
+    """What has a state.
+
+    ``kind`` is one of: ``cfs`` itself; ``app``, an application by ``name``; ``output``, whether Telemetry
+    Output sends and where to; ``entry`` of its table, by ``msg_id``, ``NO_MSG_ID`` for all of them; ``peer``
+    of SBN by ``name`` (``66:3``); ``subscription`` of the peer ``name`` to ``msg_id``; ``events`` of the
+    application ``name``; ``table`` by ``name``; ``clock``; ``counters`` of a housekeeping MsgId;
+    ``schedule``, the requests for housekeeping; ``capture``, the interface; ``port`` by ``name``
+    (``10.0.0.4:1235``). The last two are of no cFS: their system is ``EVERY``.
+    """
+
+    kind: Kind
+    name: str = ""
+    msg_id: int = NO_MSG_ID
+
+
+EVERY: Final = -1
+"""The system of what is of no cFS."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A subject gets into a state.
+
+    Attributes:
+        system: number of the cFS, as ``Instances.systems`` has them; ``EVERY`` of the capture and of ports.
+        subject: whose state it is.
+        state: the state, e.g. ``stopped``.
+        not_before_ns: capture time before which it was surely not yet in it.
+        not_after_ns: capture time after which it surely was.
+        witness: what shows it: commands with their arguments, events, what is in the traffic.
+        rows: rows of the table of datagrams that show it, in order.
+        value: the limit, the address or the step in ns, where the state has one.
+        sure: whether more than a command without an answer, or a silence, shows it.
+    """
+
+    system: int
+    subject: Subject
+    state: str
+    not_before_ns: int
+    not_after_ns: int
+    witness: str
+    rows: tuple[int, ...] = ()
+    value: int | str | None = None
+    sure: bool = True
+
+    @property
+    def same(self) -> tuple[str, int | str | None]:
+        """State and value."""
+        return self.state, self.value
+
+
+class Span(NamedTuple):
+    """A time in one state: it began between the first two times, and ended between the last two.
+
+    The last two are ``NEVER`` where the state goes on to the end; ``end`` is None then.
+    """
+
+    start_lo: int
+    start_hi: int
+    end_lo: int
+    end_hi: int
+    change: Change
+    end: Change | None
+
+    def overlaps(self, start_ns: int, end_ns: int) -> bool:
+        """Tell whether it may hold some of a time."""
+        return self.start_lo < end_ns and start_ns < self.end_hi
+
+    def covers(self, time_ns: int) -> bool:
+        """Tell whether the subject surely was in the state at a time."""
+        return self.start_hi <= time_ns <= self.end_lo
+
+
+class Timeline:
+    """All changes of a capture, in order.
+
+    Args:
+        changes: in any order; of one subject they are put into one.
+
+    Attributes:
+        changes: them, by the earliest time of each.
+        subjects: whose they are: system and subject.
+        not_before_ns: i64 (changes,).
+        not_after_ns: i64 (changes,).
+        subject: i32 (changes,), place in ``subjects``.
+    """
+
+    def __init__(self, changes: Iterable[Change]) -> None:
+        found: dict[tuple[int, Subject], list[Change]] = {}
+        for change in sorted(changes, key=lambda item: (item.not_before_ns, item.not_after_ns)):
+            _follow(found.setdefault((change.system, change.subject), []), change)
+        self._of = found
+        self.subjects: Sequence[tuple[int, Subject]] = list(found)
+        place = {key: at for at, key in enumerate(self.subjects)}
+        every = [item for members in found.values() for item in members]
+        self.changes: Sequence[Change] = sorted(
+            every, key=lambda item: (item.not_before_ns, item.not_after_ns)
+        )
+        self.not_before_ns: NDArray[np.int64] = _column([item.not_before_ns for item in self.changes])
+        self.not_after_ns: NDArray[np.int64] = _column([item.not_after_ns for item in self.changes])
+        self.subject = np.array([place[item.system, item.subject] for item in self.changes], np.int32)
+
+    def of(self, subject: Subject, system: int = 0) -> Sequence[Change]:
+        """Return the changes of a subject, in order."""
+        return self._of.get((system, subject), ())
+
+    def of_kind(self, kind: Kind, system: int | None = None) -> Iterator[Subject]:
+        """Yield the subjects of a kind, of one system or of all."""
+        for other, subject in self.subjects:
+            if subject.kind == kind and system in {None, other}:
+                yield subject
+
+    def state(self, subject: Subject, time_ns: int, system: int = 0) -> Change | None:
+        """Return the change whose state a subject surely is in at a time; None where nothing shows it."""
+        own = self.of(subject, system)
+        at = bisect_right(own, time_ns, key=lambda item: item.not_before_ns) - 1
+        return own[at] if at >= 0 and own[at].not_after_ns <= time_ns else None
+
+    def spans(self, subject: Subject, state: str, system: int = 0) -> list[Span]:
+        """Return the times in which a subject was in a state."""
+        own = self.of(subject, system)
+        found = []
+        for at, item in enumerate(own):
+            if item.state == state:
+                end = own[at + 1] if at + 1 < len(own) else None
+                ends = (end.not_before_ns, end.not_after_ns) if end else (NEVER, NEVER)
+                found.append(Span(item.not_before_ns, item.not_after_ns, *ends, item, end))
+        return found
+
+    def unsure(self, subject: Subject, system: int = 0) -> list[tuple[int, int]]:
+        """Return when it is between two states: from the earliest to the latest time of each change."""
+        return [(item.not_before_ns, item.not_after_ns) for item in self.of(subject, system)]
+
+
+def _follow(before: list[Change], change: Change) -> None:
+    """Put a change behind those before it of its subject."""
+    last = before[-1] if before else None
+    if last is None:
+        before.append(change)
+        return
+    if last.same != change.same:
+        before.append(_behind(last, change))
+    elif change.sure and not last.sure:
+        # An answer: it was done by then.
+        before[-1] = _joined(last, change)
+    elif last.sure and not change.sure and len(last.rows) == 1 and _meet(last, change):
+        # The command that an event, whose time is known to a round only, answers.
+        before[-1] = _joined(change, last)
+    if len(before) > 1 and before[-1].sure:
+        # It was in the state before no later than it surely is in this one.
+        last, change = before[-2:]
+        high = max(last.not_before_ns, min(last.not_after_ns, change.not_after_ns))
+        before[-2:] = replace(last, not_after_ns=high), _behind(replace(last, not_after_ns=high), change)
+
+
+def _meet(one: Change, other: Change) -> bool:
+    return one.not_before_ns <= other.not_after_ns and other.not_before_ns <= one.not_after_ns
+
+
+def _joined(command: Change, answer: Change) -> Change:
+    """Return one change from a command and what shows that it was obeyed."""
+    # A restart is over when it is said; all else may be done as soon as it is asked for.
+    low = max(command.not_before_ns, answer.not_before_ns if answer.state == "running" else 0)
+    return replace(
+        answer,
+        not_before_ns=low,
+        not_after_ns=max(low, answer.not_after_ns),
+        witness=f"{command.witness}; {answer.witness}",
+        rows=(*command.rows, *answer.rows),
+    )
+
+
+def _behind(last: Change, change: Change) -> Change:
+    """Return a change that neither begins nor ends before the one before it."""
+    low = max(last.not_before_ns, change.not_before_ns)
+    return replace(change, not_before_ns=low, not_after_ns=max(low, last.not_after_ns, change.not_after_ns))
+
+
+def _column(values: list[int]) -> NDArray[np.int64]:
+    return np.array(values, np.int64)

@@ -1,0 +1,240 @@
+"""The timeline of states, judged by the flight consoles of real captures and by any order of changes."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from itertools import pairwise
+
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+from places import ROOT
+
+from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.diagnosis.case import Capture, Case
+from edoras_tools.diagnosis.evidence.table import Recorder
+from edoras_tools.diagnosis.evidence.timeline.reasons import Way, reasons_for
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Change, Subject, Timeline
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.units import SECOND
+
+CAPTURES = ROOT / "tests/captures"
+NEAR_NS = SECOND // 5
+"""The console's time and the capture's are of one clock; a line may be printed a little later."""
+
+
+def place(name):
+    return next(path for path in (CAPTURES, CAPTURES / "season3") if (path / f"{name}.pcap.zst").exists())
+
+
+@cache
+def case(name):
+    bench = Settings().workbench()
+    recorder = Recorder(bench.columns.context)
+    source = open_file(place(name) / f"{name}.pcap.zst")
+    for batch in source.batches():
+        recorder.add(batch, bench.columns.decode(batch))
+    return Case(recorder, SimProfile(), Capture())
+
+
+def console(name):
+    """Yield when a flight console said what, ns and text."""
+    with zstandard.open(place(name) / f"{name}.cfs.log.zst", "rt", errors="replace") as file:
+        lines = file.read().splitlines()
+    for line in lines:
+        when, _, text = line.partition(" ")
+        yield int(float(when) * SECOND), text
+
+
+def changes(name, kind):
+    """Return the changes of a kind: earliest time in s, whose, state, value."""
+    found = case(name)
+    return [
+        (
+            round((item.not_before_ns - found.start_ns) / SECOND, 1),
+            item.subject.name or (item.subject.msg_id if item.subject.msg_id >= 0 else ""),
+            item.state,
+            item.value,
+        )
+        for item in found.timeline.changes
+        if item.subject.kind == kind
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "expected"),
+    [
+        (
+            "p4_apps_stopped",
+            "app",
+            [
+                (24.2, "TO_LAB_APP", "stopped", None),
+                (33.6, "TO_LAB_APP", "running", None),
+                (45.4, "SBN", "stopped", None),
+                (55.2, "SBN", "running", None),
+            ],
+        ),
+        (
+            "n5_app_restarts",
+            "app",
+            [
+                (14.6, "CI_LAB_APP", "restarting", None),
+                (19.9, "CI_LAB_APP", "running", None),
+                (26.7, "TO_LAB_APP", "restarting", None),
+                (26.7, "TO_LAB_APP", "running", None),
+                (45.6, "EDORAS_APP", "stopped", None),
+                (59.2, "EDORAS_APP", "running", None),
+            ],
+        ),
+        (
+            "q12_to_limits_changed",
+            "entry",
+            [
+                (19.8, 0x827, "unsubscribed", None),
+                (21.0, 0x827, "subscribed", 1),
+                (37.2, 0x827, "unsubscribed", None),
+                (38.4, 0x827, "subscribed", 20),
+                (50.6, 0x827, "unsubscribed", None),
+                (51.8, 0x827, "subscribed", 2),
+            ],
+        ),
+        (
+            "n8_time_jumps",
+            "clock",
+            [
+                (14.6, "", "set", 3600 * SECOND),
+                (26.4, "", "set", -7200 * SECOND),
+            ],
+        ),
+        ("n3_cfs_restart", "cfs", [(19.2, "", "down", None), (19.2, "", "running", None)]),
+        (
+            "q04b_bridge_restarts_subscribes_one",
+            "peer",
+            [
+                (6.7, "66:3", "connected", None),
+                (29.7, "66:3", "silent", None),
+                (33.9, "66:3", "connected", None),
+                (45.8, "66:3", "silent", None),
+                (56.8, "66:3", "timed_out", None),
+                (62.1, "66:3", "connected", None),
+            ],
+        ),
+        ("a_rover", "app", []),
+        ("hostile_times", "app", []),
+    ],
+)
+def test_states_of_real_captures(name, kind, expected):
+    assert changes(name, kind)[: len(expected) if kind == "clock" else None] == expected
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["n5_app_restarts", "p4_apps_stopped", "q12_to_limits_changed", "q21_app_restart_while_overloaded"],
+)
+def test_what_the_console_says_lies_in_the_intervals(name):
+    """Of what an event in the capture confirms; the event itself may be late, or lost."""
+    patterns = {
+        r"Restart Application (?P<app>\S+) Completed": "running",
+        r"Started (?P<app>\S+) from": "running",
+        r"Stop Application (?P<app>\S+) (Completed|Failed: CleanUpApp)": "stopped",
+        r"AddPkt (?P<entry>0x\w+), QoS 0.0, limit": "subscribed",
+        r"RemovePkt (?P<entry>0x\w+)": "unsubscribed",
+    }
+    timeline, judged = case(name).timeline, 0
+    for when, text in console(name):
+        for pattern, state in patterns.items():
+            read = re.search(r"(CFE_ES|TO_LAB_APP) \d+: .*" + pattern, text)
+            if not read or when < case(name).start_ns:
+                continue
+            named = read.groupdict()
+            subject = (
+                Subject("app", named["app"])
+                if "app" in named
+                else Subject("entry", "", int(named["entry"], 16))
+            )
+            spans = [item for item in timeline.spans(subject, state) if "event" in item.change.witness]
+            near = [item for item in spans if item.start_lo - NEAR_NS <= when <= item.start_hi + NEAR_NS]
+            if any(item.start_lo - 10 * SECOND < when < item.start_hi + 10 * SECOND for item in spans):
+                assert near, text
+                judged += 1
+    assert judged
+
+
+def test_why_messages_do_not_get_through():
+    def reasons(name, way, start_s, end_s):
+        found = case(name)
+        start_ns, end_ns = (found.start_ns + int(at * SECOND) for at in (start_s, end_s))
+        return [item.text for item in reasons_for(found.timeline, way, start_ns, end_ns, found.at)]
+
+    name = "p4_apps_stopped"
+    assert reasons(name, Way(0x827, TO, peer="66:3"), 46, 54) == []
+    assert reasons(name, Way(0x1829, SBN, to_cfs=True), 46, 54)[0].startswith(
+        "SBN stopped from 45.4 s to 55."
+    )
+    assert "STOP_APP SBN" in reasons(name, Way(0x1829, SBN, to_cfs=True), 46, 54)[0]
+    assert any("TO_LAB_APP stopped from 24.2 s" in line for line in reasons(name, Way(0x828, TO), 26, 33))
+    assert reasons(name, Way(0x828, TO), 38, 44) == []
+    name = "q04b_bridge_restarts_subscribes_one"
+    assert reasons(name, Way(0x82A, SBN, peer="66:3"), 64, 80) == []
+    (text,) = reasons(name, Way(0x82B, SBN, peer="66:3"), 64, 80)
+    assert text.startswith("SBN peer 66:3's subscription to 0x082b unsubscribed from 56.8 s on")
+    name = "n1_to_remove_all"
+    (text,) = reasons(name, Way(0x880, TO), 35, 45)
+    assert text.endswith("on: REMOVE_ALL")
+    assert reasons(name, Way(0x803, TO), 36, 45) == []
+    assert len(reasons(name, Way(0x803, TO), 20, 30)) == 1
+    (text,) = reasons("n3_cfs_restart", Way(0x1827, CI), 25, 30)
+    assert text.startswith("cFS down from 19.2 s to 42.0 s")
+    assert reasons("n5_app_restarts", Way(0x1827, CI, apps=("EDORAS_APP",)), 50, 55)[0].startswith(
+        "EDORAS_APP"
+    )
+
+
+TIMES = st.integers(0, 60)
+CHANGES = st.builds(
+    lambda system, name, state, low, width, value, sure: Change(
+        system, Subject("app", name), state, low, low + width, f"{state} at {low}", (low,), value, sure
+    ),
+    st.integers(0, 1),
+    st.sampled_from(["SBN", "TO_LAB_APP"]),
+    st.sampled_from(["running", "stopped", "restarting"]),
+    TIMES,
+    st.integers(0, 20),
+    st.sampled_from([None, 1, 2]),
+    st.booleans(),
+)
+
+
+@given(st.lists(CHANGES, max_size=30), st.randoms(use_true_random=False))
+def test_any_changes_are_one_state_at_a_time(items, chance):
+    timeline = Timeline(items)
+    for system, subject in timeline.subjects:
+        own = timeline.of(subject, system)
+        assert own
+        assert all(item.witness and item.not_before_ns <= item.not_after_ns for item in own)
+        for one, other in pairwise(own):
+            assert one.not_before_ns <= other.not_before_ns
+            assert one.not_after_ns <= other.not_after_ns
+            assert one.same != other.same
+        states = {item.state for item in own}
+        spans = sorted(
+            (span for state in states for span in timeline.spans(subject, state, system)),
+            key=lambda item: item[:4],
+        )
+        assert len(spans) == len(own)
+        for time in range(-1, 90):
+            surely = [span.change for span in spans if span.covers(time)]
+            state = timeline.state(subject, time, system)
+            if state is not None:
+                assert not surely or state.same in {item.same for item in surely}
+                assert state.not_after_ns <= time
+            assert not surely or min(item.not_after_ns for item in surely) <= time
+        assert spans[-1].end_hi == NEVER or any(span.end is None for span in spans)
+    assert list(timeline.not_before_ns) == sorted(timeline.not_before_ns)
+    assert len(timeline.subject) == len(timeline.changes)
