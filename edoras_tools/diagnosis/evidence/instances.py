@@ -175,9 +175,14 @@ class Instances:
             own = np.flatnonzero((self.of_row == index) & (rows.mission_time_ns > 0))
             delay = rows.time_ns[own] - rows.mission_time_ns[own]
             window = (rows.time_ns[own] - rows.time_ns[own].min()) // _BASELINE_NS
-            least = np.full(int(window.max()) + 3, np.iinfo(np.int64).max)
+            # Of the windows in which something came: times that are garbled may lie centuries apart.
+            windows, window = np.unique(window, return_inverse=True)
+            least = np.full(len(windows) + 2, np.iinfo(np.int64).max)
             np.minimum.at(least, window + 1, delay)
-            quickest = np.minimum(np.minimum(least[:-2], least[2:]), least[1:-1])
+            apart = np.concatenate(([True], np.diff(windows) > 1, [True]))
+            before = np.where(apart[:-1], least[1:-1], least[:-2])
+            after = np.where(apart[1:], least[1:-1], least[2:])
+            quickest = np.minimum(np.minimum(before, after), least[1:-1])
             made[own] -= delay - quickest[window]
         return made
 

@@ -316,12 +316,22 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
                 "time runs back from one packet to the next"
                 if jump.by_ns < 0 and own
                 else "mission time and the capture's part ways here, and sequence counts go on: no restart",
+                *(() if own else _commands_to_clock(case, when)),
             ),
             remedy="discipline the clock (chrony), and do not set it while capturing"
             if own
             else "see who sends TIME commands (0x1805); mission times before and after do not compare",
             confidence="high" if own and jump.by_ns < 0 else "medium",
         )
+
+
+def _commands_to_clock(case: Case, when: int) -> Iterator[str]:
+    """Yield the commands that set a clock at a time, and when each was sent."""
+    for system, subject in case.timeline.subjects:
+        if subject.kind == "clock":
+            for change in case.timeline.of(subject, system):
+                if change.not_before_ns - SECOND <= when <= change.not_after_ns:
+                    yield f"sent at {case.at(change.not_before_ns)}: {change.witness}"
 
 
 def proxy_faults(case: Case) -> Iterator[Verdict]:

@@ -64,8 +64,9 @@ def steadied(
     """Return the rows as if no clock had been set, every jump that was taken out, and who made the rows."""
     rows, jumps = _forward_only(rows)
     instances = Instances(rows, events, endpoints)
-    while len(jumps) < _MOST and (jump := _parted(rows, instances)) is not None:
-        rows = _without(rows, jump)
+    while len(jumps) < _MOST and (parted := _parted(rows, instances)) is not None:
+        jump, before = parted
+        rows = _without(rows, jump, instances.of_row == before)
         jumps.append(jump)
         instances = Instances(rows, events, endpoints)
     moved = _levelled(rows, instances, jumps)
@@ -155,8 +156,11 @@ def _forward_only(rows: Rows) -> tuple[Rows, list[Jump]]:
     return replace(rows, time_ns=rows.time_ns + np.cumsum(moved)), jumps
 
 
-def _parted(rows: Rows, instances: Instances) -> Jump | None:
-    """Find an instance that goes on as another, its clock or the capture's set."""
+def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
+    """Find an instance that goes on as another, its clock or the capture's set: the jump, and which it was.
+
+    What was made before a clock was set may come in one round with what was made after it.
+    """
     order = sorted(range(len(instances.items)), key=lambda index: instances.items[index].first_ns)
     by_instance = np.argsort(instances.of_row, kind="stable")
     edges = np.searchsorted(instances.of_row[by_instance], np.arange(len(order) + 1))
@@ -169,7 +173,7 @@ def _parted(rows: Rows, instances: Instances) -> Jump | None:
             before = order[place]
             first, second = instances.items[before], instances.items[after]
             named = first.name == second.name or not (first.name and second.name)
-            if not named or first.last_ns > second.first_ns:
+            if not named or first.last_ns > second.first_ns + _CYCLE_NS:
                 continue
             own, other = (np.flatnonzero(instances.of_row == index) for index in (before, after))
             low, high = int(own[-1]), int(other[0])
@@ -178,10 +182,10 @@ def _parted(rows: Rows, instances: Instances) -> Jump | None:
             other = other[rows.time_ns[other] < rows.time_ns[high] + _BESIDE_NS]
             by = _offset_ns(rows, other) - _offset_ns(rows, own)
             steps = np.diff(rows.time_ns[low : high + 1])
-            widest = int(steps.argmax())
-            if by > 0 and abs(int(steps[widest]) - by) < SECOND + by // 10:
-                return Jump("capture", low + widest + 1, by)
-            return Jump(second.name or first.name or "cFS", high, -by)
+            widest = int(steps.argmax()) if len(steps) else 0
+            if by > 0 and len(steps) and abs(int(steps[widest]) - by) < SECOND + by // 10:
+                return Jump("capture", low + widest + 1, by), before
+            return Jump(second.name or first.name or "cFS", high, -by), before
     return None
 
 
@@ -236,9 +240,15 @@ def _taken_up(
     return found
 
 
-def _without(rows: Rows, jump: Jump) -> Rows:
+def _without(rows: Rows, jump: Jump, before: NDArray[np.bool_]) -> Rows:
+    """Return rows as if a clock had not been set; ``before`` are those whose packets were made before it."""
     later = np.arange(len(rows)) >= jump.row
     if jump.clock == "capture":
         return replace(rows, time_ns=rows.time_ns - later * jump.by_ns)
-    timed = later & (rows.mission_time_ns > 0) & among(rows.link, lambda link: link.from_cfs and link.packets)
+    timed = (
+        later
+        & ~before
+        & (rows.mission_time_ns > 0)
+        & among(rows.link, lambda link: link.from_cfs and link.packets)
+    )
     return replace(rows, mission_time_ns=rows.mission_time_ns - timed * jump.by_ns)
