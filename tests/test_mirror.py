@@ -52,6 +52,7 @@ ELSEWHERE = {
     "diagnosis/evidence/*": "diagnosis/test_parts.py",
     "diagnosis/evidence/clocks/*": "diagnosis/test_parts.py",
     "diagnosis/evidence/relays/*": "diagnosis/test_parts.py",
+    "diagnosis/evidence/timeline/*": "diagnosis/evidence/timeline/test_timeline.py",
     "diagnosis/matching/*": "diagnosis/test_parts.py",
     "diagnosis/rules/*": "diagnosis/test_rules.py",
     "io/formats/*": "io/formats/test_open.py",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.evidence.timeline.table import EVERY, Change, Subject
+from edoras_tools.diagnosis.evidence.timeline.table import EVERY, Change, StateOwner
 from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
 
@@ -52,7 +52,7 @@ def capture_changes(away: Sequence[tuple[int, int]]) -> Iterator[Change]:
     """Yield when nothing could be captured, and when it could again."""
     for start_ns, end_ns in away:
         for state, when in (("away", start_ns), ("back", end_ns)):
-            yield Change(EVERY, Subject("capture"), state, when, when, "nothing was captured meanwhile")
+            yield Change(EVERY, StateOwner("capture"), state, when, when, "nothing was captured meanwhile")
 
 
 def _system(instances: Instances, observer: SbnParty) -> int:
@@ -89,7 +89,7 @@ def _peer(
         heard: what it sent to the observer.
         sent_ns: when the observer sent to it.
     """
-    subject = Subject("peer", connection.peer)
+    subject = StateOwner("peer", connection.peer)
     for item in connection.changes:
         yield Change(system, subject, item.state, item.time_ns, item.time_ns + _WAKE_NS, item.why)
     steps = np.diff(rows.time_ns[heard])
@@ -135,11 +135,11 @@ def _subscriptions(
             members = asked.setdefault(int(session[place]), set())
             if (msg_id in members) == ended:
                 (members.discard if ended else members.add)(msg_id)
-                subject = Subject("subscription", peer, msg_id)
+                subject = StateOwner("subscription", peer, msg_id)
                 text = f"{verb} of {peer} for 0x{msg_id:04x}"
                 yield Change(system, subject, state, now, now + _WAKE_NS, text, (row,))
     for number, item in enumerate(ends):
         for msg_id in asked.get(number, ()):
-            subject = Subject("subscription", peer, msg_id)
+            subject = StateOwner("subscription", peer, msg_id)
             text = f"its connection ended: {item.why}"
             yield Change(system, subject, "unsubscribed", item.time_ns, item.time_ns + _WAKE_NS, text)

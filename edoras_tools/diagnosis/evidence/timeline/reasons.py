@@ -6,7 +6,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.cfs import command_ingest, sbn, telemetry_output
-from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, Span, Subject, Timeline
+from edoras_tools.diagnosis.evidence.timeline.table import (
+    EVERY,
+    NEVER,
+    Change,
+    StateOwner,
+    StateSpan,
+    Timeline,
+)
 from edoras_tools.model import NO_MSG_ID
 
 if TYPE_CHECKING:
@@ -31,7 +38,7 @@ class Way(NamedTuple):
 class Reason(NamedTuple):
     """A time in a state in which messages do not get through, and the line that says so."""
 
-    span: Span
+    span: StateSpan
     text: str
 
 
@@ -55,36 +62,36 @@ def reasons_for(
     return sorted(found, key=lambda item: item.span[:2])
 
 
-def _spans(timeline: Timeline, subject: Subject, state: str, system: int) -> list[Span]:
+def _spans(timeline: Timeline, subject: StateOwner, state: str, system: int) -> list[StateSpan]:
     """Return the times of a subject in a state; what is done to all entries of a table is done to each."""
     if subject.kind != "entry":
         return timeline.spans(subject, state, system)
-    both = [*timeline.of(subject, system), *timeline.of(Subject("entry"), system)]
+    both = [*timeline.of(subject, system), *timeline.of(StateOwner("entry"), system)]
     return Timeline(replace(item, subject=subject) for item in both).spans(subject, state, system)
 
 
-def _blocking(way: Way) -> Iterator[tuple[int, Subject, Sequence[str]]]:
+def _blocking(way: Way) -> Iterator[tuple[int, StateOwner, Sequence[str]]]:
     """Yield what messages need on a way, and the states in which it does not let them through."""
-    yield EVERY, Subject("capture"), ("away",)
-    yield way.system, Subject("cfs"), _NOT_RUNNING
+    yield EVERY, StateOwner("capture"), ("away",)
+    yield way.system, StateOwner("cfs"), _NOT_RUNNING
     for app in way.apps:
-        yield way.system, Subject("app", app), _NOT_RUNNING
+        yield way.system, StateOwner("app", app), _NOT_RUNNING
     if way.link.only_to_cfs:
         for app in command_ingest.NAMES:
-            yield way.system, Subject("app", app), _NOT_RUNNING
+            yield way.system, StateOwner("app", app), _NOT_RUNNING
     elif way.link.only_from_cfs:
         for app in telemetry_output.NAMES:
-            yield way.system, Subject("app", app), _NOT_RUNNING
-        yield way.system, Subject("output"), ("disabled", "suppressed")
-        yield way.system, Subject("entry", "", way.msg_id), ("unsubscribed",)
+            yield way.system, StateOwner("app", app), _NOT_RUNNING
+        yield way.system, StateOwner("output"), ("disabled", "suppressed")
+        yield way.system, StateOwner("entry", "", way.msg_id), ("unsubscribed",)
     elif way.link.peers:
-        yield way.system, Subject("app", sbn.NAME), _NOT_RUNNING
+        yield way.system, StateOwner("app", sbn.NAME), _NOT_RUNNING
         if way.peer and not way.to_cfs:
-            yield way.system, Subject("peer", way.peer), ("silent", "timed_out", "disconnected")
-            yield way.system, Subject("subscription", way.peer, way.msg_id), ("unsubscribed",)
+            yield way.system, StateOwner("peer", way.peer), ("silent", "timed_out", "disconnected")
+            yield way.system, StateOwner("subscription", way.peer, way.msg_id), ("unsubscribed",)
 
 
-def subject_name(subject: Subject) -> str:
+def subject_name(subject: StateOwner) -> str:
     """Return how people are told of a subject."""
     number = "" if subject.msg_id == NO_MSG_ID else f"0x{subject.msg_id:04x}"
     return {
@@ -104,7 +111,7 @@ def subject_name(subject: Subject) -> str:
     }[subject.kind]
 
 
-def reason_text(span: Span, at: Callable[[int], str]) -> str:
+def reason_text(span: StateSpan, at: Callable[[int], str]) -> str:
     """Return one line: who was in which state from when to when, and what shows it."""
     change: Change = span.change
     value = "" if change.value is None else f" ({change.value})"

@@ -24,7 +24,7 @@ from edoras_tools.cfs import (
 )
 from edoras_tools.cfs.arguments import EVS_MSG_ID, TBL_MSG_ID, TIME_MSG_ID
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Change, Subject
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Change, StateOwner
 from edoras_tools.links.table import among
 from edoras_tools.units import SECOND
 
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 _SLACK_NS: Final = 2 * SECOND
 _ENDS_NS: Final = 10 * SECOND
 _ROUND_NS: Final = SECOND
-_CLOCK: Final = Subject("clock")
-_OUTPUT: Final = Subject("output")
-_ALL_ENTRIES: Final = Subject("entry")
+_CLOCK: Final = StateOwner("clock")
+_OUTPUT: Final = StateOwner("output")
+_ALL_ENTRIES: Final = StateOwner("entry")
 _APP_EVENTS: Final = (
     (frozenset({executive_services.STARTED}), "running", re.compile(r"Started (\S+) from")),
     (frozenset({executive_services.STOPPED}), "stopped", re.compile(r"Stop Application (\S+) Completed")),
@@ -115,7 +115,7 @@ class SoftwareChanges:
         values, code = command.values, command.function_code
 
         def change(
-            subject: Subject, state: str, value: int | str | None = None, *, slack_ns: int = _SLACK_NS
+            subject: StateOwner, state: str, value: int | str | None = None, *, slack_ns: int = _SLACK_NS
         ) -> Change:
             rows = (command.row,)
             return Change(
@@ -125,7 +125,7 @@ class SoftwareChanges:
         if command.msg_id == executive_services.COMMAND_MSG_ID:
             yield from self._executive(command, change(_CLOCK, ""))
         elif command.msg_id == telemetry_output.COMMAND_MSG_ID:
-            entry = Subject("entry", "", values.get("msg_id", 0) & 0xFFFF)
+            entry = StateOwner("entry", "", values.get("msg_id", 0) & 0xFFFF)
             if code == telemetry_output.ENABLE:
                 yield change(_OUTPUT, "enabled", values["address"])
             elif code == telemetry_output.ADD_PACKET:
@@ -137,14 +137,16 @@ class SoftwareChanges:
         elif command.msg_id == TIME_MSG_ID and code in time_services.SETS:
             yield self._clock(command, change(_CLOCK, "set"))
         elif command.msg_id == EVS_MSG_ID and code in _EVENT_STATES:
-            yield change(Subject("events", values["app_name"]), _EVENT_STATES[code], values.get("event_id"))
+            yield change(
+                StateOwner("events", values["app_name"]), _EVENT_STATES[code], values.get("event_id")
+            )
         elif command.msg_id == TBL_MSG_ID and ("file_name" in values or "table_name" in values):
             name = values.get("file_name") or values["table_name"]
-            yield change(Subject("table", name), str(command).split(" ", 1)[0].lower())
+            yield change(StateOwner("table", name), str(command).split(" ", 1)[0].lower())
         elif command.msg_id == sbn.COMMAND_MSG_ID and code == sbn.RELOAD:
-            yield change(Subject("table", sbn.TABLE), "reload")
+            yield change(StateOwner("table", sbn.TABLE), "reload")
         elif command.msg_id == command_ingest.COMMAND_MSG_ID and code == command_ingest.RESET_COUNTERS:
-            yield change(Subject("counters", "", command_ingest.HOUSEKEEPING_MSG_ID), "reset", command.row)
+            yield change(StateOwner("counters", "", command_ingest.HOUSEKEEPING_MSG_ID), "reset", command.row)
 
     def _executive(self, command: CommandRecord, pattern: Change) -> Iterator[Change]:
         state = _APP_STATES.get(command.function_code)
@@ -158,10 +160,17 @@ class SoftwareChanges:
         if ends and app in telemetry_output.NAMES and (last_ns := self._last_sent(system, sent_ns)):
             sent_ns, by_ns, sure = last_ns, last_ns + _ROUND_NS, True
             witness += "; it sent nothing more"
-        yield Change(system, Subject("app", app), state, sent_ns, by_ns, witness, rows, sure=sure)
+        yield Change(system, StateOwner("app", app), state, sent_ns, by_ns, witness, rows, sure=sure)
         if state == "restarting":
             yield Change(
-                system, Subject("app", app), "running", sent_ns, sent_ns + _ENDS_NS, witness, rows, sure=False
+                system,
+                StateOwner("app", app),
+                "running",
+                sent_ns,
+                sent_ns + _ENDS_NS,
+                witness,
+                rows,
+                sure=False,
             )
         if app in telemetry_output.NAMES:
             yield Change(system, _OUTPUT, "disabled", sent_ns, by_ns, witness, rows, sure=sure)
@@ -200,7 +209,7 @@ class SoftwareChanges:
         system = systems[instance] if 0 <= instance < len(systems) else 0
         witness = f"event {event}"
 
-        def change(subject: Subject, state: str, value: int | str | None = None) -> Change:
+        def change(subject: StateOwner, state: str, value: int | str | None = None) -> Change:
             # An application reads no more for some time before it is said to have ended.
             low = made_ns - (_ENDS_NS if state == "stopped" else _ROUND_NS)
             return Change(system, subject, state, low, made_ns, witness, (event.row,), value)
@@ -208,7 +217,7 @@ class SoftwareChanges:
         if event.app == executive_services.NAME:
             for ids, state, pattern in _APP_EVENTS:
                 if event.event_id in ids and (named := pattern.search(event.message)):
-                    yield change(Subject("app", named[1]), state)
+                    yield change(StateOwner("app", named[1]), state)
         elif event.app in telemetry_output.NAMES:
             if enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
                 yield change(_OUTPUT, "enabled", enabled["address"])
@@ -218,11 +227,11 @@ class SoftwareChanges:
                 if event.event_id == text.event_id and (read := text.pattern.search(event.message)):
                     found = read.groupdict()
                     number = int(found["msg_id"], 16) if "msg_id" in found else _ALL_ENTRIES.msg_id
-                    entry = Subject("entry", "", number)
+                    entry = StateOwner("entry", "", number)
                     limit = int(found["limit"]) if "limit" in found else None
                     yield change(entry, "unsubscribed" if limit is None else "subscribed", limit)
         elif event.app == sbn.NAME and event.message == sbn.NOT_RELOADED[1].text:
-            yield change(Subject("app", sbn.NAME), "failed")
+            yield change(StateOwner("app", sbn.NAME), "failed")
 
     def _boots(self) -> Iterator[Change]:
         items, systems = self._instances.items, self._instances.systems
@@ -233,10 +242,10 @@ class SoftwareChanges:
                 low, high = last[system], item.first_ns
                 witness = "its clock and counts began anew"
                 for subject, state in (
-                    (Subject("cfs"), "down"),
+                    (StateOwner("cfs"), "down"),
                     (_OUTPUT, "disabled"),
                     (_ALL_ENTRIES, "as at the start"),
                 ):
                     yield Change(system, subject, state, low, high, witness)
-                yield Change(system, Subject("cfs"), "running", low, high, witness)
+                yield Change(system, StateOwner("cfs"), "running", low, high, witness)
             last[system] = max(last.get(system, 0), item.last_ns)

@@ -41,7 +41,7 @@ Kind = Literal[
 NEVER: Final = int(np.iinfo(np.int64).max)
 
 
-class Subject(NamedTuple):
+class StateOwner(NamedTuple):
     """What has a state.
 
     ``kind`` is one of: ``cfs`` itself; ``app``, an application by ``name``; ``output``, whether Telemetry
@@ -78,7 +78,7 @@ class Change:
     """
 
     system: int
-    subject: Subject
+    subject: StateOwner
     state: str
     not_before_ns: int
     not_after_ns: int
@@ -93,7 +93,7 @@ class Change:
         return self.state, self.value
 
 
-class Span(NamedTuple):
+class StateSpan(NamedTuple):
     """A time in one state: it began between the first two times, and ended between the last two.
 
     The last two are ``NEVER`` where the state goes on to the end; ``end`` is None then.
@@ -130,11 +130,11 @@ class Timeline:
     """
 
     def __init__(self, changes: Iterable[Change]) -> None:
-        found: dict[tuple[int, Subject], list[Change]] = {}
+        found: dict[tuple[int, StateOwner], list[Change]] = {}
         for change in sorted(changes, key=lambda item: (item.not_before_ns, item.not_after_ns)):
             _follow(found.setdefault((change.system, change.subject), []), change)
         self._of = found
-        self.subjects: Sequence[tuple[int, Subject]] = list(found)
+        self.subjects: Sequence[tuple[int, StateOwner]] = list(found)
         place = {key: at for at, key in enumerate(self.subjects)}
         every = [item for members in found.values() for item in members]
         self.changes: Sequence[Change] = sorted(
@@ -144,23 +144,23 @@ class Timeline:
         self.not_after_ns: NDArray[np.int64] = _column([item.not_after_ns for item in self.changes])
         self.subject = np.array([place[item.system, item.subject] for item in self.changes], np.int32)
 
-    def of(self, subject: Subject, system: int = 0) -> Sequence[Change]:
+    def of(self, subject: StateOwner, system: int = 0) -> Sequence[Change]:
         """Return the changes of a subject, in order."""
         return self._of.get((system, subject), ())
 
-    def of_kind(self, kind: Kind, system: int | None = None) -> Iterator[Subject]:
+    def of_kind(self, kind: Kind, system: int | None = None) -> Iterator[StateOwner]:
         """Yield the subjects of a kind, of one system or of all."""
         for other, subject in self.subjects:
             if subject.kind == kind and system in {None, other}:
                 yield subject
 
-    def state(self, subject: Subject, time_ns: int, system: int = 0) -> Change | None:
+    def state(self, subject: StateOwner, time_ns: int, system: int = 0) -> Change | None:
         """Return the change whose state a subject surely is in at a time; None where nothing shows it."""
         own = self.of(subject, system)
         at = bisect_right(own, time_ns, key=lambda item: item.not_before_ns) - 1
         return own[at] if at >= 0 and own[at].not_after_ns <= time_ns else None
 
-    def spans(self, subject: Subject, state: str, system: int = 0) -> list[Span]:
+    def spans(self, subject: StateOwner, state: str, system: int = 0) -> list[StateSpan]:
         """Return the times in which a subject was in a state."""
         own = self.of(subject, system)
         found = []
@@ -168,10 +168,10 @@ class Timeline:
             if item.state == state:
                 end = own[at + 1] if at + 1 < len(own) else None
                 ends = (end.not_before_ns, end.not_after_ns) if end else (NEVER, NEVER)
-                found.append(Span(item.not_before_ns, item.not_after_ns, *ends, item, end))
+                found.append(StateSpan(item.not_before_ns, item.not_after_ns, *ends, item, end))
         return found
 
-    def unsure(self, subject: Subject, system: int = 0) -> list[tuple[int, int]]:
+    def unsure(self, subject: StateOwner, system: int = 0) -> list[tuple[int, int]]:
         """Return when it is between two states: from the earliest to the latest time of each change."""
         return [(item.not_before_ns, item.not_after_ns) for item in self.of(subject, system)]
 

@@ -16,7 +16,7 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.case import Capture, Case
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.evidence.timeline.reasons import Way, reasons_for
-from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Change, Subject, Timeline
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Change, StateOwner, Timeline
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
@@ -155,9 +155,9 @@ def test_what_the_console_says_lies_in_the_intervals(name):
                 continue
             named = read.groupdict()
             subject = (
-                Subject("app", named["app"])
+                StateOwner("app", named["app"])
                 if "app" in named
-                else Subject("entry", "", int(named["entry"], 16))
+                else StateOwner("entry", "", int(named["entry"], 16))
             )
             spans = [item for item in timeline.spans(subject, state) if "event" in item.change.witness]
             near = [item for item in spans if item.start_lo - NEAR_NS <= when <= item.start_hi + NEAR_NS]
@@ -200,7 +200,7 @@ def test_why_messages_do_not_get_through():
 TIMES = st.integers(0, 60)
 CHANGES = st.builds(
     lambda system, name, state, low, width, value, sure: Change(
-        system, Subject("app", name), state, low, low + width, f"{state} at {low}", (low,), value, sure
+        system, StateOwner("app", name), state, low, low + width, f"{state} at {low}", (low,), value, sure
     ),
     st.integers(0, 1),
     st.sampled_from(["SBN", "TO_LAB_APP"]),
