@@ -7,7 +7,7 @@ Rules:
    be one of the counts made meanwhile, where an event names its MsgId at that pipe, or the pipe was full.
 3. Of commands whose way out can be seen, those that did not come out can be; of others, what events name, and
    then what was sent faster than a pipe takes.
-4. Who has the least to choose from chooses first, so that as many as possible are explained.
+4. All claims are settled together (``claims``), so that as many as possible are explained.
 5. What nothing takes stays what it is: counted, and not known which.
 """
 

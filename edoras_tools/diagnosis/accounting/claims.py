@@ -1,8 +1,8 @@
 """The growth of the software bus's loss counters, second by second, and who claims it.
 
-A count belongs to the second between two samples of the counter, and to one message. Who has the least to
-choose from chooses first, so that as many as possible are explained: in kinds or in time, whichever explains
-more.
+A count belongs to the second between two samples of the counter, and to one message. Messages claim counts
+rank after rank, and within each step as many of both are matched as can be. What may be of several kinds of
+traffic is given to none of them.
 """
 
 from __future__ import annotations

@@ -41,7 +41,6 @@ class Fate:
         queued: messages that may wait in CI's socket: it has not counted them.
         refused: rule to messages that came to nothing by what they are.
         passed_on: messages that came out, and were lost behind that.
-        owed: more such messages, which are among those that seem superseded.
         superseded: messages that gave way to a newer one.
         unaccounted: messages of which nothing tells what became.
         unfollowed: bool (rows,), it was sent when nothing here could show any more what became of it.
@@ -71,7 +70,6 @@ class Fate:
     queued: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     passed_on: int = 0
-    owed: int = 0
     superseded: int = 0
     unaccounted: int = 0
     unfollowed: NDArray[np.bool_] | None = None
