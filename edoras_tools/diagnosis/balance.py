@@ -62,6 +62,8 @@ _COUNTED: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost"
 PEER: Final = "SBN peer"
 UNHEARD: Final = "sbn_timeout"
 """Cause of the loss of what was sent to a peer that timed out: the rule that tells of it."""
+RESTARTED: Final = "sbn_peer_restart"
+"""Cause of the loss of what was sent to a peer that was started again: the rule that tells of it."""
 ON_PURPOSE: Final = "/edoras/faults: done on purpose"
 
 
@@ -373,7 +375,7 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
     elif not_read := {kind: lost[kind] for kind in _NOT_READ if lost[kind]}:
         told = {"in": _SEEN, "out": "not counted: what came out, and what the bus counts"}
         at = add(SBN_SOCKET, at, at - sum(not_read.values()), lost=not_read, counted=told)
-    ended = {kind: lost[kind] for kind in ("stopped", "away") if lost[kind]}
+    ended = {kind: lost[kind] for kind in ("stopped", "away", "unsubscribed") if lost[kind]}
     on_bus = {kind: lost[kind] for kind in (*COUNTERS, "unknown") if lost[kind]} | dict(fate.refused)
     if not fate.seen:
         on_bus |= ended
@@ -502,14 +504,18 @@ def _peer(before: Row, silent: Unheard) -> Row:
         before,
         hop=f"{PEER} {silent.peer}",
         came=before.out,
-        out=before.out - silent.lost - silent.unaccounted,
+        out=before.out - silent.lost - silent.restarted - silent.unaccounted - silent.uncertain,
         duplicated=0,
-        lost={UNHEARD: silent.lost} if silent.lost else {},
+        lost={
+            cause: number
+            for cause, number in ((UNHEARD, silent.lost), (RESTARTED, silent.restarted))
+            if number
+        },
         superseded=0,
         waiting=0,
         not_captured=0,
         unaccounted=silent.unaccounted,
-        uncertain=0,
+        uncertain=silent.uncertain,
         shared=0,
         counted={"in": _SEEN, "out": "what it was sent while it was not silent"},
     )

@@ -291,6 +291,8 @@ class Case:
             self.profile,
             {item.endpoint: item.system for item in self.ingests if not item.by_kernel},
             self.proxied,
+            self.timeline,
+            self.at,
             self.away,
         )
 
@@ -330,8 +332,8 @@ class Case:
 
     @cached_property
     def outages(self) -> list[Outage]:
-        """Every stop and restart of an application that events tell of."""
-        return outages(self.known)
+        """Every stop and restart of an application that is sure."""
+        return outages(self.timeline, self.start_ns)
 
     @cached_property
     def unheard(self) -> dict[int, Unheard]:

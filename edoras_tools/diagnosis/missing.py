@@ -43,6 +43,7 @@ _CAUSES: Final[dict[LossKind, str]] = {
     "stopped": "{hop} was stopped",
     "ci_stopped": "{hop} was stopped",
     "away": "the SBN peer was away",
+    "unsubscribed": "the SBN peer had not subscribed to it",
     "sbn_socket": "SBN's socket was full",
 }
 _ROOM: Final = 1 << 32
@@ -135,6 +136,10 @@ def _shares(case: Case) -> Iterator[_Share]:
         if silent is not None and silent.lost:
             what = f"sent to the SBN peer {silent.peer} while it was silent"
             yield _whole(case, what, silent.lost, Among(stream, np.array(silent.rows, np.intp)))
+        if silent is not None and silent.restarted:
+            what = f"sent to the SBN peer {silent.peer} before it was started again"
+            among = Among(stream, np.array(silent.restarted_rows, np.intp))
+            yield _whole(case, what, silent.restarted, among)
     for lost, among in case.telemetry.silent:
         if lost and case.socket_failed(among.stream):
             yield _whole(case, f"{telemetry_output.SOCKET} failed", lost, among)

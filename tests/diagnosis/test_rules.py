@@ -389,6 +389,11 @@ def sbn_timeout(lab, tmp_path, msg_id):
 
 
 @case
+def sbn_peer_restart(lab, tmp_path, msg_id):
+    return lab.read(ROOT / "tests/captures/season3/q04b_bridge_restarts_subscribes_one.pcap.zst")
+
+
+@case
 def sbn_tcp_overwritten(lab, tmp_path, msg_id):
     """Of 60 commands by TCP the console of cFS counts 49; those lost met a message of the other peer."""
     found = lab.read(ROOT / "samples/cfs_files/sbn_tcp.pcap.gz")

@@ -64,7 +64,9 @@ TRUTHS = {
     "n12_two_hosts_ground": Truth(83, source="README", causes=("after",)),
     "p6b_extended_header": Truth(23, {"0x1827": 23}, causes=("limit",)),
     "season3/q01_two_causes_one_counter": Truth(258, {"0x1827": 29, "0x0827": 229}, causes=("limit",)),
-    "season3/q04b_bridge_restarts_subscribes_one": Truth(67, source="README"),
+    "season3/q04b_bridge_restarts_subscribes_one": Truth(
+        67, source="README", causes=("sbn_timeout", "sbn_peer_restart", "unsubscribed", "away")
+    ),
     "season3/q07_uplink_dup_loss_reorder_ground": Truth(
         37, source="README", options=CI_5234, causes=("limit",)
     ),

@@ -300,12 +300,20 @@ class Telemetry:
             return None
         if not stream.link.only_from_cfs:
             return None
+        enabled = [
+            int(known.rows.time_ns[item.row])
+            for item in known.payloads.output
+            if item.function_code == telemetry_output.ENABLE
+        ]
         for command in known.payloads.executive:
             when = int(known.rows.time_ns[command.row])
             stops = (
                 command.function_code == executive_services.STOP_APP and command.app in telemetry_output.NAMES
             )
-            if stops and span.start_ns - TAIL_NS < when < span.end_ns:
+            # It starts without anybody to send to: who enabled it again must be here, or the capture missed
+            # more than that.
+            again = any(when < item < span.end_ns for item in enabled)
+            if stops and again and span.start_ns - TAIL_NS < when < span.end_ns:
                 text = f"packet {known.rows.number[command.row]} told ES to stop {command.app}"
                 return "stopped", command.app, text
         return None

@@ -2,7 +2,9 @@
 
 1. What is missing while the way out of a stream was closed was not sent.
 2. A peer that cFS gave up for its silence heard nothing since its last datagram: what was sent to it is lost.
-3. One that is silent when the capture ends may be there or not: what was sent since is unaccounted for.
+3. One that was started again before that heard nothing from when it would have sent next until it subscribed
+   anew; what it was sent just before may have been heard.
+4. One that is silent when the capture ends may be there or not: what was sent since is unaccounted for.
 """
 
 from __future__ import annotations
@@ -136,14 +138,20 @@ class Unheard:
     Attributes:
         peer: who, as ``66:3``.
         lost: how many, to one that was given up.
+        restarted: how many, to one that was started again before it was given up.
+        uncertain: how many, when that one may still have run.
         unaccounted: how many, to one that was silent when the capture ended.
-        rows: those that are lost, as indices into the stream's rows.
+        rows: those to one that was given up, as indices into the stream's rows.
+        restarted_rows: those to one that was started again, likewise.
     """
 
     peer: str
     lost: int = 0
+    restarted: int = 0
+    uncertain: int = 0
     unaccounted: int = 0
     rows: list[int] = field(default_factory=list)
+    restarted_rows: list[int] = field(default_factory=list)
 
 
 def unheard(known: Known) -> dict[int, Unheard]:
@@ -154,7 +162,8 @@ def unheard(known: Known) -> dict[int, Unheard]:
         silences = list(connection.silences(known.end_ns))
         for stream in known.streams:
             ends = party(stream.receiver), party(stream.sender)
-            if not silences or not stream.link.peers or ends != (peer, observer):
+            none = not silences and not connection.restarts
+            if none or not stream.link.peers or ends != (peer, observer):
                 continue
             item = found.setdefault(id(stream), Unheard(connection.peer))
             times = known.captured(stream)
@@ -165,4 +174,9 @@ def unheard(known: Known) -> dict[int, Unheard]:
                     item.rows += inside
                 else:
                     item.unaccounted += len(inside)
+            for restart in connection.restarts:
+                gone = np.flatnonzero((times > restart.dead_ns) & (times < restart.back_ns)).tolist()
+                item.restarted += len(gone)
+                item.restarted_rows += gone
+                item.uncertain += int(((times > restart.last_ns) & (times <= restart.dead_ns)).sum())
     return found

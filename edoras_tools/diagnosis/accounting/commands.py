@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.bus import Telemetry
     from edoras_tools.diagnosis.accounting.claims import Counts
     from edoras_tools.diagnosis.accounting.ingest import Ingest
-    from edoras_tools.diagnosis.matching.crossing import Hop
 
 
 _COUNTS: Final = 256
@@ -276,15 +275,7 @@ class Commands:
         newer = fate.open & fate.newer
         fate.superseded = int(newer.sum())
         fate.open &= ~newer
-        times, away = self._known.captured(fate.stream), np.zeros(len(fate.open), bool)
-        for hop in fate.hops:
-            if hop.out.link.peers:
-                away |= self._away(hop, times)
-        chosen = np.flatnonzero(fate.open & away)
-        if len(chosen):
-            fate.claim(chosen)
-            text = "the peer that it goes to was not connected"
-            self.losses.append(loss_of(self._known, fate, "away", chosen, [text], hop="SBN peer"))
+        times = self._known.captured(fate.stream)
         if fate.stream.link.peers:
             self._rushed(fate, times)
         unaccounted = int(fate.open.sum())
@@ -321,16 +312,3 @@ class Commands:
                 f"reads about {sbn.DATAGRAMS_PER_WAKE}; no counter has what its socket drops"
             )
             self.losses.append(loss_of(self._known, fate, "sbn_socket", chosen, [text], hop=SBN_SOCKET))
-
-    def _away(self, hop: Hop, times: NDArray[np.int64]) -> NDArray[np.bool_]:
-        connection = self._known.network.crossing(hop.out.sender, hop.out.receiver)
-        if connection is None:
-            return np.zeros(len(times), bool)
-        return np.array(
-            [
-                connection.broken_within(when, when + WAITS_NS)
-                or self._known.network.unsubscribed_within(hop.out.msg_id, 0, when + WAITS_NS)
-                for when in times.tolist()
-            ],
-            bool,
-        )

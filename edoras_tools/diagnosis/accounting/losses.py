@@ -21,7 +21,7 @@ from edoras_tools.model import NO_MSG_ID, Endpoint, Peer
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.peers import Network
     from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.evidence.timeline.table import Timeline
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Confidence
@@ -47,11 +48,13 @@ LossKind = (
         "ci_stopped",
         "stopped",
         "away",
+        "unsubscribed",
         "sbn_socket",
     ]
 )
 """Over a limit or out of a full pipe; behind cFS; on the way to CI; in CI's socket; while cFS or CI was down;
-while the application was; while an SBN peer was away; unknown: nothing tells where, or of which MsgId."""
+while the application was; while an SBN peer was away, or had not subscribed to it; unknown: nothing tells
+where, or of which MsgId."""
 
 LEAD_NS: Final = 700 * MILLISECOND
 """A loss may be counted so long before the next message of the stream is seen."""
@@ -152,6 +155,10 @@ class Known:
     """Endpoint of a CI to the number of its cFS, where its counts tell."""
     proxied: Mapping[RouteWay, Proxied]
     """What a proxy did on purpose to the datagrams of a MsgId, on a link, one way."""
+    timeline: Timeline
+    """What state everything was in, over time."""
+    at: Callable[[int], str]
+    """Writes a time for people."""
     outages: Sequence[tuple[int, int]] = ()
     """From when to when the capturing interface was away."""
     _unseen: list[bool] = field(default_factory=list)
@@ -251,6 +258,15 @@ class Known:
             ):
                 return said
         return None
+
+    def into_system(self, stream: Stream, system: int) -> bool:
+        """Tell whether a stream into cFS arrives at a system, as far as that is known."""
+        members = [at for at, other in enumerate(self.instances.systems) if other == system]
+        return not members or any(self.goes_to(stream, at) for at in members)
+
+    def system(self, stream: Stream) -> int:
+        """Return the number of the system that a stream into cFS arrives at; 0 where that is not known."""
+        return next((item for item in self.instances.systems if self.into_system(stream, item)), 0)
 
     def goes_to(self, stream: Stream, instance: int) -> bool:
         """Tell whether a stream into cFS arrives at an instance, as far as that is known."""

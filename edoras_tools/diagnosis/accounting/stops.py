@@ -1,9 +1,9 @@
-"""What was sent to an application that did not run, and what nobody can follow after it was started again.
+"""What was sent to something that did not run or did not listen, and what nobody can follow after that.
 
 Rules:
 
-1. Where it can be seen what comes out: from what arrived last before the stop to what arrives first after it,
-   nothing arrived.
+1. Where it can be seen what comes out: from what arrived last before an application stopped to what arrives
+   first after it, nothing arrived.
 2. Elsewhere what was sent after its end, and before the command that starts it again, is lost, if this
    application surely takes it: events name its pipe for the MsgId, or there is one application that stopped
    and one such MsgId. What was sent just before either may have been taken, and so may all that is sent while
@@ -11,32 +11,113 @@ Rules:
 3. Elsewhere it is unaccounted for what was sent since the first stop and is not lost by rule 2: whether an
    application that was started again took it, or whether it was for the one that stopped, nothing shows.
    So it is after a command that stops one, where no event that answers it can be read.
+4. What came over SBN, or was to leave over it, is lost while SBN was stopped, and while the peer that it was
+   for was away or had not subscribed to it: the timeline says when.
 """
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass
+from operator import itemgetter
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.cfs import command_ingest, executive_services, names, telemetry_output
+from edoras_tools.cfs import command_ingest, executive_services, names, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, loss_of
-from edoras_tools.diagnosis.accounting.losses import TAIL_NS, Known, Loss
+from edoras_tools.diagnosis.accounting.losses import TAIL_NS, Known, Loss, LossKind
+from edoras_tools.diagnosis.evidence.timeline.reasons import Way, reasons_for
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+
+    from edoras_tools.diagnosis.evidence.timeline.table import Timeline
 
 
-_LINKS: Final = frozenset({*command_ingest.NAMES, *telemetry_output.NAMES})
+_LINKS: Final = frozenset({*command_ingest.NAMES, *telemetry_output.NAMES, sbn.NAME})
 """Applications whose stops other accounts follow: CI's by its counter, Telemetry Output's by its port."""
+_CLOSED: Final[Mapping[str, tuple[int, LossKind, str]]] = {
+    "app": (0, "stopped", sbn.NAME),
+    "peer": (1, "away", "SBN peer"),
+    "subscription": (2, "unsubscribed", "SBN peer"),
+}
+"""Kind of the subject that was closed to which of several is the cause, the kind of the loss, and where."""
+_COMMAND_NS: Final = 10 * SECOND
+"""An application that is told to stop may take so long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outage:
+    """A time in which an application did not run.
+
+    Attributes:
+        app: its name.
+        start_ns: told to stop, or said to have.
+        end_ns: said to have started again; None where it was not.
+        ended_ns: it surely took nothing from then on,
+        asked_ns: until then, where it started again: it was told to, or could take what CI had not read.
+        witness: commands and events that show it.
+        system: number of the cFS that it is of.
+        restarted: whether it was restarted, and not stopped.
+    """
+
+    app: str
+    start_ns: int
+    end_ns: int | None
+    ended_ns: int
+    asked_ns: int
+    witness: str
+    system: int
+    restarted: bool = False
+
+
+def outages(timeline: Timeline, begin_ns: int) -> list[Outage]:
+    """Return every stop and restart that is sure, the earliest first.
+
+    Args:
+        begin_ns: when the capture begins.
+    """
+    found = []
+    for system, subject in timeline.subjects:
+        changes = timeline.of(subject, system) if subject.kind == "app" else ()
+        for state in ("stopped", "restarting"):
+            found += [
+                Outage(
+                    subject.name,
+                    span.start_lo,
+                    span.end_hi if span.end else None,
+                    span.start_hi,
+                    span.end_lo,
+                    span.change.witness,
+                    system,
+                    restarted=state == "restarting",
+                )
+                for span in timeline.spans(subject, state, system)
+                if span.change.sure or (span.end and span.end.sure)
+            ]
+        first = changes[0] if changes else None
+        if first and first.state == "running" and first.sure and len(first.rows) > 1:
+            # It was told to start: it was stopped before the capture began, or never ran.
+            start_ns, end_ns = begin_ns - 1, first.not_after_ns
+            found.append(
+                Outage(subject.name, start_ns, end_ns, start_ns, first.not_before_ns, first.witness, system)
+            )
+    return sorted(found, key=lambda item: item.start_ns)
+
+
+class _Cause(NamedTuple):
+    """Why nothing got through for a time."""
+
+    kind: LossKind
+    hop: str
+    evidence: tuple[str, ...]
 
 
 class Stops:
-    """What was sent while applications did not run, and what nobody can follow.
+    """What was sent while applications did not run or peers did not listen, and what nobody can follow.
 
     Attributes:
         losses: of what surely was lost so.
@@ -44,8 +125,9 @@ class Stops:
 
     def __init__(self, known: Known, fates: Sequence[Fate]) -> None:
         self._known = known
-        self._gone = [item for item in outages(known) if item.app not in _LINKS]
-        self._texts: list[tuple[Outage, list[str]]] = []
+        begin_ns = int(known.rows.time_ns[0]) if len(known.rows) else 0
+        self._gone = [item for item in outages(known.timeline, begin_ns) if item.app not in _LINKS]
+        self._causes: list[_Cause] = []
         self.losses: list[Loss] = []
         self._fates = [
             fate
@@ -55,7 +137,9 @@ class Stops:
         for fate in self._fates:
             for item in self._gone if fate.seen else ():
                 self._mark(fate, item)
-            own = [item for item in self._gone if known.goes_to(fate.stream, item.instance)]
+            if fate.seen:
+                self._mark_closed(fate)
+            own = [item for item in self._gone if known.into_system(fate.stream, item.system)]
             if not own and not fate.seen:
                 _asked(known, fate)
             if own and not fate.seen:
@@ -75,11 +159,44 @@ class Stops:
         inside &= times > (int(last[-1]) if len(last) else 0)
         if not inside.any():
             return
-        evidence = [f"event {item.said}"]
+        evidence = [item.witness]
         if item.end_ns is not None and (until_ns is None or until_ns > item.end_ns + TAIL_NS):
             evidence.append("it was started again, and nothing came out of it after that")
-        fate.stop[inside] = len(self._texts)
-        self._texts.append((item, evidence))
+        fate.stop[inside] = len(self._causes)
+        self._causes.append(_Cause("stopped", item.app, tuple(evidence)))
+
+    def _mark_closed(self, fate: Fate) -> None:
+        """Mark the messages that came over SBN, or were to leave over it, when that was closed (rule 4)."""
+        known, stream = self._known, fate.stream
+        system = known.system(stream)
+        ways = [Way(stream.msg_id, stream.link, system, to_cfs=True)]
+        if all(hop.out.link.peers for hop in fate.hops):
+            ways += [
+                Way(
+                    hop.out.msg_id,
+                    hop.out.link,
+                    system,
+                    peer=known.network.identity_of.get(hop.out.receiver, ""),
+                )
+                for hop in fate.hops
+            ]
+        times = known.captured(stream)
+        closed = [
+            (_CLOSED[reason.span.change.subject.kind], reason)
+            for way in ways
+            if way.link.peers
+            for reason in reasons_for(known.timeline, way, 0, NEVER, known.at)
+            if reason.span.change.subject.kind in _CLOSED and reason.span.change.state != "silent"
+        ]
+        for early_ns, until in ((0, "end_lo"), (WAITS_NS, "end_hi")):
+            for (_, kind, hop), (span, text) in sorted(closed, key=itemgetter(0)):
+                inside = fate.open & ~fate.newer & (fate.stop < 0)
+                inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
+                cause = _Cause(kind, hop, (text,))
+                if inside.any() and cause not in self._causes:
+                    self._causes.append(cause)
+                if inside.any():
+                    fate.stop[inside] = self._causes.index(cause)
 
     def tell(self) -> None:
         """Make losses of what was marked and no counter counted."""
@@ -87,8 +204,8 @@ class Stops:
             for place in np.unique(fate.stop[fate.open & (fate.stop >= 0)]).tolist():
                 chosen = np.flatnonzero(fate.open & (fate.stop == place))
                 fate.claim(chosen)
-                item, evidence = self._texts[place]
-                self.losses.append(loss_of(self._known, fate, "stopped", chosen, evidence, hop=item.app))
+                kind, hop, evidence = self._causes[place]
+                self.losses.append(loss_of(self._known, fate, kind, chosen, list(evidence), hop=hop))
 
 
 def _asked(known: Known, fate: Fate) -> None:
@@ -125,79 +242,8 @@ def _unfollowed(known: Known, fate: Fate, own: Sequence[Outage], *, alone: bool)
             inside &= times < item.asked_ns
         if (chosen := np.flatnonzero(inside)).size:
             fate.claim(chosen)
-            found.append(loss_of(known, fate, "stopped", chosen, [f"event {item.said}"], hop=item.app))
+            found.append(loss_of(known, fate, "stopped", chosen, [item.witness], hop=item.app))
     first = min(surely or own, key=lambda item: item.start_ns)
     fate.unfollowed = times > first.start_ns
-    fate.unfollowed_since = f"event {first.said}"
-    return found
-
-
-_COMMAND_NS: Final = 10 * SECOND
-"""An application that is told to stop may take so long."""
-_NAMES: Final = {
-    executive_services.STOPPED: re.compile(r"Stop Application (\S+) Completed"),
-    executive_services.RESTARTED: re.compile(r"Restart Application (\S+) Completed"),
-    executive_services.STARTED: re.compile(r"Started (\S+) from"),
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Outage:
-    """A time in which an application did not run.
-
-    Attributes:
-        app: its name.
-        start_ns: told to stop, or said to have.
-        end_ns: said to have started again; None where it was not.
-        ended_ns: it surely took nothing from then on,
-        asked_ns: until then, where it started again: it was told to, or could take what CI had not read.
-        said: the event that tells.
-        instance: the cFS that it is of.
-    """
-
-    app: str
-    start_ns: int
-    end_ns: int | None
-    ended_ns: int
-    asked_ns: int
-    said: str
-    instance: int
-
-
-def outages(known: Known) -> list[Outage]:
-    """Return every stop and restart that events tell of."""
-    found: list[Outage] = []
-    for record in known.payloads.events:
-        pattern = _NAMES.get(record.event_id) if record.app == executive_services.NAME else None
-        told = pattern.search(record.message) if pattern else None
-        if told is None:
-            continue
-        app, now = told.group(1), int(known.instances.made_ns[record.row])
-        instance = known.instances.saying(record)
-        asked = [
-            item
-            for item in known.payloads.executive
-            if item.app == app and 0 <= record.time_ns - int(known.rows.time_ns[item.row]) <= _COMMAND_NS
-        ]
-        if record.event_id == executive_services.STARTED:
-            started = [
-                int(known.rows.time_ns[item.row])
-                for item in asked
-                if item.function_code == executive_services.START_APP
-            ]
-            if started and not any((item.app, item.instance) == (app, instance) for item in found):
-                # It was stopped before the capture began, or never ran.
-                began_ns = int(known.rows.time_ns[0]) - 1
-                found.append(Outage(app, began_ns, None, began_ns, now, str(record), instance))
-            asked_ns = min(started, default=now - WAITS_NS)
-            found = [
-                replace(item, end_ns=now, asked_ns=asked_ns)
-                if (item.app, item.instance) == (app, instance) and item.end_ns is None
-                else item
-                for item in found
-            ]
-            continue
-        end_ns = now if record.event_id == executive_services.RESTARTED else None
-        told_ns = [int(known.rows.time_ns[item.row]) for item in asked]
-        found.append(Outage(app, max(told_ns, default=now), end_ns, now, now, str(record), instance))
+    fate.unfollowed_since = first.witness
     return found

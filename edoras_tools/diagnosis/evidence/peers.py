@@ -39,6 +39,12 @@ _NEVER: Final = np.iinfo(np.int64).max // 2
 _STILL_NS: Final = 3 * SECOND
 """After a time-out, nobody sends to a peer for longer than this."""
 _ANSWERS_NS: Final = 500 * MILLISECOND
+_SHORT_NS: Final = 2 * SECOND
+_FACTOR: Final = 4
+_LEAST_STEPS: Final = 8
+"""A peer that sends at least so often, and then nothing for so many of its usual pauses, may be gone."""
+_RARE_NS: Final = 30 * SECOND
+"""Who subscribes more often, all in all, repeats it by habit."""
 ALREADY: Final = "it was when the capture began"
 SAID_GOODBYE: Final = "the observer sent it DISCONNECT"
 UNSEEN: Final = "nothing of it is seen here since, yet the observer goes on sending to it"
@@ -69,6 +75,19 @@ class PeerSilence(NamedTuple):
     change: int
 
 
+class PeerRestart(NamedTuple):
+    """A peer that was started again before it was given up: it never said that it was gone.
+
+    ``last_ns`` is its last datagram before that, ``dead_ns`` when it would have sent the next one had it
+    run, ``back_ns`` when it subscribed anew.
+    """
+
+    last_ns: int
+    dead_ns: int
+    back_ns: int
+    rows: tuple[int, int]
+
+
 _TIME: Final = attrgetter("time_ns")
 
 
@@ -81,12 +100,14 @@ class Connection:
         observer: the cFS that sees it.
         changes: its states, in order of time.
         sent_ns: capture times of application messages that the observer sent to it.
+        restarts: when it was started again without a word, in order.
     """
 
     peer: str
     observer: str
     changes: list[PeerChange]
     sent_ns: NDArray[np.int64]
+    restarts: list[PeerRestart]
 
     def state_at(self, time_ns: int) -> ObservedState | None:
         """Return the state at a time; None before anything was seen."""
@@ -206,7 +227,7 @@ class Network:
                 changes = self._changes(rows, heard, alive_ns, end_ns, _farewells(rows, sent))
                 changes = _believed(changes, rows.time_ns[app])
                 self.connections[peer, observer] = Connection(
-                    peer[0], observer[0], changes, rows.time_ns[app]
+                    peer[0], observer[0], changes, rows.time_ns[app], _restarts(rows, heard, sent, changes)
                 )
 
     def _changes(
@@ -314,6 +335,44 @@ def _believed(changes: list[PeerChange], sent_ns: NDArray[np.int64]) -> list[Pee
             continue
         out.append(change)
     return out
+
+
+def _restarts(
+    rows: Rows, heard: NDArray[np.intp], sent: NDArray[np.intp], changes: list[PeerChange]
+) -> list[PeerRestart]:
+    """Return the restarts of a peer: it was silent for long while it was sent to, and then subscribed anew.
+
+    A bridge that repeats its subscriptions does so after any silence. Where it answers what it is sent, it
+    was started again if it never answered what it was sent in the silence.
+    """
+    steps = np.diff(rows.time_ns[heard])
+    if len(steps) < _LEAST_STEPS or rows.streamed[heard].any():
+        return []
+    kinds, times, sent_ns = rows.sbn_msg_type[heard], rows.time_ns[heard], rows.time_ns[sent]
+    usual_ns = int(np.quantile(steps, 0.95))
+    long_ns = max(_SHORT_NS, _FACTOR * usual_ns)
+    subscribes = times[kinds == sbn.MsgType.SUB]
+    # All that it asks for at once is one time; one that repeats does so every few seconds.
+    begins = int((np.diff(subscribes, prepend=0) > SECOND // 4).sum())
+    repeats = begins > 2 + len(changes) + (times[-1] - times[0]) // _RARE_NS
+    answers = times[kinds == sbn.MsgType.PROTO]
+    app_ns = sent_ns[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
+    found = []
+    for place in np.flatnonzero(steps > long_ns).tolist():
+        start_ns, end_ns = times[place : place + 2].tolist()
+        followed = any(start_ns <= item.time_ns < end_ns for item in changes)
+        asked = int(((app_ns > start_ns + usual_ns) & (app_ns < end_ns)).sum())
+        if followed or not asked or kinds[place + 1] != sbn.MsgType.SUB:
+            continue
+        if repeats:
+            until_ns = end_ns + _STILL_NS
+            later = int(((sent_ns > end_ns) & (sent_ns < until_ns)).sum())
+            answered = int(((answers > end_ns) & (answers < until_ns + _ANSWERS_NS)).sum())
+            if 2 * len(answers) < len(app_ns) or answered > later + asked // 2:
+                continue
+        around = int(heard[place]), int(heard[place + 1])
+        found.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around))
+    return found
 
 
 def _name(kind: int) -> str:

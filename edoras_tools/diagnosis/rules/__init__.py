@@ -85,6 +85,7 @@ RULES: Final[Mapping[str, Rule]] = {
         messages.no_subscriber,
         routes.rate_over_limit,
         network.sbn_timeout,
+        network.sbn_peer_restart,
         network.sbn_tcp_overwritten,
         network.sbn_never_connected,
         network.sbn_disconnected,

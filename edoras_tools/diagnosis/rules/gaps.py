@@ -45,6 +45,14 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
                 link=loss.stream.link.label if loss.stream else None,
                 remedy="restart the peer; it is connected again with its first SUB or PROTO",
             )
+        elif loss.kind == "unsubscribed":
+            yield loss_verdict(
+                case,
+                loss,
+                f"{lost_at(case, loss)}: the peer that they go to had not subscribed to them",
+                link=loss.stream.link.label if loss.stream else None,
+                remedy="let the peer subscribe to that MsgId again: compare what it is configured to receive",
+            )
         elif loss.kind == "sbn_socket":
             yield loss_verdict(
                 case,

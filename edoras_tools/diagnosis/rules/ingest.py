@@ -210,11 +210,7 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
         )
 
 
-_KINDS = {
-    "restart": "CI_LAB_APP was restarted",
-    "ci_stopped": "CI_LAB_APP was stopped",
-    "stopped": "the application was stopped",
-}
+_KINDS: Final = {"restart": "restarted", "ci_stopped": "stopped", "stopped": "stopped"}
 
 
 def app_outage(case: Case) -> Iterator[Verdict]:
@@ -226,10 +222,11 @@ def app_outage(case: Case) -> Iterator[Verdict]:
     for loss in case.losses:
         if loss.kind in _KINDS:
             told.append(loss)
+            noun = "commands" if loss.stream is None or loss.stream.is_command else "messages"
             yield loss_verdict(
                 case,
                 loss,
-                f"{lost_at(case, loss, 'commands')}: {_KINDS[loss.kind]}",
+                f"{lost_at(case, loss, noun)}: {loss.hop} was {_KINDS[loss.kind]}",
                 link="ci" if loss.stream is None else loss.stream.link.label,
                 remedy=_remedy(case, case.called(loss.hop)),
             )
@@ -240,17 +237,15 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             for loss in told
         ):
             continue
-        back = (
-            f"started again at {case.at(item.end_ns)}"
-            if item.end_ns is not None
-            else "not started again here"
-        )
+        since = f"stopped at {case.at(item.start_ns)}" if item.start_ns >= case.start_ns else "not running"
+        until = "" if item.end_ns is None else f" and started again at {case.at(item.end_ns)}"
+        what = f"restarted at {case.at(item.start_ns)}" if item.restarted else since + until
         yield Verdict(
             Severity.WARNING,
-            f"{item.app} was stopped at {case.at(item.start_ns)}, {back}; no loss by it can be seen here",
+            f"{item.app} was {what}; no loss by it can be seen here",
             hop=item.app,
-            span=(item.start_ns, end_ns),
-            evidence=(f"event {item.said}",),
+            span=(max(item.start_ns, case.start_ns), end_ns),
+            evidence=(item.witness,),
             remedy=f"enable it again after it restarts: {case.inject(ENABLE_OUTPUT)}"
             if item.app.startswith("TO_")
             else _remedy(case, item.app),

@@ -116,6 +116,34 @@ def _verdict(case: Case, connection: Connection, silent: PeerSilence) -> Verdict
     )
 
 
+def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
+    """An SBN peer was started again before it was given up; what it was sent meanwhile reached nobody.
+
+    Name every restart: cFS noticed none of them.
+    """
+    for connection in case.network.connections.values():
+        for last_ns, dead_ns, back_ns, (last, first) in connection.restarts:
+            sent = connection.sent_ns[(connection.sent_ns > last_ns) & (connection.sent_ns < back_ns)]
+            lost = int((sent > dead_ns).sum())
+            yield Verdict(
+                Severity.ERROR if lost else Severity.WARNING,
+                f"SBN peer {connection.peer} was started again: nothing came from it from {case.at(last_ns)} "
+                f"to {case.at(back_ns)}, then it subscribed anew. {connection.observer} did not notice, and "
+                f"{plural(lost, 'message')} that it sent reached nobody",
+                link="sbn",
+                hop=f"SBN peer {connection.peer}",
+                lost=lost or None,
+                of=len(sent) or None,
+                span=(last_ns, back_ns),
+                evidence=(
+                    f"packet {case.rows.number[last]} is its last, packet {case.rows.number[first]} its SUB",
+                    f"{len(sent) - lost:,} more may have been heard, until {case.at(dead_ns)}",
+                ),
+                remedy="send nothing while the peer starts again; its DISCONNECT before a planned stop makes "
+                "cFS hold back what is for it",
+            )
+
+
 def sbn_tcp_overwritten(case: Case) -> Iterator[Verdict]:
     """Messages of several SBN peers over TCP that one read of cFS took together: only one of them remains.
 
@@ -253,6 +281,11 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
         when = int(rows.time_ns[row])
         sent = (rows.source == rows.source[row]) & (rows.time_ns > when + SECOND)
         back = bool((sent & (rows.sbn_msg_type == sbn.MsgType.APP)).any())
+        stops = [
+            f"{item.app} was stopped: {item.witness}"
+            for item in case.outages
+            if item.app == NAME and item.start_ns - SECOND < when < item.ended_ns + SECOND
+        ]
         yield Verdict(
             Severity.WARNING if back else Severity.ERROR,
             f"{who} disconnected from its SBN peer {peer or 'there'} at {case.at(when)}"
@@ -260,7 +293,7 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
             link="sbn",
             hop=f"SBN peer {peer}",
             span=(when, case.end_ns),
-            evidence=(f"packet {rows.number[row]}: DISCONNECT from {who}",),
+            evidence=(f"packet {rows.number[row]}: DISCONNECT from {who}", *stops),
             remedy="look at the events of SBN around that time; to restart it: "
             f"{case.inject('es-restart-app', NAME)}",
         )

@@ -348,9 +348,7 @@ def _verdict(case: Case, stream: Stream, start_ns: int, until_ns: int | None, ra
             f"{case.at(rate.end_ns)}, for {seconds:.1f} s of silence"
         )
     evidence += [
-        f"event {item.said}"
-        for item in case.outages
-        if start_ns - _NEAR_NS < item.start_ns < start_ns + 2 * _NEAR_NS
+        item.witness for item in case.outages if start_ns - _NEAR_NS < item.start_ns < start_ns + 2 * _NEAR_NS
     ]
     return Verdict(
         Severity.NOTE if rate is None else Severity.WARNING,

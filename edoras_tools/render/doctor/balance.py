@@ -34,6 +34,8 @@ CAUSES: Final = {
     "ci_stopped": "CI was stopped",
     "stopped": "application stopped",
     "away": "peer away",
+    "unsubscribed": "peer not subscribed",
+    "sbn_peer_restart": "peer restarted",
     "sbn_socket": "SBN's socket full",
     "to_socket": "Telemetry Output's socket failed",
     "before_capture": "before the capture",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from edoras_tools.model import Peer
 from edoras_tools.wire import sbn
 
 DEAD_S, GIVEN_UP_S = 15, 11
@@ -50,3 +51,62 @@ def test_none_of_it_is_said_to_have_arrived(lab, seconds, known):
     assert sum(line.lost + line.unaccounted for line in onward) == unheard
     (verdict,) = [item for item in found.verdicts if item.rule == "sbn_timeout"]
     assert (verdict.lost, verdict.of) == (unheard if known else None, unheard)
+
+
+def restarted(lab, *, repeats):
+    """Return datagrams whose bridge is dead for 4 s, and how many it was sent from its next one on.
+
+    Args:
+        repeats: whether the bridge repeats its SUBs and answers all that it is sent, as the public one does.
+    """
+    sent, _ = lab.simulate("two-rovers", seconds=30, hz=2.0)
+    dead_ns, back_ns = (lab.start_ns + at * 10**9 for at in (15, 19))
+    kept = [
+        item
+        for item in sent
+        if item.source.port != BRIDGE
+        or (
+            not dead_ns < item.time_ns < back_ns
+            and (repeats or item.payload[2] == sbn.MsgType.APP or item.time_ns < lab.start_ns + 10**9)
+        )
+    ]
+    asks = sbn.emit_subscriptions([sbn.Subscription(0x82A), sbn.Subscription(0x82B)])
+    again = sbn.emit(sbn.MsgType.SUB, Peer(0x42, 3), asks)
+    first = min(item.time_ns for item in kept if item.source.port == BRIDGE and item.time_ns >= back_ns)
+    kept = lab.merged(kept, lab.at((first - lab.start_ns) / 10**9 - 0.001, lab.bridge, lab.cfs, again))
+    app = [
+        item.time_ns
+        for item in kept
+        if item.destination.port == BRIDGE and item.payload[2] == sbn.MsgType.APP
+    ]
+    return (
+        kept,
+        sum(dead_ns < when < first for when in app),
+        sum(dead_ns + 10**9 < when < first for when in app),
+    )
+
+
+@pytest.mark.parametrize("repeats", [False, True])
+def test_what_a_peer_was_sent_that_started_again_before_it_was_given_up(lab, repeats):
+    kept, most, least = restarted(lab, repeats=repeats)
+    found = lab.examine(kept, lab.missions("two-rovers"))
+    assert [row for row in found.balance if not row.adds_up] == []
+    lost = sum(row.lost.get("sbn_peer_restart", 0) for row in found.balance)
+    assert 4 < least <= lost <= most == lost + found.uncertain
+    (verdict,) = [item for item in found.verdicts if item.rule == "sbn_peer_restart"]
+    assert (verdict.lost, verdict.of) == (lost, most)
+
+
+def test_a_peer_that_paused_and_then_answered_all_was_not_started_again(lab):
+    """A slow network holds its datagrams back: they come in one burst."""
+    sent, _ = lab.simulate("two-rovers", seconds=30, hz=2.0)
+    held_ns, until_ns = (lab.start_ns + at * 10**9 for at in (15, 19))
+    kept = [
+        item._replace(time_ns=until_ns + place)
+        if item.source.port == BRIDGE and held_ns < item.time_ns < until_ns
+        else item
+        for place, item in enumerate(sent)
+    ]
+    found = lab.examine(sorted(kept, key=lambda item: item.time_ns), lab.missions("two-rovers"))
+    assert "sbn_peer_restart" not in {item.rule for item in found.verdicts}
+    assert found.lost == 0

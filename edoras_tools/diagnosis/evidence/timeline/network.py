@@ -1,7 +1,7 @@
 """State changes that the traffic of the Software Bus Network shows: peers, and what each is subscribed to.
 
-1. A peer is connected, silent, timed out or disconnected as :class:`Network` follows it. One that was
-   silent for long while it was sent to, and then subscribes anew, was away too, though nobody gave it up.
+1. A peer is connected, silent, timed out or disconnected as :class:`Network` follows it, and silent, too,
+   from its last datagram to its restart where nobody gave it up.
 2. A peer is subscribed to what its SUBs of this connection name. A connection that ends, ends them all; what
    the peer does not ask for again it does not get.
 """
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.diagnosis.evidence.peers import ALREADY
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, Change, StateOwner
 from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.table import Rows
 
 _WAKE_NS: Final = SECOND
-_SHORT_NS: Final = 2 * SECOND
-_FACTOR: Final = 4
-_LEAST: Final = 8
 
 
 def network_changes(
@@ -38,12 +36,9 @@ def network_changes(
     """Yield the changes of every peer, as each cFS sees it."""
     listed = payloads.subscriptions
     at, contents = listed["row"], listed["said"]
-    there = np.flatnonzero(rows.sbn_msg_type >= 0)
     for (peer, observer), connection in network.connections.items():
         system = _system(instances, observer)
-        heard = there[_between(rows, network, there, peer, observer)]
-        sent = there[_between(rows, network, there, observer, peer)]
-        yield from _peer(rows, heard, rows.time_ns[sent], connection, system)
+        yield from _peer(connection, system, int(rows.time_ns[0]))
         own = _between(rows, network, at, peer, observer)
         yield from _subscriptions(rows, at[own], contents[own], payloads, connection, system)
 
@@ -66,7 +61,7 @@ def _system(instances: Instances, observer: SbnParty) -> int:
 
 
 def _between(
-    rows: Rows, network: Network, at: NDArray[np.int64] | NDArray[np.intp], peer: SbnParty, observer: SbnParty
+    rows: Rows, network: Network, at: NDArray[np.int64], peer: SbnParty, observer: SbnParty
 ) -> NDArray[np.bool_]:
     """Tell which rows one party sent to another."""
     ends = []
@@ -76,36 +71,17 @@ def _between(
     return np.asarray(ends[0] & ends[1])
 
 
-def _peer(
-    rows: Rows,
-    heard: NDArray[np.intp],
-    sent_ns: NDArray[np.int64],
-    connection: Connection,
-    system: int,
-) -> Iterator[Change]:
-    """Yield the states of a peer.
-
-    Args:
-        heard: what it sent to the observer.
-        sent_ns: when the observer sent to it.
-    """
+def _peer(connection: Connection, system: int, begin_ns: int) -> Iterator[Change]:
+    """Yield the states of a peer."""
     subject = StateOwner("peer", connection.peer)
+    if connection.changes and connection.changes[0].why != ALREADY:
+        yield Change(system, subject, "disconnected", begin_ns, begin_ns, "nothing came from it before")
     for item in connection.changes:
         yield Change(system, subject, item.state, item.time_ns, item.time_ns + _WAKE_NS, item.why)
-    steps = np.diff(rows.time_ns[heard])
-    if len(steps) < _LEAST or rows.streamed[heard].any():
-        return
-    long_ns = max(_SHORT_NS, _FACTOR * int(np.quantile(steps, 0.95)))
-    for place in np.flatnonzero(steps > long_ns).tolist():
-        start_ns, end_ns = rows.time_ns[heard[place : place + 2]].tolist()
-        followed = any(start_ns <= item.time_ns < end_ns for item in connection.changes)
-        asked = bool(((sent_ns > start_ns) & (sent_ns < end_ns)).any())
-        if followed or not asked or rows.sbn_msg_type[heard[place + 1]] != sbn.MsgType.SUB:
-            continue
-        around = int(heard[place]), int(heard[place + 1])
-        text = f"nothing from it for {(end_ns - start_ns) / SECOND:.1f} s, then it subscribed anew"
-        yield Change(system, subject, "silent", start_ns, start_ns + long_ns, text, around[:1])
-        yield Change(system, subject, "connected", end_ns, end_ns, "it subscribed anew", around[1:])
+    for last_ns, dead_ns, back_ns, (last, first) in connection.restarts:
+        text = f"nothing from it for {(back_ns - last_ns) / SECOND:.1f} s, then it subscribed anew"
+        yield Change(system, subject, "silent", last_ns, dead_ns, text, (last,))
+        yield Change(system, subject, "connected", back_ns, back_ns, "it subscribed anew", (first,))
 
 
 def _subscriptions(
@@ -118,6 +94,7 @@ def _subscriptions(
 ) -> Iterator[Change]:
     peer = connection.peer
     ends = [item for item in connection.changes if item.state in {"timed_out", "disconnected"}]
+    begins = [item for item in connection.changes if item.state == "connected" and item.why != ALREADY]
     edges = np.array([item.time_ns for item in ends], np.int64)
     session = np.searchsorted(edges, rows.time_ns[at])
     unsubscribed = rows.sbn_msg_type[at] == sbn.MsgType.UNSUB
@@ -136,6 +113,11 @@ def _subscriptions(
             if (msg_id in members) == ended:
                 (members.discard if ended else members.add)(msg_id)
                 subject = StateOwner("subscription", peer, msg_id)
+                begun = [item for item in begins if item.time_ns <= now]
+                if begun and not ended and now > begun[-1].time_ns + _WAKE_NS:
+                    since = begun[-1].time_ns
+                    text = f"{peer} was connected and had not subscribed to it"
+                    yield Change(system, subject, "unsubscribed", since, since + _WAKE_NS, text)
                 text = f"{verb} of {peer} for 0x{msg_id:04x}"
                 yield Change(system, subject, state, now, now + _WAKE_NS, text, (row,))
     for number, item in enumerate(ends):

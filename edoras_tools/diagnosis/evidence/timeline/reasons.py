@@ -97,10 +97,10 @@ def subject_name(subject: StateOwner) -> str:
     return {
         "cfs": "cFS",
         "app": subject.name,
-        "output": "Telemetry Output's way out",
+        "output": "Telemetry Output",
         "entry": f"{number or 'every MsgId'} in Telemetry Output's table",
         "peer": f"SBN peer {subject.name}",
-        "subscription": f"SBN peer {subject.name}'s subscription to {number}",
+        "subscription": f"{number} for SBN peer {subject.name}",
         "events": f"the events of {subject.name}",
         "table": f"table {subject.name}",
         "clock": "cFS's clock",
@@ -111,10 +111,28 @@ def subject_name(subject: StateOwner) -> str:
     }[subject.kind]
 
 
+_VERBS: Final = {
+    "stopped": "was stopped",
+    "restarting": "was restarted",
+    "failed": "had failed",
+    "down": "was down",
+    "stalled": "stood still",
+    "disabled": "sent nothing",
+    "suppressed": "sent nothing",
+    "unsubscribed": "was not subscribed",
+    "silent": "was silent",
+    "timed_out": "was given up",
+    "disconnected": "was not connected",
+    "away": "saw nothing",
+    "closed": "was closed",
+}
+"""State to how people are told of it; of others its name is."""
+
+
 def reason_text(span: StateSpan, at: Callable[[int], str]) -> str:
     """Return one line: who was in which state from when to when, and what shows it."""
     change: Change = span.change
     value = "" if change.value is None else f" ({change.value})"
     until = f" to {at(span.end_hi)}" if span.end_hi != NEVER else " on"
-    state = change.state.replace("_", " ")
-    return f"{subject_name(change.subject)} {state}{value} from {at(span.start_lo)}{until}: {change.witness}"
+    verb = _VERBS.get(change.state, change.state.replace("_", " "))
+    return f"{subject_name(change.subject)} {verb}{value} from {at(span.start_lo)}{until}: {change.witness}"

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -217,6 +218,11 @@ class SoftwareChanges:
         if event.app == executive_services.NAME:
             for ids, state, pattern in _APP_EVENTS:
                 if event.event_id in ids and (named := pattern.search(event.message)):
+                    if event.event_id != executive_services.STARTED and state == "running":
+                        yield replace(
+                            change(StateOwner("app", named[1]), "restarting"),
+                            not_before_ns=made_ns - _ENDS_NS,
+                        )
                     yield change(StateOwner("app", named[1]), state)
         elif event.app in telemetry_output.NAMES:
             if enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):

@@ -118,6 +118,7 @@ def changes(name, kind):
             "q04b_bridge_restarts_subscribes_one",
             "peer",
             [
+                (0.0, "66:3", "disconnected", None),
                 (6.7, "66:3", "connected", None),
                 (29.7, "66:3", "silent", None),
                 (33.9, "66:3", "connected", None),
@@ -176,22 +177,22 @@ def test_why_messages_do_not_get_through():
     name = "p4_apps_stopped"
     assert reasons(name, Way(0x827, TO, peer="66:3"), 46, 54) == []
     assert reasons(name, Way(0x1829, SBN, to_cfs=True), 46, 54)[0].startswith(
-        "SBN stopped from 45.4 s to 55."
+        "SBN was stopped from 45.4 s to 55."
     )
     assert "STOP_APP SBN" in reasons(name, Way(0x1829, SBN, to_cfs=True), 46, 54)[0]
-    assert any("TO_LAB_APP stopped from 24.2 s" in line for line in reasons(name, Way(0x828, TO), 26, 33))
+    assert any("TO_LAB_APP was stopped from 24.2 s" in line for line in reasons(name, Way(0x828, TO), 26, 33))
     assert reasons(name, Way(0x828, TO), 38, 44) == []
     name = "q04b_bridge_restarts_subscribes_one"
     assert reasons(name, Way(0x82A, SBN, peer="66:3"), 64, 80) == []
     (text,) = reasons(name, Way(0x82B, SBN, peer="66:3"), 64, 80)
-    assert text.startswith("SBN peer 66:3's subscription to 0x082b unsubscribed from 56.8 s on")
+    assert text.startswith("0x082b for SBN peer 66:3 was not subscribed from 56.8 s on")
     name = "n1_to_remove_all"
     (text,) = reasons(name, Way(0x880, TO), 35, 45)
     assert text.endswith("on: REMOVE_ALL")
     assert reasons(name, Way(0x803, TO), 36, 45) == []
     assert len(reasons(name, Way(0x803, TO), 20, 30)) == 1
     (text,) = reasons("n3_cfs_restart", Way(0x1827, CI), 25, 30)
-    assert text.startswith("cFS down from 19.2 s to 42.0 s")
+    assert text.startswith("cFS was down from 19.2 s to 42.0 s")
     assert reasons("n5_app_restarts", Way(0x1827, CI, apps=("EDORAS_APP",)), 50, 55)[0].startswith(
         "EDORAS_APP"
     )
