@@ -405,7 +405,9 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
         )
     if fate.seen:
         out = int(fate.arrived.sum()) + fate.passed_on
-        rest = at - out - sum(ended.values()) - fate.superseded - fate.waiting - fate.unaccounted
+        rest = (
+            at - out - sum(ended.values()) - fate.superseded - fate.waiting - fate.unaccounted - fate.missed
+        )
         ways = ", ".join(
             "the robot link" if hop.out.link.last_hop else case.name(hop.out.msg_id) for hop in fate.hops
         )
@@ -417,7 +419,7 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
             lost=ended,
             superseded=fate.superseded,
             waiting=fate.waiting - fate.uncertain,
-            uncertain=fate.uncertain,
+            uncertain=fate.uncertain + fate.missed,
             not_captured=rest,
             unaccounted=fate.unaccounted,
             counted={"in": "what the software bus did not lose", "out": f"same values on {ways}"},
@@ -448,7 +450,8 @@ def _telemetry(case: Case, stream: Stream, lost: Counter[str]) -> list[Row]:
     out = len(stream) - (stream.duplicates if stream.counted else doubled)
     untold = case.telemetry.untold.get(id(stream), 0)
     away = case.telemetry.away.get(id(stream), 0)
-    way = out + sum(behind.values()) + untold + away + dropped
+    uncertain = case.telemetry.uncertain.get(id(stream), 0)
+    way = out + sum(behind.values()) + untold + away + dropped + uncertain
     silenced = case.telemetry.silenced.get(id(stream), 0)
     known = _COUNT if stream.counted else f"{_SEEN}: it has no sequence count"
     common = (stream.route, stream.link.label, stream.msg_id, instance)
@@ -477,6 +480,7 @@ def _telemetry(case: Case, stream: Stream, lost: Counter[str]) -> list[Row]:
             lost=behind,
             not_captured=away,
             unaccounted=untold,
+            uncertain=uncertain,
             counted={"in": known, "out": _SEEN},
         ),
     ]

@@ -344,7 +344,7 @@ class Case:
     def commands(self) -> Commands:
         """What became of everything that went into cFS."""
         telemetry = Telemetry(self.known, self._counts)
-        return Commands(self.known, self._counts, self.ingests, self.refused, telemetry)
+        return Commands(self.known, self._counts, self.ingests, self.refused, telemetry, self.quality)
 
     @cached_property
     def _counts(self) -> dict[int, Counts]:

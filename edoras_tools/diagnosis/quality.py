@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 EvidenceKind = Literal["identifications", "inputs", "ci_counts", "sequence_counts"]
 
 CONFIDENCE: Final = 0.999
+_ANSWERED: Final = frozenset({"inputs", "ci_counts"})
 _TICK_NS: Final = MILLISECOND
 """The shortest clock tick of a Linux kernel."""
 _ALIKE: Final = 0.5
@@ -121,9 +122,18 @@ class Quality:
         return self._best[1]
 
     @property
+    def counts(self) -> bool:
+        """Whether drops were counted, and not all evidence of the tap's own host shows more.
+
+        What a host numbered or counted may be lost before it comes to the tap; what was answered was there.
+        """
+        answered = [item.missing for item in self.evidence if item.kind in _ANSWERED]
+        return self.drops is not None and (not answered or min(answered) <= self.drops)
+
+    @property
     def known_zero(self) -> bool:
-        """Whether drops were counted, there were none, and not all evidence contradicts that."""
-        return self.drops == 0 and (not self.groups or any(not missing for _, missing in self.groups))
+        """Whether drops were counted, and there were none."""
+        return self.counts and not self.drops
 
     def upper_share(self, confidence: float = CONFIDENCE) -> float:
         """Return the largest share of its frames that the capture can have missed, 0 to 1.
@@ -135,7 +145,8 @@ class Quality:
 
     def may_have_missed(self, count: int, confidence: float = CONFIDENCE) -> int:
         """Return how many of so many datagrams the capture can have missed at most."""
-        return largest_number(count, self.upper_share(confidence), confidence)
+        number = largest_number(count, self.upper_share(confidence), confidence)
+        return min(number, self.drops or 0) if self.counts else number
 
     def excludes(self, share: float, confidence: float = CONFIDENCE) -> bool:
         """Tell whether the capture cannot have missed such a share: it would lack one of those checked."""

@@ -14,104 +14,59 @@ from truth import FOLDER, TRUTHS, bounds, diagnosed, sums
 LARGE = {"c1_tlm_rate_limit4", "c4_cmd_rate", "d3_cpu1_cpu2"}
 CASES = [(name, change) for name in TRUTHS if name not in LARGE for change in CHANGES]
 random.Random(30).shuffle(CASES)
-CASES = CASES[: 300 if LONG else 60]
+CASES = CASES[: None if LONG else 60]
 FAILS = {
     "1 % doubled": """
-        c3_mqueue10
-        n11_jointstate_sizes
+        n10_uplink_loss
         n12_two_hosts_flight
         n12_two_hosts_ground
-        n1_to_remove_all
-        n5_app_restarts
-        n8_time_jumps
+        n3_cfs_restart
+        p4_apps_stopped
         p6b_extended_header
         q01_two_causes_one_counter
+        q17_two_bridges_same_topic
+        q21_app_restart_while_overloaded
         q27_three_hops_one_counter
     """,
     "1 % removed": """
-        b_arm_single
-        n10_uplink_loss
-        n1_to_remove_all
+        n12_two_hosts_flight
+        n12_two_hosts_ground
         n3_cfs_restart
-        n5_app_restarts
-        q07_uplink_dup_loss_reorder_ground
-        q12_to_limits_changed
-        q27_three_hops_one_counter
     """,
-    "30 % removed": """
+    "5 % doubled": """
+        a_rover
         b_arm_single
         c3_mqueue10
+        e2_ci_nosubs
         n10_uplink_loss
         n12_two_hosts_flight
-        n1_to_remove_all
+        n12_two_hosts_ground
+        n3_cfs_restart
+        n5_app_restarts
         n8_time_jumps
         p4_apps_stopped
         p6b_extended_header
         q01_two_causes_one_counter
         q04b_bridge_restarts_subscribes_one
-        q07_uplink_dup_loss_reorder_ground
-        q08b_later_fragments_dropped
+        q12_to_limits_changed
         q17_two_bridges_same_topic
         q21_app_restart_while_overloaded
-        q25_robot_off_then_bridge_off
-    """,
-    "5 % doubled": """
-        a_rover
-        e2_ci_nosubs
-        n1_to_remove_all
-        n3_cfs_restart
-        n8_time_jumps
-        q08b_later_fragments_dropped
-        q17_two_bridges_same_topic
-        q21_app_restart_while_overloaded
+        q22_to_enabled_late_loss_at_the_end
         q27_three_hops_one_counter
     """,
     "5 % removed": """
-        e2_ci_nosubs
-        n3_cfs_restart
-        n5_app_restarts
-        n8_time_jumps
-        p4_apps_stopped
-        q01_two_causes_one_counter
-        q04b_bridge_restarts_subscribes_one
-        q08b_later_fragments_dropped
-        q17_two_bridges_same_topic
-        q22_to_enabled_late_loss_at_the_end
+        c3_mqueue10
     """,
-    "clock set ahead by 300 s": """
-        n11_jointstate_sizes
-    """,
-    "clock set back by 300 s": """
-        n11_jointstate_sizes
-    """,
-    "cut to 96": """
-        n8_time_jumps
-    """,
-    "displaced by up to 1 s": """
+    "the second half": """
         n11_jointstate_sizes
     """,
     "times late by up to 20 ms": """
         n12_two_hosts_flight
         n12_two_hosts_ground
-        n1_to_remove_all
-        p6b_extended_header
-    """,
-    "without 0x0800": """
-        c3_mqueue10
-        n11_jointstate_sizes
-    """,
-    "without 0x0803": """
-        n11_jointstate_sizes
-    """,
-    "without 0x0827": """
-        n11_jointstate_sizes
-    """,
-    "without 0x0884": """
-        n11_jointstate_sizes
+        p4_apps_stopped
     """,
     "without the middle": """
         n11_jointstate_sizes
-        n8_time_jumps
     """,
 }
 """Changes that move a proven figure above the truth today, or spoil a sum, and of which captures."""

@@ -93,6 +93,13 @@ def test_counted_drops_of_zero_exclude_unless_all_evidence_lacks_some():
     assert not Quality(drops=3).excludes(0.9)
     contradicted = Quality((Evidence("inputs", 0, 100, 5),), drops=0)
     assert contradicted.upper_share() > 0.05
+    lost_before_the_tap = Quality((Evidence("sequence_counts", 0, 100, 5),), drops=0)
+    assert lost_before_the_tap.known_zero
+
+
+def test_no_more_may_be_missed_than_were_counted_unless_more_are():
+    assert Quality((Evidence("inputs", 0, 100, 5),), drops=7).may_have_missed(1000) == 7
+    assert Quality((Evidence("inputs", 0, 100, 5),), drops=4).may_have_missed(1000) > 50
 
 
 def test_a_network_that_loses_on_one_way_does_not_hide_that_the_capture_is_good():

@@ -219,6 +219,17 @@ def lost_after_cfs(lab, tmp_path, msg_id):
 
 
 @case
+def perhaps_lost(lab, tmp_path, msg_id):
+    sent, _ = lab.simulate(seconds=30)
+    gone = next(item for item in sent[len(sent) // 2 :] if msg_id(item) == 0x827)
+    found = lab.examine([item for item in sent if item is not gone], drops=None)
+    (verdict,) = found.verdicts
+    assert "1 message may be lost, or the capture missed it" in verdict.reason
+    assert (found.lost, found.unaccounted, found.uncertain, found.bad) == (0, 0, 1, False)
+    return found
+
+
+@case
 def lost_before_ci(lab, tmp_path, msg_id):
     """Commands that are in the capture and that CI never saw: added to a finished simulation."""
     sent, _ = lab.simulate(seconds=30, count=80)

@@ -192,16 +192,24 @@ def test_the_captures_own_drops_come_before_blame(lab):
     sent, _ = lab.simulate(seconds=60)
     kept = [item for index, item in enumerate(sent) if index % 17]
     diagnosis = lab.examine(kept, drops=len(sent) - len(kept))
-    assert {item.rule for item in diagnosis.verdicts} == {
-        "capture_drops",
-        "lost_after_cfs",
-        "lost_before_ci",
-    }
-    assert all(
-        item.confidence == "low" and any("the capture itself lost" in line for line in item.evidence)
-        for item in diagnosis.verdicts
-        if item.rule == "lost_after_cfs"
-    )
+    # What CI counted beyond the capture is no loss.
+    assert {item.rule for item in diagnosis.verdicts} == {"capture_drops", "lost_before_ci", "perhaps_lost"}
+    assert (diagnosis.lost, diagnosis.unaccounted) == (0, 0)
+    assert diagnosis.uncertain > 20
+
+
+def test_more_than_the_capture_dropped_was_lost(lab, msg_id):
+    sent, _ = lab.simulate(seconds=60)
+    kept = [item for item in sent if not (msg_id(item) == 0x827 and item.time_ns % 7 < 4)]
+    diagnosis = lab.examine(kept, drops=2)
+    blamed = [item for item in diagnosis.verdicts if item.rule == "lost_after_cfs"]
+    assert blamed
+    for blame in blamed:
+        assert blame.confidence == "low"
+        assert any("the capture itself lost 2 frames" in line for line in blame.evidence)
+    gone = len(sent) - len(kept)
+    assert gone - 2 <= diagnosis.lost + diagnosis.unaccounted <= gone
+    assert diagnosis.lost + diagnosis.unaccounted + diagnosis.uncertain == gone
 
 
 @pytest.mark.parametrize("by", [45, -20])

@@ -82,7 +82,7 @@ TRUTHS = {
     "season3/e2_ci_nosubs": Truth(32, {"0x1827": 22, "0x18ee": 10}, causes=("limit", "no_subscriber")),
     "season3/n8_time_jumps": Truth(0),
     "season3/n11_jointstate_sizes": Truth(44, source="README"),
-    "season3/p4_apps_stopped": Truth(118, causes=("stopped",)),
+    "season3/p4_apps_stopped": Truth(120, causes=("stopped",)),
 }
 
 

@@ -109,6 +109,7 @@ class Telemetry:
         silenced: id of a stream to those that Telemetry Output took and did not send until it was enabled.
         silent: these again: how many, among which.
         away: id of a stream to those that are missing while the capturing interface was away.
+        uncertain: id of a stream to counts that are missing, and that the capture itself may have missed.
         silences: sender of telemetry to the times in which that was so.
         proxied: id of a stream to messages that are missing because a proxy dropped them on purpose.
         untold: id of a stream to counts that are missing where cut frames do not tell whose they are, or
@@ -125,6 +126,7 @@ class Telemetry:
         self.silenced: dict[int, int] = {}
         self.silent: list[tuple[int, Among]] = []
         self.away: dict[int, int] = {}
+        self.uncertain: dict[int, int] = {}
         self.silences: dict[int, list[tuple[int, int]]] = {}
         self._spare: dict[int, int] = {}
         self.losses: list[Loss] = []

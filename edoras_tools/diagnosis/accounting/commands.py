@@ -22,6 +22,7 @@ import numpy as np
 from edoras_tools.cfs import names, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.before_ci import BeforeCi
 from edoras_tools.diagnosis.accounting.claims import POSSIBLE, settle_known, settle_rest
+from edoras_tools.diagnosis.accounting.doubt import doubt
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, follow, loss_of
 from edoras_tools.diagnosis.accounting.leftover import Leftover
 from edoras_tools.diagnosis.accounting.losses import (
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.bus import Telemetry
     from edoras_tools.diagnosis.accounting.claims import Counts
     from edoras_tools.diagnosis.accounting.ingest import Ingest
+    from edoras_tools.diagnosis.quality import Quality
 
 
 _COUNTS: Final = 256
@@ -88,6 +90,7 @@ class Commands:
         accounts: Sequence[Ingest],
         refused: Sequence[Refused],
         telemetry: Telemetry,
+        quality: Quality,
     ) -> None:
         self._known = known
         self.telemetry = telemetry
@@ -126,6 +129,7 @@ class Commands:
         leftover.share(shared)
         settle_rest(counts, claims)
         telemetry.tell()
+        doubt(known, telemetry, fates, quality)
         leftover.tell(telemetry.losses)
         self.uncaptured = leftover.uncaptured
         self._finish(fates)

@@ -73,6 +73,7 @@ RULES: Final[Mapping[str, Rule]] = {
         pipes.sbn_peer_pipe,
         gaps.crossing_loss,
         gaps.lost_after_cfs,
+        gaps.perhaps_lost,
         gaps.unexplained_gap,
         gaps.unattributed_loss,
         messages.struct_overrun,

@@ -213,6 +213,48 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
     )
 
 
+def perhaps_lost(case: Case) -> Iterator[Verdict]:
+    """Messages are missing, and the capture itself may have missed them.
+
+    Say how many, of which topics, and how good the capture surely is.
+    """
+    missed = [(item, item.missed) for item in case.commands.fates.values()]
+    found = [(item.stream, number) for item, number in missed if number]
+    found += [
+        (item, number) for item in case.streams if (number := case.telemetry.uncertain.get(id(item), 0))
+    ]
+    if not found:
+        return
+    quality, most = case.quality, 100 * case.quality.upper_share()
+    total, streams = sum(number for _, number in found), [stream for stream, _ in found]
+    if quality.checked:
+        known = f"{quality.checked:,} datagrams were checked that surely passed: {quality.missing:,} lack"
+    else:
+        known = "nothing here tells what the capture missed"
+    yield Verdict(
+        Severity.WARNING,
+        f"{plural(total, 'message')} may be lost, or the capture missed "
+        f"{'it' if total == 1 else 'them'}: it may lack up to {most:.2g} % of what passed",
+        msg_id=streams[0].msg_id if len(streams) == 1 else None,
+        link=streams[0].link.label if len({stream.link for stream in streams}) == 1 else None,
+        span=(
+            min(int(case.rows.time_ns[stream.rows[0]]) for stream in streams),
+            max(int(case.rows.time_ns[stream.rows[-1]]) for stream in streams),
+        ),
+        evidence=(
+            known,
+            *(
+                f"{case.name(stream.msg_id)}: {number:,} of {len(stream) + number:,}"
+                for stream, number in found
+            ),
+            *case.drops_text(),
+        ),
+        remedy="capture with edoras record, or as pcapng: they keep the kernel's count of drops; if it is 0 "
+        "these are lost",
+        confidence="low",
+    )
+
+
 def unexplained_gap(case: Case) -> Iterator[Verdict]:
     """Counts are missing, and nothing in the capture tells where they were lost.
 
