@@ -39,9 +39,9 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(64_727, 150, 58_000),
-    "lines with code, all": Limit(76_707, 150, 84_000),  # with what is still to come
-    "files": Limit(605, 10, 450),
+    "lines with code, core": Limit(64_806, 150, 58_000),
+    "lines with code, all": Limit(76_786, 150, 84_000),  # with what is still to come
+    "files": Limit(606, 10, 450),
     "files below 170 lines, of 1,000": Limit(519, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(5, 0, 0),
     "files that record runs through": Limit(121, 2, 80),
