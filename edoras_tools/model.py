@@ -133,6 +133,7 @@ class Link(int):
         dictionary: whether a dictionary of F Prime describes what its packets hold.
         samples: whether its datagrams hold samples of DDS.
         several: whether a datagram may hold several messages: the link itself says what is in it.
+        quotes: whether each message holds the beginning of a datagram of another link.
     """
 
     code: ClassVar[int] = 0
@@ -155,6 +156,7 @@ class Link(int):
     dictionary: ClassVar[bool] = False
     samples: ClassVar[bool] = False
     several: ClassVar[bool] = False
+    quotes: ClassVar[bool] = False
 
     @property
     def only_to_cfs(self) -> bool:

@@ -6,6 +6,8 @@ are the same as :mod:`edoras_tools.decode.columns` gives for a batch.
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
@@ -15,6 +17,7 @@ from edoras_tools.decode.recorded import dissect_recorded
 from edoras_tools.decode.summary import summarise
 from edoras_tools.errors import EdorasError, TruncatedError, WireError
 from edoras_tools.links.cfdp import read_pdu
+from edoras_tools.links.protocol import Endpoints, Peers
 from edoras_tools.links.reading import Reading
 from edoras_tools.links.table import protocol
 from edoras_tools.model import (
@@ -70,7 +73,22 @@ class Dissector:
         decoded = Decoded(
             datagram, link, tuple(work.layers), findings, work.message, stop, more=tuple(work.more)
         )
-        return summarise(decoded, self.context.msg_ids)
+        decoded = summarise(decoded, self.context.msg_ids)
+        return replace(decoded, summary=self._with_quote(decoded)) if link.quotes else decoded
+
+    def _with_quote(self, decoded: Decoded) -> str:
+        """Return the summary of a message, and what the datagram is that it quotes."""
+        quoted = protocol(decoded.link).quoted(decoded.datagram)
+        context = copy(self.context)
+        # Who sends is learnt from datagrams themselves.
+        context.peers, context.endpoints = Peers(), Endpoints()
+        inside = Dissector(context, detail=False).dissect(quoted)
+        if packet := inside.layer(ccsds.PRIMARY.name):
+            text = packet.fields[0].text
+        else:
+            text = inside.summary if quoted.payload else f"{quoted.original_length} bytes"
+        name = "" if inside.link is OTHER else f"{inside.link.name} "
+        return f"{decoded.summary}: {quoted.destination} did not get {name}{text}"
 
 
 class _Dissection(Reading):

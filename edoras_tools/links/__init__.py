@@ -20,5 +20,6 @@ ROWS: Final = {
     "file": "edoras_tools.links.stored:STORED",
     "reset": "edoras_tools.links.resets:RESETS",
     "racs2": "edoras_tools.links.racs2:RACS2",
+    "icmp": "edoras_tools.links.icmp:ICMP",
 }
 """The built-in links and where each object is; other packages add theirs by entry points."""

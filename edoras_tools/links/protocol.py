@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
 import numpy as np
 
-from edoras_tools.model import Decoded, Finding, Link, PacketBatch
+from edoras_tools.model import Datagram, Decoded, Finding, Link, PacketBatch
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.layout import Field, Layout
 
@@ -371,6 +371,13 @@ class LinkProtocol(Link):
         """
         form = list(self.forms.values())[kind] if 0 <= kind < len(self.forms) else None
         return form.headers[-1].name.upper() if form else ""
+
+    def quoted(self, datagram: Datagram) -> Datagram:
+        """Return the datagram whose beginning a message holds, of a link that ``quotes``.
+
+        What is not there of it counts as cut off by the capture.
+        """
+        raise NotImplementedError(self.label)
 
     def summary(self, decoded: Decoded) -> str:
         """Return one line on a datagram without a space packet, or an empty string."""

@@ -20,8 +20,10 @@ def field_text(item: LayerField) -> str:
     The result is not yet safe for a terminal: see :func:`edoras_tools.render.terminal.text.clean`.
     """
     plain = value_text(item.value)
-    if not item.text or item.text == plain or isinstance(item.value, (str, bytes)):
+    if not item.text or item.text == plain or isinstance(item.value, str):
         return plain
+    if isinstance(item.value, bytes):
+        return plain if item.text == item.value.hex() else item.text
     # One word is the number in another base; a text of several words has said what the number means.
     return f"{item.text} ({plain})" if isinstance(item.value, int) and " " not in item.text else item.text
 

@@ -188,6 +188,12 @@ GOOD = [
     bytes.fromhex("32000b000105020000000c68656c6c6fabcd"),
     bytes.fromhex("280011000105020800000000000000640000000a00000014"),
     bytes.fromhex("21000e00010502040001020304000000000000021c"),
+    bytes.fromhex("0303000000000000450000380001400040110000 0a000002 0a000004 1f90 04d2 0024 0000")
+    + bytes(28),
+    bytes.fromhex("0104000000000000 60000000 0010 1140")
+    + bytes(32)
+    + bytes.fromhex("1f902189 0010 0000")
+    + bytes(8),
 ]
 
 
@@ -207,7 +213,7 @@ ROWS = st.lists(
     st.tuples(
         payloads(),
         st.sampled_from([40000, 1235, 2234, 2235, 2236]),
-        st.sampled_from([1234, 1235, 1236, 2234, 2235, 2236, 8080, 8585, 5111, 9]),
+        st.sampled_from([1234, 1235, 1236, 2234, 2235, 2236, 8080, 8585, 5111, 9, 0, 0]),
         st.sampled_from([0, 0, 0, int(Finding.CAPTURE_CUT)]),
     ),
     max_size=12,
@@ -225,7 +231,7 @@ OPTIONS = st.builds(
 @given(rows=ROWS, name=st.sampled_from(sorted(MISSIONS)), options=OPTIONS)
 @example(rows=[], name="none", options=Options())
 @example(
-    rows=[(good, 2236, port, 0) for good in GOOD for port in (1234, 1235, 2234, 8080, 8585, 5222)],
+    rows=[(good, 2236, port, 0) for good in GOOD for port in (1234, 1235, 2234, 8080, 8585, 5222, 0)],
     name="rover",
     options=Options(),
 )

@@ -188,7 +188,7 @@ class Recorder:
         self.conversations.add(batch, columns)
         commands = robot.robot_commands(columns, batch, self.context.structs)
         chosen = np.flatnonzero(among(columns.link, lambda link: link.packets) | commands)
-        self.left_out += len(batch) - len(chosen)
+        self.left_out += len(batch) - len(chosen) - int(among(columns.link, lambda link: link.quotes).sum())
         if not len(chosen):
             return
         if len(chosen) < len(batch):

@@ -1,5 +1,7 @@
 """The kernel's packet filter: classic BPF programs that keep UDP datagrams and TCP segments by port.
 
+ICMP errors that quote such a datagram are kept, too.
+
 A packet that the filter refuses never reaches the ring, so it costs neither memory nor a copy. The machine is
 that of McCanne and Jacobson, "The BSD Packet Filter" (1993), with Linux's ancillary loads
 (``Documentation/networking/filter.rst``): an accumulator A, an index register X, sixteen words of memory,
@@ -15,6 +17,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
+from edoras_tools.wire import icmp
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -153,7 +156,7 @@ def port_filter(
 
     It keeps UDP over IPv4 or IPv6, after at most ``MAXIMUM_TAGS`` VLAN tags and ``MAXIMUM_EXTENSIONS`` IPv6
     extension headers, if the source or destination port is in the set. A first fragment is judged by its
-    ports; later fragments have none and are kept.
+    ports; later fragments have none and are kept. ICMP errors are judged by the datagram that they quote.
 
     Args:
         link_type: ``ETHERNET``, ``RAW`` or ``LINUX_SLL2``.
@@ -202,11 +205,18 @@ def port_filter(
     _ipv4(program, snap_length, protocols)
     _ipv6(program, snap_length, protocols)
     program.label("transport")
+    program.emit(LD_MEM, 0)
+    for form in icmp.FORMS:
+        program.test(JEQ, form.protocol, then=f"error {form.version}")
     if segments:
-        program.emit(LD_MEM, 0)
-        program.test(JEQ, _TCP, otherwise="udp")
+        program.test(JEQ, _TCP, then="tcp")
+    program.test(JA, 0, then="udp")
+    for form in icmp.FORMS:
+        _quote(program, form)
+    if segments:
+        program.label("tcp")
         _ports(program, segments, snap_length, "tcp ")
-        program.label("udp")
+    program.label("udp")
     _ports(program, sorted(set(ports)), snap_length, begins=begins)
     return program.assemble()
 
@@ -247,6 +257,24 @@ def _ethertype(program: Assembler, end: int, prefix: str = "") -> None:
             program.emit(LD_H, end + 4 * tags + 2)
 
 
+def _quote(program: Assembler, form: icmp.ErrorForm) -> None:
+    """Move X from an ICMP message to the UDP header that it quotes; drop it if it quotes none."""
+    program.label(f"error {form.version}")
+    for layout, values in zip(form.headers, form.constants, strict=False):
+        for name, value in values.items():
+            slot = layout.by_name[name]
+            program.emit(LD_H_X if slot.end - slot.start == 2 else LD_B_X, form.start(layout) + slot.start)
+            program.emit(AND_K, slot.mask << slot.shift)
+            matched = f"quote {form.version} {layout.name} {name}"
+            program.test(JEQ, value << slot.shift, then=matched)
+            program.emit(RET, 0)
+            program.label(matched)
+    program.emit(TXA)
+    program.emit(ADD_K, form.start(icmp.QUOTED_UDP))
+    program.emit(TAX)
+    program.test(JA, 0, then="udp")
+
+
 def _ipv4(program: Assembler, keep: int, protocols: Sequence[int]) -> None:
     """Move X from an IPv4 header to the transport header (RFC 791 section 3.1), its protocol to memory."""
     program.label("ipv4")
@@ -254,6 +282,11 @@ def _ipv4(program: Assembler, keep: int, protocols: Sequence[int]) -> None:
     program.emit(ST, 0)
     for protocol in protocols:
         program.test(JEQ, protocol, then="ipv4 known")
+    program.test(JEQ, icmp.FORMS[0].protocol, then="ipv4 error")
+    program.emit(RET, 0)
+    program.label("ipv4 error")
+    program.emit(LD_H_X, 6)
+    program.test(JSET, 0x1FFF, otherwise="ipv4 whole")
     program.emit(RET, 0)
     program.label("ipv4 known")
     program.emit(LD_H_X, 6)
@@ -277,6 +310,7 @@ def _ipv6(program: Assembler, keep: int, protocols: Sequence[int]) -> None:
     program.emit(ADD_K, 40)
     program.emit(TAX)
     program.emit(LD_MEM, 0)
+    program.test(JEQ, icmp.FORMS[1].protocol, then="transport")
     for count in range(MAXIMUM_EXTENSIONS):
         for protocol in protocols:
             program.test(JEQ, protocol, then="transport")

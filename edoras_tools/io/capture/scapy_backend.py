@@ -19,6 +19,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2, NOTHING, RAW, attach_program
 from edoras_tools.io.capture.device import Device, DeviceSource
 from edoras_tools.io.capture.interfaces import denied, find_interface, interfaces, missing_interface
+from edoras_tools.io.frames.errors import error_rows, quoted_ports
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import Finding, PacketBatch, SourceInfo
 from edoras_tools.wire.arrays.window import PADDING
@@ -181,6 +182,8 @@ class ScapySource(DeviceSource):
         for word in self._begins:
             wanted[beginning(batch, np.arange(len(batch)), word)] = True
         wanted |= (batch.capture_findings & Finding.FRAGMENT) != 0
+        errors = np.flatnonzero(error_rows(batch))
+        wanted[errors] |= np.isin(quoted_ports(batch, errors), self._ports).any(axis=1)
         if batch.streams is not None:
             wanted |= batch.streams
         kept = batch.take(wanted)
@@ -196,8 +199,11 @@ def _expression(
     others = [f"tcp port {port}" for port in streams]
     for number in (int.from_bytes(word, "big") for word in begins):
         others += [f"udp[8:4] = {number}", f"(ip6[6] == 17 and ip6[48:4] = {number})"]
-    wanted = " or ".join([wanted, *others]) if wanted else ""
-    return f"{wanted} or (ip[6:2] & 0x1fff != 0) or ip6[6] == 44 or vlan" if wanted else None
+    if not wanted:
+        return None
+    others += ["icmp[0] = 3", "(ip6[6] == 58 and ip6[40] = 1)"]
+    wanted = " or ".join([wanted, *others])
+    return f"{wanted} or (ip[6:2] & 0x1fff != 0) or ip6[6] == 44 or vlan"
 
 
 def _listen(

@@ -11,7 +11,8 @@ Every source of frames uses this. The result has one row for each frame that con
   ``data``, and ``FRAGMENT`` is not set. Ports are 0 until the first fragment of a datagram was seen.
 
 TCP segments from or to a link's port become rows as well, one for each message: see
-:mod:`edoras_tools.io.frames.tcp`, which is imported with the first of them.
+:mod:`edoras_tools.io.frames.tcp`, which is imported with the first of them. So do ICMP errors that quote a
+UDP datagram: their payload is the ICMP message, their ports are 0.
 
 All other frames, and those whose IP header is incomplete or damaged, are skipped and counted.
 """
@@ -43,6 +44,7 @@ from edoras_tools.io.frames.network import (
     ipv4,
     ipv6,
     merge_rows,
+    transport_payloads,
 )
 from edoras_tools.links.table import framings
 from edoras_tools.model import Finding, PacketBatch, concatenate
@@ -69,6 +71,10 @@ _FAMILY_VERSION = {2: 4, 10: 6, 24: 6, 28: 6, 30: 6}
 """AF_INET is 2 everywhere; AF_INET6 differs on Linux, NetBSD and OpenBSD, FreeBSD, macOS."""
 
 
+_PROTOCOL_AT = {4: 9, 6: 6}
+"""Where an IP header of a version names the protocol."""
+_CONTROL = (1, 58)
+"""ICMP, ICMPv6."""
 _TCP_BYTES = 20
 _MADE_BYTES = 20 + UDP_BYTES
 """Headers of frames that are made."""
@@ -139,7 +145,8 @@ class Demux:
     """Turns frames into datagrams; remembers fragments and TCP connections from batch to batch.
 
     Attributes:
-        skipped: frames so far that contained no UDP over IP, and no bytes of a link's TCP stream.
+        skipped: frames so far that contained no UDP over IP, no bytes of a link's TCP stream, and no ICMP
+            error about UDP.
         unknown_link_types: link types seen that cannot be read.
         framings: how TCP streams are cut, by port; those of the links' usual ports unless it is set.
     """
@@ -183,7 +190,16 @@ class Demux:
         batch = self._datagrams(data, frames_at(frames, transport.rows), transport)
         if transport.rows is None or len(transport.rows) == len(frames):
             return batch
-        rows = self._stream_rows(data, frames, network, version, transport.rows)
+        others = np.ones(len(frames), bool)
+        others[transport.rows] = False
+        rest = np.flatnonzero(others & (version > 0))
+        if not len(rest):
+            return batch
+        at = np.where(version[rest] == 4, _PROTOCOL_AT[4], _PROTOCOL_AT[6])
+        control = rest[np.isin(read_at(data, network[rest] + at, np.uint8), _CONTROL)]
+        if len(control):
+            batch = self._with_errors(batch, replace(frames, data=data), network, version, control)
+        rows = self._stream_rows(data, network, version, end, rest)
         return self._with_streams(batch, frames_at(replace(frames, data=data), rows)) if len(rows) else batch
 
     def finish(self) -> PacketBatch | None:
@@ -192,22 +208,46 @@ class Demux:
             return None
         return self._messages(self._waiting, len(self._waiting), final=True)
 
-    def _stream_rows(
+    def _with_errors(
         self,
-        data: NDArray[np.uint8],
+        batch: PacketBatch,
         frames: FrameBatch,
         network: NDArray[np.int64],
         version: NDArray[np.uint8],
-        taken: NDArray[np.int64],
+        rows: NDArray[np.int64],
+    ) -> PacketBatch:
+        """Add a row for each ICMP error among some frames, from and to port 0, in the order of the frames."""
+        from edoras_tools.io.frames.errors import find_errors
+
+        errors = find_errors(frames.data, network, version, frames.offset + frames.length, rows)
+        if errors is None:
+            return batch
+        frames = frames_at(frames, errors.rows)
+        self.skipped -= len(frames)
+        messages = self._datagrams(frames.data, frames, errors)
+        # What was taken for a UDP header begins the message.
+        start = messages.offset - UDP_BYTES
+        length = np.minimum(errors.end, frames.offset + frames.length) - start
+        none = np.zeros(len(frames), np.uint16)
+        own = replace(
+            messages,
+            offset=start,
+            length=length.astype(np.int32),
+            source_port=none,
+            destination_port=none,
+        )
+        return in_order([batch, own])
+
+    def _stream_rows(
+        self,
+        data: NDArray[np.uint8],
+        network: NDArray[np.int64],
+        version: NDArray[np.uint8],
+        end: NDArray[np.int64],
+        rows: NDArray[np.int64],
     ) -> NDArray[np.int64]:
-        """Return which frames are TCP segments from or to a link's port."""
-        others = np.ones(len(frames), bool)
-        others[taken] = False
-        rows: NDArray[np.int64] = np.flatnonzero(others & (version > 0))
-        if not len(rows):
-            return rows
-        end = (frames.offset + frames.length)[rows]
-        found = _tcp(data, network[rows], version[rows], end)
+        """Return which of some frames are TCP segments from or to a link's port."""
+        found = transport_payloads(data, network[rows], version[rows], end[rows], (TCP, TCP), _TCP_BYTES)
         chosen = np.arange(len(rows)) if found.rows is None else found.rows
         ports = read_at(data, found.position, _PORTS)
         known = np.zeros(1 << 16, bool)
@@ -224,13 +264,7 @@ class Demux:
         messages = self._messages(
             joined_frames(parts), old, final=size - len(parts[-1].data) > _WAITING_BYTES
         )
-        if not len(batch):
-            return messages
-        if not len(messages):
-            return batch
-        both = concatenate([batch, messages])
-        order = np.argsort(both.number, kind="stable")
-        return both.take(order)
+        return in_order([batch, messages])
 
     def _messages(self, frames: FrameBatch, old: int, *, final: bool) -> PacketBatch:
         from edoras_tools.io.frames.tcp import StreamReassembler
@@ -239,7 +273,8 @@ class Demux:
         if self._streams is None:
             self._streams = StreamReassembler(self.framings)
         located = self._locate(frames.data, frames)
-        found = _tcp(frames.data, located.network, located.version, frames.offset + frames.length)
+        end = frames.offset + frames.length
+        found = transport_payloads(frames.data, located.network, located.version, end, (TCP, TCP), _TCP_BYTES)
         segments = read_segments(frames, located.network, found, old)
         batch, kept = self._streams.messages(segments, final=final)
         self.skipped -= int(np.count_nonzero(segments.length[old:]))
@@ -375,21 +410,13 @@ def _made(frames: MadeFrames) -> PacketBatch:
     )
 
 
-def _tcp(
-    data: NDArray[np.uint8], network: NDArray[np.int64], version: NDArray[np.uint8], end: NDArray[np.int64]
-) -> IpPayloads:
-    """Find TCP segments that are not fragments, with a whole header, in packets with an IP header."""
-    four, six = np.flatnonzero(version == 4), np.flatnonzero(version == 6)
-    found = merge_rows(
-        [
-            (four, ipv4(data, network[four], end[four], protocol=TCP)),
-            (six, ipv6(data, network[six], end[six], TCP)),
-        ]
-    )
-    assert found.rows is not None
-    keep = np.minimum(found.end, end[found.rows]) - found.position >= _TCP_BYTES
-    keep &= found.fragment == 0
-    return found if keep.all() else found.take(keep)
+def in_order(batches: list[PacketBatch]) -> PacketBatch:
+    """Return the rows of batches of the same frames, in the order of the frames."""
+    batches = [batch for batch in batches if len(batch)] or batches[:1]
+    if len(batches) == 1:
+        return batches[0]
+    both = concatenate(batches)
+    return both.take(np.argsort(both.number, kind="stable"))
 
 
 def _untag(

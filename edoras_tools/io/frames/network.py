@@ -225,3 +225,34 @@ def merge_rows(parts: list[tuple[NDArray[np.int64], IpPayloads]]) -> IpPayloads:
     order = np.argsort(columns["rows"], kind="stable")
     addresses = next((part.addresses for part in chosen if part.addresses), ())
     return IpPayloads(**{name: column[order] for name, column in columns.items()}, addresses=addresses)
+
+
+def transport_payloads(
+    data: NDArray[np.uint8],
+    network: NDArray[np.int64],
+    version: NDArray[np.uint8],
+    end: NDArray[np.int64],
+    protocols: tuple[int, int],
+    least: int,
+) -> IpPayloads:
+    """Find the payloads of one transport protocol that are no fragments, in packets with an IP header.
+
+    Args:
+        data: u8, the buffer.
+        network: i64, start of each IP header.
+        version: u8, 4 or 6.
+        end: i64, one past each frame's last captured byte.
+        protocols: the number of the protocol in IPv4, and in IPv6.
+        least: bytes that must be captured of each.
+    """
+    four, six = np.flatnonzero(version == 4), np.flatnonzero(version == 6)
+    found = merge_rows(
+        [
+            (four, ipv4(data, network[four], end[four], protocol=protocols[0])),
+            (six, ipv6(data, network[six], end[six], protocols[1])),
+        ]
+    )
+    assert found.rows is not None
+    keep = np.minimum(found.end, end[found.rows]) - found.position >= least
+    keep &= found.fragment == 0
+    return found if keep.all() else found.take(keep)

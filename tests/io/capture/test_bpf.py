@@ -108,14 +108,23 @@ def wanted(link_type, packet, ports, protocol=0):
                 protocol = half(at + 2)
                 at += 4
     if protocol == 0x0800:
-        if packet[at + 9] != 17:
+        kind, place = packet[at + 9], half(at + 6) & 0x1FFF
+        if kind not in {1, 17} or (kind == 1 and place):
             return False
-        if half(at + 6) & 0x1FFF:
+        if place:
             return True
         at += 4 * (packet[at] & 15)
+        if kind == 1:  # unreachable, and quotes UDP: no IP options, no later fragment
+            if packet[at] != 3 or packet[at + 8] != 0x45 or half(at + 14) & 0x1FFF or packet[at + 17] != 17:
+                return False
+            at += 28
     elif protocol == 0x86DD:
         following = packet[at + 6]
         at += 40
+        if following == 58:
+            if packet[at] != 1 or packet[at + 8] >> 4 != 6 or packet[at + 14] != 17:
+                return False
+            at, following = at + 48, 17
         for _ in range(bpf.MAXIMUM_EXTENSIONS):
             if following == 44:
                 if half(at + 2) & 0xFFF8:
@@ -180,7 +189,19 @@ def ethernet(payload, kind=0x0800, tags=()):
     )
 
 
+def error(quoted, kind=3, code=3):
+    return bytes([kind, code]) + bytes(6) + quoted
+
+
 KEPT = {
+    "error": ethernet(ipv4(error(ipv4(udp(9, 1234))), protocol=1)),
+    "error, answered": ethernet(ipv4(error(ipv4(udp(1235, 9))), protocol=1)),
+    "error, no host": ethernet(ipv4(error(ipv4(udp(9, 1234)), code=1), protocol=1)),
+    "error behind options": ethernet(ipv4(error(ipv4(udp(9, 1234))), protocol=1, options=bytes(8))),
+    "error about 8 bytes": ethernet(ipv4(error(ipv4(udp(9, 1234))[:28]), protocol=1)),
+    "error about a first fragment": ethernet(ipv4(error(ipv4(udp(9, 1234), flags=0x2000)), protocol=1)),
+    "tagged error": ethernet(ipv4(error(ipv4(udp(9, 1234))), protocol=1), tags=[0x8100]),
+    "v6 error": ethernet(ipv6(error(ipv6(udp(9, 1234)), 1, 4), 58), 0x86DD),
     "destination": ethernet(ipv4(udp(9, 1234))),
     "source": ethernet(ipv4(udp(1234, 9))),
     "options": ethernet(ipv4(udp(9, 1235), options=bytes(8))),
@@ -197,6 +218,16 @@ KEPT = {
 }
 DROPPED = {
     "other ports": ethernet(ipv4(udp(9, 10))),
+    "echo": ethernet(ipv4(error(ipv4(udp(9, 1234)), 8), protocol=1)),
+    "time exceeded": ethernet(ipv4(error(ipv4(udp(9, 1234)), 11), protocol=1)),
+    "error about tcp": ethernet(ipv4(error(ipv4(udp(9, 1234), protocol=6)), protocol=1)),
+    "error about a later fragment": ethernet(ipv4(error(ipv4(udp(9, 1234), flags=0xB9)), protocol=1)),
+    "error about options": ethernet(ipv4(error(ipv4(udp(9, 1234), options=bytes(4))), protocol=1)),
+    "error cut before the ports": ethernet(ipv4(error(ipv4(udp(9, 1234))[:20]), protocol=1)),
+    "later fragment of an error": ethernet(ipv4(error(ipv4(udp(9, 1234))), protocol=1, flags=0xB9)),
+    "v6 error, other kind": ethernet(ipv6(error(ipv6(udp(9, 1234)), 2), 58), 0x86DD),
+    "v6 error about tcp": ethernet(ipv6(error(ipv6(udp(9, 1234), 6), 1), 58), 0x86DD),
+    "v4 error in v6": ethernet(ipv6(error(ipv4(udp(9, 1234))), 1), 0x86DD),
     "tcp": ethernet(ipv4(udp(1234, 1234), protocol=6)),
     "tcp fragment": ethernet(ipv4(b"anything", protocol=6, flags=0x00B9)),
     "arp": ethernet(bytes(28), 0x0806),
@@ -240,6 +271,14 @@ def test_what_begins_so_is_kept_on_any_port(link_type):
             assert run(program, frame) == (SNAP if kept else 0)
         segment = internet(udp(9, 7, b"RTPS"), protocol=6) if kind == 0x0800 else ipv6(udp(9, 7, b"RTPS"), 6)
         assert run(program, ethernet(segment, kind) if link_type == bpf.ETHERNET else segment) == 0
+
+
+@pytest.mark.parametrize("name", ["error", "v6 error"])
+def test_errors_beside_streams(name):
+    program = bpf.port_filter(bpf.ETHERNET, PORTS, streams=[80])
+    assert run(program, KEPT[name]) == SNAP
+    assert run(program, DROPPED["error about tcp"]) == 0
+    assert run(bpf.port_filter(bpf.ETHERNET, [7], streams=[1234]), KEPT[name]) == 0
 
 
 def test_no_ports_is_every_datagram():
@@ -318,12 +357,20 @@ EXTENSIONS = st.lists(
 @st.composite
 def packets(draw):
     datagram = udp(draw(PORT), draw(PORT))
-    if draw(st.booleans()):
+    about = draw(st.sampled_from([None, None, ipv4, ipv6]))
+    if about is not None:
+        quoted = about(
+            datagram, **({"flags": draw(st.sampled_from([0, 0x2000, 1]))} if about is ipv4 else {})
+        )
+        datagram = error(quoted, draw(st.sampled_from([1, 1, 3, 3, 8])), draw(st.integers(0, 4)))
+    if about is ipv6:
+        kind, packet = 0x86DD, ipv6(datagram, draw(st.sampled_from([58, 58, 1])))
+    elif about is ipv4 or draw(st.booleans()):
         kind, packet = (
             0x0800,
             ipv4(
                 datagram,
-                protocol=draw(st.sampled_from([17, 17, 6])),
+                protocol=draw(st.sampled_from([17, 17, 6] if about is None else [1, 1, 58])),
                 flags=draw(st.sampled_from([0, 0x4000, 0x2000, 1, 0x20B9])),
                 options=bytes(4 * draw(st.integers(0, 10))),
             ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 import threading
@@ -13,7 +14,8 @@ from waiting import PATIENCE_S, until
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.capture.interfaces import interfaces
 from edoras_tools.io.capture.live import open_live
-from edoras_tools.model import concatenate
+from edoras_tools.links.icmp import ICMP
+from edoras_tools.model import Endpoint, concatenate
 
 SENDER = """
 import socket, sys
@@ -142,3 +144,29 @@ def test_a_port_that_is_none(live):
 
 def test_interfaces():
     assert "lo" in interfaces()
+
+
+@pytest.mark.parametrize("interface", ["lo", "any"])
+@pytest.mark.parametrize(("family", "host"), [(socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1")])
+def test_the_error_about_a_closed_port_and_no_other(live, pair, interface, family, host):
+    """Nobody listens on two ports; the filter is for one of them."""
+    sender, port = pair
+    with socket.socket(family, socket.SOCK_DGRAM) as first, socket.socket(family, socket.SOCK_DGRAM) as other:
+        first.bind((host, 0))
+        other.bind((host, 0))
+        closed, outside = first.getsockname()[1], other.getsockname()[1]
+    source = live(interface, [port, closed])
+    with socket.socket(family, socket.SOCK_DGRAM) as away:
+        for number in range(20):
+            away.sendto(bytes([number]), (host, closed))
+            away.sendto(bytes([number]), (host, outside))
+    sender.send(b"the last")
+    found = []
+    for batch in source.batches():
+        found += [one for one, _ in of_each(batch)]
+        if found and found[-1].payload == b"the last":
+            source.stop()
+    errors = [ICMP.quoted(one) for one in found if one.destination.port == 0]
+    assert [one.payload for one in errors] == [bytes([number]) for number in range(20)]
+    assert {one.destination for one in errors} == {Endpoint(host, closed)}
+    assert [one.payload for one in found if one.destination.port == closed] == [one.payload for one in errors]

@@ -1,0 +1,103 @@
+"""ICMP errors about UDP datagrams: a closed port, a host or network that cannot be reached.
+
+No port carries them, so their port is 0, as that of stored packets. They are told by their content.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Seen, Site
+from edoras_tools.model import Datagram, Decoded, Endpoint, Finding, Transport
+from edoras_tools.wire.arrays.window import read_at
+from edoras_tools.wire.icmp import FORMS, QUOTED_UDP, ErrorForm
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.reading import Reading
+    from edoras_tools.wire.layout import Layout
+
+
+class IcmpLink(LinkProtocol):
+    """Errors that quote the beginning of a UDP datagram that reached nobody."""
+
+    code = 12
+    name = "ICMP"
+    label = "icmp"
+    colour = "red"
+    doc = "ICMP errors: a UDP datagram reached nobody (destination unreachable)"
+    transport = Transport(ports=(0,), first="server")
+    layouts = tuple(dict.fromkeys(layout for form in FORMS for layout in form.headers))
+    port_decides = False
+    quotes = True
+
+    def recognise(self, seen: Seen) -> Any:
+        """Return how sure it is: certain where the message quotes a UDP datagram."""
+        fits: Any = sum(form.fits(seen.field) for form in FORMS)
+        return CERTAIN * fits * (seen.destination_port == 0)
+
+    def dissect(self, reading: Reading, site: Site) -> None:
+        """Read the error, and the headers that it quotes."""
+        del site
+        at = 0
+        for layout in _form_of(reading.data).headers:
+            reading.read(layout, at)
+            at += layout.size
+
+    def places(
+        self, layout: Layout, rows: BatchRows, field: str = ""
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """Find one of the headers; see :meth:`LinkProtocol.places`."""
+        del field
+        owner = np.flatnonzero(rows.column("link") == self)
+        at = rows.datagram("offset")[owner].astype(np.int64)
+        kind = read_at(rows.batch.data, at, np.uint8)
+        shift = np.full(len(owner), -1)
+        for form in FORMS:
+            if layout in form.headers:
+                shift[kind == form.constants[0]["type"]] = form.start(layout)
+        there = shift >= 0
+        return owner[there], at[there] + shift[there]
+
+    def quoted(self, datagram: Datagram) -> Datagram:
+        """Return the datagram that an error quotes, as far as it does; see :meth:`LinkProtocol.quoted`."""
+        data = datagram.payload
+        form = _form_of(data)
+        (_, header, _), at = form.headers, form.size - QUOTED_UDP.size
+        ends = header.parse(data, form.start(header))
+        ports = QUOTED_UDP.parse(data, at)
+        whole = max(ports["length"] - QUOTED_UDP.size, 0)
+        payload = data[form.size : form.size + whole]
+        source, destination = (
+            Endpoint(header.by_name[name].field.text(ends[name]), ports[f"{name}_port"])
+            for name in ("source", "destination")
+        )
+        return Datagram(
+            number=datagram.number,
+            time_ns=datagram.time_ns,
+            link_type=datagram.link_type,
+            frame=payload,
+            payload=payload,
+            payload_offset=0,
+            original_length=whole,
+            source=source,
+            destination=destination,
+            findings=Finding.CAPTURE_CUT if len(payload) < whole else Finding(0),
+        )
+
+    def summary(self, decoded: Decoded) -> str:
+        """Return why it reached nobody."""
+        return next(field.text for field in decoded.layers[0].fields if field.name == "code").partition(" (")[
+            0
+        ]
+
+
+def _form_of(data: bytes) -> ErrorForm:
+    """Return the form of an error that is whole."""
+    return next(form for form in FORMS if data[0] == form.constants[0]["type"])
+
+
+ICMP: Final = IcmpLink()
