@@ -106,11 +106,6 @@ class Diagnosis:
         return sum(row.uncertain for row in self.balance)
 
     @property
-    def estimated(self) -> int:
-        """Messages that are missing by an estimate: nothing counted them, and no other figure has them."""
-        return sum(item.estimated or 0 for item in self.verdicts)
-
-    @property
     def headlines(self) -> list[Headline]:
         """What became of each route, a line each."""
         return headlines(self.balance, self.topics)
@@ -210,7 +205,7 @@ class Diagnosis:
             "superseded": self.superseded,
             "unaccounted": self.unaccounted,
             "uncertain": self.uncertain,
-            "estimated": self.estimated,
+            "estimated": None,
             "verdicts": [verdict.as_json() for verdict in self.verdicts],
             "habits": [verdict.as_json() for verdict in self.habits],
             "balance": [row.as_json(self.topics.get(row.route)) for row in self.balance],

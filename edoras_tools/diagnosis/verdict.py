@@ -35,7 +35,7 @@ WHOLE: Final = (0, 0)
 """The span of a verdict that is about the whole capture."""
 _SHOWN: Final = (
     *("rule", "severity", "reason", "msg_id", "topic", "link", "hop", "lost", "of", "start_ns", "end_ns"),
-    *("evidence", "remedy", "confidence", "estimated"),
+    *("evidence", "remedy", "confidence"),
 )
 
 
@@ -56,7 +56,6 @@ class Verdict:
         evidence: what was seen, a line each.
         remedy: what to change.
         confidence: ``high``: counted or said by cFS; ``medium``: follows from what was seen; ``low``: likely.
-        estimated: messages that are missing by an estimate, which no figure of the balance has; or None.
         rule: name of the rule that says so, as its page of documentation has it; ``judge`` fills it in.
     """
 
@@ -72,7 +71,6 @@ class Verdict:
     evidence: tuple[str, ...] = ()
     remedy: str = ""
     confidence: Confidence = "high"
-    estimated: int | None = None
     rule: str = ""
 
     @property
@@ -97,6 +95,7 @@ class Verdict:
             "severity": self.severity.label,
             "msg_id": None if self.msg_id is None else f"0x{self.msg_id:04x}",
             "evidence": list(self.evidence),
+            "estimated": None,
         }
 
 

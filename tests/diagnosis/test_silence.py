@@ -1,10 +1,12 @@
-"""Topics that fall silent without a missing count: an estimate and what it rests on, or none."""
+"""Topics that fall silent without a missing count: told while others go on, with what ended them; no loss."""
 
 from __future__ import annotations
 
 import random
+import re
 
 import pytest
+from places import ROOT
 
 STATE, HZ = 0x827, 1.0
 FROM_S, UNTIL_S, ALL_S = 60.0, 80.0, 110
@@ -33,32 +35,56 @@ def told(found):
 
 
 @pytest.mark.parametrize("until_s", [UNTIL_S, None])
-def test_what_is_missing_is_estimated_and_in_no_figure(lab, msg_id, until_s):
+def test_a_silence_is_told_and_no_loss(lab, msg_id, until_s):
     found = lab.examine(silent(lab, msg_id, until_s), lab.mission("rover_ground"))
     (verdict,) = told(found)
-    seconds = (until_s or ALL_S) - FROM_S
-    assert verdict.estimated == pytest.approx(seconds * HZ, abs=2)
+    ended = ", for 2" if until_s else " and came no more"
+    assert re.search(
+        rf"came at 1 Hz and stopped at (58|59|60)\.\d s{ended}.*: the capture cannot show why", verdict.reason
+    )
     assert (verdict.msg_id, verdict.lost) == (STATE, None)
-    assert any("1 Hz from" in line and "s of silence" in line for line in verdict.evidence)
-    assert (found.lost, found.unaccounted) == (0, 0)
-    assert found.as_json()["verdicts"][0]["estimated"] == verdict.estimated
+    assert any("1 Hz from" in line for line in verdict.evidence)
+    assert (found.lost, found.unaccounted, found.uncertain, found.bad) == (0, 0, 0, False)
 
 
-def test_what_came_irregularly_cannot_be_estimated(lab, msg_id):
+def test_what_came_irregularly_is_told_without_a_rate(lab, msg_id):
     chance = random.Random(5)
     kept = silent(lab, msg_id, None, lambda item: chance.random() < 0.25)
     (verdict,) = told(lab.examine(kept, lab.mission("rover_ground")))
-    assert verdict.estimated is None
-    assert "cannot be estimated" in verdict.reason
+    assert " Hz" not in verdict.reason
 
 
-def test_a_count_that_is_missing_is_not_estimated_too(lab, msg_id):
+def test_a_count_that_is_missing_is_no_silence(lab, msg_id):
     sent, _ = lab.simulate("rover", seconds=ALL_S)
     start_ns, end_ns = (lab.start_ns + int(at * 1e9) for at in (FROM_S, UNTIL_S))
     kept = [item for item in sent if not (msg_id(item) == STATE and start_ns < item.time_ns < end_ns)]
     found = lab.examine(kept, lab.mission("rover_ground"))
     assert told(found) == []
     assert found.lost == len(sent) - len(kept)
+
+
+def test_where_everything_ends_a_silence_says_nothing(lab, msg_id):
+    """Senders stop, cFS and its housekeeping go on: the end of a run, and nothing is missing."""
+    sent = silent(lab, msg_id)
+    end_ns = lab.start_ns + int(FROM_S * 1e9)
+    kept = [item for item in sent if item.destination.port == 1235 or item.time_ns < end_ns]
+    found = lab.examine(kept, lab.mission("rover_ground"))
+    assert told(found) == []
+    assert (found.lost, found.unaccounted, found.uncertain, found.bad) == (0, 0, 0, False)
+
+
+def test_topics_that_an_application_took_with_it_are_one_sentence(lab):
+    found = lab.read(ROOT / "tests/captures/n5_app_restarts.pcap.zst")
+    (verdict,) = told(found)
+    assert verdict.reason.startswith("2 topics (0x0827, 0x0826 (EDORAS_APP_HK)) stopped at 46.1 s")
+    assert verdict.reason.endswith(": EDORAS_APP was stopped at 45.6 s")
+
+
+@pytest.mark.parametrize(
+    "name", ["f_sbn_disconnect", "season3/q04b_bridge_restarts_subscribes_one", "n1_to_remove_all"]
+)
+def test_what_was_unsubscribed_or_sent_to_nobody_is_no_silence(lab, name):
+    assert told(lab.read(ROOT / f"tests/captures/{name}.pcap.zst")) == []
 
 
 def test_an_operator_who_pauses_is_no_silence(lab):

@@ -124,7 +124,7 @@ _CAPTURES: Final = _table(
     ("lost", "int", "messages found lost, each once"),
     ("superseded", "int", "messages that gave way to a newer one"),
     ("unaccounted", "int", "messages missing without a cause"),
-    ("estimated", "int", "messages missing by an estimate; in no other figure"),
+    ("estimated", "int", "null; older versions estimated what did not come"),
     ("worst", "text", "severity of the gravest verdict; null without one"),
 )
 _ROUTES: Final = _table(
@@ -236,7 +236,7 @@ _VERDICTS: Final = _table(
     ("hop", "text", "where it happened"),
     ("lost", "int", "messages lost"),
     ("sent", "int", "of how many"),
-    ("estimated", "int", "missing by an estimate"),
+    ("estimated", "int", "null; older versions estimated what did not come"),
     ("start_ns", "int", "first sign of it"),
     ("end_ns", "int", "last sign of it"),
     ("confidence", "text", "`high`, `medium` or `low`"),

@@ -11,6 +11,8 @@ import numpy as np
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.timeline.reasons import Way, reasons_for
+from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.diagnosis.matching.spans import Span, steady_rate
 from edoras_tools.diagnosis.rules.messages import struct_overrun
 from edoras_tools.diagnosis.verdict import Severity, Verdict
@@ -19,7 +21,6 @@ from edoras_tools.links.to import TO
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -43,8 +44,6 @@ _EVENTS: Final = frozenset({cfe.EVENT_MSG_ID, cfe.SHORT_EVENT_MSG_ID})
 
 def telemetry_vanished(case: Case) -> Iterator[Verdict]:
     """A telemetry MsgId came steadily and then never again, while the rest goes on.
-
-    No counter has what would have come: it is estimated, and in no figure of the balance.
 
     Look for a stream that ended for good, and for what happened just then.
     """
@@ -77,12 +76,6 @@ def telemetry_vanished(case: Case) -> Iterator[Verdict]:
             continue  # topic_silent tells of it
         signs += _longer(case, last_ns)
         sure = len(signs) > 1
-        missed = round((alive_ns - last_ns) / usual) if usual > 0 else None
-        if missed:
-            signs.append(
-                f"about {plural(missed, 'message')} would have come since then: an estimate, in no figure of "
-                "the balance"
-            )
         yield Verdict(
             Severity.ERROR,
             f"{case.name(stream.msg_id)} came every {usual / SECOND:.1f} s until {case.at(last_ns)} and "
@@ -91,7 +84,6 @@ def telemetry_vanished(case: Case) -> Iterator[Verdict]:
             msg_id=stream.msg_id,
             link="to",
             hop="flight application",
-            estimated=missed,
             span=(last_ns, alive_ns),
             evidence=tuple(signs),
             remedy="make the struct in front of it large enough (see struct_overrun), and restart the "
@@ -210,12 +202,32 @@ class Rate(NamedTuple):
     end_ns: int
 
 
-def topic_silent(case: Case) -> Iterator[Verdict]:
-    """A topic fell silent and no sequence count is missing: what is missing is estimated, and not counted.
+class Silence(NamedTuple):
+    """A time in which nothing came of a stream, and how often it came before, if steadily.
 
-    Look at each topic that cFS or an SBN peer publishes, not at what an operator sends.
+    ``until_ns`` is None where it lasted until ``end_ns``, when its cFS or the capture ended.
+    """
+
+    stream: Stream
+    start_ns: int
+    until_ns: int | None
+    end_ns: int
+    rate: Rate | None
+
+    @property
+    def housekeeping(self) -> bool:
+        """Whether it is one of cFS's own packets, and no topic of a mission."""
+        return self.stream.known_id in MSG_ID_NAMES and self.stream.route == NO_ROUTE
+
+
+def topic_silent(case: Case) -> Iterator[Verdict]:
+    """Topics fell silent and no sequence count is missing, while others go on: nothing is lost by that.
+
+    Look at each topic that cFS or an SBN peer publishes, not at what an operator sends; tell those that fall
+    silent together as one, with what was stopped or commanded then.
     """
     told = {item.msg_id for item in case.verdicts if item.rule == "telemetry_vanished"}
+    found: list[Silence] = []
     for stream in case.streams:
         published = stream.link.from_cfs or stream.link.peers
         # Of packets without a time nothing tells whether their cFS ran on.
@@ -223,10 +235,14 @@ def topic_silent(case: Case) -> Iterator[Verdict]:
         dated &= id(stream) not in case.telemetry.untold
         told_of = stream.known_id in _EVENTS or stream.msg_id in told
         if published and dated and len(stream) >= _LEAST and not told_of:
-            yield from _silences(case, stream)
+            found += _silences(case, stream)
+    for members in _together(found):
+        causes = _causes(case, members)
+        if kept := members if causes else [item for item in members if _others_go_on(case, item, members)]:
+            yield _verdict(case, kept, causes)
 
 
-def _silences(case: Case, stream: Stream) -> Iterator[Verdict]:
+def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
     times = case.rows.time_ns[stream.rows]
     steps = np.diff(np.append(times, _ends(case, stream)))
     spans = case.known.spans(stream)
@@ -243,7 +259,51 @@ def _silences(case: Case, stream: Stream) -> Iterator[Verdict]:
         if not _explained(case, stream, start_ns, start_ns + length) and _alive(
             case, stream, start_ns, length
         ):
-            yield _verdict(case, stream, start_ns, until_ns, rate)
+            yield Silence(stream, start_ns, until_ns, start_ns + length, rate)
+
+
+def _together(found: Sequence[Silence]) -> Iterator[list[Silence]]:
+    """Yield those that fell silent at one time and came back at one time, or not."""
+    left = sorted(found, key=lambda item: item.start_ns)
+    while left:
+        first = left[0]
+
+        def alike(item: Silence, first: Silence = first) -> bool:
+            near = item.start_ns - first.start_ns < _NEAR_NS
+            back = abs(item.end_ns - first.end_ns) < _NEAR_NS
+            return near and back and (item.until_ns is None) == (first.until_ns is None)
+
+        yield [item for item in left if alike(item)]
+        left = [item for item in left if not alike(item)]
+
+
+def _causes(case: Case, members: Sequence[Silence]) -> list[str]:
+    """Return what was stopped just before they fell silent: a half sentence each."""
+    first, last = members[0].start_ns, members[-1].start_ns
+    return [
+        f"{item.app} was {'restarted' if item.restarted else 'stopped'} at {case.at(item.start_ns)}"
+        for item in case.outages
+        if item.start_ns - _NEAR_NS < last
+        and first < item.ended_ns + _NEAR_NS
+        and item.start_ns >= case.start_ns
+    ]
+
+
+def _others_go_on(case: Case, silence: Silence, members: Sequence[Silence]) -> bool:
+    """Tell whether others than these go on: where everything ends a silence says nothing.
+
+    Commands and topics do, and for a packet of cFS's own its others.
+    """
+    start_ns, end_ns = silence.start_ns, silence.end_ns
+    own = {id(item.stream) for item in members}
+    for other in case.streams:
+        of_cfs = other.known_id in MSG_ID_NAMES and other.route == NO_ROUTE
+        if id(other) not in own and (not of_cfs or silence.housekeeping):
+            times = case.rows.time_ns[other.rows]
+            later = (times > start_ns + (end_ns - start_ns) // 4) & (times < end_ns)
+            if int(later.sum()) > _FEW and (times <= start_ns).any():
+                return True
+    return False
 
 
 def _again(case: Case, stream: Stream, start_ns: int) -> int | None:
@@ -290,19 +350,18 @@ def _surely_silent(stream: Stream, before: NDArray[np.int64], length: int) -> bo
 
 def _explained(case: Case, stream: Stream, start_ns: int, end_ns: int) -> bool:
     """Tell whether something else tells of it: it was asked for, or what it is made from is silent too."""
-    for item in case.payloads.output:
-        when = int(case.rows.time_ns[item.row])
-        stops = item.function_code in telemetry_output.STOPS and item.msg_id in {-1, stream.msg_id}
-        if stops and start_ns - _NEAR_NS < when < end_ns:
-            return True
-    if any(item.start_ns < end_ns and (item.end_ns or end_ns) > start_ns for item in case.capture.outages):
+    system = case.known.system(stream) if stream.is_command else _system(case, stream)
+    name = case.network.identity_of.get
+    way = Way(stream.msg_id, stream.link, system, stream.is_command, name(stream.receiver, ""))
+    reasons = reasons_for(case.timeline, way, start_ns, end_ns, case.at)
+    spans = [item.span for item in reasons]
+    if stream.link.peers and stream.is_command:
+        sender = StateOwner("peer", name(stream.sender, ""))
+        for state in ("silent", "timed_out", "disconnected"):
+            spans += case.timeline.spans(sender, state, system)
+    closed = sum(max(0, min(item.end_hi, end_ns) - max(item.start_lo, start_ns)) for item in spans)
+    if 2 * closed > end_ns - start_ns or any(item.overlaps(start_ns, start_ns + _NEAR_NS) for item in spans):
         return True
-    network = case.network
-    if stream.link.peers and network.unsubscribed_within(stream.msg_id, start_ns - _NEAR_NS, end_ns):
-        return True
-    connection = network.crossing(stream.sender, stream.receiver) if stream.link.peers else None
-    if connection is not None and connection.broken_within(start_ns, end_ns):
-        return True  # cFS sends nothing to a peer that is away
     for hop in case.hops:
         if hop.out is stream:
             times = case.rows.time_ns[hop.into.rows]
@@ -312,6 +371,12 @@ def _explained(case: Case, stream: Stream, start_ns: int, end_ns: int) -> bool:
     sent = rows.time_ns[among(rows.link, lambda link: link.only_to_cfs)]
     onward = stream.link.peers and stream.counted and len(sent) > 0
     return onward and not ((sent > start_ns) & (sent < end_ns - _SLACK_NS)).any()
+
+
+def _system(case: Case, stream: Stream) -> int:
+    """Return the number of the cFS that sends a stream."""
+    owner = case.known.owner(stream)
+    return case.instances.systems[owner] if owner != NOBODY else 0
 
 
 def _alive(case: Case, stream: Stream, start_ns: int, length: int) -> bool:
@@ -327,40 +392,54 @@ def _hz(value: float, digits: int) -> str:
     return f"{value:,.0f} Hz" if value >= 10**digits else f"{value:.{digits}g} Hz"
 
 
-def _verdict(case: Case, stream: Stream, start_ns: int, until_ns: int | None, rate: Rate | None) -> Verdict:
-    end_ns = until_ns or _ends(case, stream)
-    seconds = (end_ns - start_ns) / SECOND
-    again = f"until {case.at(until_ns)}" if until_ns else "to the end"
+def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> Verdict:
+    first = members[0]
+    names = [case.name(item.stream.msg_id) for item in members]
+    rate = first.rate if len(members) == 1 else None
+    who = names[0] if len(names) == 1 else f"{len(names)} topics ({', '.join(names)})"
+    came = f" came at {_hz(rate.hz, 2)} and" if rate else ""
+    until = (
+        f", for {(first.end_ns - first.start_ns) / SECOND:.1f} s" if first.until_ns else " and came no more"
+    )
+    why = "; ".join(causes) if causes else "the capture cannot show why"
+    counted = all(item.stream.counted for item in members)
     evidence = [
-        "no sequence count is missing: it was not published meanwhile, or had no route"
-        if stream.counted
-        else "it has no sequence count: nothing tells how many were sent"
+        "no sequence count is missing: nothing was published meanwhile, or nobody asked for it"
+        if counted
+        else "no sequence count: nothing shows whether any were sent"
     ]
-    if rate is None:
-        estimated, came = None, ""
-        told = "it came irregularly before, so how many are missing cannot be estimated"
-    else:
-        estimated = max(1, int(seconds * rate.hz) - (until_ns is not None))
-        came = f" came at {_hz(rate.hz, 2)} and"
-        told = f"about {plural(estimated, 'message')} would have come at that rate"
-        evidence.append(
-            f"an estimate, in no figure of the balance: {_hz(rate.hz, 3)} from {case.at(rate.start_ns)} to "
-            f"{case.at(rate.end_ns)}, for {seconds:.1f} s of silence"
-        )
     evidence += [
-        item.witness for item in case.outages if start_ns - _NEAR_NS < item.start_ns < start_ns + 2 * _NEAR_NS
+        f"{name}: {_hz(item.rate.hz, 3)} from {case.at(item.rate.start_ns)} to {case.at(item.rate.end_ns)}"
+        for name, item in zip(names, members, strict=True)
+        if item.rate
     ]
+    evidence += [item.witness for item in case.outages if any(line.startswith(item.app) for line in causes)]
+    evidence += _sent_before(case, first.start_ns)
     return Verdict(
-        Severity.NOTE if rate is None else Severity.WARNING,
-        f"{case.name(stream.msg_id)}{came} is silent from {case.at(start_ns)} {again}, {seconds:.1f} s: "
-        f"{told}; whether its source, its robot or TO's table ended it is not observable from here",
-        msg_id=stream.msg_id,
-        link=stream.link.label,
+        Severity.NOTE if all(item.rate is None for item in members) else Severity.WARNING,
+        f"{who}{came} stopped at {case.at(first.start_ns)}{until}: {why}",
+        msg_id=first.stream.msg_id if len(members) == 1 else None,
+        link=first.stream.link.label,
         hop="source",
-        estimated=estimated,
-        span=(start_ns, end_ns),
+        span=(first.start_ns, max(item.end_ns for item in members)),
         evidence=tuple(evidence),
         remedy="look at the application's console and events; capture its SBN link or its input to see "
         "whether it still gets what it needs",
-        confidence="low",
+        confidence="medium" if causes else "low",
     )
+
+
+def _sent_before(case: Case, start_ns: int) -> Iterator[str]:
+    """Yield the commands just before a time that are no topic: one of them may have ended it."""
+    for stream in case.streams:
+        if (
+            stream.link.only_to_cfs
+            and stream.route == NO_ROUTE
+            and not case.rows.cdr_length[stream.rows].any()
+        ):
+            times = case.rows.time_ns[stream.rows]
+            near = stream.rows[(times > start_ns - _NEAR_NS) & (times < start_ns + _SLACK_NS)]
+            if len(near) and len(near) <= _FEW:
+                code = int(case.rows.function_code[near[-1]])
+                when = case.at(int(case.rows.time_ns[near[-1]]))
+                yield f"sent at {when}: a command on {case.name(stream.msg_id)}, function code {code}"

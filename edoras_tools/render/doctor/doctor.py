@@ -282,8 +282,6 @@ def _found(found: Diagnosis) -> str:
         rest += f", {found.superseded:,} superseded"
     if found.unaccounted:
         rest += f", {found.unaccounted:,} unaccounted for"
-    if found.estimated:
-        rest += f", about {found.estimated:,} more missing by an estimate"
     if found.lost:
         return f"Lost: {plural(found.lost, 'message')}{rest}."
     if found.worst >= Severity.SECURITY:

@@ -110,7 +110,7 @@ def _subscriptions(
         verb, state = ("UNSUB", "unsubscribed") if ended else ("SUB", "subscribed")
         for msg_id in payloads.contents[int(contents[place])].wanted:
             members = asked.setdefault(int(session[place]), set())
-            if (msg_id in members) == ended:
+            if ended or msg_id not in members:
                 (members.discard if ended else members.add)(msg_id)
                 subject = StateOwner("subscription", peer, msg_id)
                 begun = [item for item in begins if item.time_ns <= now]
