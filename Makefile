@@ -7,8 +7,8 @@ FUZZ_SECONDS ?= 60
 SOAK_SECONDS ?= 600
 SOAK_RATE ?= 1000
 # One more than the cores that the machine surely has: tests of live links wait.
-WORKERS := --numprocesses 3 --dist loadfile --no-loadscope-reorder
-# Python keeps what it compiled: else each worker takes three times as long to collect the tests.
+WORKERS := --workers 3
+# Python keeps what it compiled: else it takes three times as long to collect the tests.
 unexport PYTHONDONTWRITEBYTECODE
 QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis render addons/tui/data io/formats io/frames)
 SEARCHES := $(addprefix --ignore=tests/,$(addprefix diagnosis/,test_variants.py test_cuts.py test_truth.py) \

@@ -42,6 +42,8 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 with contextlib.suppress(OSError):
     enter()
 
+pytest_plugins = ["workers"]
+
 LIMIT_S = 600
 """What a test may take before it is taken to hang; none takes a thirtieth of it on an idle machine."""
 GRACE_S = 60
@@ -103,7 +105,6 @@ def pytest_runtest_protocol(item):
 
 @pytest.hookimpl(trylast=True)
 def pytest_unconfigure(config):
-    """End a session that threads keep from ending; a worker waits for the others, and is ended by xdist."""
+    """End a session that threads keep from ending."""
     config.stash[STDERR].close()
-    if not hasattr(config, "workerinput"):
-        faulthandler.dump_traceback_later(GRACE_S, exit=True, file=sys.__stderr__)
+    faulthandler.dump_traceback_later(GRACE_S, exit=True, file=sys.__stderr__)

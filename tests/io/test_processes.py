@@ -41,7 +41,7 @@ from edoras_tools.mission import Mission
 from edoras_tools.model import SourceStatistics
 from edoras_tools.pipelines.workbench import Settings
 
-# From Python 3.12 on forking beside threads, such as those of pytest-xdist, is warned of.
+# From Python 3.12 on forking beside threads, such as those of libraries that other tests use, is warned of.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 GONE = writer_killed("a.mcap")
 KILLED = "the process that wrote it was killed; `edoras recover"
