@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
@@ -67,12 +69,14 @@ def doctor(
     duration: options.Duration = None,
     jobs: options.Jobs = None,
     printing: options.PrintOptions,
+    verbose: Annotated[bool, "--verbose -v", f"{options.VERBOSE} All evidence, every hop and route."] = False,
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
     """Find what was lost or is wrong, where and why.
 
-    With -i it shows a table of verdicts that is updated live. Exit code 3: a loss or an error was found.
+    It prints one screen, one line with -q, all with -v. With -i it shows a table of verdicts that is updated
+    live. Exit code 3: a loss or an error was found.
     """
     from edoras_tools.pipelines.doctor.doctor import profile_with
 
@@ -87,7 +91,7 @@ def doctor(
     elif task.against is not None:
         _compare(settings, scope, given.paths, task.against, printing)
     else:
-        found = _examine(settings, profile, scope, given, duration or 0, printing, jobs or 0)
+        found = _examine(settings, profile, scope, given, duration or 0, printing, jobs or 0, verbose=verbose)
         reasons = [] if task.max_loss is None else found.beyond(task.max_loss)
         for reason in reasons:
             tell(reason)
@@ -127,6 +131,8 @@ def _examine(
     duration_ns: int,
     printing: options.PrintOptions,
     jobs: int,
+    *,
+    verbose: bool,
 ) -> Diagnosis:
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
     from edoras_tools.render.doctor.live import LiveVerdicts
@@ -145,9 +151,7 @@ def _examine(
     if json:
         print_json(findings.summary())
     elif source.statistics.datagrams:
-        from edoras_tools.render.doctor.doctor import diagnosis
-
-        print_view(lambda width: diagnosis(findings.diagnosis, source.info.name, width))
+        _print(findings.diagnosis, source.info.name, quiet=quiet, verbose=verbose)
     for warning in (*bench.mission.warnings, *findings.diagnosis.capture.warnings):
         tell(warning)
     if findings.failure is not None:
@@ -155,6 +159,21 @@ def _examine(
     if not live:
         no_datagrams(source)
     return findings.diagnosis
+
+
+def _print(found: Diagnosis, name: str, *, quiet: bool, verbose: bool) -> None:
+    """Print a line, a screen, or all."""
+    from edoras_tools.diagnosis.summary import summarize
+    from edoras_tools.render.doctor.doctor import diagnosis, screen
+
+    words = sys.argv[2:]
+    again = "" if not {"-", "-i", "--listen"}.isdisjoint(words) else shlex.join(words)
+    if quiet:
+        sys.stdout.write(f"{summarize(found).headline}\n")
+    elif verbose:
+        print_view(lambda width: diagnosis(found, name, width))
+    else:
+        print_view(lambda width: screen(found, width, again), is_whole=True)
 
 
 def _list_lost(

@@ -46,6 +46,10 @@ _OF_THE_CORE: Final = {
     "Try": ("samples", "help"),
 }
 """Each is a function, or a group of commands, in a module of the same name."""
+_OF_EDORAS: Final = frozenset(
+    {"", "-h", "--help", "--version", "--color", "--install-completion", "--show-completion"}
+)
+"""Options that may stand where a command does."""
 _INSTALLED: Final = "Installed"
 """Heading of the commands that other packages add."""
 
@@ -242,7 +246,7 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
         add_completion=completes or not names,
         pretty_exceptions_enable=False,
         context_settings=_SETTINGS,
-        epilog="Start with: edoras demo. All options of a command: edoras help COMMAND",
+        epilog="Start: edoras FILE, or edoras demo. All of a command: edoras help COMMAND",
     )
     made.callback()(lambda: None)
     for name in names or [*COMMANDS, *(item.name for item in doors.installed("commands"))]:
@@ -255,6 +259,22 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
         else:
             made.command(name, cls=Command, rich_help_panel=heading)(command)
     return made
+
+
+def with_command(words: list[str]) -> list[str]:
+    """Return a command line with its command: ``doctor`` where a file stands in its place, or none does.
+
+    Args:
+        words: what follows ``edoras``.
+    """
+    first = words[0] if words else ""
+    if first in _OF_EDORAS or is_command(first):
+        return words
+    if first.startswith("-") and first != "-":
+        is_file = any(Path(item).exists() for item in words[1:])
+    else:
+        is_file = first == "-" or "." in first or Path(first).exists()
+    return ["doctor", *words] if is_file else words
 
 
 def is_command(word: str) -> bool:

@@ -45,12 +45,16 @@ def write_csv(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         )
 
 
-def print_view(view: RenderableType | Callable[[int], RenderableType]) -> None:
-    """Print a view for people; one that depends on the width is made for that of the terminal."""
+def print_view(view: RenderableType | Callable[[int], RenderableType], *, is_whole: bool = False) -> None:
+    """Print a view for people; one that depends on the width is made for that of the terminal.
+
+    Args:
+        is_whole: its lines are broken already; what is longer is to be pasted, and stays in one piece.
+    """
     from edoras_tools.render.terminal.console import output_console
 
     console = output_console()
-    console.print(view(console.width) if callable(view) else view)
+    console.print(view(console.width) if callable(view) else view, soft_wrap=is_whole)
 
 
 def file_progress(names: Iterable[object], *, quiet: bool) -> FileProgress:

@@ -32,6 +32,8 @@ def _start(alone: str = "") -> NoReturn:
 
         line = os.environ.get("_TYPER_COMPLETE_ARGS") or os.environ.get("COMP_WORDS", "")
         completes = "_EDORAS_COMPLETE" in os.environ
+        if not alone and not completes:
+            sys.argv[1:] = main.with_command(sys.argv[1:])
         named = [item for item in (line.split() if completes else sys.argv)[1:2] if main.is_command(item)]
         made = main.alone(alone) if alone else main.program(*named, completes=completes)
     except ModuleNotFoundError:

@@ -191,25 +191,15 @@ class Headline:
     shared: int = 0
     instance: str | None = None
 
-    def __str__(self) -> str:
-        """Return it as ``12 of 60 /cmd_vel arrived, 40 superseded, 8 lost``."""
-        rest = [
-            f"{number:,} {name}"
-            for name, number in (
-                ("superseded", self.superseded),
-                ("lost", self.lost),
-                ("waiting", self.waiting),
-                ("not captured", self.not_captured),
-                ("unaccounted for", self.unaccounted),
-                ("uncertain", self.uncertain),
-                ("perhaps among losses of several", self.shared),
-            )
-            if number
-        ]
-        what = f"{self.topic} ({self.instance})" if self.instance else self.topic
-        if self.arrived is not None:
-            return ", ".join((f"{self.arrived:,} of {self.sent:,} {what} arrived", *rest))
-        return ", ".join((f"{self.sent:,} {what} sent", *(rest or ("none known to be lost",))))
+    @property
+    def missing(self) -> int:
+        """How many are proven lost, with or without a cause."""
+        return self.lost + self.unaccounted
+
+    @property
+    def name(self) -> str:
+        """The topic, and of which cFS where several have it."""
+        return f"{self.topic} ({self.instance})" if self.instance else self.topic
 
 
 def sent(rows: Iterable[Row]) -> int:

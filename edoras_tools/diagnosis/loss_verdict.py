@@ -52,4 +52,5 @@ def loss_verdict(
         evidence=(*(loss.evidence if evidence is None else evidence), *case.drops_text()),
         remedy=remedy,
         confidence=loss.confidence,
+        cause=loss.kind,
     )

@@ -57,6 +57,7 @@ class Verdict:
         remedy: what to change.
         confidence: ``high``: counted or said by cFS; ``medium``: follows from what was seen; ``low``: likely.
         rule: name of the rule that says so, as its page of documentation has it; ``judge`` fills it in.
+        cause: kind of the loss that it explains, as ``lost_by`` of the balance has it; empty otherwise.
     """
 
     severity: Severity
@@ -72,6 +73,7 @@ class Verdict:
     remedy: str = ""
     confidence: Confidence = "high"
     rule: str = ""
+    cause: str = ""
 
     @property
     def start_ns(self) -> int:

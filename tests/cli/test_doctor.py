@@ -38,7 +38,7 @@ def test_json_holds_to_its_schema_and_loss_to_its_exit_code(name, configured, ca
 @pytest.mark.parametrize("name", CAPTURES)
 def test_people_read_verdicts_first(name, call, captures, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
-    done = call("doctor", captures(name))
+    done = call("doctor", "-v", captures(name))
     assert max(map(len, done.out.splitlines())) <= 100
     marked = [line for line in done.out.splitlines() if line.startswith(("✗", "!", "·"))]
     assert all(re.match(r"[✗!·] \w+ ", line) for line in marked)
@@ -48,7 +48,7 @@ def test_people_read_verdicts_first(name, call, captures, monkeypatch):
 def test_many_verdicts_alike_are_one_entry(call, captures, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     told = call("doctor", captures("e_ci_errors"), "--json").json()["verdicts"]
-    out = call("doctor", captures("e_ci_errors")).out
+    out = call("doctor", "-v", captures("e_ci_errors")).out
     for severity, mark, lost in (("error", "✗", True), ("warning", "!", False)):
         alike = [item for item in told if (item["rule"], item["severity"]) == ("bad_command", severity)]
         assert len(alike) >= 4
@@ -64,23 +64,46 @@ def test_many_verdicts_alike_are_one_entry(call, captures, monkeypatch):
 
 def test_two_senders_of_one_msg_id_are_told_apart(call, captures, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
-    done = call("doctor", captures("d3_cpu1_cpu2"))
+    done = call("doctor", "-v", captures("d3_cpu1_cpu2"))
     rows = [line for line in done.out.splitlines() if line.startswith("TO    0x0800")]
     assert {re.search(r"66:\d :\d+", row)[0] for row in rows} == {
         f"66:{number} :{port}" for number in (1, 2) for port in (49211, 57839)
     }
-    assert done.out.endswith("Lost: 6,601 messages.\n")
-    alone = call("doctor", captures("a_rover"))
+    assert "\n6,601 messages were lost: " in done.out
+    alone = call("doctor", "-v", captures("a_rover"))
     assert "Sent by" not in alone.out
 
 
 def test_the_sentence_of_the_rover(call, captures):
-    done = call("doctor", captures("a_rover"))
+    done = call("doctor", "-v", captures("a_rover"))
     assert (
         "92 of 600 commands on 0x1827 lost at EDORAS_APP_PIPE: more than 4 of one MsgId waiting while "
         "CI delivers in 500 ms bursts"
     ) in done.out
-    assert "Lost: 92 messages." in done.out
+    assert "92 of 600 0x1827 were lost." in done.out
+
+
+def test_a_file_alone_is_diagnosed_and_quiet_is_line_1(call, captures, missions):
+    rover, mission = captures("a_rover"), missions("rover_ground")
+    line = "About 1 in 7 commands never arrived: 92 of 600 /cmd_vel were lost.\n"
+    screen = call("doctor", rover, *mission)
+    assert (screen.code, screen.out.startswith(line)) == (3, True)
+    for words in ([rover, *mission], [*mission, rover]):
+        assert call(*words).out.startswith(line)
+    assert call("-q", rover, *mission).out == call("doctor", "-q", rover, *mission).out == line
+    assert call("none.pcap").err == ["edoras: none.pcap: there is no such file; check the name"]
+    assert call("sniif", rover).code == 2
+    page = call("doctor", "--json", rover, *mission).json()["summary"]
+    assert page["headline"] == line.rstrip()
+    assert all(item in " ".join(screen.out.split()) for item in (page["problems"][0]["text"], page["fine"]))
+
+
+def test_the_last_line_of_the_screen_can_be_typed(call, captures, missions):
+    words = "-c", missions("rover_ground")[1], captures("a_rover")
+    more = call("doctor", *words).out.splitlines()[-1]
+    command = more.removeprefix("More: edoras ").partition(" | ")[0].split()
+    assert "Link  MsgId" in call(*command).out
+    assert "More:" not in call("doctor", "-v", *words).out
 
 
 def test_what_is_chosen_is_shown_and_the_rest_is_counted(call, captures, missions, tmp_path):
@@ -88,7 +111,7 @@ def test_what_is_chosen_is_shown_and_the_rest_is_counted(call, captures, mission
     options = *missions("rover_ground"), "--topic", "telemetry_pose"
     done = call("doctor", rover, *options)
     assert done.code == 0
-    assert "only topic=telemetry_pose is shown" in done.out
+    assert "Only topic=telemetry_pose is shown" in " ".join(done.out.split())
     assert "92 lost" in done.out
     assert "app_pipe_limit" not in done.out
     assert call("doctor", rover, "--json", *options).json()
@@ -169,10 +192,9 @@ def test_what_was_refused_is_listed_by_its_rule(call, captures):
 
 
 def test_the_headline_holds_all_that_is_lost_and_the_worst_comes_first(call, captures, missions, tmp_path):
-    done = call("doctor", captures("d3_cpu1_cpu2"), *missions("rover_ground"))
+    done = call("doctor", "-v", captures("d3_cpu1_cpu2"), *missions("rover_ground"))
     head = done.out.split("✗")[0]
-    assert "506 of 628 /telemetry_pose arrived, 122 lost" in head
-    assert "1,505 of 3,719 0x0828" in head
+    assert "6,601 messages were lost: 3,641 of 4,239 0x0828 (cFS 66:1), 2,214 of 3,719 0x0828" in head
     losses = [int(text.replace(",", "")) for text in re.findall(r"spans of time, ([\d,]+) of", done.out)]
     assert losses[0] == max(losses)
     assert "the worst: " in done.out

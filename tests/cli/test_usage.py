@@ -103,7 +103,7 @@ def test_commands_stand_in_their_groups(shown):
     column = max(map(len, main.GROUPS)) + 1
     groups, found = {}, None
     for line in lines[
-        : lines.index("Start with: edoras demo. All options of a command: edoras help COMMAND")
+        : lines.index("Start: edoras FILE, or edoras demo. All of a command: edoras help COMMAND")
     ]:
         heading, name = line[:column].strip(), line[column:].partition(" ")[0]
         found = (

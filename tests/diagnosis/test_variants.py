@@ -14,11 +14,12 @@ from places import MISSIONS, ROOT
 from rewriting import Udp, datagrams, write
 
 from edoras_tools.decode import Options
+from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import table
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.render.doctor.doctor import conclusion, limits
+from edoras_tools.render.doctor.doctor import limits
 
 TRUTH = {
     "a_rover": 92,
@@ -440,7 +441,7 @@ def test_a_port_that_is_not_named_is_said_first(tmp_path, link):
     assert found.bad
     assert (found.verdicts[0].rule, found.verdicts[0].remedy) == ("not_examined", remedy)
     assert limits(found)[0] == found.verdicts[0].reason
-    assert conclusion(found).startswith(f"Not all was examined: {found.verdicts[0].reason}.")
+    assert summarize(found).headline.startswith(f"Not all was examined: {found.verdicts[0].reason}.")
     assert sum(item.datagrams for item in found.unnamed) <= found.left_out
 
 

@@ -97,8 +97,7 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, told: Se
         of=sum(loss.of or 0 for loss in down) or None,
         span=span,
         evidence=(how, *told, *(line for loss in down for line in loss.evidence)),
-        remedy="commands sent in between reached nobody; enable Telemetry Output again: "
-        f"{case.inject(ENABLE_OUTPUT)}",
+        remedy=f"enable Telemetry Output again as soon as cFS runs: {case.inject(ENABLE_OUTPUT)}",
     )
 
 

@@ -344,9 +344,9 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
                 lost=loss.lost,
                 span=(loss.start_ns, loss.end_ns),
                 evidence=tuple(loss.evidence),
-                remedy=f"before the traffic starts: {case.inject(ENABLE_OUTPUT)}; "
-                f"{case.inject('evs-reset-filters', NAME)}; and capture CI, TO and SBN together: the "
-                "events then name MsgId, pipe and sender",
+                remedy="capture CI, TO and SBN together, and before the traffic starts let events name "
+                f"MsgId, pipe and sender: {case.inject(ENABLE_OUTPUT)}; "
+                f"{case.inject('evs-reset-filters', NAME)}",
                 confidence="low",
             )
 

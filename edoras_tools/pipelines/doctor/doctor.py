@@ -13,6 +13,7 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import Dissector
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
+from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.io.formats.cfe.contents import message_limits, network_peers
 from edoras_tools.io.formats.jsonl.writer import json_value
@@ -90,6 +91,7 @@ class Findings:
         """Return the findings in the shape of ``doctor --json``."""
         return {
             "source": self.source.info.name,
+            "summary": summarize(self.diagnosis).as_json(),
             **self.diagnosis.as_json(),
             "warnings": list(self.diagnosis.capture.warnings),
         }

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from rich.text import Text
 
 from edoras_tools.diagnosis.chains import PEER_TO_ROBOT, Chain
+from edoras_tools.diagnosis.summary import CAUSES
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import msg_id_text, route_text
 from edoras_tools.render.severity import Level
@@ -22,28 +23,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.examination import Diagnosis
 
-CAUSES: Final = {
-    "limit": "over a message limit",
-    "overflow": "pipe full",
-    "after": "behind cFS",
-    "unknown": "where is not known",
-    "network": "network before CI",
-    "socket": "CI's socket full",
-    "down": "cFS was down",
-    "restart": "CI was restarted",
-    "ci_stopped": "CI was stopped",
-    "stopped": "application stopped",
-    "away": "peer away",
-    "unsubscribed": "peer not subscribed",
-    "sbn_peer_restart": "peer restarted",
-    "sbn_socket": "SBN's socket full",
-    "to_socket": "Telemetry Output's socket failed",
-    "before_capture": "before the capture",
-    "given_up": "given up by its reader",
-    "proxy": "dropped on purpose by the proxy",
-    "host_drops": "socket full (kernel's counter)",
-}
-"""Text for the cause of a loss; other causes are rules, and are shown by their ids."""
 FIGURES: Final = {
     "in": "In",
     "duplicated": "Twice",
@@ -171,8 +150,3 @@ def _table(
         Column(last[0], lambda row: plain(last[1](row)), rank=2, justify="left"),
     ]
     return build(columns, rows, width, apart=apart)
-
-
-def balance_lines(found: Diagnosis) -> Sequence[str]:
-    """Return what happened to each route, one line each."""
-    return [str(item) for item in found.headlines]

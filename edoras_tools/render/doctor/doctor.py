@@ -1,7 +1,8 @@
-"""The doctor's result for people: verdicts with their evidence, then the figures behind them."""
+"""The doctor's result for people: one screen; then verdicts with their evidence, and the figures."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,6 +11,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import link_text, msg_id_text, route_text
@@ -17,14 +19,16 @@ from edoras_tools.render.doctor import balance
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import Column, build, figure, plain
+from edoras_tools.render.terminal.text import clean, wrap
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.diagnosis.accounting.budget import Budget
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.diagnosis.matching.comparison import CaptureComparison
+    from edoras_tools.diagnosis.summary import Problem
 
 _STYLES: Final = {
     Severity.ERROR: Level.ERROR,
@@ -32,8 +36,14 @@ _STYLES: Final = {
     Severity.SECURITY: Level.WARNING,
     Severity.NOTE: Level.NOTE,
 }
+_SCREEN: Final = 24
+"""Lines of the first screen."""
+_WIDEST: Final = 100
+_FULL: Final = 3
+"""So many problems are told in full."""
+_COUNT: Final = 7
+"""Columns of a figure in front of its problem."""
 _MOST_SPANS: Final = 24
-_MOST_LINES: Final = 12
 _ALIKE: Final = 4
 """So many verdicts of one rule, or more, are one entry with a line each."""
 _MANY_ERRORS: Final = 12
@@ -46,15 +56,73 @@ _STATES: Final = {
 }
 
 
+def screen(found: Diagnosis, width: int, words: str = "", lines: int = _SCREEN) -> RenderableType:
+    """Return what a person reads first, on one screen.
+
+    Args:
+        width: columns.
+        words: what follows the command's name to examine the same again; empty where that cannot be done.
+        lines: the most that it may take, where fewer problems than three make that possible.
+    """
+    summary, width = summarize(found), min(width, _WIDEST)
+    head = _wrapped(plain(summary.headline, f"{_style(found)} {palette.STRONG}".strip()), width)
+    notes = plural(summary.notes, "note") + "." if summary.notes else ""
+    tail = [plain(item) for item in (" ".join(filter(None, (summary.fine, notes))), *_chosen(found)) if item]
+    more = f"More: edoras doctor -v {words}"
+    if len(f"{more} | edoras report {words}") <= width:
+        more += f" | edoras report {words}"
+    for full in range(_FULL, 0, -1):
+        body = [line for item in _shared(summary.problems[:full]) for line in _problem(*item, width, words)]
+        rest = summary.rest(full)
+        below = [line for item in ([plain(rest)] if rest else []) + tail for line in _wrapped(item, width)]
+        if len(head) + len(body) + len(below) + bool(words) <= lines:
+            break
+    end = [Text(more, palette.DIM)] if words else []
+    return Group(*head, *body, *below, *end)
+
+
+def _shared(problems: Sequence[Problem]) -> Iterator[tuple[Problem, bool]]:
+    """Yield problems, and whether their remedy is told: of several with the same, with the last of them."""
+    for place, item in enumerate(problems):
+        yield item, bool(item.remedy) and item.remedy not in {other.remedy for other in problems[place + 1 :]}
+
+
+def _problem(item: Problem, remedied: bool, width: int, words: str) -> list[Text]:
+    """Return the lines of a problem: how many in front, then what, where and why, then what to do.
+
+    Args:
+        remedied: whether what to do is told here.
+        words: as ``screen`` takes them.
+    """
+    grade = _STYLES[item.severity]
+    start = units.count(item.lost) if item.lost else grade.mark
+    found = _hanging(plain(f"{start:>{_COUNT}}", grade.style), item.text, width)
+    if remedied:
+        first, *commands = re.split(r"\s+(?=edoras [a-z])", item.remedy)
+        found += _hanging(Text("  do", palette.GOOD), first.rstrip(), width)
+        if words:
+            commands += [f"edoras doctor {option} {words}" for option in re.findall(r"--port \S+", first)]
+        for line in commands:
+            text = clean(f"{'':{_COUNT + 2}}{line.rstrip('; ')}")
+            found.append(Text(text, palette.STRONG))
+    return found
+
+
+def _hanging(start: Text, text: str, width: int) -> list[Text]:
+    """Return a text behind its label; the lines that follow the first hang below it."""
+    lines = wrap(clean(text), width - _COUNT - 2)
+    first = Text.assemble(start, " " * (_COUNT + 2 - start.cell_len), lines[0])
+    return [first, *(Text(f"{'':{_COUNT + 2}}{line}") for line in lines[1:])]
+
+
+def _wrapped(text: Text, width: int) -> list[Text]:
+    return [Text(line, text.style) for line in wrap(text.plain, width)]
+
+
 def diagnosis(found: Diagnosis, name: str, width: int) -> RenderableType:
-    """Return the whole view: verdicts first."""
+    """Return the whole view: the first screen, then verdicts with their evidence, then tables."""
     parts: list[RenderableType] = [_head(found, name), *(plain(line) for line in limits(found)), Text()]
-    told = balance.balance_lines(found)
-    parts += [plain(line, palette.STRONG) for line in told[:_MOST_LINES]]
-    if len(told) > _MOST_LINES:
-        parts.append(Text(f"... {len(told) - _MOST_LINES} more routes, in the table below", palette.DIM))
-    if told:
-        parts.append(Text())
+    parts += [screen(found, width), Text()]
     for several in alike(group_verdicts(found.verdicts)):
         if len(several) >= (_MANY_ERRORS if several[0][0].severity is Severity.ERROR else _ALIKE):
             parts += [_alike(found, [item for group in several for item in group]), Text()]
@@ -67,15 +135,12 @@ def diagnosis(found: Diagnosis, name: str, width: int) -> RenderableType:
     if found.peers:
         parts += [_peers(found), Text()]
     if found.habits:
-        parts.append(
-            Text("Habits of these senders; nothing is wrong with this link for them", palette.STRONG)
-        )
+        parts.append(Text("Normal for these senders", palette.STRONG))
         parts += [
             Padding(Text(item.reason, palette.DIM), (0, 0, 0, 2), expand=False) for item in found.habits
         ]
         parts.append(Text())
-    parts.append(_conclusion(found))
-    return Group(*parts)
+    return Group(*parts[:-1])
 
 
 def _head(found: Diagnosis, name: str) -> Text:
@@ -90,10 +155,13 @@ def limits(found: Diagnosis) -> list[str]:
     """Return what was outside the chosen time, and what is not shown, one line each."""
     lines = [item.told for item in found.unnamed]
     if other := found.left_out - found.capture.cut - sum(item.datagrams for item in found.unnamed):
-        lines.append(
-            f"{plural(other, 'datagram')} not examined: states that a robot sends, or traffic of another "
-            "link or of none"
-        )
+        lines.append(f"{plural(other, 'datagram')} skipped: robot states, or of no known link")
+    return [*lines, *_chosen(found)]
+
+
+def _chosen(found: Diagnosis) -> list[str]:
+    """Return what of the capture is neither examined nor shown because it was not chosen."""
+    lines = []
     if found.capture.cut:
         lines.append(
             f"{plural(found.capture.cut, 'datagram')} outside the chosen time not examined; what began "
@@ -101,7 +169,7 @@ def limits(found: Diagnosis) -> list[str]:
         )
     if found.choice and (rest := found.not_shown):
         lines.append(
-            f"only {found.choice.text} is shown, counted from all traffic; not shown: "
+            f"Only {found.choice.text} is shown, counted from all traffic; not shown: "
             f"{plural(rest['verdicts'], 'verdict')}, {plural(rest['routes'], 'route')} "
             f"with {rest['lost']:,} lost"
         )
@@ -244,50 +312,11 @@ def _peers(found: Diagnosis) -> Table:
     return table
 
 
-def _conclusion(found: Diagnosis) -> Text:
-    end = conclusion(found)
+def _style(found: Diagnosis) -> str:
+    """Return the style of the headline."""
     if found.lost or found.unaccounted or found.worst is Severity.ERROR:
-        style = Level.ERROR.style
-    elif not found.datagrams or found.worst >= Severity.WARNING:
-        style = Level.WARNING.style
-    else:
-        style = "green"
-    return Text(end, style)
-
-
-def conclusion(found: Diagnosis) -> str:
-    """Return the last line: what is lost, superseded and not accounted for, or that nothing is wrong.
-
-    What looks like a link's traffic and was not examined is said first: nothing is known of it.
-    """
-    if found.unnamed:
-        told = "; ".join(item.told for item in found.unnamed)
-        return f"Not all was examined: {told}. {_of_the_rest(found)}"
-    if not found.datagrams:
-        where = "in the chosen time" if found.capture.cut else "here"
-        return f"No cFS {where}: nothing of CI, TO or SBN was examined."
-    return _found(found)
-
-
-def _of_the_rest(found: Diagnosis) -> str:
-    if not found.datagrams:
-        return "Nothing else of CI, TO or SBN is here."
-    told = _found(found)
-    return f"In the rest: {told[0].lower()}{told[1:]}"
-
-
-def _found(found: Diagnosis) -> str:
-    rest = ""
-    if found.superseded:
-        rest += f", {found.superseded:,} superseded"
-    if found.unaccounted:
-        rest += f", {found.unaccounted:,} unaccounted for"
-    if found.lost:
-        return f"Lost: {plural(found.lost, 'message')}{rest}."
-    if found.worst >= Severity.SECURITY:
-        return f"No loss found{rest}; see the verdicts above."
-    of = " with what is shown" if found.choice else ""
-    return f"No loss{rest}, nothing wrong{of}." if found.superseded else f"No loss, nothing wrong{of}."
+        return Level.ERROR.style
+    return Level.WARNING.style if not found.datagrams or found.worst >= Severity.WARNING else palette.GOOD
 
 
 def verdict_table(found: Diagnosis, title: str, height: int) -> RenderableType:
@@ -309,7 +338,8 @@ def verdict_table(found: Diagnosis, title: str, height: int) -> RenderableType:
         of = units.count(item.of) if item.of is not None else ""
         table.add_row(Text(grade.mark, grade.style), lost, of, since, plain(item.reason))
     quiet = Text("nothing wrong so far", "green")
-    return Group(_head(found, title), table if merged else quiet, _conclusion(found))
+    total = plain(summarize(found).headline, _style(found))
+    return Group(_head(found, title), table if merged else quiet, total)
 
 
 def merge_spans(verdicts: Sequence[Verdict]) -> list[Verdict]:

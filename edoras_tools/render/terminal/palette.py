@@ -15,6 +15,7 @@ from rich.style import Style
 
 DIM: Final = "dim"
 STRONG: Final = "bold"
+GOOD: Final = "green"
 CHOSEN: Final = "reverse"
 """Bytes that the user points at."""
 

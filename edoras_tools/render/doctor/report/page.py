@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.balance import Row, summed
 from edoras_tools.diagnosis.plots import Plots, plots
+from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
 from edoras_tools.render import units
 from edoras_tools.render.doctor import balance
-from edoras_tools.render.doctor.doctor import clean_to, conclusion, limits, told_of
+from edoras_tools.render.doctor.doctor import clean_to, limits, told_of
 from edoras_tools.render.doctor.report import charts
 from edoras_tools.render.doctor.report.parts import (
     Made,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.examination import Diagnosis
 
 _MOST_CHARTS: Final = 24
+_MOST_PROBLEMS: Final = 3
 _MOST_VERDICTS: Final = 200
 _ALIKE: Final = 4
 """Verdicts of one rule from here on share a table."""
@@ -56,8 +58,13 @@ def _head(found: Diagnosis, name: str) -> str:
     )
     bad = found.lost or found.unaccounted or found.worst is Severity.ERROR
     style = "lost" if bad else "fine" if found.datagrams and found.worst < Severity.WARNING else ""
-    told = "<br>".join(escape(line) for line in balance.balance_lines(found)[:_MOST_CHARTS])
-    end = f'<p>{told}</p><p class="end-note {style}">{escape(conclusion(found))}</p>'
+    summary = summarize(found)
+    end = f'<p class="end-note {style}">{escape(summary.headline)}</p><ul>'
+    for item in summary.problems[:_MOST_PROBLEMS]:
+        count = f"<strong>{item.lost:,}</strong> " if item.lost else ""
+        remedy = f'<p class="remedy">{escape(item.remedy)}</p>' if item.remedy else ""
+        end += f"<li>{count}{escape(item.text)}{remedy}</li>"
+    end += f"</ul><p>{escape(f'{summary.rest(_MOST_PROBLEMS)} {summary.fine}'.strip())}</p>"
     line = "".join(
         f'<p class="dim">{escape(text)}</p>'
         for text in (f"{plural(found.datagrams, 'datagram')}{when}", *limits(found))

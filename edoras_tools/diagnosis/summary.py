@@ -1,0 +1,379 @@
+"""What a person reads first: how much was lost, by what, what to do about it, and what is fine.
+
+Rules:
+
+1. Every figure is one of the balance: nothing is counted here.
+2. Losses of one cause at one place are one problem; over a message limit it is one for each MsgId, because
+   each has a cure of its own.
+3. A problem has the sentence and the remedy of the verdict that explains it, or of the queue that it is at.
+4. What was not examined comes first, then what was lost, then other errors, then warnings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.diagnosis.balance import RESTARTED, UNHEARD, Row, not_counted, sent
+from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, Verdict, alike, group_verdicts
+from edoras_tools.units import SECOND
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from edoras_tools.diagnosis.examination import Diagnosis
+
+CAUSES: Final = {
+    "limit": "over a message limit",
+    "overflow": "at a full pipe",
+    "after": "between cFS and the capture",
+    "unknown": "at a place that the capture does not show",
+    "network": "on the network before CI",
+    "socket": "at CI's full socket",
+    "down": "while cFS was down",
+    "restart": "while CI was restarted",
+    "ci_stopped": "while CI was stopped",
+    "stopped": "while the application was stopped",
+    "away": "while the SBN peer was away",
+    "unsubscribed": "to an SBN peer that did not subscribe",
+    RESTARTED: "sent to an SBN peer that restarted",
+    UNHEARD: "sent to a silent SBN peer",
+    "sbn_socket": "at SBN's full socket",
+    "to_socket": "at Telemetry Output's failed socket",
+    "before_capture": "before the capture",
+    "given_up": "given up by their reader",
+    "proxy": "dropped on purpose by the proxy",
+    "host_drops": "at a full socket (kernel's counter)",
+    "unaccounted": "in cFS, for a cause that the capture does not show",
+}
+"""Where or why messages were lost; other causes are rules, whose verdicts tell."""
+_RULES: Final = {
+    "limit": ("unattributed_loss", "to_stopped"),
+    "overflow": ("unattributed_loss", "to_stopped"),
+    "after": ("lost_after_cfs",),
+    "unknown": ("unexplained_gap", "unattributed_loss"),
+    "down": ("cfs_restart",),
+    "before_capture": ("dds_lost",),
+    "given_up": ("dds_lost",),
+    "proxy": ("proxy_faults",),
+    "unaccounted": ("crossing_loss", "lost_before_ci", "unexplained_gap", UNHEARD),
+}
+"""The rules that explain a cause where no verdict names it; of others it is the rule of that name."""
+_AT_QUEUES: Final = frozenset({"limit", "overflow", "socket"})
+"""The verdict says what its queue takes."""
+_NAMES: Final = 2
+"""So many topics are named."""
+_MOMENT_S: Final = 0.1
+_SHARES: Final = ((1.0, "All"), (0.5, "Over half of the"), (0.4, "Nearly half of the"))
+_RARE: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong.
+
+    Attributes:
+        lost: messages lost by it; None where it is no loss, or nothing counted one.
+        text: what, where and why.
+        remedy: what to do, lines to paste included; empty where nothing helps.
+        severity: how much it matters.
+        verdicts: what explains it, the worst first; may be empty.
+    """
+
+    lost: int | None
+    text: str
+    remedy: str
+    severity: Severity
+    verdicts: tuple[Verdict, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``doctor --json``."""
+        return {
+            "lost": self.lost,
+            "text": self.text,
+            "remedy": self.remedy or None,
+            "severity": self.severity.label,
+            "rules": list(dict.fromkeys(item.rule for item in self.verdicts)),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What a person reads first.
+
+    Attributes:
+        headline: the total.
+        problems: the worst first.
+        fine: what arrived whole, and what nothing here can count; empty where nothing is examined.
+        notes: how many notes there are.
+    """
+
+    headline: str
+    problems: tuple[Problem, ...]
+    fine: str
+    notes: int
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``doctor --json``."""
+        return {
+            "headline": self.headline,
+            "problems": [item.as_json() for item in self.problems],
+            "fine": self.fine or None,
+            "notes": self.notes,
+        }
+
+    def rest(self, first: int) -> str:
+        """Return all problems but the first ones, in a line; empty where there are no others."""
+        others = self.problems[first:]
+        losses = [item.lost for item in others if item.lost]
+        parts = [f"{sum(losses):,} lost in {plural(len(losses), 'other way')}"] if losses else []
+        parts += _counts([item for item in others if not item.lost], "other ")
+        return f"Also {', '.join(parts)}." if parts else ""
+
+
+def summarize(found: Diagnosis) -> Summary:
+    """Return what a person reads first of a diagnosis."""
+    losses, used = _losses(found)
+    others = [item for item in found.verdicts if id(item) not in used and item.severity >= Severity.WARNING]
+    apart = [_apart(members) for members in alike(group_verdicts(others))]
+    first = [
+        item for item in apart if item.severity is Severity.ERROR and item.verdicts[0].rule in CAPTURE_RULES
+    ]
+    problems = [*first, *losses, *(item for item in apart if item not in first)]
+    notes = sum(item.severity < Severity.WARNING for item in found.verdicts)
+    headline, fine = _headline(found, problems), _fine(found)
+    if fine and not (problems or found.uncertain):
+        headline, fine = f"{headline.removesuffix('.')}: {fine[0].lower()}{fine[1:]}", ""
+    return Summary(headline, tuple(problems), fine, notes)
+
+
+def _apart(groups: Sequence[Sequence[Verdict]]) -> Problem:
+    """Return what one rule says of anything but a loss."""
+    every = [item for members in groups for item in members]
+    worst = every[0]
+    return Problem(None, _more(worst.reason, every), _useful(worst.remedy), worst.severity, tuple(every))
+
+
+def _useful(remedy: str) -> str:
+    return "" if remedy.startswith("none") else remedy
+
+
+def _losses(found: Diagnosis) -> tuple[list[Problem], set[int]]:
+    """Return what was lost, the worst first; and the ids of the verdicts that tell of it."""
+    groups: dict[tuple[Any, ...], list[tuple[Row, int]]] = {}
+    verdicts: dict[tuple[Any, ...], list[Verdict]] = {}
+    for row in found.balance:
+        parts = {**row.lost, "unaccounted": row.unaccounted}
+        for cause, number in parts.items():
+            if not number:
+                continue
+            own = _explaining(found.verdicts, cause, row)
+            by_msg_id = cause == "limit" and any(item.msg_id is not None for item in own)
+            key = cause, row.hop, row.instance, found.topics.get(row.route, row.msg_id) if by_msg_id else None
+            groups.setdefault(key, []).append((row, number))
+            verdicts.setdefault(key, []).extend(own)
+    alone = len({(row.route, row.link, row.msg_id) for members in groups.values() for row, _ in members}) == 1
+    problems = []
+    for key, members in groups.items():
+        own = sorted({id(item): item for item in verdicts[key]}.values(), key=lambda item: -(item.lost or 0))
+        problems.append(_problem(found, key[0], members, own, alone=alone))
+    problems.sort(key=lambda item: -(item.lost or 0))
+    return problems, {id(item) for members in verdicts.values() for item in members}
+
+
+def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdict]:
+    """Return the verdicts that explain a cause at a row: those of its MsgId, if there are such."""
+    rules = _RULES.get(cause, (cause,))
+    own = [
+        item
+        for item in verdicts
+        if (item.cause == cause if item.cause else item.rule in rules)
+        and item.msg_id in {None, row.msg_id}
+        and (item.lost is None) == (cause == "unaccounted")
+        and (row.hop == item.hop or not row.hop.startswith("SBN"))
+    ]
+    return [item for item in own if item.msg_id is not None] or own
+
+
+def _problem(
+    found: Diagnosis,
+    cause: str,
+    members: Sequence[tuple[Row, int]],
+    own: Sequence[Verdict],
+    *,
+    alone: bool,
+) -> Problem:
+    """Return what one cause lost at one place.
+
+    Args:
+        members: rows of the balance, each with how many of them.
+        own: the verdicts that explain it, the worst first.
+        alone: whether nothing else was lost of any other route, so that the headline names it.
+    """
+    rows, lost = [row for row, _ in members], sum(number for _, number in members)
+    remedy = _useful(own[0].remedy) if own else ""
+    if cause not in CAUSES:
+        text = _more(own[0].reason, own) if own else cause.replace("_", " ")
+        text = text.removeprefix(f"{lost:,} ")
+    else:
+        of = sent_of(found, rows)
+        unseen = of < lost or not rows[0].link
+        about = f"{'' if unseen else f'of {of:,} '}{_names(found, rows)} "
+        text = f"{'' if alone else about}{_place(cause, rows, own)}{_when(found, own)}"
+        if cause in _AT_QUEUES and own:
+            text += f": {own[0].reason.rpartition(': ')[2]}"
+    return Problem(lost, text, remedy, Severity.ERROR, tuple(own))
+
+
+def _more(reason: str, own: Sequence[Verdict]) -> str:
+    return reason if len(own) == 1 else f"{reason} (and {len(own) - 1:,} more of this kind)"
+
+
+def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
+    """Return where it was, with the name of the pipe, application or peer."""
+    hop = next((item.hop for item in own if item.hop), rows[0].hop)
+    if cause == "limit" and own:
+        return f"at {hop}"
+    if cause in {"limit", "overflow"}:
+        return f"{CAUSES[cause]}, {hop}"
+    return (
+        CAUSES[cause]
+        .replace("the application", hop)
+        .replace("a silent SBN peer", f"{hop} while it was silent")
+    )
+
+
+def _when(found: Diagnosis, own: Sequence[Verdict]) -> str:
+    """Return from when to when, where that is not most of the capture."""
+    if not own:
+        return ""
+    start_ns, end_ns = min(item.start_ns for item in own), max(item.end_ns for item in own)
+    if (end_ns - start_ns) * 2 > found.end_ns - found.start_ns:
+        return ""
+    start, end = ((time_ns - found.zero_ns) / SECOND for time_ns in (start_ns, end_ns))
+    return f", at {start:.1f} s" if end - start < _MOMENT_S else f", {start:.1f} to {end:.1f} s"
+
+
+def sent_of(found: Diagnosis, rows: Iterable[Row]) -> int:
+    """Return how many messages of the routes of some rows were sent."""
+    keys = {_route(row) for row in rows}
+    return sent(row for row in found.balance if _route(row) in keys)
+
+
+def _route(row: Row) -> tuple[Any, ...]:
+    return row.route, row.link, row.msg_id, row.instance, row.topic
+
+
+def _name(found: Diagnosis, row: Row) -> str:
+    unnamed = "of an unknown MsgId" if row.msg_id is None else f"0x{row.msg_id:04x}"
+    return found.topics.get(row.route) or row.topic or row.name or unnamed
+
+
+def _names(found: Diagnosis, rows: Iterable[Row]) -> str:
+    names = list(dict.fromkeys(_name(found, row) for row in rows))
+    return " and ".join(names) if len(names) <= _NAMES else f"messages of {len(names)} MsgIds"
+
+
+def _headline(found: Diagnosis, problems: Sequence[Problem]) -> str:
+    if found.unnamed:
+        unexamined = "; ".join(item.told for item in found.unnamed)
+        if not found.datagrams:
+            return f"Not all was examined: {unexamined}. Nothing else of CI, TO or SBN is here."
+        rest = _total(found, problems)
+        return f"Not all was examined: {unexamined}. In the rest: {rest[0].lower()}{rest[1:]}"
+    if not found.datagrams:
+        where = "in the chosen time" if found.capture.cut else "here"
+        return f"No cFS {where}: nothing of CI, TO or SBN was examined."
+    return _total(found, problems)
+
+
+def _total(found: Diagnosis, problems: Sequence[Problem]) -> str:
+    proven = found.lost + found.unaccounted
+    more = found.uncertain
+    doubt = f" Up to {more:,} more may be lost." if more else ""
+    if proven:
+        return f"{_lost(found, proven)}{doubt}"
+    counts = _counts(item for item in problems if item.verdicts[0].rule != "not_examined")
+    but = f", but {' and '.join(counts)}:" if counts else "."
+    of = " with what is shown" if found.choice else ""
+    return f"No loss found{of}{but}{doubt}"
+
+
+def _counts(problems: Iterable[Problem], kind: str = "") -> list[str]:
+    """Return how many errors and warnings there are, as ``2 errors``."""
+    graves = [item.severity for item in problems]
+    return [
+        plural(graves.count(severity), f"{kind}{severity.label}")
+        for severity in (Severity.ERROR, Severity.WARNING)
+        if severity in graves
+    ]
+
+
+def _lost(found: Diagnosis, proven: int) -> str:
+    """Return the sentence of what was lost: of one route, or of all together."""
+    rows = [row for row in found.balance if row.all_lost or row.unaccounted]
+    noun, were = "commands" if all(row.link == "ci" for row in rows) else "messages", "were"
+    if proven == 1:
+        noun, were = noun.removesuffix("s"), "was"
+    routes, of = {_route(row) for row in rows}, sent_of(found, rows)
+    if len(routes) == 1 and rows[0].link and of > 1:
+        whole = all(cause in CAUSES for row in rows for cause in row.lost)
+        arrived = "never arrived" if whole else "never arrived whole"
+        name = _name(found, rows[0])
+        return f"{_share(proven, of, noun)} {arrived}: {proven:,} of {of:,} {name} {were} lost."
+    lines = sorted(found.headlines, key=lambda item: -item.missing)
+    lines = [item for item in lines if item.missing]
+    if len(lines) < len(routes) or len(lines) > _NAMES + 1:
+        del lines[_NAMES:]
+    parts = [f"{item.missing:,} of {item.sent:,} {item.name}" for item in lines]
+    if lines and (other := len(routes) - len(lines)):
+        rest = proven - sum(item.missing for item in lines)
+        parts.append(f"{rest:,} of {plural(other, 'other MsgId')}")
+    return f"{proven:,} {noun} {were} lost: {', '.join(parts) or _names(found, rows)}."
+
+
+def _share(part: int, of: int, noun: str) -> str:
+    """Return a share in words."""
+    share = part / of
+    if part == 1:
+        return f"One {noun}"
+    for least, words in _SHARES:
+        if share >= least:
+            return f"{words} {noun}"
+    return f"About 1 in {round(1 / share)} {noun}" if share >= _RARE else f"A few {noun}"
+
+
+def _fine(found: Diagnosis) -> str:
+    """Return what became of all that is in no problem, in a line."""
+    routes: dict[tuple[Any, ...], list[Row]] = {}
+    for row in found.balance:
+        if row.came and (row.topic or row.msg_id is not None):
+            routes.setdefault(_route(row), []).append(row)
+    fates: dict[str, list[list[Row]]] = {}
+    for rows in routes.values():
+        fates.setdefault(_fate(rows), []).append(rows)
+    arrived, unseen = fates.get("arrived", ()), fates.get("unseen", ())
+    sums = plural(sum(sent(rows) for rows in arrived), "message")
+    open_ended = sum(row.waiting + row.not_captured + row.shared for row in found.balance)
+    parts = []
+    if arrived and not open_ended and fates.keys() <= {"arrived", "lost"}:
+        parts.append("All else arrived." if "lost" in fates else f"All {sums} arrived.")
+    elif arrived:
+        parts.append(f"{sums} on {plural(len(arrived), 'route')} arrived.")
+    if found.superseded:
+        parts.append(f"{found.superseded:,} gave way to newer ones, as the application does.")
+    if unseen:
+        parts.append(f"Nothing here counts losses of {_names(found, [rows[0] for rows in unseen])}.")
+    if open_ended:
+        parts.append(f"{plural(open_ended, 'message')} could not be followed.")
+    return " ".join(parts)
+
+
+def _fate(rows: Sequence[Row]) -> str:
+    """Return what became of the messages of a route, in a word."""
+    if any(row.all_lost or row.unaccounted for row in rows):
+        return "lost"
+    if any(row.out != row.came + row.duplicated for row in rows):
+        return "open"
+    return "unseen" if not_counted(rows) else "arrived"

@@ -1,0 +1,96 @@
+"""The first screen: true to the balance, on one screen for every capture, in plain words."""
+
+from functools import cache
+
+import pytest
+from places import ROOT
+from rich.console import Console
+
+from edoras_tools.diagnosis.summary import summarize
+from edoras_tools.render.doctor.doctor import screen
+
+FOLDER = ROOT / "tests/captures"
+CAPTURES = [path.name.removesuffix(".pcap.zst") for path in sorted(FOLDER.rglob("*.pcap.zst"))]
+FIRST = {
+    "a_rover": "About 1 in 7 commands never arrived: 92 of 600 0x1827 were lost.",
+    "b_arm_single": "No loss found: all 688 messages arrived.",
+    "c4_cmd_rate": "Over half of the commands never arrived: 1,793 of 3,080 0x1827 were lost.",
+    "e2_ci_nosubs": "32 commands were lost: 22 of 40 0x1827, 10 of 10 0x18ee.",
+    "n11_jointstate_sizes": "Nearly half of the messages never arrived whole: 32 of 76 0x0828 were lost.",
+    "n8_time_jumps": "No loss found, but 1 warning:",
+    "q07_uplink_dup_loss_reorder_ground": "Not all was examined: 281 datagrams on port 5234 look like CI "
+    "traffic and were left out. In the rest: 37 messages were lost: 0x1827.",
+}
+
+
+@pytest.fixture(scope="module")
+def diagnosed(lab):
+    """A function: the diagnosis of a capture, made once."""
+
+    @cache
+    def diagnosis(name):
+        (path,) = FOLDER.rglob(f"{name}.pcap.zst")
+        return lab.read(path)
+
+    return diagnosis
+
+
+def lines(found, width, words=""):
+    console = Console(width=width, color_system=None)
+    with console.capture() as shown:
+        console.print(screen(found, width, words), soft_wrap=True)
+    return shown.get().splitlines()
+
+
+@pytest.mark.parametrize("name", CAPTURES)
+def test_the_first_screen_is_true_and_fits(name, diagnosed):
+    found = diagnosed(name)
+    summary = summarize(found)
+    assert sum(item.lost or 0 for item in summary.problems) == found.lost + found.unaccounted
+    proven = f"{found.lost + found.unaccounted:,}"
+    assert (proven in summary.headline or proven == "1") == bool(found.lost + found.unaccounted)
+    assert ("No loss found" in summary.headline.replace("no loss", "No loss")) != bool(
+        found.lost + found.unaccounted
+    ) or not found.datagrams
+    counts = [item.lost for item in summary.problems if item.lost]
+    assert counts == sorted(counts, reverse=True)
+    for width in (80, 120):
+        shown = lines(found, width, f"{name}.pcap")
+        assert len(shown) <= 24
+        assert shown[-1].startswith(f"More: edoras doctor -v {name}.pcap")
+        assert max(len(line) for line in shown if "edoras" not in line) <= width
+        # What can be pasted stands on a line of its own, and whole.
+        assert [
+            line for line in shown[:-1] if "edoras " in line and not line.strip().startswith("edoras ")
+        ] == []
+
+
+@pytest.mark.parametrize("name", FIRST)
+def test_line_1_says_the_total(name, diagnosed):
+    assert summarize(diagnosed(name)).headline == FIRST[name]
+
+
+def test_all_that_is_told_of_a_loss_is_told_once(diagnosed):
+    for name in CAPTURES:
+        summary = summarize(diagnosed(name))
+        told = [id(verdict) for item in summary.problems if not item.lost for verdict in item.verdicts]
+        assert len(told) == len(set(told))
+        explained = {id(verdict) for item in summary.problems if item.lost for verdict in item.verdicts}
+        assert explained.isdisjoint(told)
+
+
+def test_a_remedy_of_several_problems_is_said_once(diagnosed):
+    shown = "\n".join(lines(diagnosed("n5_app_restarts"), 80))
+    assert shown.count("send nothing while an application is restarted") == 1
+
+
+def test_a_small_screen_has_the_worst_problem_and_counts_the_others(diagnosed):
+    found = diagnosed("d3_cpu1_cpu2")
+    console = Console(width=80, color_system=None)
+    with console.capture() as shown:
+        console.print(screen(found, 80, lines=14))
+    text = shown.get()
+    assert len(text.splitlines()) <= 14
+    assert "  3,641  of 4,239 0x0828 at TO_LAB_TLM_PIPE" in text
+    rest = found.lost - 3641
+    assert f"Also {rest:,} lost in " in text
