@@ -415,6 +415,8 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
             counted={"in": "what the software bus did not lose", "out": f"same values on {ways}"},
             onward=tuple(dict.fromkeys((hop.out.link.label, hop.out.msg_id) for hop in fate.hops)),
         )
+    if perhaps := case.perhaps_doubled(stream):
+        rows[0] = replace(rows[0], came=rows[0].came + perhaps, uncertain=rows[0].uncertain + perhaps)
     return rows
 
 

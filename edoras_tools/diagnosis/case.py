@@ -373,6 +373,12 @@ class Case:
             among(self.rows.link, lambda link: link.only_from_cfs).any()
         )
 
+    def perhaps_doubled(self, stream: Stream) -> int:
+        """Return how many messages of a stream into cFS came twice, or were captured twice: nothing tells."""
+        rows = self.prepared.doubled
+        same = (rows.link == stream.link.code) & (rows.destination == stream.receiver)
+        return int((same & (rows.msg_id == stream.msg_id)).sum())
+
     def route(self, msg_id: int, link: Link | None = None) -> Route | None:
         """Return the configured route of a MsgId, on a link or on any."""
         table = self.context.any_route_of if link is None else self.context.routes_on(link)

@@ -139,10 +139,12 @@ def doubled(places):
     return lambda items: [item for at, one in enumerate(items) for item in [one] * (1 + (at in places))]
 
 
-def telemetry_doubled(items):
-    return [
-        one for at, item in enumerate(items) for one in [item] * (1 + (at % 9 == 0 and msg_id(item) == 0x827))
-    ]
+def some_doubled(wanted, later_ns):
+    def change(items):
+        again = [item.at(later_ns) for item in items[::9] if msg_id(item) == wanted]
+        return sorted([*items, *again], key=lambda item: item.time_ns)
+
+    return change
 
 
 def swapped(items):
@@ -225,7 +227,13 @@ ROVERS = {
         lambda items: doubled(range(10**6))(unnumbered(items)), says=("captured_twice",), silent=()
     ),
     "some doubled by the network": Variant(
-        telemetry_doubled, says=("duplicated",), silent=("captured_twice",)
+        some_doubled(0x827, 30_000), says=("duplicated",), silent=("captured_twice",)
+    ),
+    "some commands doubled by the capture": Variant(
+        some_doubled(0x1827, 30_000), says=("captured_twice",), silent=("duplicated",)
+    ),
+    "some doubled by the capture at once": Variant(
+        some_doubled(0x827, 0), says=("captured_twice",), silent=("duplicated",)
     ),
     "telemetry that overtakes": Variant(swapped),
     "records up to 30 ms out of order": Variant(shuffled(30 * MS), says=("out_of_order",)),

@@ -54,6 +54,16 @@ def doubled(share: float) -> Change:
     return lambda items, chance: [one for item in items for one in [item] * (1 + (chance.random() < share))]
 
 
+def doubled_later(share: float, after_ns: int) -> Change:
+    """Put a share of the frames in twice: same bytes and IP identification, the second one later."""
+
+    def change(items, chance):
+        again = [item._replace(time_ns=item.time_ns + after_ns) for item in items if chance.random() < share]
+        return sorted([*items, *again], key=lambda item: item.time_ns)
+
+    return change
+
+
 def displaced(within_ns: int = SECOND) -> Change:
     """Change the order of the records, each by at most so much; times stay."""
     return lambda items, chance: sorted(items, key=lambda item: item.time_ns + chance.randrange(within_ns))
@@ -121,6 +131,7 @@ CHANGES: dict[str, Change] = {
     "30 % removed": removed(0.3),
     "1 % doubled": doubled(0.01),
     "5 % doubled": doubled(0.05),
+    "5 % doubled 40 us later": doubled_later(0.05, 40_000),
     "displaced by up to 1 s": displaced(),
     **{f"cut to {most}": cut_off(most) for most in (64, 80, 96, 112, 128)},
     "times late by up to 20 ms": jittered(20_000_000),

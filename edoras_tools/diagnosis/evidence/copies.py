@@ -5,8 +5,8 @@ one another identification. So:
 
 1. Equal bytes between the same ports, with one identification that is not 0, within 20 ms: one datagram.
    Where it was captured at two places (another link layer header, interface or time to live), or four of
-   five datagrams of the conversation are doubled, the capture did it: a *copy*, counted once. Else the
-   network did: a *duplicate*, which its receiver gets twice.
+   five datagrams of the conversation are doubled, the capture did it: a *copy*, counted once. Else it is a
+   *duplicate*: the network's, which its receiver gets twice, as far as ``doubled`` cannot tell otherwise.
 2. Where the identification is 0 (it may be, where fragmenting is forbidden) equal bytes are a copy only
    where they were captured at two places, or the whole conversation comes steadily in twos: at least eight
    groups of equal datagrams within 5 ms, nearly all of exactly two. A burst of 50 equal datagrams is one
@@ -48,11 +48,13 @@ class Copies:
 
     Attributes:
         copy: bool (n,), captured before: not to be counted.
-        duplicate: bool (n,), doubled by the network.
+        duplicate: bool (n,), captured before as well, at one place.
+        at_once: bool (n,), at the same time as the one before it that is equal.
     """
 
     copy: NDArray[np.bool_]
     duplicate: NDArray[np.bool_]
+    at_once: NDArray[np.bool_]
 
 
 def find_copies(
@@ -72,7 +74,7 @@ def find_copies(
         prints: fingerprints of the datagrams.
     """
     count = len(time_ns)
-    out = Copies(np.zeros(count, bool), np.zeros(count, bool))
+    out = Copies(*(np.zeros(count, bool) for _ in range(3)))
     if count < 2:
         return out
     key = (prints ^ conversation.astype(np.uint64) * _MIX) * _MIX ^ identification
@@ -85,6 +87,7 @@ def find_copies(
     # A group is a run of equal ones, each near the one before it.
     group = np.concatenate(([0], np.cumsum(~near)))
     again = order[1:][near]
+    out.at_once[order[1:]] = near & (step == 0)
     elsewhere = np.zeros(count, bool)
     elsewhere[order[1:]] = near & (tap[order][1:] != tap[order][:-1])
     repeated = np.zeros(count, bool)

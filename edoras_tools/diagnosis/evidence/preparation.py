@@ -19,6 +19,7 @@ import numpy as np
 from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind, Flow
 from edoras_tools.diagnosis.evidence.copies import find_copies
 from edoras_tools.diagnosis.evidence.cut_times import with_cut_times
+from edoras_tools.diagnosis.evidence.doubled import BY_CAPTURE, BY_NETWORK, who_doubled
 from edoras_tools.diagnosis.evidence.relays.relayed import before_proxy
 from edoras_tools.diagnosis.evidence.relays.translated import one_name
 from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, followed
@@ -51,6 +52,7 @@ class Prepared:
         copies: datagrams that were captured before.
         relayed: datagrams that were captured in front of a proxy, and are counted behind it.
         duplicates: i64, rows that the network doubled.
+        doubled: rows that were captured twice, or went to cFS twice: nothing tells. They are left out.
         disordered: records that stood behind a later one.
         translated: address to the address that it is another name of.
     """
@@ -62,6 +64,7 @@ class Prepared:
     copies: int
     relayed: int
     duplicates: NDArray[np.intp]
+    doubled: Rows
     disordered: int
     translated: Mapping[str, str]
 
@@ -90,9 +93,16 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
         behind = np.flatnonzero(~relayed)
         kept, told, pair = kept[behind], told.take(behind), pair[behind]
     copies = find_copies(told.time_ns, told.identification, pair, told.tap, told.bytes_print)
-    duplicate = copies.duplicate
-    if copies.copy.any():
-        once = np.flatnonzero(~copies.copy)
+    copy, duplicate, perhaps = copies.copy, copies.duplicate, copies.duplicate[:0]
+    if duplicate.any():
+        ingest = payloads.ingest
+        sources = names[rows.source[ingest["row"]]]
+        who = who_doubled(told, copies, ingest, sources, recorder.endpoints)
+        perhaps = duplicate & (who == 0)
+        copy, duplicate = copy | perhaps | (who == BY_CAPTURE), who == BY_NETWORK
+    doubled = told.take(np.flatnonzero(perhaps))
+    if copy.any():
+        once = np.flatnonzero(~copy)
         kept, told, duplicate = kept[once], told.take(once), duplicate[once]
     stranger = kind[kept] == _PLACE[ConversationKind.STRANGER]
     if stranger.any():
@@ -104,9 +114,10 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
         payloads=payloads,
         flows=flows,
         foreign=int(foreign.sum()),
-        copies=int(copies.copy.sum()),
+        copies=int(copy.sum()) - len(doubled),
         relayed=int(relayed.sum()),
         duplicates=np.flatnonzero(duplicate),
+        doubled=doubled,
         disordered=disordered,
         translated={
             recorder.endpoints[index].address: recorder.endpoints[name].address

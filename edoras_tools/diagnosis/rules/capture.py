@@ -272,25 +272,28 @@ def out_of_order(case: Case) -> Iterator[Verdict]:
 
 
 def duplicated(case: Case) -> Iterator[Verdict]:
-    """The network delivered datagrams twice, or late.
+    """The network delivered datagrams twice, or late; or nothing tells whether the capture has them twice.
 
     Say so for each way between two endpoints.
     """
-    rows, doubled = case.rows, case.prepared.duplicates
-    pair = rows.source[doubled].astype("i8") << 32 | rows.destination[doubled]
-    for _, members in by_value(pair):
-        own = doubled[members]
-        row = int(own[0])
-        sender, receiver = case.endpoints[rows.source[row]], case.endpoints[rows.destination[row]]
-        yield Verdict(
-            Severity.NOTE,
-            f"{plural(len(own), 'datagram')} from {sender} to {receiver} "
-            f"{'was' if len(own) == 1 else 'were'} doubled by the network",
-            hop="network",
-            span=(int(rows.time_ns[own].min()), int(rows.time_ns[own].max())),
-            evidence=("the same bytes with the same IP identification, captured at one place",),
-            remedy="none; whoever receives them gets them twice",
-        )
+    prepared = case.prepared
+    for rows, by_network in ((case.rows.take(prepared.duplicates), True), (prepared.doubled, False)):
+        for _, own in by_value(rows.source.astype("i8") << 32 | rows.destination):
+            sender, receiver = (case.endpoints[end[own[0]]] for end in (rows.source, rows.destination))
+            there = f"{plural(len(own), 'datagram')} from {sender} to {receiver}"
+            was = "was" if len(own) == 1 else "were"
+            yield Verdict(
+                Severity.NOTE,
+                f"{there} {was} doubled by the network"
+                if by_network
+                else f"{there} {was} captured twice; nothing shows whether the network doubled what was sent",
+                hop="network",
+                span=(int(rows.time_ns[own].min()), int(rows.time_ns[own].max())),
+                evidence=("the same bytes with the same IP identification, captured at one place",),
+                remedy="none; whoever receives them gets them twice"
+                if by_network
+                else "capture what CI counts (0x884), or what comes out: that tells how often they came",
+            )
 
 
 def clock_jump(case: Case) -> Iterator[Verdict]:
