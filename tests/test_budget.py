@@ -39,9 +39,9 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(65_461, 150, 58_000),
-    "lines with code, all": Limit(77_441, 150, 84_000),  # with what is still to come
-    "files": Limit(610, 10, 450),
+    "lines with code, core": Limit(65_575, 150, 58_000),
+    "lines with code, all": Limit(77_555, 150, 84_000),  # with what is still to come
+    "files": Limit(611, 10, 450),
     "files below 170 lines, of 1,000": Limit(520, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(5, 0, 0),
     "files that record runs through": Limit(123, 2, 80),
