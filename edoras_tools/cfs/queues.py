@@ -21,7 +21,7 @@ import numpy as np
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -40,6 +40,7 @@ class QueueEnd(IntEnum):
     MSG_LIMIT = 3
     PIPE_OVERFLOW = 4
     SOCKET_FULL = 5
+    CLOSED = 6
 
 
 def admission(waiting: int, limit: int, length: int, depth: int) -> QueueEnd:
@@ -65,12 +66,15 @@ class Fifo(Generic[_Message]):
         limits: MsgId to the messages of it that may wait; one that is not here has no limit.
         messages: MsgId and message of those that wait, oldest first.
         waiting: MsgId to how many of it wait.
+        on_change: called with MsgId and ``WAITING`` of a message that enters, ``DELIVERED`` of one that is
+            read, ``CLOSED`` of one that was in a queue when it was cleared, else why it was not let in.
     """
 
     depth: int
     limits: dict[int, int] = field(default_factory=dict)
     messages: deque[tuple[int, _Message]] = field(default_factory=deque)
     waiting: Counter[int] = field(default_factory=Counter)
+    on_change: Callable[[int, QueueEnd], object] | None = None
 
     def put(self, message: _Message, msg_id: int = 0) -> QueueEnd:
         """Add a message where ``admission`` lets it in; return what it said."""
@@ -79,6 +83,8 @@ class Fifo(Generic[_Message]):
         if outcome is QueueEnd.WAITING:
             self.messages.append((msg_id, message))
             self.waiting[msg_id] += 1
+        if self.on_change:
+            self.on_change(msg_id, outcome)
         return outcome
 
     def get(self) -> _Message | None:
@@ -87,10 +93,15 @@ class Fifo(Generic[_Message]):
             return None
         msg_id, message = self.messages.popleft()
         self.waiting[msg_id] -= 1
+        if self.on_change:
+            self.on_change(msg_id, QueueEnd.DELIVERED)
         return message
 
     def clear(self) -> None:
         """Drop what waits."""
+        if self.on_change:
+            for msg_id, _ in self.messages:
+                self.on_change(msg_id, QueueEnd.CLOSED)
         self.messages.clear()
         self.waiting.clear()
 

@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.addons.lab.emulator.account import Account, socket
 from edoras_tools.addons.lab.emulator.services.clock import Clock
 from edoras_tools.addons.lab.emulator.services.events import Event, EventServices
 from edoras_tools.addons.lab.emulator.services.executive_services import ExecutiveServices, LoadedApp
 from edoras_tools.addons.lab.emulator.services.software_bus import Pipe, Publication, SoftwareBus
 from edoras_tools.addons.lab.emulator.services.table_services import TableServices
+from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.model import Endpoint
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
@@ -43,6 +45,7 @@ class Cfs:
         events: its event services.
         executive: its executive services: the applications that run.
         clock: its time services.
+        account: what became of everything at its pipes and sockets.
         console: its last lines, ``(time_ns, text)``, events as ``EVS Port1 66/1/APP ID: text``.
         listener: called with every line.
     """
@@ -52,11 +55,14 @@ class Cfs:
         profile: SimProfile,
         scheduler: Scheduler,
         send: Callable[[Endpoint, Endpoint, bytes], None],
+        *,
+        with_account: bool = False,
     ) -> None:
         """Make it, without any application: :class:`edoras_tools.addons.lab.emulator.boot.Apps` starts those.
 
         Args:
             send: called with source, destination and payload of each datagram that leaves.
+            with_account: keep what became of each arrival at a pipe or socket.
         """
         self.profile = profile
         self.scheduler = scheduler
@@ -72,10 +78,11 @@ class Cfs:
         self.to_endpoint = Endpoint(profile.address, profile.to_source_port or ANY_PORT)
         self._listening: dict[int, Callable[[bytes], object]] = {}
         self._tasks: list[Running] = []
+        self.account = Account(lambda: scheduler.now, is_on=with_account)
         self._reset()
 
     def _reset(self) -> None:
-        self.bus = SoftwareBus(self.profile)
+        self.bus = SoftwareBus(self.profile, self.account)
         self.events = EventServices(self.profile)
         self.executive = ExecutiveServices(self)
         self.tables = TableServices(self.executive)
@@ -95,6 +102,7 @@ class Cfs:
             application.runs = False
         self._tasks.clear()
         self._listening.clear()
+        self.account.close()
 
     def restart(self) -> None:
         """Restart the processor: halt, and boot again after the time that it takes."""
@@ -109,6 +117,7 @@ class Cfs:
             self.bus.delete_pipe(self.bus.pipes[name])
         for port in application.ports:
             self._listening.pop(port, None)
+            self.account.close(socket(port))
         self.events.unregister(application.name)
 
     def open_telemetry_socket(self) -> None:
@@ -127,6 +136,8 @@ class Cfs:
         receive = self._listening.get(destination.port)
         if receive:
             receive(data)
+        else:
+            self.account.note(socket(destination.port), 0, QueueEnd.CLOSED)
 
     def listen(self, port: int, receive: Callable[[bytes], object]) -> None:
         """Have the datagrams of a port handed to an application."""

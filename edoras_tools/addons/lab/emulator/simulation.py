@@ -68,6 +68,7 @@ class Simulation:
         command_rate_hz: float = 5.0,
         command_count: int | None = None,
         state_rate_hz: float = 5.0,
+        with_account: bool = False,
     ) -> None:
         """Boot, at ``start_ns``.
 
@@ -77,6 +78,7 @@ class Simulation:
             command_rate_hz: commands per second and robot.
             command_count: commands per robot; None for no end.
             state_rate_hz: robot states per second and robot on the SBN link.
+            with_account: keep in ``cfs.account`` what became of each arrival at a pipe or socket.
 
         Raises:
             ConfigError: there is no such scenario, a rate is below 0, or the profile lacks the bridge's peer.
@@ -90,7 +92,7 @@ class Simulation:
         self.routed = True
         self._outbox: deque[WireDatagram] = deque()
         self._scheduler = Scheduler(profile, start_ns=start_ns)
-        self.cfs = Cfs(profile, self._scheduler, self._send)
+        self.cfs = Cfs(profile, self._scheduler, self._send, with_account=with_account)
         self.apps = Apps(self.cfs, _application(scenario, start_ns))
         self.ground: GroundBridge | None = None
         self.flight: FlightBridge | None = None

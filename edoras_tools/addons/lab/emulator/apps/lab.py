@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.addons.lab.emulator.account import socket
 from edoras_tools.addons.lab.emulator.messages import to_link
 from edoras_tools.addons.lab.emulator.scheduler import Receive, Sleep, SleepUntil, Work
 from edoras_tools.addons.lab.emulator.services.command_ingest import CommandIngest
@@ -32,6 +33,7 @@ class CiLab:
 
     def __init__(self, cfs: Cfs) -> None:
         self.socket = CommandIngest(cfs.profile)
+        cfs.account.watch(self.socket.queue, socket(cfs.profile.ci_port))
         self._cfs = cfs
         self._pipe = cfs.create_pipe(
             command_ingest.PIPE, command_ingest.COMMAND_MSG_ID, command_ingest.REQUEST_MSG_ID

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from edoras_tools.addons.lab.emulator.account import socket
 from edoras_tools.addons.lab.emulator.messages import command_length
 from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
 from edoras_tools.addons.lab.emulator.services.sbn_node import Actions, SbnNode
@@ -34,7 +35,9 @@ class SbnApp:
         self._is_dead = False
         cfs.events.register(facts.NAME, now=cfs.scheduler.now)
         self.node = SbnNode(cfs.profile, cfs.bus, now=cfs.scheduler.now)
-        self.socket: Fifo[bytes] = Fifo(cfs.profile.socket_queue)
+        self.socket: Fifo[bytes] = cfs.account.watch(
+            Fifo(cfs.profile.socket_queue), socket(cfs.profile.sbn_port)
+        )
         self._commands = cfs.create_pipe(facts.PIPE, facts.COMMAND_MSG_ID)
         cfs.say(facts.SUBSCRIBED_TO_COMMANDS, msg_id=facts.COMMAND_MSG_ID)
         cfs.listen(cfs.profile.sbn_port, self.receive_datagram)

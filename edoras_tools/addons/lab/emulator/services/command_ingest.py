@@ -41,6 +41,7 @@ class CommandIngest:
         ingest_packets: datagrams handed to the software bus.
         ingest_errors: datagrams too short to be a command.
         commands: accepted commands to CI itself. command_errors: refused commands to CI itself.
+        queue: what waits in the socket.
         socket_drops: datagrams that found the socket's queue full.
     """
 
@@ -51,21 +52,21 @@ class CommandIngest:
         self.commands = 0
         self.command_errors = 0
         self.socket_drops = 0
-        self._queue: Fifo[bytes] = Fifo(profile.socket_queue)
+        self.queue: Fifo[bytes] = Fifo(profile.socket_queue)
         self._buffer = bytearray(profile.ci_buffer)
 
     def __len__(self) -> int:
-        return len(self._queue)
+        return len(self.queue)
 
     def receive_datagram(self, data: bytes) -> bool:
         """Put a datagram in the socket's queue until a wake-up reads it; tell whether there was room."""
-        has_room = self._queue.put(data) is QueueEnd.WAITING
+        has_room = self.queue.put(data) is QueueEnd.WAITING
         self.socket_drops += not has_room
         return has_room
 
     def read(self) -> Ingested | None:
         """Read one datagram; None when there is none. A wake-up reads ``ci_datagrams_per_wake`` at most."""
-        data = self._queue.get()
+        data = self.queue.get()
         if data is None:
             return None
         data = data[: self.profile.ci_buffer]

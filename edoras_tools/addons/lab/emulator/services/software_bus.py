@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.lab.emulator.services.events import Event
 from edoras_tools.cfs.queues import Fifo, QueueEnd
@@ -25,7 +25,12 @@ from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import length_of, msg_id_of, with_sequence_count
 
 if TYPE_CHECKING:
+    from edoras_tools.addons.lab.emulator.account import Account
     from edoras_tools.cfs.profile import SimProfile
+
+
+HOP: Final = "software bus"
+"""Where what has no subscriber ends."""
 
 
 @dataclass(slots=True, eq=False)
@@ -81,8 +86,9 @@ class SoftwareBus:
         subscribed: MsgIds in the order of their first subscription, as reported to SBN.
     """
 
-    def __init__(self, profile: SimProfile) -> None:
+    def __init__(self, profile: SimProfile, account: Account | None = None) -> None:
         self.profile = profile
+        self._account = account
         self.counters = Counters()
         self.losses: Counter[tuple[int, str]] = Counter()
         self.pipes: dict[str, Pipe] = {}
@@ -100,6 +106,8 @@ class SoftwareBus:
             raise ConfigError(f"pipe {name}: depth {depth}; a pipe is made once and holds 1 packet or more")
         depth = min(depth, self.profile.msg_max or depth)
         pipe = self.pipes[name] = Pipe(depth, name=name, ignores=ignores)
+        if self._account:
+            self._account.watch(pipe, name)
         return pipe
 
     def delete_pipe(self, pipe: Pipe) -> None:
@@ -157,6 +165,8 @@ class SoftwareBus:
         route = self._routes.get(wanted)
         if route is None:
             self.counters.no_subscribers += 1
+            if self._account:
+                self._account.note(HOP, wanted, QueueEnd.CLOSED)
             return Publication(packet, events=(_event(NO_SUBSCRIBERS, msg_id=wanted, sender=sender),))
         if stamp:
             packet = self._stamped(packet, wanted)
@@ -175,6 +185,8 @@ class SoftwareBus:
                 self.counters.pipe_overflows += 1
                 events.append(_event(PIPE_OVERFLOW, msg_id=wanted, pipe=pipe.name, sender=sender))
             self.losses[wanted, pipe.name] += 1
+        if not route and self._account:
+            self._account.note(HOP, wanted, QueueEnd.CLOSED)
         self.counters.send_errors += len(events)
         return Publication(packet, tuple(delivered), tuple(events))
 

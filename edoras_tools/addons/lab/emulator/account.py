@@ -1,0 +1,102 @@
+"""What became of everything in an emulated cFS: each arrival at a pipe or socket, where and when it ended.
+
+The emulator keeps it beside what cFS counts itself. It is the whole truth that a diagnosis of the same
+traffic is judged by. Its rules:
+
+1. An arrival is a packet at one pipe, or a datagram at one socket: two pipes have two.
+2. It waits until its pipe or socket is read or closed; a queue is read in the order of arrival.
+3. What its reader does with it afterwards is not told here.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from edoras_tools.cfs.queues import Fifo, QueueEnd
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_Message = TypeVar("_Message")
+LOST: Final = frozenset({QueueEnd.MSG_LIMIT, QueueEnd.PIPE_OVERFLOW, QueueEnd.SOCKET_FULL, QueueEnd.CLOSED})
+
+
+@dataclass(slots=True)
+class Arrival:
+    """A packet or datagram at one pipe or socket.
+
+    Attributes:
+        hop: name of the pipe, or ``socket PORT``.
+        msg_id: as on the bus; 0 at a socket, which knows none.
+        begin_ns: time of its coming.
+        end: ``WAITING`` as long as it waits.
+        end_ns: time of its end; -1 as long as it waits.
+    """
+
+    hop: str
+    msg_id: int
+    begin_ns: int
+    end: QueueEnd = QueueEnd.WAITING
+    end_ns: int = -1
+
+
+class Account:
+    """Every arrival in an emulated cFS, over all its boots.
+
+    Args:
+        now: returns the time in ns.
+        is_on: whether anything is noted; a simulation without end would fill the memory.
+
+    Attributes:
+        arrivals: in order of their coming.
+    """
+
+    def __init__(self, now: Callable[[], int], *, is_on: bool) -> None:
+        self._is_on = is_on
+        self.arrivals: list[Arrival] = []
+        self._now = now
+        self._waiting: dict[str, deque[Arrival]] = {}
+
+    def watch(self, queue: Fifo[_Message], hop: str) -> Fifo[_Message]:
+        """Note from now on what becomes of everything in a queue; return it."""
+        if self._is_on:
+            queue.on_change = partial(self.note, hop)
+        return queue
+
+    def note(self, hop: str, msg_id: int, outcome: QueueEnd) -> None:
+        """Note that something entered a queue, left it, or was not let in."""
+        if not self._is_on:
+            return
+        now, waiting = self._now(), self._waiting.setdefault(hop, deque())
+        if waiting and outcome in {QueueEnd.DELIVERED, QueueEnd.CLOSED}:
+            arrival = waiting.popleft()
+            arrival.end, arrival.end_ns = outcome, now
+            return
+        arrival = Arrival(hop, msg_id, now)
+        self.arrivals.append(arrival)
+        if outcome is QueueEnd.WAITING:
+            waiting.append(arrival)
+        else:
+            arrival.end, arrival.end_ns = outcome, now
+
+    def close(self, *hops: str) -> None:
+        """Note that queues are gone with what is in them; all, where none is named."""
+        for hop in hops or list(self._waiting):
+            for arrival in self._waiting.pop(hop, ()):
+                arrival.end, arrival.end_ns = QueueEnd.CLOSED, self._now()
+
+    def losses(self, start_ns: int = 0) -> Counter[tuple[str, int, QueueEnd]]:
+        """Return how many arrivals were lost since a time, by hop, MsgId and end."""
+        return Counter(
+            (item.hop, item.msg_id, item.end)
+            for item in self.arrivals
+            if item.end in LOST and item.end_ns >= start_ns
+        )
+
+
+def socket(port: int) -> str:
+    """Return the hop that a UDP port is."""
+    return f"socket {port}"
