@@ -395,9 +395,8 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
         )
     if fate.seen:
         out = int(fate.arrived.sum()) + fate.passed_on
-        rest = (
-            at - out - sum(ended.values()) - fate.superseded - fate.waiting - fate.unaccounted - fate.missed
-        )
+        unsure = fate.missed + fate.elsewhere
+        rest = at - out - sum(ended.values()) - fate.superseded - fate.waiting - fate.unaccounted - unsure
         ways = ", ".join(
             "the robot link" if hop.out.link.last_hop else case.name(hop.out.msg_id) for hop in fate.hops
         )
@@ -409,7 +408,7 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
             lost=ended,
             superseded=fate.superseded,
             waiting=fate.waiting - fate.uncertain,
-            uncertain=fate.uncertain + fate.missed,
+            uncertain=fate.uncertain + unsure,
             not_captured=rest,
             unaccounted=fate.unaccounted,
             counted={"in": "what the software bus did not lose", "out": f"same values on {ways}"},

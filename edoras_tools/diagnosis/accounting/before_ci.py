@@ -113,7 +113,12 @@ class BeforeCi:
         parts = shares(number, most, most)
         for (fate, inside), share in zip(window, parts, strict=True):
             if share:
-                chosen = inside[np.linspace(0, len(inside) - 1, share).round().astype(np.intp)]
+                # Behind the last one that came out there is no newer one that they could have given way to.
+                last = int(np.flatnonzero(fate.arrived)[-1]) if fate.arrived.any() else inside[-1]
+                sure = inside[inside > last][:share]
+                others = np.setdiff1d(inside, sure)
+                spread = np.linspace(0, len(others) - 1, share - len(sure)).round().astype(np.intp)
+                chosen = np.union1d(sure, others[spread])
                 fate.claim(chosen)
                 if before.cause == "unknown":
                     fate.uncounted += share

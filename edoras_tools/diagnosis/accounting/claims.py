@@ -28,13 +28,17 @@ PRESSED: Final = 0
 ABSENT: Final = 1
 """Rank of other commands that surely did not come out."""
 CLOSED: Final = 2
-"""Rank of what is missing while nothing took it; the next one's is that of cFS's own packets."""
-POSSIBLE: Final = 4
+"""Rank of what is missing while nothing took it."""
+OWN: Final = 3
+"""Rank of the packets of cFS itself that are."""
+QUIET: Final = 4
+"""Rank of commands that surely did not come out, where no event names them and no pipe was full by them."""
+INTO_STOP: Final = 5
+"""Rank of what was sent to an application that was stopped: its pipe may have been full before that."""
+MISSING: Final = 6
+"""Rank of what is missing where no pipe was full: it takes what nothing else that is missing explains."""
+POSSIBLE: Final = 7
 """Ranks from here on are of messages of which it is not sure that they are missing."""
-INTO_STOP: Final = 98
-"""Rank of what was sent to an application that was stopped: its pipe may have come back without it."""
-MISSING: Final = 99
-"""Rank of what is missing where no pipe was full: it takes what nothing else explains."""
 
 
 _APART_NS: Final = 3 * SECOND
@@ -175,11 +179,15 @@ class Shared:
 
 def settle_known(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:
     """Give counts to what surely is missing, then to what may be; see ``settle_possible``."""
-    for most in (CLOSED, POSSIBLE - 1):
-        sure = [claim for claim in claims if claim.rank <= most]
+    for ranks, slack_ns in (
+        ((PRESSED, ABSENT, CLOSED), _APART_NS),
+        ((PRESSED, ABSENT, CLOSED, OWN), _APART_NS),
+        ((QUIET, INTO_STOP), 0),
+    ):
+        sure = [claim for claim in claims if claim.rank in ranks]
         settle(counts, sure)
-        settle(counts, sure, _APART_NS)
-    return settle_possible(counts, [claim for claim in claims if POSSIBLE <= claim.rank < MISSING])
+        settle(counts, sure, slack_ns)
+    return settle_possible(counts, claims)
 
 
 def settle_rest(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
@@ -189,6 +197,9 @@ def settle_rest(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
 
 def settle_possible(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:
     """Give claims of messages that may be lost what is left, rank after rank, where one traffic alone can be.
+
+    What several share is theirs only as far as nothing that surely is missing can be it: a count that may be
+    of such a message proves no other loss.
 
     Returns:
         what several share.
@@ -200,13 +211,17 @@ def settle_possible(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> li
         if own.left[kind].any()
     ]
     found: dict[tuple[int, PipeKind, frozenset[int]], Shared] = {}
-    for rank in sorted({claim.rank for claim in claims}):
+    has_rest = True
+    for rank in sorted({claim.rank for claim in claims if claim.rank >= POSSIBLE}):
         for place in range(len(COUNTERS)):
             for table in tables:
                 asking = {at for at in table.asking if table.prefers(at, rank, place)}
                 for second in np.flatnonzero(table.left).tolist() if asking else ():
                     held = [at for at in table.within(second) if at in asking and claims[at].open]
                     flows = frozenset(claims[at].flow for at in held)
+                    if len(flows) > 1 and has_rest:
+                        settle_rest(counts, claims)
+                        has_rest = False
                     number = table.give(second, held, reserve=len(flows) > 1)
                     if len(flows) > 1 and number:
                         times = counts[table.instance].times[second : second + 2].tolist()

@@ -121,9 +121,11 @@ class Commands:
         self.losses += stops.losses
         for account in accounts:
             before_ci.wait(account)
+        among = {at: item.number for at, item in enumerate(shared)}
         for fate in fates:
-            fate.shared = sum(item.number for item in shared if id(fate.stream) in item.flows)
-            self._rest(fate, tails)
+            own = [at for at, item in enumerate(shared) if id(fate.stream) in item.flows]
+            fate.shared = sum(shared[at].number for at in own)
+            self._rest(fate, tails, own, among)
         older_ns = {item.endpoint: item.older_until_ns for item in accounts}
         leftover = Leftover(known, counts, self.fates, pipes, older_ns)
         leftover.share(shared)
@@ -264,11 +266,15 @@ class Commands:
         inside = int(((times > counted_ns[0]) & (times <= counted_ns[-1] - TAIL_NS)).sum())
         fate.unaccounted = max(0, inside - (len(times) - self._untold(fate)) - fate.commanded)
 
-    def _rest(self, fate: Fate, tails: Mapping[int, int]) -> None:
+    def _rest(
+        self, fate: Fate, tails: Mapping[int, int], shared: Sequence[int], among: dict[int, int]
+    ) -> None:
         """Rules 6 and 7.
 
         Args:
             tails: id of a stream to what counters have of it behind its last message.
+            shared: which counts it shares with other traffic.
+            among: each of these to how many of them may still be messages that did not come out.
         """
         if not fate.seen:
             return
@@ -288,7 +294,12 @@ class Commands:
         fate.superseded += more
         fate.unaccounted = unaccounted - more
         # What counters have of several together may be some of these.
-        fate.shared = min(fate.shared, fate.superseded + fate.passed_on)
+        for at in shared:
+            part = min(among[at], fate.unaccounted)
+            among[at] -= part
+            fate.unaccounted -= part
+            fate.elsewhere += part
+        fate.shared = min(fate.shared - fate.elsewhere, fate.superseded + fate.passed_on)
         superseded = min(fate.shared, fate.superseded)
         fate.superseded -= superseded
         fate.passed_on -= fate.shared - superseded

@@ -55,6 +55,7 @@ class Fate:
         shared: the most messages that may be among those that a counter has of several traffics together.
         uncertain: of those that may yet come out, how many may be lost: their pipe lost others to the end.
         missed: messages that may have come out, and that the capture may have missed.
+        elsewhere: messages that did not come out, and may be among those that a counter has of several.
         passed: bool (rows,), it may have come out of the application and have been lost behind it.
         edge: bool (rows,), likewise, where no count behind it would show that.
         stop: i64 (rows,), place of the stop of an application that it was sent into; -1 for none.
@@ -85,6 +86,7 @@ class Fate:
     shared: int = 0
     uncertain: int = 0
     missed: int = 0
+    elsewhere: int = 0
     passed: NDArray[np.bool_] = field(init=False)
     edge: NDArray[np.bool_] = field(init=False)
     stop: NDArray[np.int64] = field(init=False)

@@ -12,9 +12,9 @@ from edoras_tools.cfs.software_bus import STOPS_AFTER
 from edoras_tools.diagnosis.accounting.claims import (
     ABSENT,
     INTO_STOP,
-    MISSING,
     POSSIBLE,
     PRESSED,
+    QUIET,
     Claim,
     Counts,
     claimed_alike,
@@ -59,14 +59,10 @@ _FULL: Final = 0.3
 
 def _standing(fate: Fate) -> tuple[NDArray[np.bool_], ...]:
     """Return which messages lack, may have gone on, may yet come, nobody sees, and were sent to nobody."""
-    sure = fate.open & ~fate.newer & ~fate.passed & ~fate.edge
-    return (
-        sure & (fate.stop < 0),
-        fate.open & ~sure,
-        fate.waits,
-        fate.blind,
-        sure & (fate.stop >= 0),
-    )
+    into_stop = fate.open & (fate.stop >= 0)
+    others = fate.open & ~into_stop
+    sure = others & ~fate.newer & ~fate.passed & ~fate.edge
+    return sure, others & ~sure, fate.waits, fate.blind, into_stop
 
 
 @dataclass(slots=True)
@@ -121,7 +117,7 @@ class Pipes:
             if named:
                 rank = PRESSED if rank == ABSENT else rank
             elif not self._bursts(fate):
-                rank = MISSING if rank == ABSENT else rank + len(_RANKS)
+                rank = {ABSENT: QUIET, INTO_STOP: INTO_STOP}.get(rank, rank + len(_RANKS))
             if place == _MAY_WAIT:
                 rows = rows[np.logical_or.reduce([own.often(low_ns[rows], high_ns[rows]) for own in counts])]
             for members in claimed_alike(counts, low_ns[rows], high_ns[rows], which[rows]):
