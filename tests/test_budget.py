@@ -39,15 +39,15 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(65_575, 150, 58_000),
-    "lines with code, all": Limit(77_555, 150, 84_000),  # with what is still to come
-    "files": Limit(611, 10, 450),
-    "files below 170 lines, of 1,000": Limit(520, 10, 500),  # a median of 170 lines or more
+    "lines with code, core": Limit(65_605, 150, 58_000),
+    "lines with code, all": Limit(77_662, 150, 84_000),  # with what is still to come
+    "files": Limit(612, 10, 450),
+    "files below 170 lines, of 1,000": Limit(521, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(5, 0, 0),
     "files that record runs through": Limit(123, 2, 80),
     "files that sniff --where runs through": Limit(114, 2, 80),
     "modules that host loads": Limit(135, 2, 40),
-    "bare participles among 1,000 names": Limit(47.1, 1, 3),
+    "bare participles among 1,000 names": Limit(46.9, 1, 3),
     "functions of complexity over 25": Limit(17, 0, 0),
 }
 

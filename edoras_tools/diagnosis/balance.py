@@ -377,7 +377,7 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
     out -= shared
     told_behind = fate.seen or fate.reached is not None or fate.commanded is not None
     unfollowed = 0 if told_behind else min(fate.unaccounted, out)
-    at = add(BUS, came, out - unfollowed, lost=on_bus, unaccounted=unfollowed, shared=shared, counted=told)
+    at = add(BUS, came, out - unfollowed, lost=on_bus, uncertain=unfollowed, shared=shared, counted=told)
     if fate.commanded is not None and fate.unaccounted:
         told = {"in": "what the software bus did not lose", "out": "0x880: commands that it took or refused"}
         at = add(telemetry_output.NAME, at, at - fate.unaccounted, unaccounted=fate.unaccounted, counted=told)

@@ -234,4 +234,4 @@ def test_an_application_that_is_only_started_in_the_capture_did_not_run_before(b
     before = sum(started.time_ns - 5 * 10**9 <= when <= started.time_ns for when in sent)
     assert line.lost == pytest.approx(before, abs=2)
     assert line.arrived is None
-    assert line.sent == pytest.approx(line.lost + line.unaccounted, abs=3)
+    assert line.sent == pytest.approx(line.lost + line.uncertain, abs=3)

@@ -153,10 +153,11 @@ def _unfollowed(case: Case, fate: Fate) -> Verdict:
         why = "they were sent after an application was stopped, and nothing here shows whether one took them"
         evidence = [fate.unfollowed_since]
         times = times[fate.unfollowed]
+    open_ = fate.reached is None and fate.commanded is None
     return Verdict(
         Severity.WARNING,
         f"{fate.unaccounted:,} of {len(stream):,} messages that went into cFS on {case.name(stream.msg_id)} "
-        f"are not accounted for: {why}",
+        f"{'may be lost' if open_ else 'are not accounted for'}: {why}",
         msg_id=stream.msg_id,
         link=stream.link.label,
         hop="application",

@@ -32,13 +32,14 @@ def without_the_robot(*, other=False):
     return examination.diagnose()
 
 
-def test_what_is_sent_after_a_start_is_unaccounted():
+def test_what_is_sent_after_a_start_is_uncertain():
     found = without_the_robot()
     (line,) = [item for item in found.headlines if item.topic == "0x1827"]
     assert (line.sent, line.arrived) == (SENT, None)
     # Two may have been on their way when the capture ended.
-    assert SENT - REACHED_THE_ROBOT <= line.lost + line.unaccounted <= SENT - REACHED_THE_ROBOT + 2
-    assert line.unaccounted == found.unaccounted > 0
+    assert SENT - REACHED_THE_ROBOT <= line.lost + line.uncertain <= SENT - REACHED_THE_ROBOT + 2
+    assert (line.unaccounted, line.uncertain) == (0, found.uncertain)
+    assert found.uncertain > 0
     assert [row for row in found.balance if not row.adds_up] == []
     (verdict,) = [item for item in found.verdicts if item.rule == "crossing_loss"]
     assert "Stop Application EDORAS_APP" in verdict.evidence[0]
@@ -49,7 +50,7 @@ def test_where_the_application_may_take_either_of_two_none_is_said_to_be_lost_by
     assert sum(row.lost.get("stopped", 0) for row in whole.balance) > 0
     assert sum(row.lost.get("stopped", 0) for row in found.balance) == 0
     stopped = sum(row.lost.get("stopped", 0) for row in whole.balance)
-    assert found.unaccounted == whole.unaccounted + stopped
+    assert found.uncertain == whole.uncertain + stopped
     assert [row for row in found.balance if not row.adds_up] == []
 
 
