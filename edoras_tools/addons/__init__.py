@@ -98,7 +98,7 @@ ADDONS: Final = (
                 before="samples",
             ),
         },
-        adds={"parts": {"simulation": "emulator.live:start_simulation"}},
+        adds={"parts": {"simulation": "emulator.source:start_simulation"}},
     ),
     Addon("tui", adds={"parts": {"panes": "cli"}}, extra="tui"),
     Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),

@@ -10,8 +10,7 @@ import pytest
 from places import ROOT
 
 from edoras_tools.addons.lab.emulator import Simulation
-from edoras_tools.addons.lab.emulator.live import start_simulation
-from edoras_tools.addons.lab.emulator.source import RealTimeSource
+from edoras_tools.addons.lab.emulator.source import RealTimeSource, start_simulation
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.model import Endpoint, Finding
 from edoras_tools.pipelines.capture.record import Target, record

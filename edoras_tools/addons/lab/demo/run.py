@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import socket
 import tempfile
 import time
 from collections import Counter, deque
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.addons.lab.demo.nodes import AppRobot, GroundStation, RobotNode, commands, make_robot
-from edoras_tools.addons.lab.demo.router import router
+from edoras_tools.addons.lab.demo.nodes import (
+    AppRobot,
+    CallScheduler,
+    GroundStation,
+    RobotNode,
+    commands,
+    make_robot,
+)
 from edoras_tools.addons.lab.demo.scene import (
     LAYOUTS,
     free_ports,
@@ -20,7 +27,6 @@ from edoras_tools.addons.lab.demo.scene import (
     profile,
     write_missions,
 )
-from edoras_tools.addons.lab.demo.scheduler import CallScheduler
 from edoras_tools.addons.lab.demo.trace import Leg, Trace
 from edoras_tools.addons.lab.emulator import BOOT_NS, Scenario, Served, Simulation
 from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
@@ -39,12 +45,61 @@ from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from typing_extensions import Self
 
     from edoras_tools.io.foxglove.sink import FoxgloveSink
     from edoras_tools.render.terminal.run import Watcher
+
+
+ROUTER_PORT: Final = 7447
+"""The port where rmw_zenoh's nodes expect it."""
+_PATIENCE_S: Final = 1.0
+
+
+@contextmanager
+def router(ros: str, options: Mapping[str, str], say: Callable[[str], None] | None = None) -> Iterator[None]:
+    """Run a Zenoh router, unless this machine has one or the user names one.
+
+    Raises:
+        CaptureError: it cannot listen.
+    """
+    if ros != "zenoh" or {"router", "config"} & options.keys() or _is_running():
+        yield
+        return
+    try:
+        import zenoh
+    except ImportError:
+        yield  # joining the graph reports the missing package
+        return
+    config = zenoh.Config()
+    for key, value in (
+        ("mode", '"router"'),
+        ("listen/endpoints", f'["tcp/localhost:{ROUTER_PORT}"]'),
+        ("scouting/multicast/enabled", "false"),
+        ("timestamping/enabled", "true"),
+    ):
+        config.insert_json5(key, value)
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError as error:
+        raise CaptureError(
+            f"TCP localhost:{ROUTER_PORT}: cannot start a Zenoh router: {error}; start rmw_zenohd"
+        ) from None
+    with session:
+        if say is not None:
+            say(f"no Zenoh router is running on this machine; this demo runs one at localhost:{ROUTER_PORT}")
+        yield
+
+
+def _is_running() -> bool:
+    try:
+        socket.create_connection(("localhost", ROUTER_PORT), timeout=_PATIENCE_S).close()
+    except OSError:
+        return False
+    return True
+
 
 _ATTEMPTS: Final = 4
 _PATIENCE_NS: Final = 3 * SECOND

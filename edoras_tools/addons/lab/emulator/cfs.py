@@ -58,7 +58,7 @@ class Cfs:
         *,
         with_account: bool = False,
     ) -> None:
-        """Make it, without any application: :class:`edoras_tools.addons.lab.emulator.boot.Apps` starts those.
+        """Make it, without any application: ``simulation.Apps`` starts those.
 
         Args:
             send: called with source, destination and payload of each datagram that leaves.

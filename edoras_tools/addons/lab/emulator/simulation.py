@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
+from edoras_tools.addons.lab.emulator.apps import generator, lab
+from edoras_tools.addons.lab.emulator.apps.core import start_core
 from edoras_tools.addons.lab.emulator.apps.edoras import EdorasApp, SingleRobotApp, TwoRobotApp
-from edoras_tools.addons.lab.emulator.boot import Apps
+from edoras_tools.addons.lab.emulator.apps.generator import Generator
+from edoras_tools.addons.lab.emulator.apps.lab import CiLab, SchLab, ToLab
+from edoras_tools.addons.lab.emulator.apps.sbn import SbnApp
 from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge, GroundOperator
 from edoras_tools.addons.lab.emulator.cfs import Cfs
 from edoras_tools.addons.lab.emulator.messages import headers_of, link_id
 from edoras_tools.addons.lab.emulator.robots import Arm, Robot, Rover
 from edoras_tools.addons.lab.emulator.scheduler import Scheduler
+from edoras_tools.cfs import command_ingest, edoras_app, sbn, telemetry_output
 from edoras_tools.cfs.profile import FLIGHT_BRIDGE, SimProfile
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import Endpoint
@@ -21,6 +26,43 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from typing_extensions import Self
+
+
+class Apps:
+    """The applications of one emulated cFS whose state can be looked at: those that run now, or ran last.
+
+    Attributes:
+        sbn: the Software Bus Network.
+        ci: Command Ingest.
+        edoras: the EDORAS application.
+    """
+
+    def __init__(self, cfs: Cfs, edoras: EdorasApp) -> None:
+        self.sbn: SbnApp
+        self.ci: CiLab
+        self.edoras = edoras
+        self._cfs = cfs
+        cfs.begin = self._start
+        cfs.boot()
+
+    def _start(self) -> None:
+        cfs = self._cfs
+        start_core(cfs)
+        for name, file, begin in (
+            (sbn.NAME, "sbn", self._sbn),
+            (command_ingest.NAME, "ci_lab", self._ci),
+            (telemetry_output.NAME, "to_lab", lambda: ToLab(cfs, self.edoras.telemetry)),
+            (edoras_app.NAME, "edoras_app", lambda: self.edoras.start(cfs)),
+            *[(generator.NAME, "edoras_gen", lambda: Generator(cfs))] * bool(cfs.profile.generator_msg_id),
+            (lab.SCHEDULER, "sch_lab", lambda: SchLab(cfs, self.edoras)),
+        ):
+            cfs.executive.load(name, f"/cf/{file}.so", begin)
+
+    def _sbn(self) -> None:
+        self.sbn = SbnApp(self._cfs)
+
+    def _ci(self) -> None:
+        self.ci = CiLab(self._cfs)
 
 
 Scenario = Literal["rover", "arm", "two-rovers", "two-arms"]

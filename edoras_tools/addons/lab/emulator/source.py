@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
+from dataclasses import replace
+from importlib.resources import as_file, files
 from threading import Event
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.lab.emulator.simulation import Simulation, WireDatagram
+from edoras_tools.addons.lab.emulator import BOOT_NS, MISSIONS, Scenario, Simulation
+from edoras_tools.addons.lab.emulator.simulation import WireDatagram
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import Endpoint, PacketBatch, SourceInfo, SourceStatistics
@@ -14,6 +18,8 @@ from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+
+    from edoras_tools.pipelines.workbench import Settings, Workbench
 
 
 _TICK_S: Final = 0.02
@@ -105,3 +111,25 @@ class RealTimeSource(_SimulationSource):
             data = self._commands.popleft()
             simulation.deliver(simulation.cfs.ci_endpoint, data)
             yield WireDatagram(simulation.now, _COMMAND_SENDER, simulation.cfs.ci_endpoint, data)
+
+
+def start_simulation(
+    scenario: Scenario, settings: Settings, clock: Callable[[], int]
+) -> tuple[RealTimeSource, Workbench]:
+    """Boot an emulated cFS with its bridges and robots.
+
+    Args:
+        settings: missions and types; if no mission is named, the demo's own are used.
+        clock: monotonic time in ns.
+
+    Raises:
+        ConfigError: a mission has errors.
+    """
+    if not settings.configs:
+        with as_file(files("edoras_tools.samples")) as samples:
+            paths = [samples / f"missions/{name}.yaml" for name in MISSIONS[scenario]]
+            bench = replace(settings, configs=paths).workbench()
+    else:
+        bench = settings.workbench()
+    simulation = Simulation(scenario=scenario, start_ns=time.time_ns() - BOOT_NS).boot()
+    return RealTimeSource(simulation, clock), bench

@@ -14,8 +14,7 @@ from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import is_loopback
 from edoras_tools.links.table import carrying
 from edoras_tools.mission import Mission, Route
-from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions
-from edoras_tools.pipelines.sending.safety import check_allowed, names_of
+from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions, check_allowed, names_of
 from edoras_tools.pipelines.sending.topics import Encoder
 from edoras_tools.sessions.bisection import Bisection
 from edoras_tools.sessions.outgoing import Outgoing, Packet

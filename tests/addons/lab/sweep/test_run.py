@@ -15,7 +15,6 @@ from waiting import HOST, free_ports
 from edoras_tools.addons.lab.emulator import Served, Simulation
 from edoras_tools.addons.lab.sweep import plan as sweep_plan
 from edoras_tools.addons.lab.sweep import run as sweep_run
-from edoras_tools.addons.lab.sweep import simulated as sweep_simulated
 from edoras_tools.addons.lab.sweep.observer import Observer
 from edoras_tools.addons.lab.sweep.plan import (
     SweepPlan,
@@ -171,7 +170,7 @@ def test_cfs_is_left_as_it_was_found(bench, monkeypatch):
     """What was asked of Telemetry Output and of the generator is undone, whatever happens."""
     wires = []
 
-    class Wire(sweep_simulated.SimulatedWire):
+    class Wire(sweep_run.SimulatedWire):
         def __init__(self, *arguments):
             super().__init__(*arguments)
             self.sent = []
@@ -181,7 +180,7 @@ def test_cfs_is_left_as_it_was_found(bench, monkeypatch):
             self.sent.append(payload)
             return super().put(payload)
 
-    monkeypatch.setattr(sweep_simulated, "SimulatedWire", Wire)
+    monkeypatch.setattr(sweep_run, "SimulatedWire", Wire)
     run(bench(*ROVER), "/cmd_vel", "rover", rates=(2, 2), sizes=(76, 100), step_s=2)
     assert [item for item in wires[0].sent if item in echo(0x1827)] == [*echo(0x1827)]
     run(bench(*TWO), "/robot_1/cmd_vel", "two-rovers", rates=(2, 2), step_s=2)
@@ -224,8 +223,10 @@ def test_ctrl_c_in_the_middle_keeps_the_steps_that_are_whole(bench):
 
 
 def test_without_a_generator_it_says_so_at_once(bench, monkeypatch):
+    profile_of = sweep_run.profile_of
+
     def without(plan, mission):
-        return replace(sweep_simulated.profile_of(plan, mission), generator_msg_id=0)
+        return replace(profile_of(plan, mission), generator_msg_id=0)
 
     monkeypatch.setattr(sweep_run, "profile_of", without)
     found = sweep(plan_of(bench(*ROVER), "/telemetry_pose", "rover", generator=0x18EE), bench(*ROVER))
@@ -279,7 +280,7 @@ def test_watching_what_somebody_else_publishes_too_fast(bench, monkeypatch):
             faster = sweep_plan.generator.set_command(0x828, 12, slot=3)
             self.inject(9 * SECOND, cfe.emit_command(0x18F0, 2, faster), "CI_LAB_APP")
 
-    monkeypatch.setattr(sweep_simulated, "Simulation", Busy)
+    monkeypatch.setattr(sweep_run, "Simulation", Busy)
     plan = {"rates": (1, 16), "watch": True, "watch_ns": 30 * SECOND, "step_s": 5}
     summary = run(bench(*TWO), "/robot_1/ground/pose", "two-rovers", **plan)
     fast = [step for step in summary["steps"] if step["rate_hz"] > 11]
@@ -298,7 +299,7 @@ def test_who_is_no_peer_of_cfs_is_told_what_is_usually_wrong(bench, monkeypatch)
     def other(_peer, port):
         return SbnPeerConfig(Peer(66, 9), port)
 
-    monkeypatch.setattr(sweep_simulated, "SbnPeerConfig", other)
+    monkeypatch.setattr(sweep_run, "SbnPeerConfig", other)
     for name, why in (
         ("/robot_1/cmd_vel", "sent none of the messages"),
         ("/robot_1/pose", "sent none of the messages"),
