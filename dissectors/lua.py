@@ -14,11 +14,10 @@ from edoras_tools.cfs import limits, names
 from edoras_tools.dissectors.lua_text import literal, quoted
 from edoras_tools.links.cfdp import PDU_NAME
 from edoras_tools.links.protocol import BY_ADDRESS, BY_CONTENT, LARGEST_DOUBLE, SMALLEST_DOUBLE
-from edoras_tools.wire import ccsds, cdr, cfe, fprime, racs2, sbn
+from edoras_tools.wire import ccsds, cdr, cfe, fprime, racs2, sbn, transfer_frames
 from edoras_tools.wire.arrays.crc import CRC16_BYTES
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
-from edoras_tools.wire.transfer_frames import headers
-from edoras_tools.wire.transfer_frames.fields import FIRST_PART, FRAME_VERSIONS, LATE, count_modulus
+from edoras_tools.wire.transfer_frames import FIRST_PART, FRAME_VERSIONS, LATE, count_modulus
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.wire.envelope import EnvelopeFormat
     from edoras_tools.wire.layout import Layout, Slot
-    from edoras_tools.wire.transfer_frames.fields import FrameFormat
+    from edoras_tools.wire.transfer_frames import FrameFormat
 
 
 class Place(NamedTuple):
@@ -257,13 +256,13 @@ def _data(knowledge: Knowledge) -> str:
         "frames": {port: _framed(form, label) for port, (form, label) in knowledge.frames.items()},
         "frame_limits": {
             "idle_apid": ccsds.IDLE_APID,
-            "no_packet": headers.NO_PACKET_STARTS,
-            "only_idle": headers.ONLY_IDLE_DATA,
-            "aos_idle": headers.AOS_IDLE_CHANNEL,
-            "ocf_bytes": headers.OCF_BYTES,
+            "no_packet": transfer_frames.NO_PACKET_STARTS,
+            "only_idle": transfer_frames.ONLY_IDLE_DATA,
+            "aos_idle": transfer_frames.AOS_IDLE_CHANNEL,
+            "ocf_bytes": transfer_frames.OCF_BYTES,
             "fecf_bytes": CRC16_BYTES,
             "first_part": FIRST_PART,
-            "tc_bias": headers.TC_LENGTH_BIAS,
+            "tc_bias": transfer_frames.TC_LENGTH_BIAS,
             "late": LATE,
         },
         "fprime": {

@@ -368,7 +368,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
             "icmp.QUOTED_UDP",
             "fprime.FRAME",
             "fprime.PACKET",
-            *(f"transfer_frames.headers.{name}" for name in ("TM", "AOS", "AOS_PACKETS", "TC", "TC_SEGMENT")),
+            *(f"transfer_frames.{name}" for name in ("TM", "AOS", "AOS_PACKETS", "TC", "TC_SEGMENT")),
         )
     },
 }

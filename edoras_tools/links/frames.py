@@ -13,11 +13,11 @@ import numpy as np
 from edoras_tools.links.framing import Framing, prefixed
 from edoras_tools.links.protocol import BatchRows, LinkProtocol, Seen, Site
 from edoras_tools.model import Datagram, Decoded, Finding, LayerField, PacketBatch
+from edoras_tools.wire import transfer_frames as headers
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16, crc16_rows
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.transfer_frames import headers
-from edoras_tools.wire.transfer_frames.fields import (
+from edoras_tools.wire.transfer_frames import (
     FRAME_LAYOUTS,
     FRAME_VERSIONS,
     NO_FIRST,

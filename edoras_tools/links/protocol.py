@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.framing import Framing
     from edoras_tools.links.reading import Reading
     from edoras_tools.wire.rtps.parameters import Announcement
-    from edoras_tools.wire.transfer_frames.fields import FrameFormat
+    from edoras_tools.wire.transfer_frames import FrameFormat
 
 BY_PORT: Final = 1
 BY_CONTENT: Final = 2

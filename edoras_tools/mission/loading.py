@@ -25,7 +25,7 @@ from edoras_tools.mission.parameters import NodeParameters, read_nodes
 from edoras_tools.mission.report import Mistakes
 from edoras_tools.mission.tree import LARGEST_FILE, yaml_text
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
-from edoras_tools.wire.transfer_frames.fields import FRAME_LAYOUTS, FrameFormat
+from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FrameFormat
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Iterator, Mapping

@@ -14,7 +14,7 @@ from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from edoras_tools.wire.transfer_frames.fields import FrameFormat
+    from edoras_tools.wire.transfer_frames import FrameFormat
 
 
 @dataclass(frozen=True, slots=True)

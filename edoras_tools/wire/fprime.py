@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.wire import ccsds
+from edoras_tools.wire import transfer_frames as headers
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16_rows, crc32
 from edoras_tools.wire.arrays.window import gather, read_at
 from edoras_tools.wire.layout import Field, Layout
-from edoras_tools.wire.transfer_frames import headers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -7,7 +7,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
 from edoras_tools.mission import FramedPort, loads
-from edoras_tools.wire.transfer_frames.fields import FrameFormat
+from edoras_tools.wire.transfer_frames import FrameFormat
 
 FILE = "link:\n  ros__parameters:\n    frames:\n"
 

@@ -4,9 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.errors import FieldError, TruncatedError
-from edoras_tools.wire import ccsds, cdr, cfe, envelope, robot, sbn
+from edoras_tools.wire import ccsds, cdr, cfe, envelope, robot, sbn, transfer_frames
 from edoras_tools.wire.layout import Field, Layout
-from edoras_tools.wire.transfer_frames import headers
 
 LAYOUTS = [
     ccsds.PRIMARY,
@@ -27,12 +26,12 @@ LAYOUTS = [
     cdr.ENCAPSULATION,
     *(item.layout for item in envelope.ENVELOPE_FORMATS),
     *robot.SENT_TO,
-    headers.TM,
-    headers.TM_SECONDARY,
-    headers.AOS,
-    headers.AOS_PACKETS,
-    headers.TC,
-    headers.TC_SEGMENT,
+    transfer_frames.TM,
+    transfer_frames.TM_SECONDARY,
+    transfer_frames.AOS,
+    transfer_frames.AOS_PACKETS,
+    transfer_frames.TC,
+    transfer_frames.TC_SEGMENT,
     Layout(
         "reversed", "Three bytes", Field("a", 24, ""), Field("b", 24, "", kind="int"), byte_order="little"
     ),

@@ -34,7 +34,7 @@ from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStre
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
-from edoras_tools.wire.transfer_frames.fields import (
+from edoras_tools.wire.transfer_frames import (
     LATE,
     FrameFields,
     FrameFormat,

@@ -30,7 +30,7 @@ from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.links.fprime import GroundDataFraming
 from edoras_tools.links.frames import TransferFraming
 from edoras_tools.model import Finding
-from edoras_tools.wire.transfer_frames.fields import FrameFormat
+from edoras_tools.wire.transfer_frames import FrameFormat
 
 WRAP = 1 << 32
 CAPTURES = ("samples/cfs_files/sbn_tcp.pcap.gz", "tests/captures/cfs7/two_tcp.pcap.zst")

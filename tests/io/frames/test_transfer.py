@@ -8,7 +8,7 @@ from transfer_frames import GROUND, Maker, batch_of, packets_of, space_packet, w
 
 from edoras_tools.io.frames.transfer import MOST_CHANNELS, Unframer
 from edoras_tools.model import Finding
-from edoras_tools.wire.transfer_frames.fields import FrameFormat
+from edoras_tools.wire.transfer_frames import FrameFormat
 
 PORT = GROUND[1]
 

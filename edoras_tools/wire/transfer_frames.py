@@ -1,0 +1,278 @@
+"""CCSDS transfer frames: TM (132.0-B-3), AOS (732.0-B-4), TC (232.0-B-4); big-endian.
+
+Their headers, what a mission lays down of them, and many frames read at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16_rows
+from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.layout import Field, Layout
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+
+NO_PACKET_STARTS: Final = 0x7FF
+"""First header pointer: no packet starts in this frame."""
+ONLY_IDLE_DATA: Final = 0x7FE
+"""First header pointer: there is no packet in this frame."""
+OCF_BYTES: Final = 4
+"""The operational control field, behind the data of a TM or AOS frame."""
+AOS_IDLE_CHANNEL: Final = 63
+"""The virtual channel of AOS frames that are only sent so that the link is not silent."""
+HEADER_ERROR_CONTROL_BYTES: Final = 2
+"""What may follow the header of an AOS frame; Reed-Solomon, not checked here."""
+
+_VERSION: Final = "transfer_frame_version_number"
+_CRAFT: Final = "of the spacecraft"
+_FIRST: Final = Field(
+    "first_header_pointer",
+    11,
+    "where in the data the first packet starts",
+    base=16,
+    names={NO_PACKET_STARTS: "no packet starts", ONLY_IDLE_DATA: "only idle data"},
+    clause="132.0-B 4.1.2.7.6",
+)
+
+TM: Final = Layout(
+    "tm_frame",
+    "CCSDS TM Transfer Frame",
+    Field(_VERSION, 2, "0", clause="132.0-B 4.1.2.2.2"),
+    Field("spacecraft_id", 10, _CRAFT, base=16, clause="132.0-B 4.1.2.2.3"),
+    Field("virtual_channel_id", 3, "the channel of the frame", clause="132.0-B 4.1.2.3"),
+    Field("ocf_flag", 1, "an operational control field follows the data", clause="132.0-B 4.1.2.4"),
+    Field("master_channel_frame_count", 8, "counts all frames of the spacecraft", clause="132.0-B 4.1.2.5"),
+    Field("virtual_channel_frame_count", 8, "counts the frames of the channel", clause="132.0-B 4.1.2.6"),
+    Field("secondary_header_flag", 1, "a secondary header follows", clause="132.0-B 4.1.2.7.2"),
+    Field("synchronization_flag", 1, "0: packets; 1: other data", clause="132.0-B 4.1.2.7.3"),
+    Field("packet_order_flag", 1, "0 with packets", clause="132.0-B 4.1.2.7.4"),
+    Field("segment_length_id", 2, "3 with packets", clause="132.0-B 4.1.2.7.5"),
+    _FIRST,
+)
+"""The primary header of a TM frame."""
+TM_SECONDARY: Final = Layout(
+    "tm_secondary",
+    "TM Secondary Header",
+    Field("version_number", 2, "0", clause="132.0-B 4.1.3.2.2"),
+    Field("secondary_header_length", 6, "bytes that follow this one", clause="132.0-B 4.1.3.2.3"),
+)
+"""The first byte of the secondary header of a TM frame."""
+AOS: Final = Layout(
+    "aos_frame",
+    "CCSDS AOS Transfer Frame",
+    Field(_VERSION, 2, "1", clause="732.0-B 4.1.2.2.2"),
+    Field("spacecraft_id", 8, f"{_CRAFT}, its 8 low bits", base=16, clause="732.0-B 4.1.2.2.3"),
+    Field(
+        "virtual_channel_id",
+        6,
+        "the channel of the frame",
+        names={AOS_IDLE_CHANNEL: "idle frames"},
+        clause="732.0-B 4.1.2.3",
+    ),
+    Field("virtual_channel_frame_count", 24, "counts the frames of the channel", clause="732.0-B 4.1.2.4"),
+    Field("replay_flag", 1, "played back", clause="732.0-B 4.1.2.5.2"),
+    Field("frame_count_usage_flag", 1, "the cycle is counted, too", clause="732.0-B 4.1.2.5.3"),
+    Field("spacecraft_id_high", 2, "further bits of the spacecraft since issue 4; 0 before"),
+    Field("frame_count_cycle", 4, "how often the count began anew", clause="732.0-B 4.1.2.5.5"),
+)
+"""The primary header of an AOS frame; an error control field and an insert zone may follow."""
+AOS_PACKETS: Final = Layout(
+    "aos_packets",
+    "AOS Packet Zone",
+    Field("reserved", 5, "0"),
+    Field(_FIRST.name, 11, _FIRST.doc, base=16, names=_FIRST.names, clause="732.0-B 4.1.4.2.2.3"),
+)
+"""The header of an M_PDU, the data field of an AOS frame with packets."""
+TC: Final = Layout(
+    "tc_frame",
+    "CCSDS TC Transfer Frame",
+    Field(_VERSION, 2, "0", clause="232.0-B 4.1.2.2.2"),
+    Field("bypass_flag", 1, "1 (Type-B): not counted", clause="232.0-B 4.1.2.2.3.1"),
+    Field(
+        "control_command_flag", 1, "1: a command to the frame's receiver itself", clause="232.0-B 4.1.2.2.3.2"
+    ),
+    Field("reserved", 2, "0"),
+    Field("spacecraft_id", 10, _CRAFT, base=16, clause="232.0-B 4.1.2.4"),
+    Field("virtual_channel_id", 6, "the channel of the frame", clause="232.0-B 4.1.2.5"),
+    Field("frame_length", 10, "bytes of the whole frame, less 1", clause="232.0-B 4.1.2.6"),
+    Field("frame_sequence_number", 8, "counts the Type-A frames of the channel", clause="232.0-B 4.1.2.7"),
+)
+"""The primary header of a TC frame."""
+TC_SEGMENT: Final = Layout(
+    "tc_segment",
+    "TC Segment",
+    Field(
+        "segment_sequence_flags",
+        2,
+        "which part of a packet it is",
+        names={0: "continuing", 1: "first", 2: "last", 3: "whole"},
+        clause="232.0-B 4.1.3.2.2.2",
+    ),
+    Field("map_id", 6, "parts of one packet have the same", clause="232.0-B 4.1.3.2.2.3"),
+)
+"""The segment header, which a mission's TC frames have or not."""
+TC_LENGTH_BIAS: Final = 1
+"""``frame_length`` is the whole frame's length less this."""
+
+
+FrameKind = Literal["tm", "aos", "tc"]
+FRAME_LAYOUTS: Final[Mapping[str, Layout]] = {"tm": TM, "aos": AOS, "tc": TC}
+FRAME_VERSIONS: Final = {"tm": 0, "aos": 1, "tc": 0}
+"""The transfer frame version number of each kind."""
+FIRST_PART: Final = 1
+"""The bit of a segment's sequence flags that says that a packet starts in it."""
+LATE: Final = 32
+"""How many counts of 8 bits back a frame is late, and not ahead."""
+NO_FIRST: Final = -1
+"""``FrameFields.first`` of a frame in which no packet starts."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFormat:
+    """What the bytes of a frame do not say themselves.
+
+    Attributes:
+        kind: ``tm``, ``aos`` or ``tc``.
+        length: bytes of a whole TM or AOS frame; 0 for TC frames, which say theirs.
+        fecf: the last two bytes are a CRC-16 of the frame.
+        ocf: AOS: an operational control field is behind the data; TM frames say so themselves.
+        insert_zone: AOS: bytes of the insert zone behind the header.
+        header_error_control: AOS: two bytes of it are behind the header.
+        segment_header: TC: the data begins with a segment header.
+        stream: they follow each other in TCP streams, either way; if not, each is a datagram.
+    """
+
+    kind: FrameKind
+    length: int = 0
+    fecf: bool = True
+    ocf: bool = False
+    insert_zone: int = 0
+    header_error_control: bool = False
+    segment_header: bool = False
+    stream: bool = False
+
+    @property
+    def layout(self) -> Layout:
+        """The primary header."""
+        return FRAME_LAYOUTS[self.kind]
+
+    @property
+    def data_start(self) -> int:
+        """Bytes in front of the data, and of what a TM secondary header adds."""
+        error_control = HEADER_ERROR_CONTROL_BYTES * self.header_error_control
+        return self.layout.size + error_control + self.insert_zone
+
+    @property
+    def smallest(self) -> int:
+        """Bytes of a frame with headers and trailers, and one byte of data."""
+        further = {"tm": 0, "aos": AOS_PACKETS.size, "tc": TC_SEGMENT.size}[self.kind]
+        further *= self.kind == "aos" or self.segment_header
+        trailer = CRC16_BYTES * self.fecf + OCF_BYTES * self.ocf
+        return self.data_start + further + trailer + 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameFields:
+    """What frames say, (n,) each; positions are in the data that was read.
+
+    Attributes:
+        fits: bool, headers, first header pointer and trailers fit the frame.
+        error: bool, the CRC at its end is not that of the frame.
+        spacecraft_id: u32.
+        virtual_channel_id: u8.
+        map_id: u8, of a TC segment; else 0.
+        counted: bool, it has a count of its channel; TC frames of Type-B have none.
+        count: u32, of the virtual channel.
+        master_count: u8, of the master channel; 0 where the kind has none.
+        start: i64, first byte of the data.
+        end: i64, one past its last byte; that of ``start`` where there are no packets.
+        first: i64, where the first packet starts; ``NO_FIRST`` for none.
+        idle: bool, sent without packets.
+    """
+
+    fits: NDArray[np.bool_]
+    error: NDArray[np.bool_]
+    spacecraft_id: NDArray[np.uint32]
+    virtual_channel_id: NDArray[np.uint8]
+    map_id: NDArray[np.uint8]
+    counted: NDArray[np.bool_]
+    count: NDArray[np.uint32]
+    master_count: NDArray[np.uint8]
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    first: NDArray[np.int64]
+    idle: NDArray[np.bool_]
+
+
+def count_modulus(kind: str) -> int:
+    """Return how many values the count of a virtual channel has."""
+    name = "frame_sequence_number" if kind == "tc" else "virtual_channel_frame_count"
+    return FRAME_LAYOUTS[kind].by_name[name].mask + 1
+
+
+def read_frames(
+    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], form: FrameFormat
+) -> FrameFields:
+    """Read many frames of one kind; nothing in them can make this raise.
+
+    Args:
+        data: u8, contiguous.
+        offset: i64 (n,), where each begins.
+        length: i32 (n,), bytes of each; at least those of the primary header.
+        form: of all of them.
+    """
+    head = form.layout.columns(gather(data, offset, form.layout.size))
+    none = np.zeros(len(offset), np.uint8)
+    start = offset + form.data_start
+    end = offset + length - CRC16_BYTES * form.fecf
+    counted, map_id, master = np.ones(len(offset), bool), none, none
+    spacecraft = head["spacecraft_id"].astype(np.uint32)
+    # Positions past the end of the data are not read: the window of a short frame is filled with zeros.
+    behind = gather(data, np.minimum(start, len(data)), 2)
+    if form.kind == "tm":
+        second = TM_SECONDARY.column("secondary_header_length", behind) + np.int64(1)
+        start = start + second * head["secondary_header_flag"]
+        end = end - OCF_BYTES * head["ocf_flag"].astype(np.int64)
+        pointer, count = head["first_header_pointer"], head["virtual_channel_frame_count"]
+        idle = (pointer == ONLY_IDLE_DATA) | (head["synchronization_flag"] == 1)
+        master = head["master_channel_frame_count"]
+    elif form.kind == "aos":
+        start = start + AOS_PACKETS.size
+        end = end - OCF_BYTES * form.ocf
+        pointer = AOS_PACKETS.column("first_header_pointer", behind)
+        idle = (head["virtual_channel_id"] == AOS_IDLE_CHANNEL) | (pointer == ONLY_IDLE_DATA)
+        count = head["virtual_channel_frame_count"]
+        spacecraft |= head["spacecraft_id_high"].astype(np.uint32) << 8
+    else:
+        idle, counted = head["control_command_flag"] == 1, head["bypass_flag"] == 0
+        count, pointer = head["frame_sequence_number"], none
+        if form.segment_header:
+            start = start + TC_SEGMENT.size
+            map_id = TC_SEGMENT.column("map_id", behind)
+            flags = TC_SEGMENT.column("segment_sequence_flags", behind)
+            pointer = np.where(flags & FIRST_PART, 0, NO_PACKET_STARTS)
+    starts = ~idle & (pointer != NO_PACKET_STARTS)
+    first = np.where(starts, start + pointer, NO_FIRST)
+    fits = (idle & (form.kind == "tc")) | (start <= end) & (first < np.maximum(end, start + 1))
+    return FrameFields(
+        fits,
+        crc16_rows(data, offset, length) != 0 if form.fecf else np.zeros(len(offset), bool),
+        spacecraft,
+        head["virtual_channel_id"],
+        map_id,
+        counted,
+        count.astype(np.uint32),
+        master,
+        start,
+        np.where(idle, start, end),
+        first,
+        idle,
+    )
