@@ -27,9 +27,8 @@ PUT_OFF = {
     "io/capture/interfaces.py": ("fcntl", "not there on Windows"),
     "io/formats/watched.py": ("concurrent.futures", "4 ms, and only to sync files"),
     "io/outputs.py": ("fcntl", "not there on Windows"),
-    "pipelines/interrupt.py": ("termios", "not there on Windows"),
     "pipelines/sending/inject.py": ("ruamel", "9 ms, and only where a message has values"),
-    "pipelines/sending/keys.py": ("termios tty", "not there on Windows"),
+    "pipelines/interrupt.py": ("termios tty", "not there on Windows"),
     "io/capture/scapy_backend.py": ("scapy", "0.35 s, and only where there is no packet ring"),
     "io/formats/open.py": (
         "edoras_tools.io.formats.rosbag2.folder",
@@ -58,7 +57,7 @@ PUT_OFF = {
         "edoras_tools.pipelines.capture.host edoras_tools.sessions.dds",
         "4 ms each, and only where a link is captured live, or there is RTPS",
     ),
-    "addons/lab/demo/router.py": ("zenoh", "an extra"),
+    "addons/lab/demo/run.py": ("zenoh", "an extra"),
     "pipelines/reading.py": (
         "edoras_tools.decode.samples edoras_tools.io.frames.fragmented",
         "5 ms, and only where there is RTPS",

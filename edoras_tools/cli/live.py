@@ -297,8 +297,8 @@ def _keyboard(
     if quiet or not here or os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp():  # not a job in the background
         yield str, lambda _: None
         return
-    from edoras_tools.pipelines.live.keys import HELP
-    from edoras_tools.pipelines.sending.keys import Keys
+    from edoras_tools.pipelines.interrupt import Keys
+    from edoras_tools.pipelines.live.player import HELP
     from edoras_tools.render.bridge.foxglove import playback_line
 
     def show(state: PlaybackState) -> None:

@@ -64,7 +64,7 @@ def run_relay(
                 from edoras_tools.render.terminal.console import error_console
 
                 if keyboard:
-                    from edoras_tools.pipelines.sending.keys import Keys
+                    from edoras_tools.pipelines.interrupt import Keys
 
                     how["keys"] = stack.enter_context(Keys())
                 how["watcher"] = stack.enter_context(table(error_console()))

@@ -231,7 +231,7 @@ def carry_out(
         recording = partial(SentRecording, target=goal, bench=bench)
     keys = None
     if send_options.step or asks:
-        from edoras_tools.pipelines.sending.keys import Keys
+        from edoras_tools.pipelines.interrupt import Keys
 
         keys = Keys()
     with send_status(transmission.total, quiet=quiet, keys=keys is not None) as watcher:
@@ -272,7 +272,7 @@ def confirm_targets(*targets: Endpoint, confirmed: bool) -> bool:
     Raises:
         ConfigError: one is not confirmed.
     """
-    from edoras_tools.pipelines.sending.safety import check_target
+    from edoras_tools.pipelines.sending.options import check_target
 
     asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     for target in targets:

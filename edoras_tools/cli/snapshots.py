@@ -114,7 +114,7 @@ class SnapshotOptions(NamedTuple):
             CaptureError: the socket cannot be made.
         """
         from edoras_tools.pipelines.capture.triggers import listening
-        from edoras_tools.pipelines.sending.keys import Keys
+        from edoras_tools.pipelines.interrupt import Keys
 
         is_terminal = sys.stdin is not None and sys.stdin.isatty()
         keys = stack.enter_context(Keys()) if is_terminal else None

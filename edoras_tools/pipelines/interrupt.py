@@ -1,4 +1,4 @@
-"""Ends work cleanly at Ctrl-C: what was captured is written, what was counted is shown.
+"""Ends work cleanly at Ctrl-C: what was captured is written, what was counted is shown; and single keys.
 
 A signal handler runs in the main thread, between any two of its steps: if that thread holds a lock, a
 handler that needs the same lock waits for ever. ``stop`` may take locks (of an ``Event``, of a socket), so
@@ -13,10 +13,12 @@ from __future__ import annotations
 import _thread
 import errno
 import os
+import select
 import signal
+import sys
 import threading
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
 
 from edoras_tools.errors import InterruptError
 from edoras_tools.io.signals import ENDING
@@ -24,6 +26,8 @@ from edoras_tools.io.signals import ENDING
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import FrameType
+
+    from typing_extensions import Self
 
     from edoras_tools.io import Source
     from edoras_tools.model import PacketBatch
@@ -138,3 +142,41 @@ def interruptible(
 
     with on_interrupt(stop or interrupt, patient=patient, here=stop is None) as asked:
         yield source.batches() if stop else batches(), asked
+
+
+class Keys:
+    """Standard input as a keyboard: a context manager that restores the terminal's mode."""
+
+    def __init__(self) -> None:
+        self._fileno = sys.stdin.fileno()
+        self._before: list[Any] | None = None
+        self._ended = False
+
+    def __enter__(self) -> Self:
+        if os.isatty(self._fileno):
+            import termios
+            import tty
+
+            self._before = termios.tcgetattr(self._fileno)
+            tty.setcbreak(self._fileno)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._before is not None:
+            import termios
+
+            termios.tcsetattr(self._fileno, termios.TCSADRAIN, self._before)
+
+    def fileno(self) -> int:
+        """Return the descriptor, which becomes readable when a key is pressed."""
+        return self._fileno
+
+    def pressed(self) -> str:
+        """Return the keys pressed since the last call; always ``q`` once the input has ended."""
+        with suppress(OSError, ValueError):
+            while not self._ended and select.select((self._fileno,), (), (), 0)[0]:
+                keys = os.read(self._fileno, 64).decode(errors="replace")
+                self._ended = not keys
+                if keys:
+                    return keys.lower()
+        return "q" if self._ended else ""

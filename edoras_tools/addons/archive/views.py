@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from edoras_tools.io.formats.jsonl.writer import json_value
+from edoras_tools.io.formats.text import json_value
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette

@@ -1,7 +1,8 @@
 """The table of all formats of captures and recordings: name, suffix, reader and writer.
 
-A file is read by its content, and written by its suffix. A new format needs its folder and a line here; that
-of another package an entry point ``edoras.formats``, which is asked where no line fits.
+A file is read by its content, and written by its suffix. A new format needs its folder or file
+and a line here; that of another package an entry point ``edoras.formats``, which is asked where no line
+fits.
 """
 
 from __future__ import annotations
@@ -62,10 +63,10 @@ CFE: Final = Format("cFE file", "", ".cfe.reader:CfePacketSource", "")
 FILE_FORMATS: Final = (PCAP, PCAPNG, MCAP, ROSBAG2)
 
 TABLE_FORMATS: Final = (
-    Format("Parquet", ".parquet", "", ".arrow.writer:ParquetWriter", table=True),
-    Format("Arrow", ".arrow", "", ".arrow.writer:ArrowWriter", table=True),
-    Format("CSV", ".csv", "", ".csv.writer:CsvWriter", table=True),
-    Format("JSON Lines", ".jsonl", "", ".jsonl.writer:JsonLinesWriter", table=True),
+    Format("Parquet", ".parquet", "", ".arrow:ParquetWriter", table=True),
+    Format("Arrow", ".arrow", "", ".arrow:ArrowWriter", table=True),
+    Format("CSV", ".csv", "", ".text:CsvWriter", table=True),
+    Format("JSON Lines", ".jsonl", "", ".text:JsonLinesWriter", table=True),
 )
 """Tables of the messages of a topic, which are only written; their writers are ``TableWriter``."""
 

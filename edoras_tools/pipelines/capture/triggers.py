@@ -37,7 +37,7 @@ _JUDGE_ROWS: Final = 200_000
 
 
 class Keyboard(Protocol):
-    """Where keys come from; see ``pipelines.sending.keys``."""
+    """Where keys come from; see ``pipelines.interrupt.Keys``."""
 
     def pressed(self) -> str:
         """Return the keys that were pressed since the last call."""

@@ -16,8 +16,8 @@ from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.io.formats.cfe.contents import message_limits, network_peers
-from edoras_tools.io.formats.jsonl.writer import json_value
 from edoras_tools.io.formats.merge import follow_streams, recorded_faults, recorded_host
+from edoras_tools.io.formats.text import json_value
 from edoras_tools.pipelines.clocks import OneByOne
 from edoras_tools.pipelines.doctor.apart import judged_apart
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope

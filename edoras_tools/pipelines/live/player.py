@@ -1,7 +1,11 @@
-"""Plays a recording to Foxglove, which controls it: play, pause, seek, speed."""
+"""Plays a recording to Foxglove, which controls it: play, pause, seek, speed.
+
+Keys of the terminal control it too, for clients that have no controls of their own.
+"""
 
 from __future__ import annotations
 
+import re
 import threading
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
@@ -17,20 +21,51 @@ from edoras_tools.io.frames.fragmented import FragmentedSamples
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
-from edoras_tools.pipelines.live.keys import request_of, split_keys
 from edoras_tools.pipelines.messages.opening import open_inputs
 from edoras_tools.pipelines.selection import outside
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Sequence
+    from collections.abc import Callable, Generator, Iterator, Sequence
     from pathlib import Path
 
     from edoras_tools.io import Source
     from edoras_tools.io.foxglove.sink import ServedSink
     from edoras_tools.model import Columns, PacketBatch, SourceInfo
     from edoras_tools.render.terminal.run import Progress
+
+
+HELP: Final = "space, ←→ 5 s, ↑↓ speed, Home, q"
+_KEY: Final = re.compile(r"\x1b[\[o]\d*~?[a-z]?|.", re.DOTALL)
+_STEPS_NS: Final = {"\x1b[c": 5 * SECOND, "\x1boc": 5 * SECOND, "\x1b[d": -5 * SECOND, "\x1bod": -5 * SECOND}
+_FACTORS: Final = {"\x1b[a": 2.0, "\x1boa": 2.0, "+": 2.0, "\x1b[b": 0.5, "\x1bob": 0.5, "-": 0.5}
+_HOME: Final = ("\x1b[h", "\x1boh", "\x1b[1~", "0")
+
+
+def split_keys(text: str) -> Iterator[str]:
+    """Yield the keys in what a terminal sent, in lower case: characters, and sequences (``ESC [ a``)."""
+    yield from _KEY.findall(text)
+
+
+def request_of(key: str, state: PlaybackState, start_ns: int) -> PlaybackRequest | None:
+    """Return what a key asks for; None for a key without a meaning.
+
+    Args:
+        key: from ``split_keys``.
+        start_ns: start of the recording, ns since 1970.
+    """
+    playing = state.status == "Playing"
+    if key == " ":
+        return PlaybackRequest(not playing, state.speed)
+    if key in _STEPS_NS:
+        return PlaybackRequest(playing, state.speed, max(state.time_ns + _STEPS_NS[key], start_ns))
+    if key in _FACTORS:
+        return PlaybackRequest(playing, state.speed * _FACTORS[key])
+    if key in _HOME:
+        return PlaybackRequest(playing, state.speed, start_ns)
+    return None
+
 
 _TICK_S: Final = 0.02
 """How often messages are sent and requests are handled."""

@@ -14,8 +14,7 @@ from edoras_tools.io.foxglove.publishing import Publisher
 from edoras_tools.io.net.address import is_loopback
 from edoras_tools.io.net.transmit import Transmitter
 from edoras_tools.io.net.wire import UdpWire
-from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions
-from edoras_tools.pipelines.sending.safety import fits
+from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions, fits
 from edoras_tools.pipelines.sending.topics import Encoder, routes_towards, sender_of
 from edoras_tools.sessions.outgoing import Outgoing
 from edoras_tools.sessions.sbn.connection import SbnConnection

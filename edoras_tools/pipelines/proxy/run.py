@@ -40,9 +40,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.proxy.plan import ProxyPlan
     from edoras_tools.pipelines.recorder import RelayRecorder
-    from edoras_tools.pipelines.sending.keys import Keys
     from edoras_tools.render.terminal.run import Watcher
     from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.sessions.faults.scopes import Predicate

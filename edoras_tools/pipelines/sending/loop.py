@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.net.wire import Wire
-    from edoras_tools.pipelines.sending.keys import Keys
+    from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.sending.responses import Responses
     from edoras_tools.pipelines.sending.wait_for import Condition
     from edoras_tools.render.terminal.run import Watcher

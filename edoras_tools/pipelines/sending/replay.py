@@ -12,9 +12,8 @@ from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.links.sbn import BRIDGE_PORT
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.pipelines.selection import Period, Selection
-from edoras_tools.pipelines.sending.options import Receiver, SendOptions
+from edoras_tools.pipelines.sending.options import Receiver, SendOptions, called, fits
 from edoras_tools.pipelines.sending.run import Loaded
-from edoras_tools.pipelines.sending.safety import called, fits
 from edoras_tools.sessions.outgoing import Changes, Outgoing, join_datagrams
 from edoras_tools.wire import cfe, sbn
 from edoras_tools.words import listed

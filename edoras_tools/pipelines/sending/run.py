@@ -16,9 +16,8 @@ from edoras_tools.io.net.wire import UdpWire, Wire, precise_timing
 from edoras_tools.links.table import carrying, protocol
 from edoras_tools.model import NO_MSG_ID, Endpoint, Link
 from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule, in_order
-from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions
+from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions, check_allowed
 from edoras_tools.pipelines.sending.responses import Responses
-from edoras_tools.pipelines.sending.safety import check_allowed
 from edoras_tools.pipelines.sending.wait_for import conditions, count_known, leaves_at_once, only_enables
 from edoras_tools.sessions.sbn.connection import SbnConnection
 from edoras_tools.sessions.sbn.habits import CLIENT, PUBLIC_BRIDGE, TCP_CLIENT
@@ -29,8 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from edoras_tools.mission import Mission
+    from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.sending.expect import AwaitedResults
-    from edoras_tools.pipelines.sending.keys import Keys
     from edoras_tools.pipelines.sending.recording import SentRecording
     from edoras_tools.render.terminal.run import Watcher
     from edoras_tools.sessions.faults.machine import FaultMachine

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs.time_services import EPOCH_S
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
-from edoras_tools.pipelines.sending.options import Receiver, SendOptions
+from edoras_tools.pipelines.sending.options import Receiver, SendOptions, fits
 from edoras_tools.pipelines.sending.run import Loaded
-from edoras_tools.pipelines.sending.safety import fits
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe

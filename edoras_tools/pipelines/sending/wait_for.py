@@ -10,7 +10,7 @@ import numpy as np
 from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.io.net.address import ANY_ADDRESS, own_address
 from edoras_tools.model import NO_MSG_ID
-from edoras_tools.pipelines.sending.safety import called
+from edoras_tools.pipelines.sending.options import called
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
 

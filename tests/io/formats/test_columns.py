@@ -9,7 +9,7 @@ from tables import COLUMNS, HEAD, written
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.columns import TableFile
-from edoras_tools.io.formats.csv.writer import CsvWriter
+from edoras_tools.io.formats.text import CsvWriter
 
 
 def test_it_appears_when_it_is_whole(tmp_path):

@@ -15,10 +15,17 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.selection import Period, Selection
-from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions
+from edoras_tools.pipelines.sending.options import (
+    Receiver,
+    Role,
+    SendOptions,
+    check_allowed,
+    check_target,
+    fits,
+    is_loopback,
+)
 from edoras_tools.pipelines.sending.replay import ReplaySelection, changes_for, load_datagrams, remapped
 from edoras_tools.pipelines.sending.run import Transmission
-from edoras_tools.pipelines.sending.safety import check_allowed, check_target, fits, is_loopback
 from edoras_tools.pipelines.sending.topics import load_topics
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.outgoing import Changes

@@ -21,10 +21,10 @@ def read_arrow(path):
     ("name", "read"), [("ParquetWriter", parquet.read_table), ("ArrowWriter", read_arrow)]
 )
 def test_every_kind_of_column(tmp_path, name, read):
-    from edoras_tools.io.formats.arrow import writer
+    from edoras_tools.io.formats import arrow
 
     path = tmp_path / "a"
-    written(path, getattr(writer, name), COLUMNS, COLUMNS)
+    written(path, getattr(arrow, name), COLUMNS, COLUMNS)
     table = read(path)
     assert table.num_rows == 6
     equal = table.drop_columns(["single"])  # NaN equals nothing
@@ -63,7 +63,7 @@ def test_writing_does_not_import_pandas():
     code = """
 import sys, io
 from tables import COLUMNS, HEAD
-from edoras_tools.io.formats.arrow.writer import ParquetWriter
+from edoras_tools.io.formats.arrow import ParquetWriter
 writer = ParquetWriter(io.BytesIO(), HEAD, COLUMNS)
 writer.write(writer.piece(COLUMNS))
 writer.close()

@@ -1,1 +1,0 @@
-"""JSON Lines (https://jsonlines.org): one object a row."""
