@@ -39,8 +39,8 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(65_546, 150, 58_000),
-    "lines with code, all": Limit(77_559, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(65_550, 150, 58_000),
+    "lines with code, all": Limit(77_563, 150, 84_000),  # with what is still to come
     "files": Limit(597, 10, 450),
     "files below 170 lines, of 1,000": Limit(508, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(2, 0, 0),

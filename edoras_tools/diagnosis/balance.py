@@ -395,7 +395,7 @@ def _command(case: Case, fate: Fate, lost: Counter[str]) -> list[Row]:
         )
     if fate.seen:
         out = int(fate.arrived.sum()) + fate.passed_on
-        unsure = fate.missed + fate.elsewhere
+        unsure = fate.missed + fate.elsewhere + fate.beyond
         rest = at - out - sum(ended.values()) - fate.superseded - fate.waiting - fate.unaccounted - unsure
         ways = ", ".join(
             "the robot link" if hop.out.link.last_hop else case.name(hop.out.msg_id) for hop in fate.hops

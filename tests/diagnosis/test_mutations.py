@@ -25,9 +25,6 @@ FAILS = {
         c3_mqueue10
         p4_apps_stopped
     """,
-    "the second half": """
-        n11_jointstate_sizes
-    """,
     "times late by up to 20 ms": """
         n12_two_hosts_flight
         n12_two_hosts_ground

@@ -191,9 +191,9 @@ class Commands:
 
         An application passes on in order. Between two messages that came out as many of the absent ones may
         have been passed on as came out with other values, or are missing there by their counts. No count
-        shows those just before the first and just behind the last.
+        shows those before the first and behind the last.
         """
-        times, open_ = self._known.captured(fate.stream), np.flatnonzero(fate.open)
+        open_ = np.flatnonzero(fate.open)
         for hop in fate.hops:
             if not (hop.rewritten and hop.out.counted):
                 continue
@@ -204,9 +204,7 @@ class Commands:
             # Of those in one place the first may be it, as far as there is room.
             nth = np.arange(len(behind)) - np.searchsorted(behind, behind)
             fate.passed[open_[nth < room[behind]]] = True
-            near = (times[open_] > times[into[0]] - LATE_NS) & (behind == 0)
-            near |= (times[open_] < times[into[-1]] + hop.last_ns + LATE_NS) & (behind == len(into))
-            fate.edge[open_[near]] = True
+            fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
 
     def _unfollowed(self, fate: Fate) -> None:
         """Count what nobody can follow, of what nothing else has told."""
@@ -288,7 +286,8 @@ class Commands:
         times = self._known.captured(fate.stream)
         if fate.stream.link.peers:
             self._rushed(fate, times)
-        unaccounted = int(fate.open.sum())
+        fate.beyond = int((fate.open & fate.edge).sum())
+        unaccounted = int(fate.open.sum()) - fate.beyond
         # One that came out and was lost behind that took others' place, too.
         more = min(unaccounted, fate.passed_on) if fate.newer.any() else 0
         fate.superseded += more
@@ -299,7 +298,8 @@ class Commands:
             among[at] -= part
             fate.unaccounted -= part
             fate.elsewhere += part
-        fate.shared = min(fate.shared - fate.elsewhere, fate.superseded + fate.passed_on)
+            fate.shared -= part
+        fate.shared = min(fate.shared, fate.superseded + fate.passed_on)
         superseded = min(fate.shared, fate.superseded)
         fate.superseded -= superseded
         fate.passed_on -= fate.shared - superseded

@@ -56,6 +56,8 @@ class Fate:
         uncertain: of those that may yet come out, how many may be lost: their pipe lost others to the end.
         missed: messages that may have come out, and that the capture may have missed.
         elsewhere: messages that did not come out, and may be among those that a counter has of several.
+        beyond: messages that were sent before the first that came out or behind the last, by a way whose end
+            may be behind the application.
         passed: bool (rows,), it may have come out of the application and have been lost behind it.
         edge: bool (rows,), likewise, where no count behind it would show that.
         stop: i64 (rows,), place of the stop of an application that it was sent into; -1 for none.
@@ -87,6 +89,7 @@ class Fate:
     uncertain: int = 0
     missed: int = 0
     elsewhere: int = 0
+    beyond: int = 0
     passed: NDArray[np.bool_] = field(init=False)
     edge: NDArray[np.bool_] = field(init=False)
     stop: NDArray[np.int64] = field(init=False)

@@ -63,7 +63,7 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
                 f"{case.profile.sbn_wake_ns // 1_000_000} ms",
             )
     for fate in case.commands.fates.values():
-        if fate.unaccounted:
+        if fate.unaccounted or fate.beyond:
             yield _lost_crossing(case, fate) if fate.seen else _unfollowed(case, fate)
 
 
@@ -103,10 +103,13 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
         )
     closed = unsent == len(missing)
     why = "Telemetry Output was not enabled yet" if closed else "the capture cannot show why"
+    number, proven = fate.unaccounted, "are not accounted for"
+    if not number:
+        number, proven = fate.beyond, "may be lost"
     return Verdict(
-        Severity.WARNING if closed else Severity.ERROR,
-        f"{fate.unaccounted:,} of {len(stream):,} messages that went into cFS on {into} are not accounted "
-        f"for: they never came out {' or '.join(ways)}, and {why}",
+        Severity.WARNING if closed or not fate.unaccounted else Severity.ERROR,
+        f"{number:,} of {len(stream):,} messages that went into cFS on {into} {proven}: they never came out "
+        f"{' or '.join(ways)}, and {why}",
         msg_id=stream.msg_id,
         link=stream.link.label,
         hop="application",
