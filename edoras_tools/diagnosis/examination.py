@@ -259,7 +259,7 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
         found[name] = [_told(case, name, verdict) for verdict in every[name](case)]
     for item in (item for members in found.values() for item in members if item.lost):
         figures = item.start_ns, item.end_ns, item.lost or 0, item.of
-        case.refused.append(Refused(item.rule, item.link, item.msg_id, item.hop, *figures))
+        case.refused.append(Refused(item.rule, item.link, item.msg_id, item.hop, *figures, item.by_type))
     left = iter(map(case.commands.refusals, case.refused))
     for members in found.values():
         members[:] = [_lost_here(item, next(left)) if item.lost else item for item in members]
@@ -281,8 +281,8 @@ def _told(case: Case, rule: str, verdict: Verdict) -> Verdict:
 def _lost_here(verdict: Verdict, number: int) -> Verdict:
     """Return a verdict on messages of which so many were lost there: others never came to it, or arrived."""
     other = (verdict.lost or 0) - number
-    if not other:
-        return verdict
+    if not other or verdict.by_type:
+        return replace(verdict, lost=number or None)
     line = f"{plural(other, 'message')} of these arrived, or are told to be lost elsewhere"
     return replace(verdict, lost=number, evidence=(*verdict.evidence, line))
 

@@ -58,6 +58,8 @@ class Verdict:
         confidence: ``high``: counted or said by cFS; ``medium``: follows from what was seen; ``low``: likely.
         rule: name of the rule that says so, as its page of documentation has it; ``judge`` fills it in.
         cause: kind of the loss that it explains, as ``lost_by`` of the balance has it; empty otherwise.
+        by_type: it follows from the types of a mission alone, which may be wrong: ``lost`` are then only
+            those of which counts and datagrams show that they did not arrive.
     """
 
     severity: Severity
@@ -74,6 +76,7 @@ class Verdict:
     confidence: Confidence = "high"
     rule: str = ""
     cause: str = ""
+    by_type: bool = False
 
     @property
     def start_ns(self) -> int:

@@ -153,17 +153,18 @@ def sums(result: dict) -> list[str]:
     return faults
 
 
-def diagnosed(path: Path, options: tuple[str, ...] = ()) -> dict:
-    """Return what ``edoras doctor --json`` says of a capture without a mission.
+def diagnosed(path: Path, options: tuple[str, ...] = (), configs: tuple[Path, ...] = ()) -> dict:
+    """Return what ``edoras doctor --json`` says of a capture.
 
     Args:
         path: of the capture.
         options: pairs of ``--port`` and ``LINK:PORT``.
+        configs: files of a mission.
     """
     ports = [word.split(":") for word in options[1::2]]
     links = Options(ports=tuple((table.named(link), int(port)) for link, port in ports))
     with closing(open_file(path)) as source:
-        bench = Settings(configs=[], options=links).workbench(source.info)
+        bench = Settings(configs=list(configs), options=links).workbench(source.info)
         return examine(source, bench).diagnosis.as_json()
 
 

@@ -58,7 +58,7 @@ _WRAPPED: Final = 128
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Messages that came to nothing by what they are: a verdict's figures."""
+    """Messages that came to nothing by what they are: a verdict's figures, and whether types tell it."""
 
     rule: str
     link: str | None
@@ -68,6 +68,7 @@ class Refused:
     end_ns: int
     lost: int
     of: int | None
+    by_type: bool = False
 
 
 class Commands:
@@ -105,7 +106,7 @@ class Commands:
         before_ci, pipes = BeforeCi(known, fates, self.losses), Pipes(known, counts, self.losses)
         for account in accounts:
             before_ci.share(account)
-        self._refuse(refused)
+        self._refuse([item for item in refused if not item.by_type])
         stops = Stops(known, fates)
         for fate in fates:
             if fate.stream.link.peers:
@@ -131,6 +132,7 @@ class Commands:
         leftover.share(shared)
         settle_rest(counts, claims)
         telemetry.tell()
+        self._name([item for item in refused if item.by_type])
         doubt(known, telemetry, fates, quality)
         leftover.tell(telemetry.losses)
         self.uncaptured = leftover.uncaptured
@@ -185,6 +187,29 @@ class Commands:
                         self.placed[id(item)] = number, Among(fate.stream, inside)
                     left = 0  # what is not open arrived, or is told of by another verdict
             self.unplaced[id(item)] = left
+
+    def _name(self, refused: Sequence[Refused]) -> None:
+        """Give a cause to what is unaccounted for, where the types of a mission tell one.
+
+        They are wrong where a message arrived that they refuse.
+        """
+        self.unplaced |= dict.fromkeys(map(id, refused), 0)
+        for fate in self.fates.values() if refused else ():
+            stream, times = fate.stream, self._known.captured(fate.stream)
+            own = [
+                (item, (times >= item.start_ns) & (times <= item.end_ns))
+                for item in refused
+                if fate.seen and (item.link, item.msg_id) == (stream.link.label, stream.msg_id)
+            ]
+            if any(item.lost > (within & ~fate.arrived).sum() for item, within in own if within.any()):
+                continue
+            for item, within in own:
+                inside = np.flatnonzero(fate.open & within)
+                number = fate.claim(inside[: min(item.lost, fate.unaccounted)])
+                if number:
+                    fate.unaccounted -= number
+                    fate.refused[item.rule] += number
+                    self.placed[id(item)] = number, Among(stream, inside)
 
     def _pass_on(self, fate: Fate) -> None:
         """Mark those that may have come out of the application, and are among what is missing behind it.

@@ -132,14 +132,11 @@ def _by_answers(
         again: which of these were there before.
         answers: what came out, each once.
     """
-    vote = 0
-    for prints in (rows.value_print, rows.stamped_print):
-        values, came = np.unique(prints[mine], return_counts=True)
-        doubled = np.isin(values, prints[mine[again]])
-        went = np.sort(prints[answers])
-        number = np.searchsorted(went, values, "right") - np.searchsorted(went, values)
-        alone = number[(came == 1) & ~doubled & (number > 0) & (values != 0)]
-        usual = int(np.median(alone)) if len(alone) else 0  # it may leave on several ways
-        told = number[(came == 2) & doubled & (values != 0)]
-        vote += int((told == 2 * usual).sum()) - int((told == usual).sum()) if usual else 0
-    return vote
+    values, came = np.unique(rows.body_print[mine], return_counts=True)
+    doubled = np.isin(values, rows.body_print[mine[again]])
+    went = np.sort(rows.body_print[answers])
+    number = np.searchsorted(went, values, "right") - np.searchsorted(went, values)
+    alone = number[(came == 1) & ~doubled & (number > 0) & (values != 0)]
+    usual = int(np.median(alone)) if len(alone) else 0  # it may leave on several ways
+    told = number[(came == 2) & doubled & (values != 0)]
+    return int((told == 2 * usual).sum()) - int((told == usual).sum()) if usual else 0

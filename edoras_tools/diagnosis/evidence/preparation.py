@@ -201,7 +201,7 @@ def _emptied(rows: Rows, chosen: NDArray[np.bool_]) -> Rows:
         "mission_time_ns": -1,
         "sbn_msg_type": -1,
         **dict.fromkeys(("packet_length", "cdr_length", "space", "claimed", "findings"), 0),
-        **dict.fromkeys(("packet_print", "value_print", "stamped_print", "shared_print"), 0),
+        **dict.fromkeys(("packet_print", "body_print", "value_print", "stamped_print", "shared_print"), 0),
     }
     return replace(
         rows,

@@ -1,4 +1,4 @@
-"""The columns that a diagnosis keeps of each datagram: 119 bytes, however large the datagram is."""
+"""The columns that a diagnosis keeps of each datagram: 127 bytes, however large the datagram is."""
 
 from __future__ import annotations
 
@@ -62,6 +62,7 @@ class Rows:
         reordered: i32.
         restarts: i32.
         packet_print: u64, fingerprint of the whole space packet.
+        body_print: u64, fingerprint of the message's bytes behind its encapsulation.
         value_print: u64, fingerprint of the message's values but its time stamps.
         stamped_print: u64, fingerprint of the message's values.
         shared_print: u64, fingerprint of what commands share with a robot's own struct; 0 where it has none.
@@ -99,6 +100,7 @@ class Rows:
     reordered: NDArray[np.int32]
     restarts: NDArray[np.int32]
     packet_print: NDArray[np.uint64]
+    body_print: NDArray[np.uint64]
     value_print: NDArray[np.uint64]
     stamped_print: NDArray[np.uint64]
     shared_print: NDArray[np.uint64]
@@ -201,7 +203,7 @@ class Recorder:
         """Keep what is needed of the datagrams of a batch, all of which carry a packet or a command."""
         self.payloads.add(batch, columns, self._kept)
         offset, length, space, claimed = self._messages(batch, columns)
-        plain, stamped = self._fingerprints(batch, columns, offset, length)
+        body, plain, stamped = self._fingerprints(batch, columns, offset, length)
         whole = of_bytes(batch.data, batch.offset, batch.length)
         # Most datagrams are a packet and nothing else.
         packet, start, size = whole.copy(), columns.packet_offset, columns.packet_length
@@ -231,6 +233,7 @@ class Recorder:
                 bytes_print=whole,
                 counted=told.stream >= 0,
                 packet_print=packet,
+                body_print=body,
                 value_print=plain,
                 stamped_print=stamped,
                 shared_print=self._shared.fingerprints(batch, columns, offset, length),
@@ -310,24 +313,25 @@ class Recorder:
         columns: Columns,
         offset: NDArray[np.int64],
         length: NDArray[np.int32],
-    ) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-        plain, stamped = (np.zeros(len(batch), np.uint64) for _ in range(2))
+    ) -> tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]:
+        """Return fingerprints of the bytes of each message, of its values, and of these with time stamps."""
+        body = np.zeros(len(batch), np.uint64)
         types, routes = self.context.types, self.context.mission.routes
-        there = offset >= 0
+        there = np.flatnonzero(offset >= 0)
+        body[there] = of_bytes(batch.data, offset[there] + _ENCAPSULATION, length[there] - _ENCAPSULATION)
+        plain, stamped = body.copy(), body.copy()
         for index in np.unique(columns.route[there]).tolist():
-            rows = np.flatnonzero(there & (columns.route == index))
             name = routes[index].type if index != NO_ROUTE else ""
             if name and types is not None and types.has(name):
+                rows = there[columns.route[there] == index]
                 plain[rows], stamped[rows] = fingerprint.of_values(
                     types, name, batch.data, offset[rows], length[rows]
                 )
-            else:
-                body = of_bytes(batch.data, offset[rows] + _ENCAPSULATION, length[rows] - _ENCAPSULATION)
-                plain[rows] = stamped[rows] = body
         told = np.flatnonzero(among(columns.link, lambda item: item.last_hop))
         if len(told):
-            plain[told], stamped[told] = robot.fingerprints(batch, told, types)
-        return plain, stamped
+            body[told], stamped[told] = robot.fingerprints(batch, told, types)
+            plain[told] = body[told]
+        return body, plain, stamped
 
     def _sample(
         self, batch: PacketBatch, columns: Columns, offset: NDArray[np.int64], length: NDArray[np.int32]
@@ -372,6 +376,6 @@ def _none() -> Rows:
     kinds = {"link": "u1", "header_length": "u1", "sequence_count": "u2", "findings": "u4"}
     kinds |= dict.fromkeys(("processor_id", "spacecraft_id"), "u4")
     kinds |= {"identification": "u2", "life": "u1", "counted": "?", "streamed": "?"}
-    prints = ("tap", "bytes_print", "packet_print", "value_print", "stamped_print", "shared_print")
+    prints = ("tap", *(f"{name}_print" for name in ("bytes", "packet", "body", "value", "stamped", "shared")))
     kinds |= dict.fromkeys(prints, "u8")
     return Rows(**{item.name: np.zeros(0, kinds.get(item.name, "i8")) for item in fields(Rows)})

@@ -1,13 +1,14 @@
 """The same message on two links: what crossed cFS, how long that took, and what never came out.
 
 A packet that cFS only hands on is the same bytes on both; a message that an application reads and writes anew
-has another MsgId and another encoding, and the same values.
+has another MsgId and the same body. Only where no bodies are alike are values compared, as the types of a
+mission have them: what the bytes tell holds with any mission.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -36,6 +37,7 @@ _FEW_TOGETHER: Final = 0.1
 _ALIKE: Final = 0.5
 _LEAST_DIFFERENT: Final = 3
 _NEARLY_ALL: Final = 0.9
+_BODIES: Final = "body_print", "body_print"
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +130,7 @@ def find_hops(streams: Sequence[Stream], rows: Rows, follows: Callable[[Stream, 
         rests = []
         for out in ways_out:
             if id(out) in best:
-                _, _, into, came, went = best[id(out)]
+                _, into, came, went = best[id(out)]
                 hops.append(_match(into, out, rows, came, went))
                 other = ~np.isin(went, came)
                 if out.link.last_hop and other.any():
@@ -144,9 +146,9 @@ def _ways_in(
     rows: Rows,
     known: _Prints,
     follows: Callable[[Stream, Stream], bool],
-) -> dict[int, tuple[float, int, Stream, NDArray[np.uint64], NDArray[np.uint64]]]:
-    """Return the likeliest way in of each way out, by its id: likeness, nearness, stream, fingerprints."""
-    best: dict[int, tuple[float, int, Stream, NDArray[np.uint64], NDArray[np.uint64]]] = {}
+) -> dict[int, _Way]:
+    """Return the likeliest way in of each way out, by its id."""
+    best: dict[int, _Way] = {}
     begin_ns, end_ns = (
         np.array([rows.time_ns[item.rows[place]] for item in ways_out], np.int64) for place in (0, -1)
     )
@@ -165,9 +167,19 @@ def _ways_in(
             different = known.different(into, kinds[0]), known.different(out, kinds[1])
             score = _likeness(*prints, different, sure=out.link.last_hop)
             near = -abs((into.msg_id & 0xF) - (out.msg_id & 0xF))
-            if score >= _ALIKE and (score, near) > best.get(id(out), (0.0, 0))[:2]:
-                best[id(out)] = (score, near, into, *prints)
+            rank = kinds == _BODIES, score, near
+            if score >= _ALIKE and (id(out) not in best or rank > best[id(out)].rank):
+                best[id(out)] = _Way(rank, into, *prints)
     return best
+
+
+class _Way(NamedTuple):
+    """What may have come out as a stream: how likely, by what is alike; fingerprints of both."""
+
+    rank: tuple[bool, float, int]
+    into: Stream
+    came: NDArray[np.uint64]
+    went: NDArray[np.uint64]
 
 
 def _may_follow(into: Stream, out: Stream) -> bool:
@@ -234,13 +246,15 @@ def _kinds(into: Stream, out: Stream, known: _Prints) -> list[tuple[str, str]]:
     if out.link.last_hop:
         # A robot is sent bare numbers, their bytes or values as the configured type has them, or a struct.
         return [
+            _BODIES,
             ("value_print", "value_print"),
             ("value_print", "stamped_print"),
             ("shared_print", "shared_print"),
         ]
-    kinds = ("stamped_print", "value_print")
     return [
-        (kind, kind) for kind in kinds if len(known.different(into, kind)) and len(known.different(out, kind))
+        (kind, kind)
+        for kind in (_BODIES[0], "stamped_print", "value_print")
+        if len(known.different(into, kind)) and len(known.different(out, kind))
     ]
 
 

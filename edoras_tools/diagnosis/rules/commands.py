@@ -270,6 +270,7 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
         evidence=tuple(evidence),
         remedy=f"send whole commands of {cfe.COMMAND_HEADER_BYTES} to {CI_BUFFER} bytes whose fields agree",
         confidence="high" if events or not kind.event else "medium",
+        by_type=kind.finding is Finding.CDR_INVALID,
     )
 
 

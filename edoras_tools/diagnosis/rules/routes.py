@@ -153,6 +153,7 @@ def wrong_type(case: Case) -> Iterator[Verdict]:
             remedy="name the type that the other side sends; both bridges and the flight application must "
             "agree",
             confidence="high" if fits else "medium",
+            by_type=True,
         )
 
 

@@ -134,16 +134,20 @@ def _begins(times: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _values(cause: Rows, effect: Rows, about: ClockLine | None, *, back: bool) -> Iterator[_Pairs]:
     """Yield when messages went into cFS and the same came out, read and written anew."""
-    into = np.flatnonzero(
-        (cause.msg_id != NO_MSG_ID) & VERSION_1.is_command(cause.known_id) & (cause.value_print != 0)
-    )
+    into = np.flatnonzero((cause.msg_id != NO_MSG_ID) & VERSION_1.is_command(cause.known_id))
+    into = into[(cause.body_print[into] != 0) | (cause.value_print[into] != 0)]
     robot = among(effect.link, lambda item: item.last_hop)
     out = np.flatnonzero(robot | ((effect.msg_id != NO_MSG_ID) & ~VERSION_1.is_command(effect.known_id)))
-    for prints in (effect.value_print, effect.stamped_print):
-        ours, theirs = matches(cause.value_print[into], prints[out])
+    for came, went in (
+        (cause.body_print, effect.body_print),
+        (cause.value_print, effect.value_print),
+        (cause.value_print, effect.stamped_print),
+    ):
+        ours, theirs = matches(came[into], went[out])
         pairs = _near((cause.time_ns[into[ours]], effect.time_ns[out[theirs]]), about, back=back)
         if len(pairs[0]):
             yield pairs
+            return
 
 
 def _packets(
