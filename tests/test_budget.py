@@ -39,10 +39,10 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(65_550, 150, 58_000),
-    "lines with code, all": Limit(77_563, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(65_585, 150, 58_000),
+    "lines with code, all": Limit(77_598, 150, 84_000),  # with what is still to come
     "files": Limit(597, 10, 450),
-    "files below 170 lines, of 1,000": Limit(508, 10, 500),  # a median of 170 lines or more
+    "files below 170 lines, of 1,000": Limit(506, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(2, 0, 0),
     "files that record runs through": Limit(123, 2, 80),
     "files that sniff --where runs through": Limit(114, 2, 80),
