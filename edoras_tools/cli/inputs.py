@@ -141,7 +141,7 @@ def _open_files(
     except NoDatagramsError as error:
         if not messages:
             raise
-        from edoras_tools.pipelines.messages.opening import open_messages
+        from edoras_tools.pipelines.messages import open_messages
 
         return open_messages(read, settings, error)
     try:

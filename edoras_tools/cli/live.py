@@ -25,7 +25,7 @@ from edoras_tools.errors import ConfigError, EdorasError
 if TYPE_CHECKING:
     from edoras_tools.io import LiveSource
     from edoras_tools.io.foxglove.origins import OriginCheck
-    from edoras_tools.io.foxglove.playback import PlaybackState
+    from edoras_tools.io.foxglove.requests import PlaybackState
     from edoras_tools.io.foxglove.sink import FoxgloveSink, ServedSink
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.capture.record import CaptureReport, Target

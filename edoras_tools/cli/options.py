@@ -541,6 +541,6 @@ class FaultOptions(NamedTuple):
             from edoras_tools.sessions.faults.machine import FaultPlan
 
             return FaultPlan(seed=self.seed or 0)
-        from edoras_tools.pipelines.faults.scenario import fault_plan
+        from edoras_tools.pipelines.faults import fault_plan
 
         return fault_plan(self.fault or (), self.profile, self.scenario, self.seed)

@@ -84,7 +84,7 @@ def proxy(
     Programs send to the proxy instead of the target. Keys 1 to 9 switch faults on and off, q quits.
     """
     from edoras_tools.links.table import named
-    from edoras_tools.pipelines.faults.scenario import compiler
+    from edoras_tools.pipelines.faults import compiler
     from edoras_tools.pipelines.proxy.plan import ProxyPlan, as_relayed, limit_rule
     from edoras_tools.pipelines.proxy.run import Proxy
     from edoras_tools.render.sending import proxy as view

@@ -207,7 +207,7 @@ def carry_out(
     expected = AwaitedResults.of(send_options.expect, send_options.expect_ns, bench.columns.context)
     machine = None
     if faults:
-        from edoras_tools.pipelines.faults.scenario import compiler
+        from edoras_tools.pipelines.faults import compiler
 
         machine = faults.start(where=compiler(bench), headers=transmission.options.headers)
     if ending.dry_run:

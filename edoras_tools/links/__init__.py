@@ -17,7 +17,7 @@ ROWS: Final = {
     "frames": "edoras_tools.links.frames:FRAMES",
     "fprime": "edoras_tools.links.fprime:FPRIME",
     "rtps": "edoras_tools.links.rtps.link:RTPS",
-    "file": "edoras_tools.links.stored:STORED",
+    "file": "edoras_tools.links.table:STORED",
     "reset": "edoras_tools.links.resets:RESETS",
     "racs2": "edoras_tools.links.racs2:RACS2",
     "icmp": "edoras_tools.links.icmp:ICMP",

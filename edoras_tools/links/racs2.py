@@ -40,7 +40,7 @@ class RacsBridgeFraming(Framing):
 
     @cached_property
     def _reader(self) -> Framing:
-        from edoras_tools.links.streams.racs2 import RacsBridgeStreams
+        from edoras_tools.links.streams import RacsBridgeStreams
 
         return RacsBridgeStreams(self.largest)
 

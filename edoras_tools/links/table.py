@@ -13,7 +13,7 @@ from edoras_tools import doors
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import ROWS
 from edoras_tools.links.protocol import LinkProtocol
-from edoras_tools.model import OTHER, Columns, Link
+from edoras_tools.model import OTHER, Columns, Link, Transport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.doors import Addition
     from edoras_tools.links.framing import Framing
+
 
 _LABEL: Final = re.compile(r"[a-z][a-z0-9_]{0,15}")
 _CODES: Final = 256
@@ -148,3 +149,19 @@ def accepted(meant: Callable[[Link], bool]) -> NDArray[np.bool_]:
     table = np.zeros(1 << 8, np.bool_)
     table[[code for code, item in _by_code().items() if meant(item)]] = True
     return table
+
+
+class StoredLink(LinkProtocol):
+    """The packets of a file; no wire carries them, so its port is 0, which no datagram has."""
+
+    code = 9
+    name = "FILE"
+    label = "file"
+    colour = "dim"
+    doc = "packets in a file that cFS wrote (event log, Data Storage)"
+    transport = Transport(ports=(0,), first="server")
+    from_cfs = True
+    packets = True
+
+
+STORED: Final = StoredLink()

@@ -16,7 +16,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.foxglove.origins import OriginCheck
-from edoras_tools.io.foxglove.publishing import Publisher
+from edoras_tools.io.foxglove.requests import Publisher
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.net.address import reach_note
 from edoras_tools.io.topics.rows import Records

@@ -17,9 +17,9 @@ from edoras_tools.mission.bridges import (
     read_pdu_msg_ids,
     read_stored,
     read_transfer,
+    warn_of_unknown,
 )
 from edoras_tools.mission.fields import Fields
-from edoras_tools.mission.handling import warn_of_unknown
 from edoras_tools.mission.model import FramedPort, Mission
 from edoras_tools.mission.parameters import NodeParameters, read_nodes
 from edoras_tools.mission.report import Mistakes

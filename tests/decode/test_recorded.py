@@ -16,7 +16,7 @@ from edoras_tools.decode.lines import PacketLines, line_of
 from edoras_tools.errors import RouteError
 from edoras_tools.model import OTHER, Finding
 from edoras_tools.pipelines.capture.packet_json import PacketTexts, as_json
-from edoras_tools.pipelines.messages.opening import open_inputs
+from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.reading import chosen
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings

@@ -17,7 +17,7 @@ from edoras_tools.errors import CaptureError, ConfigError, EdorasError, FieldErr
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
 from edoras_tools.mission import load
-from edoras_tools.pipelines.faults.scenario import load_scenario
+from edoras_tools.pipelines.faults import load_scenario
 from edoras_tools.pipelines.structs import take
 from edoras_tools.render.doctor.report.page import Made, page
 from edoras_tools.ros import TypeStore

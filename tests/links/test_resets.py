@@ -11,7 +11,7 @@ from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.io.formats.cfe.reader import reset_times
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.resets import RESETS
-from edoras_tools.links.stored import STORED
+from edoras_tools.links.table import STORED
 from edoras_tools.wire.cfe_file import EXCEPTION, RESET_COMMAND, RESET_ENTRY
 
 SIZE = RESET_ENTRY.size

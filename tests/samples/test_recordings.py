@@ -3,7 +3,7 @@
 from others import messages, read_bag, write_bag
 from places import SAMPLES
 
-from edoras_tools.pipelines.messages.opening import open_inputs
+from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.workbench import Settings
 
 

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.errors import WireError
-from edoras_tools.io.foxglove.playback import PlaybackRequest, PlaybackState
-from edoras_tools.io.foxglove.publishing import MESSAGE_ENCODINGS
+from edoras_tools.io.foxglove.requests import MESSAGE_ENCODINGS, PlaybackRequest, PlaybackState
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.window import copy_rows, put_rows
 

@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from edoras_tools.io.foxglove.client import FoxgloveClient
-    from edoras_tools.io.foxglove.playback import PlaybackState, Player
-    from edoras_tools.io.foxglove.publishing import Publisher
+    from edoras_tools.io.foxglove.requests import PlaybackState, Player, Publisher
     from edoras_tools.io.topics.rows import Records
     from edoras_tools.io.topics.streams import Topic
 

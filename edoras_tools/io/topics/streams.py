@@ -1,9 +1,13 @@
-"""The topics of a link's traffic, and the messages of each batch on them: the same for every sink."""
+"""The topics of a link's traffic, and the messages of each batch on them: the same for every sink.
+
+Mission time becomes UTC by the clock of the capture.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -14,7 +18,6 @@ from edoras_tools.io.topics.cfe import (
     reset_messages,
     software_bus_messages,
 )
-from edoras_tools.io.topics.clock import MissionClock
 from edoras_tools.io.topics.datagrams import DatagramWriter, ros_messages, without_trailing
 from edoras_tools.io.topics.faults import FAULTS_TOPIC, FAULTS_TYPE
 from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
@@ -22,12 +25,14 @@ from edoras_tools.io.topics.rows import RECORD, Messages, whole_messages
 from edoras_tools.io.topics.statistics import HOST_TOPIC, HOST_TYPE, LinkStatistics
 from edoras_tools.io.topics.structs import log_messages, struct_messages
 from edoras_tools.io.topics.transforms import TF_TOPIC, TF_TYPE, Transforms
+from edoras_tools.links import table
 from edoras_tools.links.cfdp import CFDP
 from edoras_tools.links.racs2 import RACS2
 from edoras_tools.links.resets import RESETS
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.payloads import payloads
+from edoras_tools.wire.arrays.order import order_by
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
 
 if TYPE_CHECKING:
@@ -43,6 +48,88 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.sequence import SequenceCounts
+
+
+_JUMP_NS = 5_000_000_000
+"""A change of a sender's offset that only a restart or a clock that was set can explain."""
+_MAX_SENDERS = 4096
+"""Corrupt packets could name any number of senders; above this number the oldest are forgotten."""
+_FEW = 128
+"""Up to this many senders and jumps in a batch, one call for each is faster."""
+
+
+class MissionClock:
+    """Offset of each sender's mission clock from UTC: the smallest (capture time - mission time) so far.
+
+    Delays only increase it, so the smallest is the best estimate. A sender is a (link, ProcessorID).
+    When the offset changes by more than 5 s, the sender's clock was reset, and the estimate starts again.
+    """
+
+    def __init__(self) -> None:
+        self._link = np.zeros(0, dtype=np.uint8)
+        self._processor = np.zeros(0, dtype=np.uint32)
+        self._least = np.zeros(0, dtype=np.int64)
+        self._last = np.zeros(0, dtype=np.int64)
+
+    def publish_times(self, time_ns: NDArray[np.int64], columns: Columns) -> NDArray[np.int64]:
+        """Return the time in each packet, ns since 1970 UTC; its capture time if it has none.
+
+        A mission time of 0 is no time: cFS counts from a start offset, and senders without a clock write 0.
+
+        Args:
+            time_ns: i64, capture time.
+        """
+        rows = np.flatnonzero(columns.mission_time_ns > 0)
+        published = time_ns.copy()
+        if len(rows) == 0:
+            return published
+        mission = columns.mission_time_ns[rows]
+        # Each sender's state is put before the batch as two rows: its smallest and its last offset.
+        known = len(self._link)
+        link = np.concatenate((self._link, self._link, columns.link[rows]))
+        processor = np.concatenate((self._processor, self._processor, columns.processor_id[rows]))
+        offset = np.concatenate((self._least, self._last, time_ns[rows] - mission))
+        order = order_by(link, processor)
+        least = np.empty_like(offset)
+        least[order], ends = _running_least(link[order], processor[order], offset[order], order < 2 * known)
+        published[rows] = mission + least[2 * known :]
+        last = order[ends]
+        if len(last) > _MAX_SENDERS:
+            last = np.sort(last)[-_MAX_SENDERS:]
+        self._link, self._processor = link[last], processor[last]
+        self._least, self._last = least[last], offset[last]
+        return published
+
+    def offsets(self) -> dict[str, int]:
+        """Return the offset of each sender in ns, named ``LINK/PROCESSOR``, e.g. ``to/0``."""
+        senders = zip(self._link.tolist(), self._processor.tolist(), self._least.tolist(), strict=True)
+        return {f"{table.link(link).label}/{processor}": least for link, processor, least in senders}
+
+
+def _running_least(
+    link: NDArray[np.uint8],
+    processor: NDArray[np.uint32],
+    offset: NDArray[np.int64],
+    known: NDArray[np.bool_],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the running minimum of each sender's offsets, reset at jumps, and each sender's last state."""
+    changes = (link[1:] != link[:-1]) | (processor[1:] != processor[:-1])
+    # There is no jump between a sender's stored smallest and last offset: the offset changed slowly.
+    jumps = (np.abs(np.diff(offset)) > _JUMP_NS) & ~(known[1:] & known[:-1])
+    starts = np.concatenate(([0], np.flatnonzero(changes | jumps) + 1))
+    if len(starts) <= _FEW:
+        least = np.empty_like(offset)
+        for first, end in pairwise([*starts.tolist(), len(offset)]):
+            np.minimum.accumulate(offset[first:end], out=least[first:end])
+        return least, np.append(np.flatnonzero(changes), len(offset) - 1)
+    segment = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(offset))))
+    # One accumulate for all segments: each is shifted down so far that no earlier value can be smaller.
+    step = (1 << 62) // (len(starts) + 1)
+    base = offset[starts][segment]
+    moved = np.clip(offset - base, -(step // 2) + 1, step // 2 - 1) - segment * step
+    least = np.minimum.accumulate(moved) + segment * step + base
+    return least, np.append(np.flatnonzero(changes), len(offset) - 1)
+
 
 LATCHED_NAMES: Final = ("tf_static", "robot_description")
 """Last parts of names of topics that ROS latches; others are by ``durability: transient_local``."""

@@ -30,7 +30,7 @@ from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.block import TopicBlock
 from edoras_tools.pipelines.export.judged import JUDGED, judged_block, judged_blocks
 from edoras_tools.pipelines.jobs import jobs_for
-from edoras_tools.pipelines.messages.opening import open_inputs
+from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.units import SECOND

@@ -16,12 +16,12 @@ from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.io.formats.open import kept_recording
 from edoras_tools.io.formats.stream import SettledFile
-from edoras_tools.io.foxglove.playback import PlaybackRequest, PlaybackState
+from edoras_tools.io.foxglove.requests import PlaybackRequest, PlaybackState
 from edoras_tools.io.frames.fragmented import FragmentedSamples
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
-from edoras_tools.pipelines.messages.opening import open_inputs
+from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.selection import outside
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.units import MILLISECOND, SECOND

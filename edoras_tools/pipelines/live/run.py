@@ -19,8 +19,7 @@ from edoras_tools.render.severity import EXPLANATIONS, Level
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
-    from edoras_tools.io.foxglove.playback import Player
-    from edoras_tools.io.foxglove.publishing import Publisher
+    from edoras_tools.io.foxglove.requests import Player, Publisher
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench

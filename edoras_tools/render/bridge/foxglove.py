@@ -9,7 +9,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from edoras_tools.io.foxglove.playback import PlaybackState
+    from edoras_tools.io.foxglove.requests import PlaybackState
 
 
 def served(summary: Mapping[str, Any]) -> Iterator[str]:

@@ -18,7 +18,7 @@ from websockets.uri import parse_uri
 
 from edoras_tools.errors import WireError
 from edoras_tools.io.foxglove import protocol
-from edoras_tools.io.foxglove.playback import PlaybackRequest, PlaybackState
+from edoras_tools.io.foxglove.requests import PlaybackRequest, PlaybackState
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Topic

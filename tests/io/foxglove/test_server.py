@@ -18,8 +18,7 @@ from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.foxglove import client as foxglove_client
 from edoras_tools.io.foxglove import server as foxglove_server
 from edoras_tools.io.foxglove.origins import OriginCheck
-from edoras_tools.io.foxglove.playback import PlaybackRequest, PlaybackState
-from edoras_tools.io.foxglove.publishing import Publisher
+from edoras_tools.io.foxglove.requests import PlaybackRequest, PlaybackState, Publisher
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Topic

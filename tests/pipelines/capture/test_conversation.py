@@ -10,8 +10,7 @@ from places import ROOT
 
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.links.sbn import SBN
-from edoras_tools.pipelines.capture.conversation import Conversation
-from edoras_tools.pipelines.capture.statistics import Statistics
+from edoras_tools.pipelines.capture.conversation import Conversation, Statistics
 from edoras_tools.pipelines.reading import chosen
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files

@@ -11,7 +11,7 @@ from edoras_tools.pipelines.check.draft import draft
 from edoras_tools.pipelines.check.expectations import load_expectations
 from edoras_tools.pipelines.check.messages import NOT_OBSERVABLE
 from edoras_tools.pipelines.check.run import check
-from edoras_tools.pipelines.messages.opening import open_inputs
+from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.workbench import Settings
 
 

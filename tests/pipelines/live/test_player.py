@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from places import ROOT
 
 from edoras_tools.errors import CaptureError, RouteError
-from edoras_tools.io.foxglove.playback import PlaybackRequest, PlaybackState
+from edoras_tools.io.foxglove.requests import PlaybackRequest, PlaybackState
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.scope import Scope

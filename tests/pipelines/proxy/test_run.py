@@ -22,7 +22,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.mission import Mission, Route
 from edoras_tools.model import Endpoint
-from edoras_tools.pipelines.faults.scenario import compiler
+from edoras_tools.pipelines.faults import compiler
 from edoras_tools.pipelines.interrupt import Keys
 from edoras_tools.pipelines.proxy.plan import ProxyPlan, limit_rule
 from edoras_tools.pipelines.proxy.run import Proxy

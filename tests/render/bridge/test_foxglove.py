@@ -1,6 +1,6 @@
 import pytest
 
-from edoras_tools.io.foxglove.playback import PlaybackState
+from edoras_tools.io.foxglove.requests import PlaybackState
 from edoras_tools.render.bridge.foxglove import playback_line, served
 
 

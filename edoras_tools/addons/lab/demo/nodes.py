@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.addons.lab.emulator.bridges import GroundOperator
 from edoras_tools.addons.lab.emulator.robots import Arm, Robot, Rover
 from edoras_tools.errors import WireError
-from edoras_tools.io.foxglove.publishing import Publisher
+from edoras_tools.io.foxglove.requests import Publisher
 from edoras_tools.middleware import Graph, Qos
 from edoras_tools.units import SECOND
 

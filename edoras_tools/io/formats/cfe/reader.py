@@ -19,7 +19,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.frames.build import FramePage, ends_of
 from edoras_tools.io.frames.chain import walk_records
-from edoras_tools.links.stored import STORED
+from edoras_tools.links.table import STORED
 from edoras_tools.model import Endpoint, SourceInfo
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe, cfe_file

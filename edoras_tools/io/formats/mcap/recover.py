@@ -34,9 +34,8 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.file import McapFile, join_chunks, pack_chunks, record_bytes
 from edoras_tools.io.formats.mcap.heads import MESSAGE_HEAD, RECORD_HEAD
 from edoras_tools.io.formats.mcap.recovery.numbering import Definitions, Numbering, renumbered
-from edoras_tools.io.formats.mcap.recovery.part import FilePart
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes
-from edoras_tools.io.formats.mcap.recovery.report import LostStretch, Recovery
+from edoras_tools.io.formats.mcap.recovery.report import FilePart, LostStretch, Recovery
 from edoras_tools.io.formats.mcap.recovery.scan import Piece, Scan
 from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary, summaries
 from edoras_tools.io.formats.mcap.unpack import Proof

@@ -9,7 +9,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from edoras_tools.errors import RouteError
 from edoras_tools.pipelines.capture.info import inspect
-from edoras_tools.pipelines.messages.opening import open_inputs
+from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings
 

@@ -12,7 +12,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.pipelines.capture.record import Target, record
-from edoras_tools.pipelines.messages.opening import open_inputs
+from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings

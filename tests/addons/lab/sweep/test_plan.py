@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edoras_tools.addons.lab.sweep import plan
+from edoras_tools.addons.lab.sweep.plan import Bisection
 from edoras_tools.errors import ConfigError
-from edoras_tools.sessions import bisection
-from edoras_tools.sessions.bisection import Bisection
 
 
 def tried(search, limit):
@@ -61,4 +61,4 @@ def test_a_range_that_is_none(first, last):
 
 
 def test_the_example_is_right():
-    assert doctest.testmod(bisection).failed == 0
+    assert doctest.testmod(plan).failed == 0

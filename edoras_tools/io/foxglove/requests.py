@@ -1,9 +1,10 @@
-"""Messages that clients of a Foxglove server publish: checked against the topic's type, and sent as CDR."""
+"""What clients of a Foxglove server ask for: playback of a recording, and messages to publish as CDR."""
 
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol
 
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.ros.types.schema import full_name
@@ -12,6 +13,62 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from edoras_tools.ros import TypeStore
+
+
+@dataclass(frozen=True, slots=True)
+class PlaybackRequest:
+    """A client's request.
+
+    Attributes:
+        playing: play, or pause.
+        speed: multiple of the recorded speed.
+        seek_ns: time to seek to, ns since 1970; None: do not seek.
+    """
+
+    playing: bool
+    speed: float
+    seek_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlaybackState:
+    """The state of playback.
+
+    Attributes:
+        status: ``Playing``, ``Paused``, ``Buffering`` or ``Ended``.
+        time_ns: ns since 1970.
+        speed: multiple of the recorded speed.
+        seeked: whether it was reached by seeking.
+    """
+
+    status: str
+    time_ns: int
+    speed: float
+    seeked: bool = False
+
+
+class Player(Protocol):
+    """Plays a recording, controlled by clients."""
+
+    @property
+    def range_ns(self) -> tuple[int, int]:
+        """Start and end of the recording, ns since 1970."""
+        ...
+
+    @property
+    def state(self) -> PlaybackState:
+        """The current state."""
+        ...
+
+    @property
+    def waiting(self) -> bool:
+        """Whether it waits for the first client."""
+        ...
+
+    def control(self, request: PlaybackRequest) -> PlaybackState:
+        """Apply a request soon; from any thread; return the state that follows."""
+        ...
+
 
 MESSAGE_ENCODINGS: Final = ("cdr", "json")
 """Encodings that clients may publish in."""

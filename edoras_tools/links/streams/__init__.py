@@ -1,1 +1,0 @@
-"""What links over TCP need besides their messages; loaded with the first stream."""

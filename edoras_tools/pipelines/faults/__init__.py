@@ -1,1 +1,0 @@
-"""Scenarios: faults to inject, read from files."""

@@ -1,1 +1,0 @@
-"""Recordings without datagrams, as other tools make them: opened as one source of messages, and counted."""
