@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
     from edoras_tools.diagnosis.evidence.relays.proxied import Proxied, RouteWay
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
-    from edoras_tools.diagnosis.verdict import Verdict
+    from edoras_tools.diagnosis.verdict import Advice, Verdict
     from edoras_tools.io.frames.transfer import Unframer
     from edoras_tools.mission import Mission, Route
     from edoras_tools.sessions.cfdp import Transaction
@@ -358,6 +358,11 @@ class Case:
     def losses_of(self, stream: Stream) -> list[Loss]:
         """Return what was lost of a stream."""
         return self._losses_of.get(id(stream), [])
+
+    @cached_property
+    def advice(self) -> dict[tuple[object, ...], Advice]:
+        """What helps against losses at queues, once it was asked for; see ``diagnosis.advice``."""
+        return {}
 
     @cached_property
     def _losses_of(self) -> dict[int, list[Loss]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Advice, Severity, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -31,13 +31,14 @@ def loss_verdict(
     reason: str,
     *,
     link: str | None,
-    remedy: str,
+    remedy: str | Advice,
     evidence: Iterable[str] | None = None,
 ) -> Verdict:
     """Return the verdict on a loss, an error.
 
     Args:
         link: label of the link that it concerns.
+        remedy: what to change.
         evidence: what was seen, in place of the loss' own lines.
     """
     return Verdict(
@@ -50,7 +51,8 @@ def loss_verdict(
         of=loss.of,
         span=(loss.start_ns, loss.end_ns),
         evidence=(*(loss.evidence if evidence is None else evidence), *case.drops_text()),
-        remedy=remedy,
+        remedy=remedy.remedy if isinstance(remedy, Advice) else remedy,
+        advice=remedy if isinstance(remedy, Advice) else None,
         confidence=loss.confidence,
         cause=loss.kind,
     )

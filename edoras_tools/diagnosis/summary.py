@@ -79,6 +79,8 @@ class Problem:
         remedy: what to do, lines to paste included; empty where nothing helps.
         severity: how much it matters.
         verdicts: what explains it, the worst first; may be empty.
+        left: messages that would still be lost then, by the queue model; None where it cannot tell.
+        of: messages of the routes that it is about.
     """
 
     lost: int | None
@@ -86,6 +88,13 @@ class Problem:
     remedy: str
     severity: Severity
     verdicts: tuple[Verdict, ...]
+    left: int | None = None
+    of: int = 0
+
+    @property
+    def promise(self) -> str:
+        """What would still be lost, in words; empty where no model tells."""
+        return "" if self.left is None else f"{self.left:,} of {self.of:,} (by the model)"
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --json``."""
@@ -93,6 +102,7 @@ class Problem:
             "lost": self.lost,
             "text": self.text,
             "remedy": self.remedy or None,
+            "left": self.left,
             "severity": self.severity.label,
             "rules": list(dict.fromkeys(item.rule for item in self.verdicts)),
         }
@@ -176,7 +186,8 @@ def _losses(found: Diagnosis) -> tuple[list[Problem], set[int]]:
     alone = len({(row.route, row.link, row.msg_id) for members in groups.values() for row, _ in members}) == 1
     problems = []
     for key, members in groups.items():
-        own = sorted({id(item): item for item in verdicts[key]}.values(), key=lambda item: -(item.lost or 0))
+        own = list({id(item): item for item in verdicts[key]}.values())
+        own.sort(key=lambda item: (item.msg_id is None, -(item.lost or 0)))
         problems.append(_problem(found, key[0], members, own, alone=alone))
     problems.sort(key=lambda item: -(item.lost or 0))
     return problems, {id(item) for members in verdicts.values() for item in members}
@@ -212,7 +223,7 @@ def _problem(
         alone: whether nothing else was lost of any other route, so that the headline names it.
     """
     rows, lost = [row for row, _ in members], sum(number for _, number in members)
-    remedy = _useful(own[0].remedy) if own else ""
+    remedy, advice = (_useful(own[0].remedy), own[0].advice) if own else ("", None)
     if cause not in CAUSES:
         text = _more(own[0].reason, own) if own else cause.replace("_", " ")
         text = text.removeprefix(f"{lost:,} ")
@@ -222,8 +233,9 @@ def _problem(
         about = f"{'' if unseen else f'of {of:,} '}{_names(found, rows)} "
         text = f"{'' if alone else about}{_place(cause, rows, own)}{_when(found, own)}"
         if cause in _AT_QUEUES and own:
-            text += f": {own[0].reason.rpartition(': ')[2]}"
-    return Problem(lost, text, remedy, Severity.ERROR, tuple(own))
+            text += f": {advice.why if advice else own[0].reason.partition(': ')[2]}"
+    left = advice.left if advice else None
+    return Problem(lost, text, remedy, Severity.ERROR, tuple(own), left, sent_of(found, rows))
 
 
 def _more(reason: str, own: Sequence[Verdict]) -> str:

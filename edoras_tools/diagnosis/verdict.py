@@ -31,6 +31,21 @@ class Severity(IntEnum):
         return self.name.lower()
 
 
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What to change at one queue.
+
+    Attributes:
+        why: what the queue takes, and whether that was measured.
+        remedy: what to change; lines to paste come last.
+        left: messages that would still be lost, by the queue model; None where it cannot tell.
+    """
+
+    why: str
+    remedy: str
+    left: int | None = None
+
+
 WHOLE: Final = (0, 0)
 """The span of a verdict that is about the whole capture."""
 _SHOWN: Final = (
@@ -60,6 +75,7 @@ class Verdict:
         cause: kind of the loss that it explains, as ``lost_by`` of the balance has it; empty otherwise.
         by_type: it follows from the types of a mission alone, which may be wrong: ``lost`` are then only
             those of which counts and datagrams show that they did not arrive.
+        advice: what to change at the queue that lost them, where the queue model tells.
     """
 
     severity: Severity
@@ -77,6 +93,7 @@ class Verdict:
     rule: str = ""
     cause: str = ""
     by_type: bool = False
+    advice: Advice | None = None
 
     @property
     def start_ns(self) -> int:

@@ -88,9 +88,9 @@ def test_a_small_screen_has_the_worst_problem_and_counts_the_others(diagnosed):
     found = diagnosed("d3_cpu1_cpu2")
     console = Console(width=80, color_system=None)
     with console.capture() as shown:
-        console.print(screen(found, 80, lines=14))
+        console.print(screen(found, 80, lines=11))
     text = shown.get()
-    assert len(text.splitlines()) <= 14
+    assert len(text.splitlines()) <= 11
     assert "  3,641  of 4,239 0x0828 at TO_LAB_TLM_PIPE" in text
     rest = found.lost - 3641
     assert f"Also {rest:,} lost in " in text

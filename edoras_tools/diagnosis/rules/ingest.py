@@ -10,6 +10,7 @@ from edoras_tools.cfs import command_ingest, queues
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
+from edoras_tools.diagnosis.advice import advise
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
 from edoras_tools.diagnosis.rules.commands import refusals
 from edoras_tools.diagnosis.verdict import Severity, Verdict
@@ -146,7 +147,7 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
         if loss.kind == "socket":
             reason = f"{lost_at(case, loss, 'commands')}: {reads}, and its socket was full"
             evidence = (*loss.evidence, *_counted(case))
-            yield loss_verdict(case, loss, reason, link="ci", remedy=remedy, evidence=evidence)
+            yield loss_verdict(case, loss, reason, link="ci", remedy=advise(case, loss), evidence=evidence)
     for account in case.ingests:
         if account.waiting > socket.reads:
             yield Verdict(

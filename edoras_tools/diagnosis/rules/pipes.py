@@ -10,11 +10,11 @@ import numpy as np
 from edoras_tools.cfs import command_ingest, queues, telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
+from edoras_tools.diagnosis.advice import advise, clean_round
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at, published
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_ROUTE
-from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.words import plural
 
@@ -57,7 +57,6 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
         f"delivers in {every} bursts"
     )
     evidence = list(loss.evidence)
-    remedy = f"send at most {clean:g} Hz ({limit} every {every})"
     if loss.span is not None and loss.stream is not None and loss.span.rate_hz:
         times = case.known.captured(loss.stream)[loss.span.first : loss.span.last + 1]
         most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
@@ -71,15 +70,13 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
                 f"{sent}, at most {most} within {every}, which is clean where the pipe is read at once: "
                 f"{who} or the application came to it later than that"
             )
-            remedy = "see what keeps the application's task from its pipe (its console, the load of its host)"
     return loss_verdict(
         case,
         loss,
         reason,
         link="sbn" if over_network else "ci",
         evidence=evidence,
-        remedy=f"{remedy}, or have the application subscribe with a higher message limit "
-        "(CFE_SB_SubscribeEx)",
+        remedy=advise(case, loss),
     )
 
 
@@ -102,9 +99,6 @@ def app_pipe_overflow(case: Case) -> Iterator[Verdict]:
         )
 
 
-_FULL = 0.3
-
-
 def to_message_limit(case: Case) -> Iterator[Verdict]:
     """Telemetry Output's table lets so many of a MsgId wait between two of its rounds; the rest is dropped.
 
@@ -116,8 +110,8 @@ def to_message_limit(case: Case) -> Iterator[Verdict]:
 
 
 def _over_output_limit(case: Case, loss: Loss) -> Verdict:
-    limit, period, measured = clean_round(case, loss)
-    rate = limit * SECOND / period
+    queue, limit, measured = clean_round(case, loss)
+    period, rate = queue.round_ns, queue.rate_hz(limit)
     reason = (
         f"{lost_at(case, loss)}: {published(loss)}{limit} of this MsgId may wait and TO sends every "
         f"{period / 1e6:.0f} ms, so {rate:.1f}/s get through"
@@ -133,24 +127,8 @@ def _over_output_limit(case: Case, loss: Loss) -> Verdict:
         reason,
         link="to",
         evidence=evidence,
-        remedy=f"publish at most {rate:.0f} Hz, or raise the MsgId's limit in TO's table (to_lab_sub), and "
-        f"until TO restarts: {_raised(case, loss.msg_id, 2 * limit)}",
+        remedy=advise(case, loss),
     )
-
-
-def _raised(case: Case, msg_id: int, limit: int) -> str:
-    """Return what to type so that more of a MsgId may wait: a MsgId that is there already keeps its limit."""
-    more = str(min(255, limit))
-    remove = case.inject("to-remove", f"0x{msg_id:04x}")
-    return f"{remove}; {case.inject('to-add', f'0x{msg_id:04x}', '--limit', more)}"
-
-
-def clean_round(case: Case, loss: Loss) -> tuple[int, int, bool]:
-    """Return how many get through a round, how long a round is, and whether that was measured."""
-    rounds, pipe = loss.comb, queues.telemetry_pipe(case.profile)
-    if rounds and rounds.share >= _FULL and abs(rounds.period_ns - pipe.round_ns) < pipe.round_ns // 10:
-        return rounds.most, rounds.period_ns, True
-    return pipe.limit(loss.msg_id), pipe.round_ns, False
 
 
 def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
@@ -203,6 +181,7 @@ def _with_them(case: Case, others: Sequence[Loss]) -> Verdict:
         evidence=(", ".join(f"{case.name(msg_id)} {number:,}" for msg_id, number in lost.items()),),
         remedy="as for the MsgId that fills it",
         confidence=min((item.confidence for item in others), key=("low", "medium", "high").index),
+        cause="overflow",
     )
 
 
@@ -248,14 +227,11 @@ def sbn_peer_pipe(case: Case) -> Iterator[Verdict]:
 
 
 def _over_peer_limit(case: Case, loss: Loss) -> Verdict:
-    pipe = queues.peer_pipe(case.profile)
-    limit, period = pipe.usual_limit, pipe.round_ns
-    rounds = loss.comb
+    pipe, limit, measured = clean_round(case, loss)
+    period, rate = pipe.round_ns, pipe.rate_hz(limit)
     evidence = list(loss.evidence)
-    if rounds and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 5:
-        limit, period = rounds.most, rounds.period_ns
+    if measured:
         evidence.append(f"at most {limit} came in one round, every {period / 1e6:.1f} ms")
-    rate = limit * SECOND / period
     return loss_verdict(
         case,
         loss,
@@ -263,5 +239,5 @@ def _over_peer_limit(case: Case, loss: Loss) -> Verdict:
         f"the pipe every {period / 1e6:.0f} ms, so {rate:.0f}/s get through",
         link="sbn",
         evidence=evidence,
-        remedy=f"publish at most {rate:.0f} Hz on this MsgId towards the peer",
+        remedy=advise(case, loss),
     )

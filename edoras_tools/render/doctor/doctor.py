@@ -105,6 +105,8 @@ def _problem(item: Problem, remedied: bool, width: int, words: str) -> list[Text
         for line in commands:
             text = clean(f"{'':{_COUNT + 2}}{line.rstrip('; ')}")
             found.append(Text(text, palette.STRONG))
+        if item.promise:
+            found += _hanging(Text("  left", palette.GOOD), item.promise, width)
     return found
 
 

@@ -1,0 +1,284 @@
+"""What to change where a queue loses messages, and what would still be lost then, by the queue model.
+
+Rules:
+
+1. Arrivals are those of the capture. What was published and lost came between its neighbours, evenly.
+2. When a queue is read is known to a round, not to the millisecond: the model is asked at several phases,
+   and what it says of the worst is told.
+3. Before the model promises anything it has to explain what was lost. It may lose up to twice as many: there
+   no reader takes a message while a burst still comes in.
+4. A limit is raised only where that costs nobody else a message.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs import queues, telemetry_output
+from edoras_tools.diagnosis.accounting.pipes import measured_depth
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.verdict import Advice
+from edoras_tools.links.sbn import SBN
+from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.accounting.losses import Loss
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+_PHASES: Final = 4
+_ROUNDS: Final = 1000
+"""The model goes through so many rounds before and behind the middle of the worst loss."""
+_FULL: Final = 0.3
+"""Rounds of which so many are full show how many may wait."""
+_LATE: Final = 1.01
+"""A round may be so much longer than it should be."""
+_FITS: Final = 0.5, 1.2
+_FEW: Final = 5
+"""What was lost is explained by a model if it is between these shares of what the model loses, or so near."""
+_MOST: Final = 255
+"""Telemetry Output's table takes no higher limit."""
+_WHILE_NS: Final = 10 * SECOND
+"""Who sends no more than gets through in so long, but too many at once, sends bursts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Arrivals:
+    """What arrives at a queue, in order of time.
+
+    Attributes:
+        time_ns: (n,), i64, ns.
+        msg_id: (n,), i64.
+    """
+
+    time_ns: NDArray[np.int64]
+    msg_id: NDArray[np.int64]
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Arrivals:
+        """Return some of them."""
+        return Arrivals(self.time_ns[rows], self.msg_id[rows])
+
+    def only(self, msg_id: int) -> Arrivals:
+        """Return those of a MsgId."""
+        return self.take(self.msg_id == msg_id)
+
+    def between(self, start_ns: int, end_ns: int) -> Arrivals:
+        """Return those of a span of time."""
+        first, last = np.searchsorted(self.time_ns, (start_ns, end_ns + 1))
+        return Arrivals(self.time_ns[first:last], self.msg_id[first:last])
+
+    def around(self, loss: Loss, round_ns: int) -> Arrivals:
+        """Return those of the rounds that the model goes through."""
+        middle_ns, margin_ns = (loss.start_ns + loss.end_ns) // 2, _ROUNDS * round_ns
+        return self.between(middle_ns - margin_ns, middle_ns + margin_ns)
+
+    def spaced(self, gap_ns: float, msg_id: int) -> Arrivals:
+        """Return the same with so much time between two of a MsgId: each as early as that lets it."""
+        own = self.msg_id == msg_id
+        steps = (np.arange(int(own.sum())) * gap_ns).astype(np.int64)
+        time_ns = self.time_ns.copy()
+        time_ns[own] = np.maximum.accumulate(time_ns[own] - steps) + steps
+        return Arrivals(time_ns, self.msg_id).take(np.argsort(time_ns, kind="stable"))
+
+    def most(self, window_ns: float) -> int:
+        """Return the most that arrive within a window of time."""
+        last = np.searchsorted(self.time_ns, self.time_ns + int(window_ns))
+        return int((last - np.arange(len(last))).max(initial=0))
+
+    def lost(self, way: tuple[queues.Queue, ...], msg_id: int | None = None) -> list[int]:
+        """Return how many, of a MsgId or of all, a way through queues loses, at each of several phases."""
+        return [self._lost(way, msg_id, at * way[-1].round_ns // _PHASES) for at in range(_PHASES)]
+
+    def _lost(self, way: tuple[queues.Queue, ...], msg_id: int | None, phase_ns: int) -> int:
+        inside = self
+        for queue in way:
+            kinds = np.zeros_like(inside.msg_id) if queue.is_socket else inside.msg_id
+            passed = queues.pass_queue(replace(queue, phase_ns=phase_ns), inside.time_ns, kinds)
+            out = passed.delivered
+            inside = Arrivals(passed.left_ns[out], inside.msg_id[out])
+        if msg_id is None:
+            return len(self.time_ns) - len(inside.time_ns)
+        return int((self.msg_id == msg_id).sum() - (inside.msg_id == msg_id).sum())
+
+
+def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
+    """Return the pipe of a loss, how many of its MsgId may wait there, and whether that was measured."""
+    output = loss.hop == telemetry_output.PIPE
+    queue = queues.telemetry_pipe(case.profile) if output else queues.peer_pipe(case.profile)
+    rounds, near = loss.comb, 10 if output else 5
+    if rounds and rounds.share >= _FULL and abs(rounds.period_ns - queue.round_ns) < queue.round_ns // near:
+        return replace(queue, round_ns=rounds.period_ns), rounds.most, True
+    return queue, queue.limit(loss.msg_id), False
+
+
+def _depth(case: Case, loss: Loss, queue: queues.Queue) -> int:
+    """Return how deep a pipe is, where one that was full shows it."""
+    full = any(item.kind == "overflow" and item.hop == loss.hop for item in case.losses)
+    if loss.stream is None or not full:
+        return queue.depth
+    own = (case.rows.link == loss.stream.link) & (case.rows.source == loss.stream.sender)
+    return min(queue.depth, measured_depth(case.rows.time_ns[own], queue.round_ns))
+
+
+def advise(case: Case, loss: Loss) -> Advice:
+    """Return what helps against all losses of a MsgId at a queue, worked out once, for the worst of them."""
+    key = loss.kind, loss.hop, loss.msg_id, loss.instance, id(loss.stream)
+    if key not in case.advice:
+        alike = (
+            item
+            for item in case.losses
+            if (item.kind, item.hop, item.msg_id, item.instance, id(item.stream)) == key
+        )
+        at_output = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
+        worst = max(alike, key=lambda item: item.lost)
+        case.advice[key] = (_at_pipe if at_output else _at_application)(case, worst)
+    return case.advice[key]
+
+
+def _at_pipe(case: Case, loss: Loss) -> Advice:
+    """Return what helps where the pipe of Telemetry Output or of an SBN peer takes too few of a MsgId."""
+    queue, limit, measured = clean_round(case, loss)
+    msg_id, output = loss.msg_id, loss.hop == telemetry_output.PIPE
+    rate, every = queue.rate_hz(limit), f"{queue.round_ns / MILLISECOND:.0f} ms"
+    why = f"{'TO keeps' if output else 'it keeps'} {limit} of this MsgId and "
+    why += f"{'sends' if output else 'SBN empties it'} every {every}: {rate:.0f} a second get through "
+    why += f"({'measured' if measured else 'assumed'})"
+    queue = replace(queue, depth=_depth(case, loss, queue))
+    slower = f"publish at most {_safe(rate):g} Hz"
+    if loss.stream is None:
+        return Advice(why, slower)
+    arrivals = _published(case, loss.stream).around(loss, queue.round_ns)
+    own = arrivals.only(msg_id)
+    now, fits = _with_limit(queue, msg_id, limit), False
+    if measured or loss.offered_hz > rate:
+        fits = _explains(own.between(loss.start_ns, loss.end_ns).lost((now,), msg_id), loss.lost)
+    slower = _spread(own, queue, limit, slower, ("published", "TO" if output else "SBN"))
+    slow = max(own.spaced(SECOND / _safe(rate), msg_id).lost((now,), msg_id)) if fits else None
+    if not output:
+        return Advice(why, slower, slow)
+    need = min(_MOST, max(own.most(queue.round_ns * _LATE) + 1, limit + 1 if fits else 2 * limit))
+    higher = (_with_limit(queue, msg_id, need),)
+    others = sum(arrivals.lost((now,))) - sum(arrivals.lost((now,), msg_id))
+    left = max(arrivals.lost(higher, msg_id))
+    if left or sum(arrivals.lost(higher)) > others:
+        return Advice(why, slower, slow)
+    remedy = f"{slower}, or {_raised(case, msg_id, need)}"
+    return Advice(why, remedy, None if slow is None else max(left, slow))
+
+
+def _safe(rate_hz: float) -> float:
+    """Return a rate that gets through even where rounds are a little late, in tenths of Hz."""
+    return math.floor(rate_hz / _LATE * 10) / 10
+
+
+def _with_limit(queue: queues.Queue, msg_id: int, limit: int) -> queues.Queue:
+    return replace(queue, limits={**queue.limits, msg_id: limit})
+
+
+def _explains(model: list[int], lost: int, waiting: int = 0) -> bool:
+    """Tell whether a model, asked at several phases, explains what was lost.
+
+    Args:
+        waiting: how many more wait at the end, or were lost.
+    """
+    least, most = _FITS
+    return any(least * item - _FEW <= lost + waiting and lost <= most * item + _FEW for item in model)
+
+
+def _spread(own: Arrivals, queue: queues.Queue, limit: int, slower: str, words: tuple[str, str]) -> str:
+    """Return how to send: slower, or spread out; or that whoever reads the queue was late.
+
+    Args:
+        slower: what helps who sends too fast.
+        words: what senders did, and who reads.
+    """
+    did, reader = words
+    most = own.most(queue.round_ns)
+    if most <= limit:
+        return f"see what keeps {reader} from its pipe (its console, the load of its host)"
+    if own.most(_WHILE_NS) * SECOND <= queue.rate_hz(limit) * _WHILE_NS:
+        every = f"{queue.round_ns // MILLISECOND} ms"
+        return f"spread what is {did}: at most {limit} in {every} (up to {most:,} were)"
+    return f"{slower} (up to {own.most(SECOND):,} a second were {did})"
+
+
+def _published(case: Case, stream: Stream) -> Arrivals:
+    """Return all that went into the pipe that a stream came out of, with what was lost of it."""
+    alike = [
+        (item.msg_id, _published_at(case, item))
+        for item in case.streams
+        if (item.link, item.sender) == (stream.link, stream.sender)
+        and (stream.link.only_from_cfs or item.receiver == stream.receiver)
+    ]
+    time_ns = np.concatenate([times for _, times in alike])
+    msg_id = np.concatenate([np.full(len(times), number, np.int64) for number, times in alike])
+    return Arrivals(time_ns, msg_id).take(np.argsort(time_ns, kind="stable"))
+
+
+def _published_at(case: Case, stream: Stream) -> NDArray[np.int64]:
+    """Return when each message of a stream was published, the missing ones too: by its header's time."""
+    when, mission = case.rows.time_ns[stream.rows], case.rows.mission_time_ns[stream.rows]
+    if stream.instance != NOBODY and (mission > 0).all():
+        when = np.maximum.accumulate(mission + case.instances.items[stream.instance].offset_ns)
+    counts = np.append(stream.missing[:-1], 0) + 1
+    at = np.cumsum(counts) - counts
+    return np.interp(np.arange(int(counts.sum())), at, when.astype(np.float64)).astype(np.int64)
+
+
+def _raised(case: Case, msg_id: int, limit: int) -> str:
+    """Return how more of a MsgId may wait: one that is in the table already keeps its limit."""
+    remove = case.inject("to-remove", f"0x{msg_id:04x}")
+    add = case.inject("to-add", f"0x{msg_id:04x}", "--limit", str(limit))
+    return f"let TO keep {limit}: in its table (to_lab_sub), and until it restarts by {remove}; {add}"
+
+
+def _at_application(case: Case, loss: Loss) -> Advice:
+    """Return what helps where an application's pipe takes too few of a command, or CI's socket is full."""
+    over_network = loss.sender.startswith("SBN") or (loss.stream is not None and loss.stream.link is SBN)
+    pipe = queues.application_pipe(case.profile, over_network=over_network)
+    socket = queues.ci_socket(case.profile)
+    limit, clean = pipe.usual_limit, pipe.rate_hz(pipe.usual_limit)
+    every, who = f"every {pipe.round_ns // MILLISECOND} ms", "SBN" if over_network else "CI"
+    if loss.kind == "socket":
+        why = f"CI reads {socket.reads} {every}, {socket.rate_hz(socket.reads):.0f} a second of all"
+    else:
+        why = f"it keeps {limit} of one MsgId, and {who} hands over a burst {every}"
+    if loss.stream is None:
+        return Advice(f"{why} (assumed)", f"send at most {_safe(clean):g} Hz, or {_subscribed('more')}")
+    stream = loss.stream
+    rows = np.flatnonzero((case.rows.link == stream.link) & (case.rows.destination == stream.receiver))
+    arrivals = Arrivals(case.rows.time_ns[rows], case.rows.msg_id[rows].astype(np.int64))
+    arrivals = arrivals.around(loss, pipe.round_ns)
+    own, way = arrivals.only(stream.msg_id), (pipe,) if over_network else (socket, pipe)
+    lost = sum(
+        item.lost
+        for item in case.losses_of(stream)
+        if item.kind in {"limit", "socket"} and item.start_ns < loss.end_ns and loss.start_ns < item.end_ns
+    )
+    waiting = sum(item.waiting for item in case.ingests if item.endpoint == stream.receiver)
+    fits = _explains(
+        arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id), lost or loss.lost, waiting
+    )
+    why += f" (assumed{', and fits what was lost' if fits else ''})"
+    senders = len(np.unique(case.rows.source[stream.rows]))
+    slower = f"send at most {_safe(clean):g} Hz"
+    if senders > 1:
+        slower += f" in all, {_safe(clean / senders):g} Hz each of {plural(senders, 'sender')}"
+    slower = _spread(own, pipe, limit, slower, ("sent", "the application's task"))
+    need = min(own.most(pipe.round_ns * _LATE) + 1, pipe.depth if over_network else socket.reads)
+    higher = (*way[:-1], _with_limit(pipe, stream.msg_id, need))
+    if need > limit and not max(arrivals.lost(higher, stream.msg_id)):
+        slower += f", or {_subscribed(f'{need:,}')}"
+    paced = arrivals.spaced(SECOND / _safe(clean), stream.msg_id)
+    return Advice(why, slower, max(paced.lost(way, stream.msg_id)) if fits else None)
+
+
+def _subscribed(limit: str) -> str:
+    return f"let the application subscribe with a limit of {limit} (CFE_SB_SubscribeEx)"
