@@ -503,6 +503,23 @@ class Decoded:
 
 
 @dataclass(frozen=True, slots=True)
+class CutDatagram:
+    """A datagram that never became whole: its first fragment came, and later ones did not.
+
+    Attributes:
+        time_ns: capture time, ns since 1970-01-01 UTC.
+        source: sender.
+        destination: receiver.
+        head: first bytes of the UDP payload, at most 56.
+    """
+
+    time_ns: int
+    source: Endpoint
+    destination: Endpoint
+    head: bytes
+
+
+@dataclass(frozen=True, slots=True)
 class InterfaceOutage:
     """A time in which an interface gave nothing because it was not there.
 
@@ -604,6 +621,7 @@ class SourceStatistics:
         position: bytes of the input consumed so far, on the scale of ``total_bytes``.
         warnings: one line each, for people.
         outages: when an interface was away, in order of time; the last may still go on.
+        cut: datagrams that never became whole, at most 16,384 and those that still wait; filled at the end.
     """
 
     frames: int = 0
@@ -615,6 +633,7 @@ class SourceStatistics:
     position: int = 0
     warnings: list[str] = field(default_factory=list)
     outages: list[InterfaceOutage] = field(default_factory=list)
+    cut: list[CutDatagram] = field(default_factory=list)
 
     @property
     def ended(self) -> bool:

@@ -29,6 +29,8 @@ STARTS: Final = {
 
 CI_LAB and TO_LAB are names of cFS 7.
 """
+SCHEDULERS: Final = frozenset({"SCH_LAB_APP", "SCH_LAB", "SCH"})
+"""Applications that ask for all housekeeping, and take no topic."""
 USUAL_STACK_BYTES: Final = 65536
 USUAL_PRIORITY: Final = 50
 RESTART_TYPES: Final = frozenset({1, 2})

@@ -60,7 +60,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "instance": case.label(stream.instance) if stream.instance != NOBODY else None,
         "sent": len(stream) if behind else len(stream) + lost,
         "seen": len(stream),
-        "lost": lost + refused + (silent.lost if silent else 0),
+        "lost": lost + refused + (silent.lost + silent.restarted if silent else 0),
         "rate_hz": round((len(stream) - 1) / seconds, 3) if seconds > 0 else 0.0,
         "limit_hz": clean_hz,
         "limit_from": told_by,

@@ -20,7 +20,10 @@ import numpy as np
 
 from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
+from edoras_tools.diagnosis.evidence.crowding import crowding
 from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
+from edoras_tools.diagnosis.loss_verdict import stood_still
 from edoras_tools.diagnosis.verdict import Advice
 from edoras_tools.links.sbn import SBN
 from edoras_tools.units import MILLISECOND, SECOND
@@ -31,6 +34,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.timeline.table import Change
     from edoras_tools.diagnosis.matching.streams import Stream
 
 _PHASES: Final = 4
@@ -115,7 +119,26 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
     rounds, near = loss.comb, 10 if output else 5
     if rounds and rounds.share >= _FULL and abs(rounds.period_ns - queue.round_ns) < queue.round_ns // near:
         return replace(queue, round_ns=rounds.period_ns), rounds.most, True
-    return queue, queue.limit(loss.msg_id), False
+    command = limit_command(case, loss)
+    limit = command.value if command and isinstance(command.value, int) else queue.limit(loss.msg_id)
+    return queue, limit, False
+
+
+def limit_command(case: Case, loss: Loss) -> Change | None:
+    """Return the command that last set how many of a MsgId may wait at Telemetry Output, if one did."""
+    if loss.hop != telemetry_output.PIPE:
+        return None
+    system = case.instances.systems[loss.instance] if loss.instance != NOBODY else 0
+    changes = case.timeline.of(StateOwner("entry", "", loss.msg_id), system)
+    before = [item for item in changes if item.not_before_ns <= loss.start_ns + SECOND]
+    return before[-1] if before and before[-1].state == "subscribed" else None
+
+
+def crowding_of(case: Case, loss: Loss) -> str:
+    """Return who sent what was lost more than once, in half a sentence; empty where nobody did."""
+    if loss.span is None or loss.stream is None:
+        return ""
+    return crowding(case.rows, loss.stream.rows[loss.span.first : loss.span.last + 1], case.endpoints)
 
 
 def _depth(case: Case, loss: Loss, queue: queues.Queue) -> int:
@@ -138,7 +161,10 @@ def advise(case: Case, loss: Loss) -> Advice:
         )
         at_output = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
         worst = max(alike, key=lambda item: item.lost)
-        case.advice[key] = (_at_pipe if at_output else _at_application)(case, worst)
+        advice = (_at_pipe if at_output else _at_application)(case, worst)
+        because = [crowding_of(case, worst) if not at_output else "", stood_still(case, worst)]
+        why = "; ".join([advice.why, *(item for item in because if item)])
+        case.advice[key] = replace(advice, why=why)
     return case.advice[key]
 
 
@@ -149,7 +175,9 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     rate, every = queue.rate_hz(limit), f"{queue.round_ns / MILLISECOND:.0f} ms"
     why = f"{'TO keeps' if output else 'it keeps'} {limit} of this MsgId and "
     why += f"{'sends' if output else 'SBN empties it'} every {every}: {rate:.0f} a second get through "
-    why += f"({'measured' if measured else 'assumed'})"
+    command = limit_command(case, loss)
+    told = f"set by a command at {case.at(command.not_before_ns)}" if command else ""
+    why += f"({told or ('measured' if measured else 'assumed')})"
     queue = replace(queue, depth=_depth(case, loss, queue))
     slower = f"publish at most {_safe(rate):g} Hz"
     if loss.stream is None:

@@ -433,7 +433,7 @@ def _telemetry(case: Case, stream: Stream, lost: Counter[str]) -> list[Row]:
     owner = case.known.owner(stream)
     instance = case.label(owner) if owner != NOBODY else None
     at_pipe: dict[str, int] = {kind: lost[kind] for kind in (*COUNTERS, "stopped", "away") if lost[kind]}
-    behind = {kind: lost[kind] for kind in ("after", "unknown") if lost[kind]}
+    behind = {kind: lost[kind] for kind in ("after", "unknown", "fragments") if lost[kind]}
     closed = case.telemetry.closed.get(id(stream), 0)
     done = case.known.done_to(stream)
     dropped = case.telemetry.proxied.get(id(stream), 0)

@@ -32,6 +32,7 @@ from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.timeline.network import capture_changes, network_changes
 from edoras_tools.diagnosis.evidence.timeline.software import SoftwareChanges
+from edoras_tools.diagnosis.evidence.timeline.stalls import stalls
 from edoras_tools.diagnosis.evidence.timeline.table import Timeline
 from edoras_tools.diagnosis.evidence.uncaptured import HostDrops, find_holes, host_drops
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
@@ -41,6 +42,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, HostCounters, InterfaceOutage, Link
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
+from edoras_tools.wire.sbn import HEADER as SBN_HEADER
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -55,6 +57,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import Advice, Verdict
     from edoras_tools.io.frames.transfer import Unframer
     from edoras_tools.mission import Mission, Route
+    from edoras_tools.model import CutDatagram
     from edoras_tools.sessions.cfdp import Transaction
     from edoras_tools.sessions.dds import TopicWriter
     from edoras_tools.sessions.ground_counts import GroundStream
@@ -80,6 +83,7 @@ class Capture:
         ground: what the counts of F Prime's space packets say.
         samples: the writers of DDS of which samples are in it.
         frames: the transfer frames in it, and what their counts say; None where the mission names none.
+        lacking: datagrams of which the first fragment is in it, and later ones are not.
     """
 
     drops: int | None = None
@@ -94,6 +98,7 @@ class Capture:
     ground: tuple[GroundStream, ...] = ()
     samples: tuple[TopicWriter, ...] = ()
     frames: Unframer | None = None
+    lacking: tuple[CutDatagram, ...] = ()
 
     @property
     def away(self) -> list[tuple[int, int]]:
@@ -225,9 +230,11 @@ class Case:
     @cached_property
     def timeline(self) -> Timeline:
         """The states of everything over time."""
-        software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps)
+        software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, self.resets)
         network = network_changes(self.rows, self.payloads, self.instances, self.network)
-        return Timeline([*software.changes(), *network, *capture_changes(self.away)])
+        changes = [*software.changes(), *network, *capture_changes(self.away)]
+        found = stalls(self.rows, self.streams, self.instances, Timeline(changes))
+        return Timeline([*changes, *found])
 
     @cached_property
     def hops(self) -> list[Hop]:
@@ -293,8 +300,20 @@ class Case:
             self.proxied,
             self.timeline,
             self.at,
+            self._never_whole,
             self.away,
         )
+
+    @cached_property
+    def _never_whole(self) -> dict[tuple[Endpoint, int], list[int]]:
+        """Sender and MsgId to the times of telemetry of which later fragments never came."""
+        found: dict[tuple[Endpoint, int], list[int]] = {}
+        for item in self.capture.lacking:
+            for start in (0, SBN_HEADER.size):
+                if len(item.head) > start + cfe.COMMAND_HEADER_BYTES:
+                    msg_id = self.context.msg_ids.of(item.head, start)
+                    found.setdefault((item.source, msg_id), []).append(item.time_ns)
+        return found
 
     @cached_property
     def ingests(self) -> list[Ingest]:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from edoras_tools.diagnosis.accounting.losses import TAIL_NS
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.diagnosis.verdict import Advice, Severity, Verdict
 
 if TYPE_CHECKING:
@@ -23,6 +26,17 @@ def lost_at(case: Case, loss: Loss, noun: str = "messages") -> str:
 def published(loss: Loss) -> str:
     """Return ``published at 20/s, ``; nothing where the rate is not known."""
     return f"published at {loss.offered_hz:.0f}/s, " if loss.offered_hz else ""
+
+
+def stood_still(case: Case, loss: Loss) -> str:
+    """Return that a whole cFS stood still and what had waited came at once; empty where it did not."""
+    systems = case.instances.systems
+    system = systems[loss.instance] if loss.instance != NOBODY else 0
+    for span in case.timeline.spans(StateOwner("cfs"), "stalled", system):
+        if span.overlaps(loss.start_ns - TAIL_NS, loss.end_ns):
+            times = f"from {case.at(span.start_lo)} to {case.at(span.end_hi)}"
+            return f"{case.label(loss.instance)} stood still {times}, and what had waited came at once"
+    return ""
 
 
 def loss_verdict(

@@ -45,6 +45,7 @@ _CAUSES: Final[dict[LossKind, str]] = {
     "away": "the SBN peer was away",
     "unsubscribed": "the SBN peer had not subscribed to it",
     "sbn_socket": "SBN's socket was full",
+    "fragments": "its later fragments never came",
 }
 _ROOM: Final = 1 << 32
 """Numbers for the counts that are missing behind one row."""

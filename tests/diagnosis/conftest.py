@@ -115,7 +115,7 @@ class Lab:
         examination = Examination(bench.columns.context)
         for batch in source.batches():
             examination.add(batch, bench.columns.decode(batch))
-        return examination.diagnose()
+        return examination.diagnose(Capture(lacking=tuple(source.statistics.cut)))
 
     def datagrams(self, name):
         """Return the datagrams of a captured file."""

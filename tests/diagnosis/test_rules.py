@@ -156,6 +156,24 @@ def clock_jump(lab, tmp_path, msg_id):
 
 
 @case
+def cfs_stalled(lab, tmp_path, msg_id):
+    """Nothing of cFS for 5 s, while commands go on; its clock goes on, too, and no count is missing."""
+    sent, _ = lab.simulate(seconds=40)
+    from_ns = lab.start_ns + 20 * 10**9
+
+    def later(item):
+        data = bytearray(item.payload)
+        if item.destination.port == 1235:
+            data[6:10] = (int.from_bytes(data[6:10], "big") + 5).to_bytes(4, "big")
+        return item._replace(time_ns=item.time_ns + 5 * 10**9, payload=bytes(data))
+
+    moved = [
+        item if item.destination.port == 1234 or item.time_ns < from_ns else later(item) for item in sent
+    ]
+    return lab.examine(lab.merged(moved))
+
+
+@case
 def cfs_restart(lab, tmp_path, msg_id):
     sent, _ = lab.simulate()
     again = [item._replace(time_ns=item.time_ns + 40 * 10**9) for item in sent]

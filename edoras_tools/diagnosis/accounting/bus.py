@@ -14,6 +14,7 @@ Rules:
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -62,6 +63,8 @@ if TYPE_CHECKING:
 _SLACK_NS: Final = 50 * MILLISECOND
 """By so much the times of two packets of one cFS may be wrong."""
 _MOSTLY: Final = 0.9
+_LEAST_FRAGMENTED: Final = 6
+"""So many in a row that never became whole were dropped, and not missed by the capture."""
 
 
 @dataclass(slots=True)
@@ -404,6 +407,14 @@ class Telemetry:
         for counted, number in part.taken.items():
             if number:
                 self.losses.append(self._loss(part, counted, number, of, "high"))
+        dropped, missed = self._never_whole(part)
+        if rest > 0 and (cut := min(rest, dropped)):
+            part.evidence.append(f"the first fragments of {cut:,} of them came, and no later ones")
+            self.losses.append(self._loss(part, "fragments", cut, of, "high"))
+            rest -= cut
+        if rest > 0 and (number := min(rest, missed)):
+            self.uncertain[id(part.stream)] = self.uncertain.get(id(part.stream), 0) + number
+            rest -= number
         if rest <= 0:
             return
         if part.owner not in self._counts and part.kinds:
@@ -441,6 +452,37 @@ class Telemetry:
                 "full of this MsgId, and no event names it"
             )
         self.losses.append(self._loss(part, kind, rest, of, "medium" if kind == "after" else "low"))
+
+    def _never_whole(self, part: Part) -> tuple[int, int]:
+        """Return how many lost their later fragments on the way, and of how many the capture lacks some."""
+        known, stream, span = self._known, part.stream, part.span
+        last = stream.rows[min(span.last + 1, len(stream) - 1)]
+        end_ns = max(span.end_ns, int(known.rows.time_ns[last]))
+        own = [when for when in self._beginnings(stream) if span.start_ns < when < end_ns]
+        dropped = sum(any(start <= when <= end for start, end in self._fragmented) for when in own)
+        return dropped, len(own) - dropped
+
+    def _beginnings(self, stream: Stream) -> list[int]:
+        known = self._known
+        if not known.never_whole:
+            return []
+        senders = np.unique(known.rows.source[stream.rows]).tolist()
+        keys = ((known.endpoints[place], stream.msg_id) for place in senders)
+        return [when for key in keys for when in known.never_whole.get(key, ())]
+
+    @cached_property
+    def _fragmented(self) -> list[tuple[int, int]]:
+        """From when to when no later fragments came: what the capture missed stands between whole ones."""
+        found = []
+        for stream in self._known.streams:
+            begun = np.sort(np.array(self._beginnings(stream), np.int64))
+            times = self._known.captured(stream)
+            for at in np.flatnonzero(stream.missing >= _LEAST_FRAGMENTED).tolist() if len(begun) else ():
+                start_ns, end_ns = int(times[at]), int(times[min(at + 1, len(times) - 1)])
+                inside = begun[(begun > start_ns) & (begun < end_ns)]
+                if len(inside) >= _LEAST_FRAGMENTED:
+                    found.append((int(inside[0]), int(inside[-1])))
+        return found
 
     def _cut(self, stream: Stream) -> bool:
         """Tell whether the capture cut off when packets were made, without which two cFS are one."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.losses import Known
     from edoras_tools.diagnosis.quality import Quality
 
-_UNEXPLAINED: Final = frozenset({"after", "unknown"})
+_UNEXPLAINED: Final = frozenset({"after", "unknown", "fragments"})
 
 
 def doubt(known: Known, telemetry: Telemetry, fates: Sequence[Fate], quality: Quality) -> None:
@@ -45,7 +45,7 @@ def doubt(known: Known, telemetry: Telemetry, fates: Sequence[Fate], quality: Qu
         number = _doubtful(sum(most), sum(loss.of or loss.lost for loss in own), quality)
         for loss, share in zip(own, shares(number, most, most), strict=True):
             loss.lost -= share
-        telemetry.uncertain[id(stream)] = number
+        telemetry.uncertain[id(stream)] = telemetry.uncertain.get(id(stream), 0) + number
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
     for fate in unseen:
         fate.missed = _doubtful(fate.unaccounted, len(fate.stream), quality)

@@ -139,7 +139,12 @@ class Stops:
                 self._mark(fate, item)
             if fate.seen:
                 self._mark_closed(fate)
-            own = [item for item in self._gone if known.into_system(fate.stream, item.system)]
+            own = [
+                item
+                for item in self._gone
+                if known.into_system(fate.stream, item.system)
+                and item.app not in executive_services.SCHEDULERS
+            ]
             if not own and not fate.seen:
                 _asked(known, fate)
             if own and not fate.seen:

@@ -62,6 +62,7 @@ RULES: Final[Mapping[str, Rule]] = {
         capture.clock_jump,
         capture.proxy_faults,
         flight_software.cfs_restart,
+        flight_software.cfs_stalled,
         flight_software.not_observable,
         ingest.lost_before_ci,
         ingest.ci_backlog,

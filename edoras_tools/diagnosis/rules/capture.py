@@ -294,6 +294,22 @@ def duplicated(case: Case) -> Iterator[Verdict]:
                 if by_network
                 else "capture what CI counts (0x884), or what comes out: that tells how often they came",
             )
+    rows = case.rows
+    late = np.flatnonzero((rows.reordered != 0) & ~rows.streamed)
+    for _, members in by_value(rows.source[late].astype("i8") << 32 | rows.destination[late]):
+        own = late[members]
+        # A row may tell that an earlier one was not late after all.
+        if (number := int(rows.reordered[own].sum())) > 0:
+            sender, receiver = (case.endpoints[end[own[0]]] for end in (rows.source, rows.destination))
+            yield Verdict(
+                Severity.NOTE,
+                f"{plural(number, 'datagram')} from {sender} to {receiver} came late: the network put "
+                f"{'it behind a later one' if number == 1 else 'them behind later ones'}",
+                hop="network",
+                span=case.span(own),
+                evidence=("their sequence counts are lower than those before, and nothing began anew",),
+                remedy="none; who receives them sees an older value after a newer one",
+            )
 
 
 def clock_jump(case: Case) -> Iterator[Verdict]:

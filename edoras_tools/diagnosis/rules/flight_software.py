@@ -16,6 +16,7 @@ from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
+from edoras_tools.links.table import among
 from edoras_tools.links.to import TO
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
@@ -72,6 +73,32 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
         span = earlier.last_ns, later.first_ns
         how = f"mission time against the capture's moved by {moved:.1f} s"
         yield _restarted(case, case.label(index), span, how)
+
+
+def cfs_stalled(case: Case) -> Iterator[Verdict]:
+    """A whole cFS stood still while the capture ran: its host stopped or starved it.
+
+    Name each time, and how many messages were sent into it: they wait, and then come all at once.
+    """
+    rows = case.rows
+    for system, subject in case.timeline.subjects:
+        for span in case.timeline.spans(subject, "stalled", system) if subject.kind == "cfs" else ():
+            into = among(rows.link, lambda link: link.only_to_cfs)
+            into |= among(rows.link, lambda link: link.peers) & (rows.function_code >= 0)
+            sent = int((into & (rows.time_ns > span.start_lo) & (rows.time_ns < span.end_hi)).sum())
+            waited = (
+                f"; {plural(sent, 'message')} sent to it then had to wait, and came at once" if sent else ""
+            )
+            whose = case.label(case.instances.systems.index(system))
+            yield Verdict(
+                Severity.WARNING,
+                f"{whose} stood still from {case.at(span.start_lo)} to {case.at(span.end_hi)}{waited}",
+                hop="cFS",
+                span=(span.start_lo, span.end_hi),
+                evidence=(span.change.witness,),
+                remedy="look at the load of its host, and at who may stop its process (a debugger, SIGSTOP)",
+                confidence="medium",
+            )
 
 
 def _down(case: Case, start_ns: int, end_ns: int) -> list[Loss]:

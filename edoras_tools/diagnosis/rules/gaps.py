@@ -177,12 +177,13 @@ def lost_after_cfs(case: Case) -> Iterator[Verdict]:
 
     Say that the counters clear cFS: a verdict a topic, and one for all housekeeping of a sender.
     """
-    after = [loss for loss in case.losses if loss.kind == "after" and loss.stream is not None]
+    after = [loss for loss in case.losses if loss.kind in {"after", "fragments"} and loss.stream is not None]
     groups: dict[tuple[object, ...], list[Loss]] = {}
     for loss in after:
         assert loss.stream is not None
         known = loss.msg_id in MSG_ID_NAMES and loss.stream.route == NO_ROUTE
-        key = (loss.stream.sender, loss.stream.link) if known else (id(loss),)
+        known |= loss.kind == "fragments"
+        key = (loss.stream.sender, loss.stream.link, loss.kind) if known else (id(loss),)
         groups.setdefault(key, []).append(loss)
     for members in groups.values():
         yield _lost_after(case, members)
@@ -200,10 +201,17 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
     if not one:
         # What the counters say of each is the same; of how many counts, each has its own.
         evidence += [line for line in first.evidence[1:] if all(line in loss.evidence for loss in members)]
+    cut = first.kind == "fragments"
+    where = (
+        "never became whole: their first fragments came and the later ones did not. A firewall or a router "
+        "drops those"
+        if cut
+        else "are missing, and the software bus lost none of them: they were lost between cFS and the "
+        "capture, or by the capture"
+    )
     return Verdict(
         Severity.ERROR,
-        f"{lost:,} of {of:,} messages on {names[0] if one else f'{len(names)} MsgIds'} are missing, and the "
-        "software bus lost none of them: they were lost between cFS and the capture, or by the capture",
+        f"{lost:,} of {of:,} messages on {names[0] if one else f'{len(names)} MsgIds'} {where}",
         msg_id=first.msg_id if one else None,
         link=first.stream.link.label,
         hop=first.hop,
@@ -211,7 +219,9 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
         of=of,
         span=(min(loss.start_ns for loss in members), max(loss.end_ns for loss in members)),
         evidence=(*evidence, *case.drops_text()),
-        remedy="capture on the cFS host itself: what is there and not here, the network lost; what is "
+        remedy="let fragments through on the way, or raise its MTU above the longest of these"
+        if cut
+        else "capture on the cFS host itself: what is there and not here, the network lost; what is "
         "missing there too, that host's own queue (tc -s qdisc)",
         confidence="low" if case.capture.drops else first.confidence,
     )

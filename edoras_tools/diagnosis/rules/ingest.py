@@ -124,7 +124,7 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
             yield Verdict(
                 Severity.NOTE,
                 f"CI counted {plural(account.not_captured, 'datagram')} more than the capture shows: the "
-                "capture missed some, or another sender's do not pass here",
+                "capture missed some, another sender's do not pass here, or the network doubles some",
                 link="ci",
                 hop="capture",
                 span=(account.first_ns, account.last_ns),

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs import executive_services, telemetry_output
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.timeline.software import system_at
+from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import OutputCommand
+    from edoras_tools.diagnosis.evidence.timeline.table import Change
 
 _WAIT_NS: Final = 3 * SECOND
 _ENDS_NS: Final = 5 * SECOND
@@ -152,17 +156,25 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
     Name each command that stops telemetry, and what sequence counts show to be missing for all of them.
     """
     lost = [loss for loss in case.losses if loss.closed]
-    missing = sum(case.telemetry.closed.get(id(stream), 0) for stream in case.streams if stream.link is TO)
-    missing += sum(loss.lost for loss in lost)
-    counted = f"{plural(missing, 'message')} that were published meanwhile were not sent"
+    closed = [
+        (part, part.missing - sum(part.taken.values()))
+        for part in case.telemetry.parts
+        if part.closed and not (part.silenced or part.unled or part.cause) and part.stream.link is TO
+    ]
 
-    def told(when: int) -> dict[str, Any]:
-        """Return the lost, of those that this stop explains first, and what is known of all."""
+    def told(when: int, msg_id: int = -1) -> dict[str, Any]:
+        """Return the lost, of those that this stop explains first, and what is known of them."""
         here = [loss for loss in lost if loss.start_ns - SECOND <= when <= loss.end_ns + SECOND]
         for loss in here:
             lost.remove(loss)
         number = sum(loss.lost for loss in here)
-        known = [f"sequence counts: {counted}"] if missing else []
+        missing = number + sum(
+            rest
+            for part, rest in closed
+            if part.span.start_ns - _WAIT_NS <= when <= part.span.end_ns + SECOND
+            and msg_id in {-1, part.stream.msg_id}
+        )
+        known = [f"sequence counts: {_published(missing)}"] if missing else []
         if number:
             known.append(
                 f"0x803 counts {number:,} of them lost at {telemetry_output.PIPE}, which nobody emptied: "
@@ -176,7 +188,11 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
     yield from _ended(case)
 
 
-def _commanded(case: Case, told: Callable[[int], dict[str, Any]]) -> Iterator[Verdict]:
+def _published(missing: int) -> str:
+    return f"{plural(missing, 'message')} published meanwhile {'was' if missing == 1 else 'were'} not sent"
+
+
+def _commanded(case: Case, told: Callable[..., dict[str, Any]]) -> Iterator[Verdict]:
     """Name each command that stops telemetry."""
     rows = case.rows
     for item in case.payloads.output:
@@ -184,10 +200,11 @@ def _commanded(case: Case, told: Callable[[int], dict[str, Any]]) -> Iterator[Ve
             continue
         when = int(rows.time_ns[item.row])
         what = "every MsgId" if item.msg_id < 0 else case.name(item.msg_id)
-        known = told(when)
+        known = told(when, item.msg_id)
+        again = _added_again(case, item, when)
         yield Verdict(
             Severity.WARNING,
-            f"Telemetry Output was told to stop sending {what} at {case.at(when)}",
+            f"Telemetry Output was told to stop sending {what} at {case.at(when)}{again}",
             msg_id=item.msg_id if item.msg_id >= 0 else None,
             link="to",
             hop=telemetry_output.NAME,
@@ -200,13 +217,30 @@ def _commanded(case: Case, told: Callable[[int], dict[str, Any]]) -> Iterator[Ve
                 ),
                 *known["evidence"],
             ),
-            remedy=f"add it again: {case.inject('to-add', f'0x{item.msg_id:04x}')}"
+            remedy="none: it was added again"
+            if again
+            else f"add it again: {case.inject('to-add', f'0x{item.msg_id:04x}')}"
             if item.msg_id >= 0
             else f"add what is wanted again, e.g. {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}",
         )
 
 
-def _restarted(case: Case, told: Callable[[int], dict[str, Any]]) -> Iterator[Verdict]:
+def _added_again(case: Case, item: OutputCommand, when: int) -> str:
+    """Return when a MsgId that was removed was added again, and with what limit; nothing where it was not."""
+    if item.msg_id < 0:
+        return ""
+    system = system_at(case.instances, int(case.rows.destination[item.row]), when)
+    later = [
+        change
+        for change in case.timeline.of(StateOwner("entry", "", item.msg_id), system)
+        if change.state == "subscribed" and change.not_before_ns > when
+    ]
+    if not later:
+        return ""
+    return f", and to send it again, at most {later[0].value} a round, at {case.at(later[0].not_before_ns)}"
+
+
+def _restarted(case: Case, told: Callable[..., dict[str, Any]]) -> Iterator[Verdict]:
     """Say that Telemetry Output sends from another port: it was restarted."""
     rows = case.rows
     moved = sorted(
@@ -237,11 +271,17 @@ def _silent(case: Case) -> Iterator[Verdict]:
         number = sum(case.telemetry.silenced.get(id(item), 0) for item in own)
         for start_ns, end_ns in spans if number else ():
             failed = case.suppressed((start_ns, end_ns))
+            taken = None if failed else _taken(case, sender, start_ns, end_ns)
+            if failed:
+                why = "its socket failed"
+            elif taken:
+                why = f"it sent to {taken.value}, for which it was enabled at {case.at(taken.not_before_ns)}"
+            else:
+                why = "its socket failed, or it sent to another address"
             yield Verdict(
                 Severity.ERROR if failed else Severity.WARNING,
                 f"Telemetry Output sent nothing from {case.at(start_ns)} to {case.at(end_ns)}, until it was "
-                "enabled: "
-                + ("its socket failed" if failed else "its socket failed, or it sent to another address"),
+                f"enabled: {why}",
                 link="to",
                 hop=telemetry_output.SOCKET,
                 lost=number if failed and len(spans) == 1 else None,
@@ -249,11 +289,26 @@ def _silent(case: Case) -> Iterator[Verdict]:
                 evidence=(
                     f"sequence counts: {plural(number, 'message')} that the software bus did not lose",
                     *((f"event {failed}",) if failed else ()),
+                    *((taken.witness,) if taken else ()),
                 ),
                 remedy="look at the address that it was enabled for; after an error of its socket Telemetry "
                 f"Output drops what comes until it is enabled again: {case.inject(ENABLE_OUTPUT)}",
-                confidence="high" if failed else "medium",
+                confidence="high" if failed or taken else "medium",
             )
+
+
+def _taken(case: Case, sender: int, start_ns: int, end_ns: int) -> Change | None:
+    """Return the command that sent Telemetry Output elsewhere when it fell silent here, if it is here."""
+    owner = case.instances.owner(sender, start_ns)
+    system = case.instances.systems[owner] if owner != NOBODY else 0
+    changes = case.timeline.of(StateOwner("output"), system)
+    near = [
+        item
+        for item in changes
+        if item.state == "enabled" and start_ns - _WAIT_NS < item.not_before_ns < end_ns - SECOND
+    ]
+    here = {case.endpoints[item.receiver].address for item in case.streams if item.sender == sender}
+    return next((item for item in near if item.value not in here), None)
 
 
 def _ended(case: Case) -> Iterator[Verdict]:
@@ -276,15 +331,32 @@ def _ended(case: Case) -> Iterator[Verdict]:
         return
     robot = int(((rows.link == ROBOT) & (rows.time_ns > last_ns + SECOND)).sum())
     came = (f"{plural(robot, 'datagram')} to the robot since then: the application ran, at least at times",)
+    stopped = [
+        item
+        for item in case.outages
+        if item.app in executive_services.SCHEDULERS and item.start_ns < last_ns and item.end_ns is None
+    ]
+    source = int(rows.source[np.flatnonzero(rows.link == TO)[-1]])
+    taken = _taken(case, case.instances.output(source), last_ns, case.end_ns + 2 * SECOND)
+    why = (
+        f"it sends to {taken.value}, for which it was enabled at {case.at(taken.not_before_ns)}"
+        if taken
+        else f"{stopped[-1].app}, which asks for all housekeeping, was stopped at "
+        f"{case.at(stopped[-1].start_ns)}"
+        if stopped
+        else "no counter and no event tells what became of them"
+    )
     yield Verdict(
         Severity.WARNING,
         f"Telemetry Output sends nothing from {case.at(last_ns)} to the end, {length / SECOND:.1f} s, while "
-        "commands go on: no counter and no event tells what became of them",
+        f"commands go on: {why}",
         link="to",
         hop=telemetry_output.NAME,
         span=(last_ns, case.end_ns),
         evidence=(f"{plural(commands, 'datagram')} to CI since then", *(came if robot else ())),
-        remedy="see whether cFS and its Telemetry Output run; one that started again has forgotten that it "
+        remedy=f"start it again: {case.inject('es-start-app', stopped[-1].app)}"
+        if stopped
+        else "see whether cFS and its Telemetry Output run; one that started again has forgotten that it "
         f"was enabled: {case.inject(ENABLE_OUTPUT)}",
         confidence="medium",
     )

@@ -10,8 +10,8 @@ import numpy as np
 from edoras_tools.cfs import command_ingest, queues, telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
-from edoras_tools.diagnosis.advice import advise, clean_round
-from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at, published
+from edoras_tools.diagnosis.advice import advise, clean_round, crowding_of, limit_command
+from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at, published, stood_still
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_ROUTE
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.timeline.table import Change
 
 
 def app_pipe_limit(case: Case) -> Iterator[Verdict]:
@@ -56,7 +57,11 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
         f"{least}{lost_at(case, loss, 'commands')}: more than {limit} of one MsgId waiting while {who} "
         f"delivers in {every} bursts"
     )
+    still = stood_still(case, loss)
+    reason += f". {still}" if still else ""
     evidence = list(loss.evidence)
+    if crowd := crowding_of(case, loss):
+        reason += f". {crowd[0].upper()}{crowd[1:]}"
     if loss.span is not None and loss.stream is not None and loss.span.rate_hz:
         times = case.known.captured(loss.stream)[loss.span.first : loss.span.last + 1]
         most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
@@ -65,6 +70,8 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
             evidence.append(f"{sent}; {clean:g} Hz is the highest clean rate")
         elif most > limit:
             evidence.append(f"up to {most:,} were sent within {every}; {limit} are clean")
+        elif still:
+            evidence.append(f"{sent}, at most {most} within {every}, which is clean while cFS runs")
         else:
             evidence.append(
                 f"{sent}, at most {most} within {every}, which is clean where the pipe is read at once: "
@@ -113,8 +120,8 @@ def _over_output_limit(case: Case, loss: Loss) -> Verdict:
     queue, limit, measured = clean_round(case, loss)
     period, rate = queue.round_ns, queue.rate_hz(limit)
     reason = (
-        f"{lost_at(case, loss)}: {published(loss)}{limit} of this MsgId may wait and TO sends every "
-        f"{period / 1e6:.0f} ms, so {rate:.1f}/s get through"
+        f"{lost_at(case, loss)}: {published(loss)}{limit} of this MsgId may wait{_set_by(case, loss)} and "
+        f"TO sends every {period / 1e6:.0f} ms, so {rate:.1f}/s get through"
     )
     evidence = list(loss.evidence)
     if measured:
@@ -129,6 +136,11 @@ def _over_output_limit(case: Case, loss: Loss) -> Verdict:
         evidence=evidence,
         remedy=advise(case, loss),
     )
+
+
+def _set_by(case: Case, loss: Loss) -> str:
+    command = limit_command(case, loss)
+    return f" (set by a command at {case.at(command.not_before_ns)})" if command else ""
 
 
 def to_pipe_overflow(case: Case) -> Iterator[Verdict]:

@@ -114,6 +114,7 @@ class RecordSource(ABC):
             self.statistics.warnings.append(
                 f"{name}: frames of link type {link_type} are not supported; skipped"
             )
+        self.statistics.cut[:] = self._demux.beginnings()
         if self._demux.incomplete:
             self.statistics.warnings.append(
                 f"{name}: {self._demux.incomplete} fragmented datagrams lack fragments in the capture"

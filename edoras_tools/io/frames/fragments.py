@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 MAX_PAYLOAD = 65535
 """Maximum bytes of IP payload that fragments can address."""
+HEAD_BYTES = 64
+"""So much of the IP payload of a datagram that never became whole is kept: ports and the first headers."""
+_MOST_LACKING = 1 << 14
 _PIECE_OVERHEAD = 128
 """Memory of a stored piece besides its bytes, so that floods of tiny fragments are limited as well."""
 
@@ -53,6 +57,22 @@ class Fragment:
     data: bytes
 
 
+class Beginning(NamedTuple):
+    """The first fragment of a datagram that never became whole.
+
+    Attributes:
+        time_ns: capture time of the first of its fragments.
+        source: IP address, 4 or 16 bytes.
+        destination: likewise.
+        head: at most ``HEAD_BYTES`` of the IP payload: the UDP header and what follows it.
+    """
+
+    time_ns: int
+    source: bytes
+    destination: bytes
+    head: bytes
+
+
 class Reassembler:
     """Collects fragments until a datagram is complete.
 
@@ -61,10 +81,12 @@ class Reassembler:
 
     Attributes:
         abandoned: datagrams dropped after a timeout or at the memory limit.
+        lacking: the beginnings of these, where their first fragment came; at most 16,384.
     """
 
     def __init__(self, *, timeout_ns: int = 30_000_000_000, limit: int = 16 << 20) -> None:
         self.abandoned = 0
+        self.lacking: list[Beginning] = []
         self._timeout_ns = timeout_ns
         self._limit = limit
         self._stored = 0
@@ -74,6 +96,15 @@ class Reassembler:
     def pending(self) -> int:
         """Number of incomplete datagrams."""
         return len(self._partials)
+
+    def beginnings(self) -> list[Beginning]:
+        """Return ``lacking``, with those that still wait for fragments."""
+        return [*self.lacking, *(item for key in self._partials if (item := self._beginning(key)))]
+
+    def _beginning(self, key: tuple[int, int, bytes, bytes]) -> Beginning | None:
+        partial = self._partials[key]
+        head = next((data for start, data in partial.pieces if start == 0), b"")
+        return Beginning(partial.time_ns, key[2], key[3], head[:HEAD_BYTES]) if head else None
 
     def add(self, fragment: Fragment) -> tuple[bytes | None, tuple[int, int]]:
         """Add a fragment.
@@ -124,7 +155,10 @@ class Reassembler:
             self._abandon_oldest()
 
     def _abandon_oldest(self) -> None:
-        partial = self._partials.pop(next(iter(self._partials)))
+        key = next(iter(self._partials))
+        if (item := self._beginning(key)) and len(self.lacking) < _MOST_LACKING:
+            self.lacking.append(item)
+        partial = self._partials.pop(key)
         self._stored -= partial.stored
         self.abandoned += 1
 

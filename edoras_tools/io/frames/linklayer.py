@@ -21,11 +21,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
+from ipaddress import ip_address
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from edoras_tools.io.frames.fragments import Fragment, Reassembler
+from edoras_tools.io.frames.fragments import Beginning, Fragment, Reassembler
 from edoras_tools.io.frames.frame_batch import (
     LINKTYPE_RAW,
     FrameBatch,
@@ -47,7 +48,7 @@ from edoras_tools.io.frames.network import (
     transport_payloads,
 )
 from edoras_tools.links.table import framings
-from edoras_tools.model import Finding, PacketBatch, concatenate
+from edoras_tools.model import CutDatagram, Endpoint, Finding, PacketBatch, concatenate
 from edoras_tools.wire.arrays.window import PADDING, read_at
 
 if TYPE_CHECKING:
@@ -167,6 +168,14 @@ class Demux:
     def incomplete(self) -> int:
         """Fragmented datagrams that were dropped or still lack fragments."""
         return self._reassembler.abandoned + self._reassembler.pending
+
+    def beginnings(self) -> list[CutDatagram]:
+        """Return the datagrams of which the first fragment came, and others did not."""
+        return [
+            CutDatagram(item.time_ns, *_ends(item), item.head[UDP_BYTES:])
+            for item in self._reassembler.beginnings()
+            if len(item.head) >= UDP_BYTES
+        ]
 
     def demux(self, frames: FrameBatch) -> PacketBatch:
         """Turn frames into datagrams: one row for each frame that contains UDP or a fragment of it.
@@ -444,6 +453,13 @@ def _untag(
         rows = rows[np.isin(protocol[rows], _VLAN)]
     version = (protocol == _IPV4) * np.uint8(4) + (protocol == _IPV6) * np.uint8(6)
     return _Located(position, version, header)
+
+
+def _ends(item: Beginning) -> tuple[Endpoint, Endpoint]:
+    hosts = (str(ip_address(address)) for address in (item.source, item.destination))
+    ports = int.from_bytes(item.head[0:2], "big"), int.from_bytes(item.head[2:4], "big")
+    source, destination = (Endpoint(host, port) for host, port in zip(hosts, ports, strict=True))
+    return source, destination
 
 
 def _key(batch: PacketBatch, row: int, identification: int) -> tuple[int, int, bytes, bytes]:

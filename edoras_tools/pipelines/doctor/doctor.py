@@ -148,6 +148,7 @@ def examine(
             tuple(statistics.outages),
             host,
             frames=bench.frames,
+            lacking=tuple(statistics.cut),
         )
         found, choice = examination.diagnose(capture), chosen.choice()
         return found.limited(choice) if choice else found

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.io.frames.fragments import Fragment, Reassembler
+from edoras_tools.io.frames.fragments import HEAD_BYTES, Fragment, Reassembler
 
 KEY = (4, 7, b"\x7f\0\0\1", b"\x7f\0\0\2")
 SECOND = 1_000_000_000
@@ -41,6 +41,21 @@ def test_ports_are_known_from_the_first_fragment_on():
     assert reassembler.add(second) == (None, (0, 0))
     assert reassembler.add(first) == (None, (0x1234, 0x5678))
     assert reassembler.add(third)[1] == (0x1234, 0x5678)
+
+
+def test_the_beginning_of_what_never_became_whole_is_kept():
+    first, *_ = pieces_of(b"\x12\x34\x56\x78" + bytes(200), 104)
+    *_, last = pieces_of(bytes(200), 104, key=(4, 8, *KEY[2:]))
+    reassembler = Reassembler(timeout_ns=SECOND)
+    assert reassembler.add(first)[0] is None
+    assert reassembler.add(last)[0] is None  # nobody knows of what it was
+    assert [item.head for item in reassembler.beginnings()] == [first.data[:HEAD_BYTES]]
+    for piece in pieces_of(bytes(200), 104, key=(4, 9, *KEY[2:]), time_ns=3 * SECOND):
+        reassembler.add(piece)
+    assert (reassembler.pending, reassembler.abandoned) == (0, 2)
+    assert [(item.time_ns, item.source, item.destination) for item in reassembler.beginnings()] == [
+        (0, KEY[2], KEY[3])
+    ]
 
 
 def test_the_first_to_arrive_stays_where_fragments_overlap():

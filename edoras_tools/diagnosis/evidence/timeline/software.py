@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.payloads import CommandRecord, EventRecord, Payloads
     from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.matching.streams import Reset
 
 _SLACK_NS: Final = 2 * SECOND
 _ENDS_NS: Final = 10 * SECOND
@@ -75,19 +76,39 @@ _EVENT_STATES: Final = {
 _COMMAND_EVENTS: Final = (telemetry_output.ADDED, telemetry_output.REMOVED, telemetry_output.ALL_REMOVED)
 
 
+def system_at(instances: Instances, endpoint: int, time_ns: int) -> int:
+    """Return the cFS that takes what is sent to an endpoint: of its address, nearest in time."""
+    items, systems = instances.items, instances.systems
+    if len(set(systems)) < 2:
+        return systems[0] if systems else 0
+    here = [at for at, item in enumerate(items) if item.host == instances.hosts[endpoint]]
+
+    def away(at: int) -> int:
+        return max(items[at].first_ns - time_ns, time_ns - items[at].last_ns, 0)
+
+    return systems[min(here or range(len(items)), key=away)]
+
+
 class SoftwareChanges:
     """Makes the changes of a capture.
 
     Args:
         jumps: clocks that were set, as they were measured.
+        resets: restarts of a cFS whose clock went on.
     """
 
     def __init__(
-        self, rows: Rows, payloads: Payloads, instances: Instances, jumps: Sequence[Jump] = ()
+        self,
+        rows: Rows,
+        payloads: Payloads,
+        instances: Instances,
+        jumps: Sequence[Jump] = (),
+        resets: Sequence[Reset] = (),
     ) -> None:
         self._rows = rows
         self._payloads = payloads
         self._instances = instances
+        self._resets = resets
         self._jumps = [item for item in jumps if item.clock != "capture"]
 
     def changes(self) -> Iterator[Change]:
@@ -98,21 +119,9 @@ class SoftwareChanges:
             yield from self._event(event)
         yield from self._boots()
 
-    def _system(self, endpoint: int, time_ns: int) -> int:
-        """Return the cFS that takes what is sent to an endpoint: of its address, nearest in time."""
-        items, systems = self._instances.items, self._instances.systems
-        if len(set(systems)) < 2:
-            return systems[0] if systems else 0
-        here = [at for at, item in enumerate(items) if item.host == self._instances.hosts[endpoint]]
-
-        def away(at: int) -> int:
-            return max(items[at].first_ns - time_ns, time_ns - items[at].last_ns, 0)
-
-        return systems[min(here or range(len(items)), key=away)]
-
     def _command(self, command: CommandRecord) -> Iterator[Change]:
         sent_ns = int(self._rows.time_ns[command.row])
-        system = self._system(int(self._rows.destination[command.row]), sent_ns)
+        system = system_at(self._instances, int(self._rows.destination[command.row]), sent_ns)
         values, code = command.values, command.function_code
 
         def change(
@@ -245,13 +254,19 @@ class SoftwareChanges:
         for at in sorted(range(len(items)), key=lambda item: items[item].first_ns):
             system, item = systems[at], items[at]
             if system in last and last[system] < item.first_ns:
-                low, high = last[system], item.first_ns
-                witness = "its clock and counts began anew"
-                for subject, state in (
-                    (StateOwner("cfs"), "down"),
-                    (_OUTPUT, "disabled"),
-                    (_ALL_ENTRIES, "as at the start"),
-                ):
-                    yield Change(system, subject, state, low, high, witness)
-                yield Change(system, StateOwner("cfs"), "running", low, high, witness)
+                yield from _boot(system, last[system], item.first_ns, "its clock and counts began anew")
             last[system] = max(last.get(system, 0), item.last_ns)
+        for reset in self._resets:
+            system = systems[reset.instance] if reset.instance != NOBODY else 0
+            yield from _boot(system, reset.start_ns, reset.end_ns, "its counts began anew")
+
+
+def _boot(system: int, low_ns: int, high_ns: int, witness: str) -> Iterator[Change]:
+    """Yield what ends when a cFS goes down, and that it runs again."""
+    for subject, state in (
+        (StateOwner("cfs"), "down"),
+        (_OUTPUT, "disabled"),
+        (_ALL_ENTRIES, "as at the start"),
+        (StateOwner("cfs"), "running"),
+    ):
+        yield Change(system, subject, state, low_ns, high_ns, witness)

@@ -1,0 +1,191 @@
+"""Causes that stand in a capture (commands, events, who sent what): each is named, nobody else is blamed."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from mutations import changed, frames, write
+from places import ROOT
+from truth import FOLDER
+
+from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.lab.emulator.scheduler import SleepUntil, Work
+from edoras_tools.cfs import executive_services
+from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.model import Endpoint
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
+
+SEASON = ROOT / "tests/captures/season3"
+ES_COMMAND, TO_COMMAND = 0x1806, 0x1880
+STATION = Endpoint("127.0.0.1", 40_000)
+OTHER = Endpoint("127.0.0.9", 40_000)
+
+
+def season(lab, name):
+    return lab.read(SEASON / f"{name}.pcap.zst")
+
+
+def told(found, rule):
+    return [item for item in found.verdicts if item.rule == rule]
+
+
+def lost_by(found):
+    total = {}
+    for row in found.balance:
+        for cause, number in row.lost.items():
+            total[cause] = total.get(cause, 0) + number
+    return total
+
+
+def test_two_senders_of_one_topic_are_named(lab):
+    found = season(lab, "q17_two_bridges_same_topic")
+    worst = max(told(found, "app_pipe_limit"), key=lambda item: item.lost)
+    assert "2 senders sent it at once (127.0.0.1:1235 at 6.0 Hz, 127.0.0.1:55758 at 6.0 Hz)" in worst.reason
+    assert worst.remedy.startswith("let one sender alone send it")
+
+
+def test_senders_one_after_the_other_are_not_two_at_once(lab):
+    sent, _ = lab.simulate("rover", seconds=40, hz=10.0)
+    later = lab.start_ns + 20 * SECOND
+    moved = [
+        item._replace(source=OTHER) if item.destination.port == 1234 and item.time_ns > later else item
+        for item in sent
+    ]
+    found = lab.examine(moved)
+    assert told(found, "app_pipe_limit")
+    assert not any("senders" in item.reason for item in told(found, "app_pipe_limit"))
+
+
+def test_a_relay_that_doubles_is_named(lab):
+    found = lab.read(ROOT / "tests/captures/season3/q07_uplink_dup_loss_reorder_cfs.pcap.zst")
+    (verdict,) = told(found, "app_pipe_limit")
+    assert "78 of them are copies that came 21 ms after an equal one, the others at 7.0 Hz" in verdict.reason
+
+
+@pytest.mark.parametrize("name", ["a_rover", "c4_cmd_rate", "season3/q01_two_causes_one_counter"])
+def test_one_sender_that_repeats_itself_is_no_crowd(lab, name):
+    found = lab.read(ROOT / f"tests/captures/{name}.pcap.zst")
+    assert told(found, "app_pipe_limit")
+    assert not any("at once (" in item.reason or "copies" in item.reason for item in found.verdicts)
+
+
+def test_limits_that_commands_set_are_named_and_nothing_is_missing_between(lab):
+    found = season(lab, "q12_to_limits_changed")
+    reasons = [item.reason for item in told(found, "to_message_limit")]
+    assert any("1 of this MsgId may wait (set by a command at 21.0 s)" in line for line in reasons)
+    assert any("2 of this MsgId may wait (set by a command at 51.8 s)" in line for line in reasons)
+    stops = told(found, "to_stopped")
+    assert [item.reason.partition("0x0827 at ")[2] for item in stops] == [
+        "19.8 s, and to send it again, at most 1 a round, at 21.0 s",
+        "37.2 s, and to send it again, at most 20 a round, at 38.4 s",
+        "50.6 s, and to send it again, at most 2 a round, at 51.8 s",
+    ]
+    assert not any("published meanwhile" in line for item in stops for line in item.evidence)
+
+
+def test_later_fragments_that_a_firewall_dropped(lab):
+    found = season(lab, "q08b_later_fragments_dropped")
+    assert lost_by(found) == {"fragments": 80}
+    (verdict,) = told(found, "lost_after_cfs")
+    assert (verdict.lost, verdict.confidence) == (80, "high")
+    assert "their first fragments came and the later ones did not" in verdict.reason
+
+
+@pytest.mark.parametrize("change", ["1 % removed", "5 % removed", "30 % removed"])
+def test_fragments_that_the_capture_missed_here_and_there_were_not_dropped(lab, tmp_path, change):
+    items = changed(frames(FOLDER / "season3/q08b_later_fragments_dropped.pcap.zst"), change, 1)
+    found = lab.read(write(tmp_path / "x.pcap", items))
+    assert found.lost <= 80
+    assert found.uncertain > 0
+
+
+def stalled(scenario, hz, *, seconds=5):
+    """Return what an emulated cFS sends whose processors are held from 20 s on, and what is sent to it."""
+    profile = SimProfile(work_jitter=0.0)
+    start_ns = 1_800_000_000 * SECOND
+    simulation = Simulation(profile, scenario, start_ns=start_ns, command_rate_hz=hz)
+
+    def hold():
+        yield SleepUntil(start_ns + 20 * SECOND)
+        yield Work(seconds * SECOND)
+
+    for _ in range(profile.cores):
+        simulation._scheduler.spawn(hold())
+    return list(simulation.run(start_ns + 45 * SECOND))
+
+
+@pytest.mark.parametrize(("scenario", "hz"), [("rover", 7.0), ("two-rovers", 4.0)])
+def test_a_cfs_that_stood_still_is_the_cause_of_what_came_at_once(lab, scenario, hz):
+    found = lab.examine(stalled(scenario, hz))
+    (verdict,) = told(found, "cfs_stalled")
+    zero_ns = found.zero_ns - lab.start_ns
+    assert 19 * SECOND < verdict.start_ns - found.zero_ns + zero_ns <= 20 * SECOND
+    assert 25 * SECOND <= verdict.end_ns - found.zero_ns + zero_ns < 26 * SECOND
+    limits = [item for item in found.verdicts if item.rule in {"app_pipe_limit", "to_message_limit"}]
+    assert limits
+    assert all("stood still from" in item.reason for item in limits)
+    assert told(found, "topic_silent") == []
+
+
+@pytest.mark.parametrize("name", ["a_rover", "c1_tlm_rate_limit4", "p4_apps_stopped", "n5_app_restarts"])
+def test_a_cfs_of_which_something_comes_did_not_stand_still(lab, name):
+    folder = SEASON if name.startswith("p4") else ROOT / "tests/captures"
+    assert told(lab.read(folder / f"{name}.pcap.zst"), "cfs_stalled") == []
+
+
+def stopped_scheduler(lab, scenario):
+    name = b"SCH_LAB_APP".ljust(executive_services.APP_NAME_BYTES, b"\0")
+    command = cfe.emit_command(ES_COMMAND, executive_services.STOP_APP, name, sequence_flags=0)
+    sent, _ = lab.simulate(scenario, seconds=40, hz=2.0, feeds=((15.0, 1234, command),))
+    return lab.examine(lab.merged(sent, lab.at(15.0, STATION, lab.ci, command)))
+
+
+def test_topics_that_a_stopped_scheduler_silenced_are_one_sentence(lab):
+    found = stopped_scheduler(lab, "two-rovers")
+    (verdict,) = told(found, "topic_silent")
+    assert verdict.reason.startswith("9 topics (")
+    assert "SCH_LAB_APP was stopped at 14." in verdict.reason
+
+
+def test_a_stopped_scheduler_takes_no_command_of_a_rover(lab):
+    found = stopped_scheduler(lab, "rover")
+    assert (found.lost, found.unaccounted, found.uncertain) == (0, 0, 0)
+    (verdict,) = told(found, "to_stopped")
+    assert verdict.reason.endswith("SCH_LAB_APP, which asks for all housekeeping, was stopped at 14.8 s")
+
+
+@pytest.mark.parametrize("back", [True, False])
+def test_another_station_that_took_the_telemetry_is_named(lab, back):
+    """Captured at the first station's host, where the other's command passes and its telemetry does not."""
+
+    def enable(address):
+        return cfe.emit_command(TO_COMMAND, 6, address.encode().ljust(16, b"\0"), sequence_flags=0)
+
+    takes, returns = enable(OTHER.address), enable(STATION.address)
+    feeds = [(15.0, 1234, takes), *([(30.0, 1234, returns)] if back else [])]
+    sent, _ = lab.simulate("rover", seconds=40, hz=2.0, feeds=feeds)
+    commands = [
+        lab.at(15.0, OTHER, lab.ci, takes),
+        *([lab.at(30.0, STATION, lab.ci, returns)] if back else []),
+    ]
+    here = [item for item in lab.merged(sent, *commands) if item.destination.address != OTHER.address]
+    (verdict,) = told(lab.examine(here), "to_stopped")
+    verb = "sent" if back else "sends"
+    assert f"it {verb} to 127.0.0.9, for which it was enabled at 14.8 s" in verdict.reason
+
+
+def test_a_network_that_changes_the_order_is_named(lab):
+    sent, _ = lab.simulate("rover", seconds=30, state_hz=4.0)
+    chance = random.Random(3)
+    late = [
+        item._replace(time_ns=item.time_ns + 1_200_000_000)
+        if item.destination.port == 1235 and chance.random() < 0.05
+        else item
+        for item in sent
+    ]
+    found = lab.examine(sorted(late, key=lambda item: item.time_ns))
+    (verdict,) = [item for item in told(found, "duplicated") if "behind" in item.reason]
+    assert "came late: the network put" in verdict.reason
+    assert found.lost == 0
