@@ -224,6 +224,7 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
         else "capture on the cFS host itself: what is there and not here, the network lost; what is "
         "missing there too, that host's own queue (tc -s qdisc)",
         confidence="low" if case.capture.drops else first.confidence,
+        cause=first.kind,
     )
 
 

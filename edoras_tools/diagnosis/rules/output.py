@@ -203,7 +203,7 @@ def _commanded(case: Case, told: Callable[..., dict[str, Any]]) -> Iterator[Verd
         known = told(when, item.msg_id)
         again = _added_again(case, item, when)
         yield Verdict(
-            Severity.WARNING,
+            Severity.NOTE if again and not known["evidence"] else Severity.WARNING,
             f"Telemetry Output was told to stop sending {what} at {case.at(when)}{again}",
             msg_id=item.msg_id if item.msg_id >= 0 else None,
             link="to",

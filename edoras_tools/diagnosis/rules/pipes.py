@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.timeline.table import Change
 
 
 def app_pipe_limit(case: Case) -> Iterator[Verdict]:
