@@ -39,9 +39,9 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(65_674, 150, 58_000),
-    "lines with code, all": Limit(77_710, 150, 84_000),  # with what is still to come
-    "files": Limit(586, 10, 450),
+    "lines with code, core": Limit(66_073, 150, 58_000),
+    "lines with code, all": Limit(78_109, 150, 84_000),  # with what is still to come
+    "files": Limit(588, 10, 450),
     "files below 170 lines, of 1,000": Limit(491, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
     "files that record runs through": Limit(120, 2, 80),

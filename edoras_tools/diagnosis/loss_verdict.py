@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.diagnosis.accounting.losses import TAIL_NS
+from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.diagnosis.verdict import Advice, Severity, Verdict
@@ -55,9 +55,10 @@ def loss_verdict(
         remedy: what to change.
         evidence: what was seen, in place of the loss' own lines.
     """
+    still = stood_still(case, loss) if loss.kind in COUNTERS else ""
     return Verdict(
         Severity.ERROR,
-        reason,
+        f"{reason}. {still}" if still else reason,
         msg_id=loss.msg_id,
         link=link,
         hop=loss.hop,

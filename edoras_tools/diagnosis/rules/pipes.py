@@ -57,7 +57,6 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
         f"delivers in {every} bursts"
     )
     still = stood_still(case, loss)
-    reason += f". {still}" if still else ""
     evidence = list(loss.evidence)
     if crowd := crowding_of(case, loss):
         reason += f". {crowd[0].upper()}{crowd[1:]}"
