@@ -32,10 +32,10 @@ from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.timeline.network import capture_changes, network_changes
 from edoras_tools.diagnosis.evidence.timeline.software import SoftwareChanges
-from edoras_tools.diagnosis.evidence.timeline.stalls import stalls
 from edoras_tools.diagnosis.evidence.timeline.table import Timeline
 from edoras_tools.diagnosis.evidence.uncaptured import HostDrops, find_holes, host_drops
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
+from edoras_tools.diagnosis.matching.stalls import stalls
 from edoras_tools.diagnosis.matching.streams import Reset, Stream, find_resets, find_robots, find_streams
 from edoras_tools.diagnosis.quality import Quality, assess_quality
 from edoras_tools.links.table import among
@@ -230,7 +230,8 @@ class Case:
     @cached_property
     def timeline(self) -> Timeline:
         """The states of everything over time."""
-        software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, self.resets)
+        resets = [(item.instance, item.start_ns, item.end_ns) for item in self.resets]
+        software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, resets)
         network = network_changes(self.rows, self.payloads, self.instances, self.network)
         changes = [*software.changes(), *network, *capture_changes(self.away)]
         found = stalls(self.rows, self.streams, self.instances, Timeline(changes))

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.payloads import CommandRecord, EventRecord, Payloads
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.diagnosis.matching.streams import Reset
 
 _SLACK_NS: Final = 2 * SECOND
 _ENDS_NS: Final = 10 * SECOND
@@ -94,7 +93,7 @@ class SoftwareChanges:
 
     Args:
         jumps: clocks that were set, as they were measured.
-        resets: restarts of a cFS whose clock went on.
+        resets: restarts of a cFS whose clock went on: instance, and between which two times in ns.
     """
 
     def __init__(
@@ -103,7 +102,7 @@ class SoftwareChanges:
         payloads: Payloads,
         instances: Instances,
         jumps: Sequence[Jump] = (),
-        resets: Sequence[Reset] = (),
+        resets: Sequence[tuple[int, int, int]] = (),
     ) -> None:
         self._rows = rows
         self._payloads = payloads
@@ -256,9 +255,9 @@ class SoftwareChanges:
             if system in last and last[system] < item.first_ns:
                 yield from _boot(system, last[system], item.first_ns, "its clock and counts began anew")
             last[system] = max(last.get(system, 0), item.last_ns)
-        for reset in self._resets:
-            system = systems[reset.instance] if reset.instance != NOBODY else 0
-            yield from _boot(system, reset.start_ns, reset.end_ns, "its counts began anew")
+        for instance, start_ns, end_ns in self._resets:
+            system = systems[instance] if instance != NOBODY else 0
+            yield from _boot(system, start_ns, end_ns, "its counts began anew")
 
 
 def _boot(system: int, low_ns: int, high_ns: int, witness: str) -> Iterator[Change]:
