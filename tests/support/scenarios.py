@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from typing import NamedTuple
 
 from hypothesis import strategies as st
 
 from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.lab.emulator.account import socket
 from edoras_tools.addons.lab.emulator.apps import generator
+from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp
 from edoras_tools.addons.lab.emulator.simulation import WireDatagram
+from edoras_tools.cfs import edoras_app, telemetry_output
 from edoras_tools.cfs import executive_services as es
-from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 
@@ -110,3 +114,46 @@ def fly(flight, *, with_account=True):
         simulation.feed(more[-1].time_ns, ci, packet)
     sent = simulation.run(START_NS + (flight.seconds + flight.quiet) * SECOND)
     return simulation, sorted([*sent, *more], key=lambda item: item.time_ns)
+
+
+class Bounds(NamedTuple):
+    """The truth of a flight: arrivals that were lost at all, and those of which counters tell.
+
+    ``most`` has the ends that nothing here can show, too; ``least`` only what 0x803, 0x884 and events surely
+    cover: between the first and the last count, and not what was sent just before the first.
+    """
+
+    least: int
+    most: int
+
+
+def truth(simulation, sent):
+    """Return the bounds of what was lost in a flight."""
+    account, profile, application = simulation.cfs.account, simulation.cfs.profile, simulation.apps.edoras
+    read = Counter((item.hop, item.msg_id) for item in account.arrivals if item.end is QueueEnd.DELIVERED)
+    down = sum(item.destination == simulation.ground.endpoint for item in sent)
+    sent_to_nobody = sum(number for (hop, _), number in read.items() if hop == telemetry_output.PIPE) - down
+    if isinstance(application, SingleRobotApp):
+        sent_to_nobody += read[edoras_app.PIPE, application.command] - application.robot_commands
+    most = account.losses().total() + sent_to_nobody
+    counts = {
+        msg_id: [item.time_ns for item in sent if item.payload[:2] == msg_id.to_bytes(2, "big")]
+        for msg_id in (0x803, 0x884)
+    }
+    if not all(counts.values()) or any(b"TO_LAB_APP" in item.payload for item in sent):
+        return Bounds(0, most)
+    first_ns, last_ns = max(item[0] for item in counts.values()), min(item[-1] for item in counts.values())
+    seen = {telemetry_output.PIPE, edoras_app.PIPE, socket(profile.ci_port)}
+    covered = (
+        item.hop in seen
+        and item.end in {QueueEnd.MSG_LIMIT, QueueEnd.PIPE_OVERFLOW}
+        and item.msg_id not in application.wakeups
+        and first_ns <= item.begin_ns <= last_ns - 3 * SECOND // 2
+        for item in account.arrivals
+    )
+    just_before = sum(
+        item.destination == simulation.cfs.ci_endpoint
+        and 0 <= counts[0x884][0] - item.time_ns < SECOND // 100
+        for item in sent
+    )
+    return Bounds(sum(covered) - just_before, most)

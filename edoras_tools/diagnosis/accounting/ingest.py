@@ -24,6 +24,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from math import ceil
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -288,7 +289,7 @@ def _account(
     account = Ingest(endpoint, system, mine, int(seen[0]), int(seen[-1]))
     sent = np.searchsorted(sent_ns, seen, "right")
     starts = [at for at in range(1, len(own)) if _anew(own[at - 1], own[at])]
-    lost = 0
+    lost = before = last = 0
     for first, end in pairwise([0, *starts, len(own)]):
         part = slice(first, end)
         high = sent[part] - count[part]
@@ -301,7 +302,16 @@ def _account(
             before = _older(low, high) - lost
         elif first:
             ended_ns = _ended_ns(sources, endpoint, own[first - 1], own[first])
+            most_read = before + _most_read(sources.profile, own[last:first], ended_ns)
             before = int(np.searchsorted(sent_ns, ended_ns, "right")) - lost
+            if before > most_read:
+                # What waited in its socket is gone with it; where it could not keep up it was lost before.
+                full = account.waiting > 2 * sources.profile.ci_datagrams_per_wake
+                account.losses.append(
+                    Before("socket" if full else "restart", before - most_read, own[last].seen_ns, ended_ns)
+                )
+                lost += before - most_read
+                before = most_read
             down = own[first - 1].instance != own[first].instance or any(
                 item.instance == own[first].instance
                 and item.start_ns <= own[first].seen_ns
@@ -332,6 +342,7 @@ def _account(
             least = _sent_until(sources, sent_ns, int(emptied_ns[0])) - own[0].count
             account.unsure = max(0, before - least)
         account.waiting = max(0, int(run.high[-1]) - lost)
+        last = first
     account.taken = int(sent[-1]) - lost - account.waiting
     if stopped := _stopped(sources, own[-1]):
         said, since_ns = stopped
@@ -462,6 +473,17 @@ def _ended_ns(sources: Sources, endpoint: int, last: _Sample, first: _Sample) ->
     bounds = np.concatenate(([begin_ns], inside, [first.seen_ns]))
     hole = int(np.diff(bounds).argmax())
     return int(bounds[hole]) if hole else min(ended_ns, int(bounds[1]))
+
+
+def _most_read(profile: SimProfile, own: Sequence[_Sample], until_ns: int) -> int:
+    """Return how many datagrams a CI can have read until a time: what it counted, and its best rate."""
+    seconds = max(0, until_ns - own[-1].made_ns) / SECOND
+    rates = [profile.ci_datagrams_per_wake * SECOND / profile.ci_wake_ns]
+    rates += [
+        (later.count - sooner.count) * SECOND / max(1, later.made_ns - sooner.made_ns)
+        for sooner, later in pairwise(own)
+    ]
+    return own[-1].count + ceil(seconds * max(rates)) + 2 * profile.ci_datagrams_per_wake
 
 
 @dataclass(frozen=True, slots=True)

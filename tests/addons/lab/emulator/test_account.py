@@ -15,7 +15,7 @@ from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.units import SECOND
 
 
-@settings(max_examples=examples(60))
+@settings(max_examples=examples(30))
 @given(flights())
 def test_its_sums_are_the_counters_of_the_emulator(flight):
     simulation, sent = fly(flight)
