@@ -106,59 +106,94 @@ def _mission(
     msg_ids: MsgIds,
     of_folders: Container[str] = (),
 ) -> Mission:
-    reports = []
-    files: dict[str, bytes] = {}
-    claims: Claims = {}
-    links: list[GroundLink | FlightLink | TransferLink] = []
-    routes: list[Route] = []
-    whole: list[Bridge] = []
-    framed: list[FramedPort] = []
-    pdus: list[int] = []
-    stored: list[StoredTopic] = []
-    taken: dict[int, str] = {}
+    loading = _Loading(check_type, msg_ids)
     for name, content in contents:
-        if content in files.values():
-            continue  # the same file given twice
+        if content not in loading.files.values():  # the same file given twice
+            loading.add(name, content, of_folder=name in of_folders)
+    return loading.mission()
+
+
+class _Loading:
+    """What the files of a mission hold, as they are read; mistakes wait until all are.
+
+    Attributes:
+        files: bytes of each file, by name.
+    """
+
+    def __init__(self, check_type: CheckType | None, msg_ids: MsgIds) -> None:
+        self.files: dict[str, bytes] = {}
+        self._check_type, self._msg_ids = check_type, msg_ids
+        self._reports: list[Mistakes] = []
+        self._claims: Claims = {}
+        self._ports: dict[int, str] = {}
+        self._links: list[GroundLink | FlightLink | TransferLink] = []
+        self._routes: list[Route] = []
+        self._bridges: list[Bridge] = []
+        self._framed: list[FramedPort] = []
+        self._pdus: list[int] = []
+        self._topics: list[StoredTopic] = []
+
+    def add(self, name: str, content: bytes | str, *, of_folder: bool) -> None:
+        """Read a file.
+
+        Args:
+            content: a string says why there is none.
+            of_folder: the file was not named itself: one without a bridge is only warned of.
+        """
         report = Mistakes(name)
-        reports.append(report)
-        if name in of_folders and isinstance(content, bytes) and _PARAMETERS not in content:
+        self._reports.append(report)
+        if of_folder and isinstance(content, bytes) and _PARAMETERS not in content:
             report.warn(0, "", "left out: not a parameter file of ROS 2")
-            continue
+            return
         if isinstance(content, bytes):
-            files[_free_name(PurePath(name).name, files)] = content
+            self.files[_free_name(PurePath(name).name, self.files)] = content
         text = _text(content, report)
         nodes = read_nodes(text, report) if text is not None else []
-        bridges, transfers = find_bridges(nodes), [node for node in nodes if is_transfer(node)]
-        pdus += [item for node in transfers for item in read_pdu_msg_ids(node, report)]
-        stored += [item for node in transfers for item in read_stored(node, check_type)]
-        links += [link for node in transfers if (link := read_transfer(node, report)) is not None]
+        bridges = find_bridges(nodes)
+        for node in nodes:
+            if is_transfer(node):
+                self._add_transfer(node, report)
         framing = [node for node in nodes if FRAMES_GROUP in node.groups]
-        framed += [port for node in framing for port in read_framed_ports(node, report, taken)]
-        if nodes and not (bridges or transfers or framing or report.mistakes):
+        for node in framing:
+            self._framed += read_framed_ports(node, report, self._ports)
+        if nodes and not (bridges or framing or report.mistakes or any(map(is_transfer, nodes))):
             what = "no node here is a bridge; it needs communication, command and telemetry"
-            (report.warn if name in of_folders else report.mistake)(nodes[0].line, nodes[0].name, what)
+            (report.warn if of_folder else report.mistake)(nodes[0].line, nodes[0].name, what)
         for node in bridges:
-            bridge, found = read_bridge(node, report, claims, check_type, msg_ids)
-            routes += found
+            bridge, routes = read_bridge(node, report, self._claims, self._check_type, self._msg_ids)
+            self._routes += routes
             if bridge is not None:
-                whole.append(bridge)
-                if bridge.link not in links:
-                    links.append(bridge.link)
-    mistakes = _in_order(report.mistakes for report in reports)
-    if mistakes:
-        raise ConfigError(*mistakes)
-    warnings = _in_order(report.warnings for report in reports)
-    return Mission(
-        tuple(routes),
-        tuple(links),
-        MappingProxyType(files),
-        tuple(warnings),
-        tuple(whole),
-        msg_ids,
-        tuple(framed),
-        tuple(dict.fromkeys(pdus)),
-        tuple(dict.fromkeys(stored)),
-    )
+                self._bridges.append(bridge)
+                if bridge.link not in self._links:
+                    self._links.append(bridge.link)
+
+    def mission(self) -> Mission:
+        """Return the mission.
+
+        Raises:
+            ConfigError: all mistakes of all files.
+        """
+        mistakes = _in_order(report.mistakes for report in self._reports)
+        if mistakes:
+            raise ConfigError(*mistakes)
+        return Mission(
+            tuple(self._routes),
+            tuple(self._links),
+            MappingProxyType(self.files),
+            tuple(_in_order(report.warnings for report in self._reports)),
+            tuple(self._bridges),
+            self._msg_ids,
+            tuple(self._framed),
+            tuple(dict.fromkeys(self._pdus)),
+            tuple(dict.fromkeys(self._topics)),
+        )
+
+    def _add_transfer(self, node: NodeParameters, report: Mistakes) -> None:
+        self._pdus += read_pdu_msg_ids(node, report)
+        self._topics += read_stored(node, self._check_type)
+        link = read_transfer(node, report)
+        if link is not None:
+            self._links.append(link)
 
 
 def _in_order(found: Iterable[list[tuple[int, str]]]) -> list[str]:

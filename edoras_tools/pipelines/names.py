@@ -185,13 +185,17 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
     announced = [] if found else [*filter(samples.holds, context.announced_topics())]
     if found or announced or (context.awaits_samples and pattern[:1] == "/"):
         return replace(found, samples=(samples,))
-    topics += [*context.announced_topics(), *(item.topic for item in context.structs.all)]
+    raise _no_packet(pattern, context)
+
+
+def _no_packet(pattern: str, context: Context) -> RouteError:
+    configured = [*(route.topic for route in context.mission.routes), *context.announced_topics()]
+    topics = [*configured, *(item.topic for item in context.structs.all)]
     names = [*MSG_ID_NAMES.values(), *(known for known, _ in _own_names() if "0X" not in known)]
     near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1, 0.8)
     near = near or (did_you_mean(pattern, names, 1, 0.8) if pattern[:1] != "/" else "")
-    named = [*(route.topic for route in routes), *context.announced_topics()]
-    there = listed(list(dict.fromkeys(named)), 12) if named else "none; name a mission with -c"
-    raise RouteError(f"no configured topic matches {pattern!r}; {near or f'there are: {there}'}")
+    existing = listed(list(dict.fromkeys(configured)), 12) if configured else "none; name a mission with -c"
+    return RouteError(f"no configured topic matches {pattern!r}; {near or f'there are: {existing}'}")
 
 
 def _recorded(pattern: str, topics: Sequence[str]) -> PacketKinds:

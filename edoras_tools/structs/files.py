@@ -330,6 +330,18 @@ class _Reader:
             return size * member.count
         return member.count * (member.dims[-1] if member.text else basic.size)
 
+    def _kind(self, name: str, where: str) -> Basic | str | None:
+        """Return the type of a name, read if it is a struct of the file; None where it is none."""
+        if name in BASIC:
+            return BASIC[name]
+        if name in self._raw and name not in self._enums:
+            self._struct(name, where)
+        if name in self._enums or name in self._structs:
+            return name
+        if name not in self._raw:
+            self._mistake(where, f"there is no type {name!r}")
+        return None
+
     def _member(self, name: str, raw: Any, where: str) -> Wanted | None:
         doc = ""
         if isinstance(raw, dict):
@@ -339,14 +351,8 @@ class _Reader:
         if match is None:
             self._mistake(where, f"{_shown(raw)} is not TYPE, TYPE[N], TYPE:BITS or TYPE @OFFSET")
             return None
-        kind: Basic | str | None = BASIC.get(match["name"])
-        if kind is None and match["name"] in self._raw and match["name"] not in self._enums:
-            self._struct(match["name"], where)
-        if kind is None and (match["name"] in self._enums or match["name"] in self._structs):
-            kind = match["name"]
+        kind = self._kind(match["name"], where)
         if kind is None:
-            if match["name"] not in self._raw:
-                self._mistake(where, f"there is no type {match['name']!r}")
             return None
         try:
             dims = tuple(int(item, 0) if item else OPEN for item in _DIMENSION.findall(match["dims"]))
@@ -354,23 +360,24 @@ class _Reader:
         except ValueError:
             self._mistake(where, f"{raw!r}: a dimension and an offset are numbers")
             return None
-        if OPEN in dims[1:] or any(item == 0 for item in dims[1:]) or max((*dims, offset)) > _LARGEST:
-            self._mistake(
-                where, f"{raw!r}: only the first dimension is left out, and all are within a packet"
-            )
-            return None
-        bits = int(match["bits"] or 0)
+        bits, bit = int(match["bits"] or 0), int(match["bit"] or 0)
         size, alignment = self._measures(kind)
         basic = kind if isinstance(kind, Basic) else self._enums[kind].basic if kind in self._enums else None
-        if match["bits"] is not None and (
-            basic is None or dims or not 0 < bits <= 8 * size or basic.kind not in _BITS
+        integer = basic is not None and basic.kind in _BITS and not dims
+        for wrong, rule in (
+            (
+                OPEN in dims[1:] or max((*dims, offset)) > _LARGEST,
+                "only the first dimension is left out, and all are within a packet",
+            ),
+            (
+                match["bits"] is not None and not (integer and 0 < bits <= 8 * size),
+                f"a bit-field is of an integer, 1 to {8 * size} bits wide",
+            ),
+            (bit > 7 or (bit and not bits), "the bit behind the point is 0 to 7, of a bit-field"),
         ):
-            self._mistake(where, f"{raw!r}: a bit-field is of an integer, 1 to {8 * size} bits wide")
-            return None
-        bit = int(match["bit"] or 0)
-        if bit > 7 or (bit and not bits):
-            self._mistake(where, f"{raw!r}: the bit behind the point is 0 to 7, of a bit-field")
-            return None
+            if wrong:
+                self._mistake(where, f"{raw!r}: {rule}")
+                return None
         member = Member(name, kind, offset, dims, bits, bit, 16 if match["hex"] else 10, doc)
         one = member.dims[-1] if member.text else size
         return Wanted(member, one, alignment, match["offset"] is not None)

@@ -96,17 +96,21 @@ def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collectio
         source.look()
     for pattern in patterns:
         if not any(fits_topic(topic, pattern) for topic in source.topics):
-            for topic, why in source.unread.items():
-                if fits_topic(topic, pattern):
-                    raise RouteError(f"{topic} of {source.name}: {why}")
-            if source.damage:
-                raise RouteError(f"no topic of what can be read matches {pattern!r}: {source.damage}")
-            near = did_you_mean(f"/{pattern.removeprefix('/')}", source.topics)
-            named = [item for item in source.topics if not item.startswith(("/edoras/", "/cfs/"))]
-            hint = near or f"there are {listed(list(named or source.topics), 12)}"
-            hint += "" if near or named else "; name a mission with -c for its topics"
-            raise RouteError(f"no topic of {source.name} matches {pattern!r}; {hint}")
+            raise _no_topic(source, pattern)
     return [topic for topic in source.topics if any(fits_topic(topic, item) for item in patterns)]
+
+
+def _no_topic(source: TopicSource, pattern: str) -> RouteError:
+    for topic, why in source.unread.items():
+        if fits_topic(topic, pattern):
+            return RouteError(f"{topic} of {source.name}: {why}")
+    if source.damage:
+        return RouteError(f"no topic of what can be read matches {pattern!r}: {source.damage}")
+    near = did_you_mean(f"/{pattern.removeprefix('/')}", source.topics)
+    of_mission = [item for item in source.topics if not item.startswith(("/edoras/", "/cfs/"))]
+    hint = near or f"there are {listed(list(of_mission or source.topics), 12)}"
+    hint += "" if near or of_mission else "; name a mission with -c for its topics"
+    return RouteError(f"no topic of {source.name} matches {pattern!r}; {hint}")
 
 
 def check_fields(patterns: Sequence[str], there: Mapping[str, Sequence[str]]) -> list[str]:

@@ -79,28 +79,33 @@ class _Recording:
             ConfigError: a field is not there, or holds no numbers.
             RouteError: a topic is not there.
         """
-        made = cls(source, {})
+        recording = cls(source, {})
         for item in wanted:
             topics = item.topics(source, narrowed)
             if item.quantity is Quantity.FIELD:
-                made.topics[item] = item.fields(source, topics)
+                recording.topics[item] = item.fields(source, topics)
                 continue
             if any(sign in item.topic for sign in "*?["):
                 topics = [topic for topic in topics if not topic.startswith(_OWN)]
-            counts = made.rates if item.quantity is Quantity.RATE else made.losses
+            counts = recording.rates if item.quantity is Quantity.RATE else recording.losses
             counts |= {topic: RateCounts() for topic in topics}
-            made.topics[item] = {topic: [] for topic in topics}
-        if made.losses and LOST_TOPIC not in source.topics:
+            recording.topics[item] = {topic: [] for topic in topics}
+        if recording.losses and LOST_TOPIC not in source.topics:
             raise ConfigError(f"{source.name}: losses are only known of captures that can be read twice")
         if not bare:
-            plotted = {topic for item in made.topics.values() for topic, names in item.items() if names}
-            counted = sorted(topic for topic in plotted if not topic.startswith(_OWN))
-            made.rates |= {topic: RateCounts() for topic in counted if topic not in made.rates}
-            made.large = source.source is not None and source.source.statistics.total_bytes > LARGE
-            if LOST_TOPIC in source.topics and not made.large:
-                made.losses |= {topic: RateCounts() for topic in made.rates if topic not in made.losses}
-            made.log_topics = [topic for topic, kind in source.topics.items() if kind == _LOG]
-        return made
+            recording._add_background()
+        return recording
+
+    def _add_background(self) -> None:
+        """Also read what stands behind the lines: rates, losses and events of the plotted topics."""
+        source = self.source
+        plotted = {topic for item in self.topics.values() for topic, names in item.items() if names}
+        topics = sorted(topic for topic in plotted if not topic.startswith(_OWN))
+        self.rates |= {topic: RateCounts() for topic in topics if topic not in self.rates}
+        self.large = source.source is not None and source.source.statistics.total_bytes > LARGE
+        if LOST_TOPIC in source.topics and not self.large:
+            self.losses |= {topic: RateCounts() for topic in self.rates if topic not in self.losses}
+        self.log_topics = [topic for topic, kind in source.topics.items() if kind == _LOG]
 
     @property
     def wanted(self) -> set[str]:

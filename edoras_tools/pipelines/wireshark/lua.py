@@ -30,6 +30,8 @@ from edoras_tools.structs.messages import parts
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.structs.shapes import Struct, StructLayout
 
@@ -71,6 +73,10 @@ def _demo(names: Sequence[str]) -> Mission:
     return loads({f"{name}.yaml": (folder / f"{name}.yaml").read_bytes() for name in names})
 
 
+def _ports(masks: Iterable[NDArray[np.bool_]]) -> list[int]:
+    return sorted({int(port) for mask in masks for port in np.flatnonzero(mask)})
+
+
 def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
     """Collect what several missions know; routes are numbered in their order."""
     routes: list[RouteText] = []
@@ -89,19 +95,11 @@ def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
     return Knowledge(
         findings=[_finding(item) for item in Finding],
         links=contexts[0].links,
-        ports={
-            link.label: sorted(
-                {int(port) for context in contexts for port in np.flatnonzero(context.ports[link])}
-            )
-            for link in contexts[0].links
-        },
+        ports={link.label: _ports(item.ports[link] for item in contexts) for link in contexts[0].links},
         stream_ports={
-            link.label: sorted(
-                {int(port) for item in contexts for port in np.flatnonzero(item.stream_links == link)}
-            )
-            for link in contexts[0].links
+            link.label: _ports(item.stream_links == link for item in contexts) for link in contexts[0].links
         },
-        bridge_ports=sorted({int(port) for item in contexts for port in np.flatnonzero(item.bridge_ports)}),
+        bridge_ports=_ports(item.bridge_ports for item in contexts),
         cfs_addresses=sorted(
             {str(ipaddress.IPv4Address(address)) for item in contexts for address in item.cfs_addresses}
         ),

@@ -56,31 +56,15 @@ def build(
     cells = {column.title: [column.cell(row) for row in rows] for column in columns}
     need = {title: max([len(title), *(text.cell_len for text in texts)]) for title, texts in cells.items()}
     elastic = next(column for column in columns if column.elastic)
-    chosen = {column.title for column in columns if column.rank == 0}
-    room = min(need[elastic.title], _LEAST_NAME)
-    left = (
-        width
-        - room
-        - sum(need[title] for title in chosen if title != elastic.title)
-        - gap * (len(chosen) - 1)
-    )
-    for column in sorted((column for column in columns if column.rank), key=lambda item: item.rank):
-        # The elastic column gets its full width before columns of rank 2 are shown.
-        wanted = need[elastic.title] - room if column.rank > 1 else 0
-        if need[column.title] + gap <= left - wanted:
-            chosen.add(column.title)
-            left -= need[column.title] + gap
-    room += max(0, min(left, need[elastic.title] - room))
-
+    visible, room = _fitting(columns, elastic, need, width, gap)
     table = Table(box=None, padding=(0, gap, 0, 0), pad_edge=False, header_style=palette.STRONG)
-    shown = [column for column in columns if column.title in chosen]
-    for column in shown:
+    for column in visible:
         table.add_column(column.title, justify=column.justify, no_wrap=True, overflow="ellipsis")
     groups = [apart(row) if apart else None for row in rows]
     for index, group in enumerate(groups):
         if index and group != groups[index - 1]:
             table.add_row()
-        texts = [(column, cells[column.title][index]) for column in shown]
+        texts = [(column, cells[column.title][index]) for column in visible]
         table.add_row(*(_shorten(text, room) if column is elastic else text for column, text in texts))
     return table
 
@@ -112,6 +96,31 @@ def figure(name: str, style: str = "") -> Callable[[Mapping[str, Any]], Text]:
 def count_cell(value: int | None, style: str = "") -> Text:
     """Return ``1,827``; 0 is dim, anything else in ``style``."""
     return Text(units.count(value), style if value else palette.DIM)
+
+
+def _fitting(
+    columns: Sequence[Column], elastic: Column, need: Mapping[str, int], width: int, gap: int
+) -> tuple[list[Column], int]:
+    """Return the columns that fit, and the cells of the elastic one.
+
+    Args:
+        elastic: one of the columns.
+        need: cells that each column needs, by title.
+        width: cells of all columns.
+        gap: cells between two columns.
+    """
+    titles = {column.title for column in columns if column.rank == 0}
+    room = min(need[elastic.title], _LEAST_NAME)
+    fixed = sum(need[title] for title in titles if title != elastic.title)
+    free = width - room - fixed - gap * (len(titles) - 1)
+    for column in sorted((column for column in columns if column.rank), key=lambda item: item.rank):
+        # The elastic column gets its full width before columns of rank 2 are shown.
+        reserved = need[elastic.title] - room if column.rank > 1 else 0
+        if need[column.title] + gap <= free - reserved:
+            titles.add(column.title)
+            free -= need[column.title] + gap
+    room += max(0, min(free, need[elastic.title] - room))
+    return [column for column in columns if column.title in titles], room
 
 
 def _shorten(text: Text, room: int) -> Text:
