@@ -196,7 +196,7 @@ def record(
     if snapshots.fire:
         _fire(snapshots.fire)
         return
-    from edoras_tools.pipelines.capture.record import Target, check_output
+    from edoras_tools.pipelines.capture.record import check_output
     from edoras_tools.pipelines.capture.record import record as run
     from edoras_tools.render.capture.watch import watcher
 
@@ -205,29 +205,13 @@ def record(
         raise ConfigError("--all chooses what -i IFACE captures; files and --listen are recorded whole")
     snapshots.check(splits=bool(files.split_size or files.split_time or files.split_count))
     plan = snapshots.plan()
-    usual = "snapshot" if plan else strftime("edoras_%Y%m%d_%H%M%S")
-    path = files.output or Path(usual + ("" if files.rosbag2 else ".mcap"))
-    target = Target(
-        path,
-        rosbag2=files.rosbag2,
-        stream=_stream(files, printing),
-        split_bytes=files.split_size or 0,
-        split_ns=files.split_time or 0,
-        split_count=files.split_count or 0,
-        keep_files=files.keep or 0,
-        keep_bytes=files.keep_size or 0,
-        sync_ns=files.sync or 0,
-        replace=files.force,
-        transforms=files.tf,
-        jobs=files.jobs or 0,
-        told=tell,
-    )
+    target = _target(files, printing, "snapshot" if plan else strftime("edoras_%Y%m%d_%H%M%S"))
     if plan and files.rosbag2:
         raise ConfigError("--snapshot writes files, and --rosbag2 a directory: leave one of them out")
     if files.tf and target.format is not None and not target.format.messages:
-        raise ConfigError(f"{path}: --tf writes a topic, and {target.format.name} has none: use .mcap")
+        raise ConfigError(f"{target.path}: --tf writes a topic, and {target.format.name} has none: use .mcap")
     check_output(target, given.paths, snapshots=plan is not None)
-    written = None if target.stream else path
+    written = None if target.stream else target.path
     source, bench = open_input(given, decoding.settings(), every_port=every, messages=True, output=written)
     if plan and bench.mission.recorded:
         source.close()
@@ -328,3 +312,24 @@ def _record_snapshots(
         files = plural(len(sink.snapshots), "snapshot") if sink.snapshots else "no trigger fired, no file"
         sys.stderr.write(f"{files}; {report.ledger.datagrams:,} datagrams were seen\n")
     finish(report, live=live)
+
+
+def _target(files: TargetOptions, printing: options.PrintOptions, usual: str) -> Target:
+    """Return where to write; ``usual`` is the name without suffix if none is given."""
+    from edoras_tools.pipelines.capture.record import Target
+
+    return Target(
+        files.output or Path(usual + ("" if files.rosbag2 else ".mcap")),
+        rosbag2=files.rosbag2,
+        stream=_stream(files, printing),
+        split_bytes=files.split_size or 0,
+        split_ns=files.split_time or 0,
+        split_count=files.split_count or 0,
+        keep_files=files.keep or 0,
+        keep_bytes=files.keep_size or 0,
+        sync_ns=files.sync or 0,
+        replace=files.force,
+        transforms=files.tf,
+        jobs=files.jobs or 0,
+        told=tell,
+    )

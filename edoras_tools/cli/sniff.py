@@ -229,6 +229,12 @@ class _UntilFailure:
             raise self.failure
 
 
+def _print_counts(rows: Iterable[ColumnRows], bench: Workbench, view: ViewOptions) -> int:
+    if view.sequence:
+        return print_sequence(rows, bench, view.sequence)
+    return print_statistics(rows, bench, view.stat or (), json=view.json)
+
+
 def print_statistics(
     blocks: Iterable[ColumnRows], bench: Workbench, kinds: Sequence[Statistic], *, json: bool
 ) -> int:
@@ -316,17 +322,12 @@ def sniff(
         else:
             nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)
 
-    if view.fields or view.sequence or view.stat:
-        rows = chosen_rows(read, bench, selection, limits)
-        if view.fields:
-            shown = print_fields(
-                read.printed(rows), bench, view.fields, view.layout or FieldFormat.TABLE, flush=waits
-            )
-        elif view.sequence:
-            shown = print_sequence(rows, bench, view.sequence)
-        else:
-            shown = print_statistics(rows, bench, view.stat or (), json=view.json)
-        ended(shown)
+    if view.fields:
+        rows = read.printed(chosen_rows(read, bench, selection, limits))
+        ended(print_fields(rows, bench, view.fields, view.layout or FieldFormat.TABLE, flush=waits))
+        return
+    if counts:
+        ended(_print_counts(chosen_rows(read, bench, selection, limits), bench, view))
         return
     typed = recorded and terminal.width >= LEAST_WITH_TYPE
     packet_list = PacketList(

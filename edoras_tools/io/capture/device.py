@@ -322,22 +322,35 @@ class DeviceSource:
             if self._deadline and (device.drained() or self._late()):
                 break
             if not more and (self._deadline or not failure):
-                silent = time.monotonic() - came > _SILENCE_S
                 few = self._queued - taken < _FEW and device.look_s > self.gather_s
-                # Where much may gather, more comes in the time of a batch, and is read then.
-                ready: object = not silent and not few and device.linger_s > _SOON_S
-                if not ready or self._deadline:
-                    ready = poll.poll(5 if self._deadline else 1000 * max(device.look_s, self.gather_s / 3))
-                    silent = time.monotonic() - came > _SILENCE_S
-                longest_s = _SOON_S if silent else self.gather_s if few else self._until_read_s()
-                left = min(device.linger_s, longest_s)
-                if not self._deadline and (ready or not silent):
-                    while left > 0 and not pause.poll(1000 * min(left, _CHECK_S)):
-                        left -= _CHECK_S
-                        if left > 0 and device.pressed():
-                            break
+                self._linger(poll, pause, came, few=few)
         if failure:
             raise CaptureError(failure)
+
+    def _linger(self, poll: select.poll, pause: select.poll, came: float, *, few: bool) -> None:
+        """Wait for datagrams, then let more of them gather.
+
+        Args:
+            poll: of the device, and of what wakes the reader.
+            pause: of what wakes the reader.
+            came: monotonic time in s at which the last datagram was read.
+            few: datagrams came in the last round.
+        """
+        device = self._device
+        silent = time.monotonic() - came > _SILENCE_S
+        # Where much may gather, more comes in the time of a batch, and is read then.
+        ready: object = not silent and not few and device.linger_s > _SOON_S
+        if not ready or self._deadline:
+            ready = poll.poll(5 if self._deadline else 1000 * max(device.look_s, self.gather_s / 3))
+            silent = time.monotonic() - came > _SILENCE_S
+        longest_s = _SOON_S if silent else self.gather_s if few else self._until_read_s()
+        left_s = min(device.linger_s, longest_s)
+        if self._deadline or (silent and not ready):
+            return
+        while left_s > 0 and not pause.poll(1000 * min(left_s, _CHECK_S)):
+            left_s -= _CHECK_S
+            if left_s > 0 and device.pressed():
+                break
 
     def _until_read_s(self) -> float:
         """Return in how many seconds to read for the next batch: when it is due, or frames wait for two.

@@ -43,7 +43,7 @@ from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_
 from edoras_tools.io.topics.names import MAGIC
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from edoras_tools.io.formats.mcap.recovery.walk import Walked
 
@@ -274,48 +274,49 @@ class _Assembly:
         self._pieces += 1
         walked = piece.walked
         assert walked is not None
-        part = self._part(piece.start)
-        section = self._scan.section(piece.start)
-        packed = (piece.record_end or piece.end) - piece.start
-        if piece.head is not None:
-            packed = piece.head.length
-        times = (piece.head.start_ns, piece.head.end_ns) if piece.head else None
-        fitting = section.listed(walked, times, packed) if section else []
-        if section is not None and fitting:
-            part = self._of.get(section) or self._new(section.base, section)
-        mine = [index for index in fitting if id(index) not in part.claimed]
-        here = [index for index in mine if index.chunk_start_offset + part.start == piece.start] or mine[:1]
-        part.claimed |= set(map(id, here))
-        if (
-            section is not None
-            and section.chunks
-            and not (here and here[0].chunk_start_offset + section.base == piece.start)
-        ):
-            self._reasons["its chunks are not at the positions in its index"] = None
+        part, listed = self._claim(piece, walked)
         if not piece.indexed:
             self._reasons["a message index does not match its chunk"] = None
         if not piece.record_end:
             self._reasons["the head of a chunk is damaged"] = None
         before = self._total
         self._keep(part, walked, piece)
-        kept = self._total - before
+        count = self._total - before
         if piece.proof is Proof.CHECKSUM:
-            self._proved += kept
+            self._proved += count
         else:
-            self._free += kept
-        if here:
-            part.listed += kept
+            self._free += count
+        if listed:
+            part.listed += count
         else:
-            part.others += kept
-        if kept < len(walked) or not walked.whole:
+            part.others += count
+        missing = len(walked) - count
+        if missing or not walked.whole:
             part.gaps = True
-            reason = (
-                "messages of channels without a description" if kept < len(walked) else "a chunk is damaged"
-            )
+            reason = "messages of channels without a description" if missing else "a chunk is damaged"
             span = piece.end - piece.start
-            count = len(walked) - kept or None
-            self._losses.append(LostStretch(piece.start, span, reason, count, *_span(walked)))
-            self._lost_bytes += span if not kept else 0
+            self._losses.append(LostStretch(piece.start, span, reason, missing or None, *_span(walked)))
+            self._lost_bytes += span if not count else 0
+
+    def _claim(self, piece: Piece, walked: Walked) -> tuple[FilePart, bool]:
+        """Return the part that a chunk belongs to, and whether its summary lists the chunk."""
+        part = self._part(piece.start)
+        section = self._scan.section(piece.start)
+        if section is None:
+            return part, False
+        packed = (piece.record_end or piece.end) - piece.start
+        if piece.head is not None:
+            packed = piece.head.length
+        times = (piece.head.start_ns, piece.head.end_ns) if piece.head else None
+        fitting = section.listed(walked, times, packed)
+        if fitting:
+            part = self._of.get(section) or self._new(section.base, section)
+        free = [index for index in fitting if id(index) not in part.claimed]
+        own = [index for index in free if index.chunk_start_offset + part.start == piece.start] or free[:1]
+        part.claimed |= set(map(id, own))
+        if section.chunks and not (own and own[0].chunk_start_offset + section.base == piece.start):
+            self._reasons["its chunks are not at the positions in its index"] = None
+        return part, bool(own)
 
     @property
     def _total(self) -> int:
@@ -335,8 +336,7 @@ class _Assembly:
             and piece.record_end > 0
             and walked.whole
             and all(numbers.get(key) == key for key in ids)
-            and all(map(part.definitions.agrees, definitions))
-            and all(self._numbering.keeps(item, part.definitions.below(item)) for item in definitions)
+            and self._stand(part, definitions)
         )
         inside = {(type(item), item.id) for item in walked.others} if stands else set()
         for record in walked.others:
@@ -355,17 +355,26 @@ class _Assembly:
             self._counts[number] = self._counts.get(number, 0) + count
         if len(walked):
             part.last_ns = int(walked.log_time.max())
-        if self._out is None:
-            return
+        if self._out is not None:
+            self._write(self._out, walked, piece, stands=stands)
+
+    def _stand(self, part: FilePart, definitions: Sequence[Schema | Channel]) -> bool:
+        """Return whether these definitions are the part's own, and keep their numbers."""
+        return all(
+            part.definitions.agrees(item) and self._numbering.keeps(item, part.definitions.below(item))
+            for item in definitions
+        )
+
+    def _write(self, out: McapFile, walked: Walked, piece: Piece | None, *, stands: bool) -> None:
         messages = walked.index()
         if stands and piece is not None and piece.head is not None:
             stretch = self._file.read(piece.start, piece.record_end)
-            self._out.add_chunks(join_chunks([(stretch,)], [piece.head], messages))
+            out.add_chunks(join_chunks([(stretch,)], [piece.head], messages))
         else:
             raw = walked.data.data
             proved = piece is not None and piece.proof is Proof.CHECKSUM
             packed = zstandard.ZstdCompressor(write_checksum=proved).compress(raw)
-            self._out.add_chunks(pack_chunks(raw, [packed], messages, proved=proved))
+            out.add_chunks(pack_chunks(raw, [packed], messages, proved=proved))
 
     def _record(self, piece: Piece) -> None:
         part, record = self._part(piece.start), piece.record
