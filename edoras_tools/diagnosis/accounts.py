@@ -44,6 +44,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
     lost = sum(loss.lost for loss in case.losses_of(stream))
     refused = case.commands.fates[id(stream)].refused.total() if id(stream) in case.commands.fates else 0
     silent = case.unheard.get(id(stream))
+    unreached = sum(item.number for item in case.unreached if item.stream is stream)
     seconds = float(times[-1] - times[0]) / SECOND
     to_cfs = route.to_cfs if route else stream.is_command
     clean_hz, told_by = clean_rate(case, stream)
@@ -60,7 +61,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "instance": case.label(stream.instance) if stream.instance != NOBODY else None,
         "sent": len(stream) if behind else len(stream) + lost,
         "seen": len(stream),
-        "lost": lost + refused + (silent.lost + silent.restarted if silent else 0),
+        "lost": lost + refused + unreached + (silent.lost + silent.restarted if silent else 0),
         "rate_hz": round((len(stream) - 1) / seconds, 3) if seconds > 0 else 0.0,
         "limit_hz": clean_hz,
         "limit_from": told_by,

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKET, Loss, LossKind
+from edoras_tools.diagnosis.accounting.ports import CLOSED, PORT
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links import table
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.closed import Unheard
     from edoras_tools.diagnosis.accounting.commands import Refused
     from edoras_tools.diagnosis.accounting.fates import Fate
+    from edoras_tools.diagnosis.accounting.ports import Unreached
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
 
@@ -37,8 +39,8 @@ CI_HOP: Final = "CI"
 BUS: Final = "software bus"
 APPLICATION: Final = "application"
 _HOPS: Final = frozenset({PROXY_HOP, CI_HOP, BUS, APPLICATION, BEHIND})
-_BEFORE_CI: Final[tuple[LossKind, ...]] = ("network", "socket", "down", "restart", "ci_stopped")
-_NOT_READ: Final[tuple[LossKind, ...]] = ("sbn_socket", "down")
+_BEFORE_CI: Final[tuple[LossKind, ...]] = ("network", "socket", "down", "restart", "ci_stopped", CLOSED)
+_NOT_READ: Final[tuple[LossKind, ...]] = ("sbn_socket", "down", CLOSED)
 _FIGURES: Final = (
     *(
         "came",
@@ -60,6 +62,8 @@ _NO_INGEST: Final = f"{NOT_COUNTED}no 0x884 of this CI, no kernel counter of its
 _NO_BUS: Final = f"{NOT_COUNTED}no 0x803 of its cFS"
 _COUNTED: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost", "lost": "0x803"}
 PEER: Final = "SBN peer"
+ENDS: Final = (PEER, PORT)
+"""How hops are called that are behind what the capture shows of a message."""
 UNHEARD: Final = "sbn_timeout"
 """Cause of the loss of what was sent to a peer that timed out: the rule that tells of it."""
 RESTARTED: Final = "sbn_peer_restart"
@@ -227,7 +231,9 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
     """
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
-        if row.msg_id is not None and (row.hop in _HOPS or row.link in {"to", "sbn"}):
+        if row.msg_id is None:
+            continue
+        if row.hop in _HOPS or row.link in {"to", "sbn"} or row.hop.startswith(PORT):
             groups.setdefault((row.route, row.link, row.msg_id, row.instance), []).append(row)
     named = {key: members for key, members in groups.items() if key[0] != NO_ROUTE}
     others = {key: members for key, members in groups.items() if not members[0].name}
@@ -248,8 +254,8 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
 
 
 def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:
-    first, last = members[0], next(row for row in reversed(members) if not row.hop.startswith(PEER))
-    unheard = sum(row.came - row.out for row in members if row.hop.startswith(PEER))
+    first, last = members[0], next(row for row in reversed(members) if not row.hop.startswith(ENDS))
+    unheard = sum(row.came - row.out for row in members if row.hop.startswith(ENDS))
     msg_id = f"0x{first.msg_id:04x}"
     return Headline(
         topic=topics.get(first.route, msg_id),
@@ -285,7 +291,11 @@ def balance(case: Case) -> list[Row]:
             rows += _telemetry(case, stream, own)
         if (silent := case.unheard.get(id(stream))) is not None:
             rows.append(_peer(rows[-1], silent))
+        for item in case.unreached:
+            if item.stream is stream:
+                rows.append(_port(case, rows[-1], item))
     rows += _all_dropped(case)
+    rows += [_port(case, None, item) for item in case.unreached if not item.own]
     rows += [_unseen(case, loss) for loss in case.losses if loss.stream is None]
     rows += [
         Row(NO_ROUTE, "", None, case.label(instance), BUS, number, 0, not_captured=number, counted=_COUNTED)
@@ -513,6 +523,24 @@ def _peer(before: Row, silent: Unheard) -> Row:
         uncertain=silent.uncertain,
         shared=0,
         counted={"in": _SEEN, "out": "what it was sent while it was not silent"},
+    )
+
+
+def _port(case: Case, before: Row | None, item: Unreached) -> Row:
+    """Return the row of an endpoint that did not get all that was sent to it."""
+    if before is None:
+        before = Row(NO_ROUTE, item.stream.link.label, None, None, "", 0, len(item.stream))
+    lost = {cause: len(rows) for cause, rows in item.lost.items()}
+    uncertain = len(item.uncertain)
+    return Row(
+        *(before.route, before.link, before.msg_id, before.instance),
+        f"{PORT} {case.endpoints[item.endpoint]}",
+        before.out,
+        before.out - sum(lost.values()) - uncertain,
+        lost=lost,
+        uncertain=uncertain,
+        onward=before.onward,
+        counted={"in": _SEEN, "lost": "ICMP errors", "out": "datagrams without an ICMP error"},
     )
 
 

@@ -18,6 +18,7 @@ from edoras_tools.diagnosis.accounting.closed import Unheard, unheard
 from edoras_tools.diagnosis.accounting.commands import Commands, Refused
 from edoras_tools.diagnosis.accounting.ingest import Ingest, Sources, ingests, kernel_accounts
 from edoras_tools.diagnosis.accounting.losses import Known, Loss
+from edoras_tools.diagnosis.accounting.ports import Unreached, unreached
 from edoras_tools.diagnosis.accounting.stops import Outage, outages
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
@@ -34,6 +35,7 @@ from edoras_tools.diagnosis.evidence.timeline.network import capture_changes, ne
 from edoras_tools.diagnosis.evidence.timeline.software import SoftwareChanges
 from edoras_tools.diagnosis.evidence.timeline.table import Timeline
 from edoras_tools.diagnosis.evidence.uncaptured import HostDrops, find_holes, host_drops
+from edoras_tools.diagnosis.evidence.unreachable import Unreachable, find_unreachable
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.stalls import stalls
 from edoras_tools.diagnosis.matching.streams import Reset, Stream, find_resets, find_robots, find_streams
@@ -145,6 +147,7 @@ class Case:
         self.rows: Rows = rows
         self.payloads: Payloads = payloads
         self.endpoints: Sequence[Endpoint] = recorder.endpoints
+        self._errors = recorder.errors
         self.samples = recorder.samples
         self.context: Context = recorder.context
         msg_ids = recorder.context.msg_ids
@@ -223,6 +226,11 @@ class Case:
         )
 
     @cached_property
+    def unreachable(self) -> Unreachable:
+        """What ICMP errors say of datagrams that reached nobody."""
+        return find_unreachable(self.rows, self._errors, self.endpoints, self.prepared.translated)
+
+    @cached_property
     def network(self) -> Network:
         """The Software Bus Network."""
         return Network(self.rows, self.payloads, self.instances, self.profile, self.away)
@@ -233,7 +241,8 @@ class Case:
         resets = [(item.instance, item.start_ns, item.end_ns) for item in self.resets]
         software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, resets)
         network = network_changes(self.rows, self.payloads, self.instances, self.network)
-        changes = [*software.changes(), *network, *capture_changes(self.away)]
+        ports = (change for span in self.unreachable.spans for change in span.changes())
+        changes = [*software.changes(), *network, *ports, *capture_changes(self.away)]
         found = stalls(self.rows, self.streams, self.instances, Timeline(changes))
         return Timeline([*changes, *found])
 
@@ -302,6 +311,7 @@ class Case:
             self.timeline,
             self.at,
             self._never_whole,
+            self.unreachable.closed,
             self.away,
         )
 
@@ -359,6 +369,11 @@ class Case:
     def unheard(self) -> dict[int, Unheard]:
         """What was sent to SBN peers that were silent, by the id of its stream."""
         return unheard(self.known)
+
+    @cached_property
+    def unreached(self) -> list[Unreached]:
+        """What went to ports that were closed, or that could not be reached."""
+        return unreached(self.known, self.unreachable, self.commands.fates, self.unheard)
 
     @cached_property
     def commands(self) -> Commands:

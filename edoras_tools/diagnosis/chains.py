@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from edoras_tools.diagnosis.accounting.ports import PORT
 from edoras_tools.diagnosis.balance import APPLICATION, BUS, CI_HOP, NOT_COUNTED, Row, summed
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links.ci import CI
@@ -158,14 +159,15 @@ def _hops(
     first = own[0]
     yield _bridge(PUBLISHER, bridges.get((first.link, first.msg_id or 0)), out=first.came)
     yield from map(_of_row, own)
-    if own[-1].hop in _INSIDE:
-        yield ChainHop(TO_ROBOT, own[-1].out, None, None, counted=_CAPTURE_MORE)
-    for way in own[-1].onward:
+    last = next(row for row in reversed(own) if not row.hop.startswith(PORT))
+    if last.hop in _INSIDE:
+        yield ChainHop(TO_ROBOT, last.out, None, None, counted=_CAPTURE_MORE)
+    for way in last.onward:
         further = [row for row in whole if (row.link, row.msg_id) == way and way[0] != _ROBOT]
-        further = [row for row in further if row.instance == own[-1].instance] or further
+        further = [row for row in further if row.instance == last.instance] or further
         for place, row in enumerate(further):
             hop = _of_row(row)
-            more = 0 if place else row.came - own[-1].out
+            more = 0 if place else row.came - last.out
             yield replace(hop, entered=max(0, more), elsewhere=max(0, -more))
         if way[0] == _SBN and further and further[-1].hop != BUS:  # else the peer is another cFS
             yield _bridge(PEER_TO_ROBOT, bridges.get(way), came=_last_out(whole, way))

@@ -18,6 +18,7 @@ import numpy as np
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.accounting.losses import Among, LossKind
+from edoras_tools.diagnosis.accounting.ports import CLOSED, REFUSED
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID
@@ -46,7 +47,9 @@ _CAUSES: Final[dict[LossKind, str]] = {
     "unsubscribed": "the SBN peer had not subscribed to it",
     "sbn_socket": "SBN's socket was full",
     "fragments": "its later fragments never came",
+    "port_closed": "nobody listened on the port of {hop}",
 }
+_UNREACHED: Final = {CLOSED: "nobody listened on {}", REFUSED: "an ICMP error came back from the way to {}"}
 _ROOM: Final = 1 << 32
 """Numbers for the counts that are missing behind one row."""
 
@@ -141,6 +144,10 @@ def _shares(case: Case) -> Iterator[_Share]:
             what = f"sent to the SBN peer {silent.peer} before it was started again"
             among = Among(stream, np.array(silent.restarted_rows, np.intp))
             yield _whole(case, what, silent.restarted, among)
+    for part in case.unreached:
+        for cause, rows in part.lost.items():
+            what = _UNREACHED[cause].format(case.endpoints[part.endpoint])
+            yield _whole(case, what, len(rows), Among(part.stream, rows))
     for lost, among in case.telemetry.silent:
         if lost and case.socket_failed(among.stream):
             yield _whole(case, f"{telemetry_output.SOCKET} failed", lost, among)

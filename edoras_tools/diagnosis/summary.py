@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.diagnosis.accounting.ports import PORT
 from edoras_tools.diagnosis.balance import RESTARTED, UNHEARD, Row, not_counted, sent
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, Verdict, alike, group_verdicts
 from edoras_tools.units import SECOND
@@ -204,7 +205,7 @@ def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdi
         if (item.cause == cause if item.cause else item.rule in rules)
         and item.msg_id in {None, row.msg_id}
         and (item.lost is None) == (cause == "unaccounted")
-        and (row.hop == item.hop or not row.hop.startswith("SBN"))
+        and (row.hop == item.hop or not row.hop.startswith(("SBN", PORT)))
     ]
     return [item for item in own if item.msg_id is not None] or own
 

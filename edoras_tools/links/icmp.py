@@ -5,13 +5,14 @@ No port carries them, so their port is 0, as that of stored packets. They are to
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Seen, Site
-from edoras_tools.model import Datagram, Decoded, Endpoint, Finding, Transport
-from edoras_tools.wire.arrays.window import read_at
+from edoras_tools.model import Datagram, Decoded, Endpoint, Finding, PacketBatch, Transport
+from edoras_tools.wire.arrays.window import gather, read_at
 from edoras_tools.wire.icmp import FORMS, QUOTED_UDP, ErrorForm
 
 if TYPE_CHECKING:
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.reading import Reading
     from edoras_tools.wire.layout import Layout
+
+
+ENDS: Final = ("source", "destination")
 
 
 class IcmpLink(LinkProtocol):
@@ -72,8 +76,7 @@ class IcmpLink(LinkProtocol):
         whole = max(ports["length"] - QUOTED_UDP.size, 0)
         payload = data[form.size : form.size + whole]
         source, destination = (
-            Endpoint(header.by_name[name].field.text(ends[name]), ports[f"{name}_port"])
-            for name in ("source", "destination")
+            Endpoint(header.by_name[name].field.text(ends[name]), ports[f"{name}_port"]) for name in ENDS
         )
         return Datagram(
             number=datagram.number,
@@ -93,6 +96,66 @@ class IcmpLink(LinkProtocol):
         return next(field.text for field in decoded.layers[0].fields if field.name == "code").partition(" (")[
             0
         ]
+
+
+@dataclass(frozen=True, slots=True)
+class QuotedRows:
+    """The datagrams that errors quote, a row an error.
+
+    Attributes:
+        datagrams: their endpoints; all else is that of the errors.
+        identification: u16, of IPv4; 0 for IPv6, which has none.
+        closed: bool, whether the host that it was for says that nobody listens on the port.
+    """
+
+    datagrams: PacketBatch
+    identification: NDArray[np.uint16]
+    closed: NDArray[np.bool_]
+
+
+def quoted_rows(batch: PacketBatch, rows: NDArray[np.intp]) -> QuotedRows:
+    """Return what the errors of a batch quote.
+
+    Args:
+        rows: those of the errors.
+    """
+    own = batch.take(rows)
+    address = {name: np.zeros(len(rows), np.uint32) for name in ENDS}
+    port = {name: np.zeros(len(rows), np.uint16) for name in ENDS}
+    identification, closed = np.zeros(len(rows), np.uint16), np.zeros(len(rows), bool)
+    known = np.frombuffer(b"".join(own.ipv6), np.uint8).reshape(-1, 16)
+    table = known[:0]
+    for form in FORMS:
+        at = np.flatnonzero(own.ip_version == form.version)
+        error, header, udp = form.headers
+        window, start = gather(batch.data, own.offset[at], form.size), form.start(header)
+        places = {name: header.by_name[name] for name in ENDS}
+        raw = {
+            name: np.ascontiguousarray(window[:, start + slot.start : start + slot.end])
+            for name, slot in places.items()
+        }
+        if form.version == FORMS[0].version:
+            identification[at] = header.column("identification", window, start)
+            reporter = own.source_address[at].astype(">u4").view(np.uint8).reshape(-1, 4)
+            numbers = {name: octets.view(">u4")[:, 0] for name, octets in raw.items()}
+        else:
+            reporter = known[own.source_address[at]]
+            table, which = np.unique(np.concatenate(list(raw.values())), axis=0, return_inverse=True)
+            numbers = dict(zip(ENDS, np.split(which.reshape(-1), len(ENDS)), strict=True))
+        for name in ENDS:
+            address[name][at] = numbers[name]
+            port[name][at] = udp.column(f"{name}_port", window, form.start(udp))
+        closed[at] = error.column("code", window) == form.port_unreachable
+        closed[at] &= (reporter == raw["destination"]).all(axis=1)
+    datagrams = replace(
+        own,
+        source_address=address["source"],
+        destination_address=address["destination"],
+        source_port=port["source"],
+        destination_port=port["destination"],
+        ipv6=tuple(item.tobytes() for item in table),
+    )
+    return QuotedRows(datagrams, identification, closed)
 
 
 def _form_of(data: bytes) -> ErrorForm:

@@ -8,7 +8,6 @@ import pytest
 from truth import TRUTHS, Truth, diagnosis, judge
 
 FAILS = {
-    "q25_robot_off_then_bridge_off": "ICMP is not read",
     "n11_jointstate_sizes": "nothing tells of the 12 of 0x182a",
 }
 """Captures of which the doctor says what is false today, and why: each goes with what mends it."""

@@ -9,6 +9,9 @@ from dataclasses import replace
 
 import pytest
 from fprime_session import space
+from icmp_errors import datagram, error_about, frame
+from mutations import Frame
+from mutations import write as write_frames
 from pdus import eof, finished, metadata, nak, pdu, piece, with_crc
 from places import CAPTURES, ROOT
 from rewriting import Udp, datagrams, write
@@ -109,6 +112,39 @@ def stream_gap(lab, tmp_path, msg_id):
     cut = lab.read(tmp_path / "x.pcap", lab.missions("rover"))
     assert 0 < cut.lost <= whole.lost  # what the capture lacks, the other end acknowledged
     return cut
+
+
+def _answered(tmp_path, lab, code, reporter):
+    """Return the diagnosis of a rover to whom, from 20 to 40 s, errors come back about all telemetry."""
+    out = []
+    for item in datagrams(CAPTURES / "a_rover.pcap"):
+        packet = datagram(
+            item.payload, item.source, item.destination, id=item.identification, ttl=item.time_to_live
+        )
+        out.append(Frame(item.time_ns, frame(packet), len(frame(packet))))
+        if item.destination[1] == 1235 and 20 < (item.time_ns - out[0].time_ns) / 10**9 < 40:
+            error = frame(error_about(packet, code=code, reporter=reporter))
+            out.append(Frame(item.time_ns + 10_000, error, len(error)))
+    return lab.read(write_frames(tmp_path / "x.pcap", out), lab.missions("rover"))
+
+
+@case
+def port_closed(lab, tmp_path, msg_id):
+    found = _answered(tmp_path, lab, 3, None)
+    (told,) = [item for item in found.verdicts if item.rule == "port_closed"]
+    assert told.lost > 100
+    assert told.lost == sum(row.lost.get("port_closed", 0) for row in found.balance)
+    return found
+
+
+@case
+def unreachable(lab, tmp_path, msg_id):
+    found = _answered(tmp_path, lab, 1, "10.0.0.254")
+    told = [item for item in found.verdicts if item.rule == "unreachable"]
+    assert (
+        sum(item.lost for item in told) == sum(row.lost.get("unreachable", 0) for row in found.balance) > 100
+    )
+    return found
 
 
 @case

@@ -77,7 +77,7 @@ TRUTHS = {
     "season3/q17_two_bridges_same_topic": Truth(41, {"0x1827": 41}, "README", causes=("limit",)),
     "season3/q21_app_restart_while_overloaded": Truth(181, {"0x1827": 181}, causes=("limit",)),
     "season3/q22_to_enabled_late_loss_at_the_end": Truth(87, {"0x1827": 87}, causes=("limit",), wide=True),
-    "season3/q25_robot_off_then_bridge_off": Truth(139, {"0x1827": 64}),
+    "season3/q25_robot_off_then_bridge_off": Truth(139, {"0x1827": 64}, causes=("limit", "port_closed")),
     "season3/q27_three_hops_one_counter": Truth(427, causes=("limit",)),
     "season3/e2_ci_nosubs": Truth(32, {"0x1827": 22, "0x18ee": 10}, causes=("limit", "no_subscriber")),
     "season3/n8_time_jumps": Truth(0),

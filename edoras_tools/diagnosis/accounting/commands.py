@@ -34,6 +34,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     Loss,
 )
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Pipes
+from edoras_tools.diagnosis.accounting.ports import CLOSED
 from edoras_tools.diagnosis.accounting.stops import Stops
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
@@ -123,7 +124,10 @@ class Commands:
         for account in accounts:
             before_ci.wait(account)
         among = {at: item.number for at, item in enumerate(shared)}
+        counting = {item.endpoint for item in accounts}
         for fate in fates:
+            if fate.seen or fate.stream.receiver not in counting:
+                self._not_received(fate)
             own = [at for at, item in enumerate(shared) if id(fate.stream) in item.flows]
             fate.shared = sum(shared[at].number for at in own)
             self._rest(fate, tails, own, among)
@@ -288,6 +292,14 @@ class Commands:
         times, counted_ns = known.captured(fate.stream), samples["time_ns"]
         inside = int(((times > counted_ns[0]) & (times <= counted_ns[-1] - TAIL_NS)).sum())
         fate.unaccounted = max(0, inside - (len(times) - self._untold(fate)) - fate.commanded)
+
+    def _not_received(self, fate: Fate) -> None:
+        """Tell lost what nothing else has told of and that came to a port that nobody listened on."""
+        chosen = np.flatnonzero(fate.open & self._known.closed[fate.stream.rows])
+        if fate.claim(chosen):
+            hop = SBN_SOCKET if fate.stream.link.peers else ""
+            text = "ICMP errors: port unreachable"
+            self.losses.append(loss_of(self._known, fate, CLOSED, chosen, [text], hop=hop))
 
     def _rest(
         self, fate: Fate, tails: Mapping[int, int], shared: Sequence[int], among: dict[int, int]

@@ -133,7 +133,7 @@ def follow(known: Known, stream: Stream) -> Fate:
     times = known.captured(stream)
     open_ = followed & ~arrived
     delay = max((int(np.quantile(hop.delays_ns, 0.99)) for hop in hops if len(hop.delays_ns)), default=0)
-    waiting = open_ & (times > known.end_ns - delay - WAITS_NS)
+    waiting = open_ & (times > known.end_ns - delay - WAITS_NS) & ~known.closed[stream.rows]
     if not hops:
         open_ = np.ones(size, bool)
         waiting = np.zeros(size, bool)
@@ -194,5 +194,6 @@ LOST_AT: Final[Mapping[str, str]] = {
     "down": command_ingest.NAME,
     "restart": command_ingest.NAME,
     "ci_stopped": command_ingest.NAME,
+    "port_closed": command_ingest.NAME,
 }
 """Kind of a loss before CI to where it is."""

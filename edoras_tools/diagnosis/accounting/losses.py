@@ -51,11 +51,12 @@ LossKind = (
         "unsubscribed",
         "sbn_socket",
         "fragments",
+        "port_closed",
     ]
 )
 """Over a limit or out of a full pipe; behind cFS; on the way to CI; in CI's socket; while cFS or CI was down;
 while the application was; while an SBN peer was away, or had not subscribed to it; unknown: nothing tells
-where, or of which MsgId; fragments: only the first fragments of it came."""
+where, or of which MsgId; fragments: only the first fragments of it came; port_closed: nobody listened."""
 
 LEAD_NS: Final = 700 * MILLISECOND
 """A loss may be counted so long before the next message of the stream is seen."""
@@ -162,6 +163,8 @@ class Known:
     """Writes a time for people."""
     never_whole: Mapping[tuple[Endpoint, int], list[int]]
     """Sender and MsgId to the times, ns, of datagrams of which later fragments never came."""
+    closed: NDArray[np.bool_]
+    """(rows,), which datagrams went to a closed port."""
     outages: Sequence[tuple[int, int]] = ()
     """From when to when the capturing interface was away."""
     _unseen: list[bool] = field(default_factory=list)

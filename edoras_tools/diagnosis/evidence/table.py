@@ -11,6 +11,7 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.conversations import Conversations
 from edoras_tools.diagnosis.evidence import fingerprint, robot
 from edoras_tools.diagnosis.evidence.payloads import Payloads
+from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch
@@ -144,6 +145,7 @@ class Recorder:
         conversations: everything on any port, by who spoke to whom.
         endpoints: the addresses and ports seen, in the order first seen.
         payloads: counters, events and the like.
+        errors: the ICMP errors.
         samples: (link, MsgId) to a few CDR messages, shortest and longest among them.
         left_out: datagrams that belong to no link.
     """
@@ -159,6 +161,7 @@ class Recorder:
         self.conversations = conversations or Conversations(context)
         self.endpoints: list[Endpoint] = []
         self.payloads = Payloads()
+        self.errors = ErrorRecorder(self._ends)
         self.samples: dict[tuple[int, int], dict[int, bytes]] = {}
         self._index: dict[tuple[int, str, int], int] = {}
         self._shared = robot.SharedFields(context)
@@ -190,7 +193,12 @@ class Recorder:
         self.conversations.add(batch, columns)
         commands = robot.robot_commands(columns, batch, self.context.structs)
         chosen = np.flatnonzero(among(columns.link, lambda link: link.packets) | commands)
-        self.left_out += len(batch) - len(chosen) - int(among(columns.link, lambda link: link.quotes).sum())
+        beside = among(columns.link, lambda link: link.quotes)
+        self.left_out += len(batch) - len(chosen) - int(beside.sum())
+        beside |= among(columns.link, lambda link: link.last_hop) & ~commands
+        if beside.any():
+            beside[chosen] = True
+            chosen = np.flatnonzero(beside)
         if not len(chosen):
             return
         if len(chosen) < len(batch):
@@ -200,7 +208,15 @@ class Recorder:
         (self._apart or self.keep)(batch, columns)
 
     def keep(self, batch: PacketBatch, columns: Columns) -> None:
-        """Keep what is needed of the datagrams of a batch, all of which carry a packet or a command."""
+        """Keep what is needed of the datagrams of a batch.
+
+        They carry a packet or a command, or are errors or signs of life.
+        """
+        beside = among(columns.link, lambda link: link.quotes or link.last_hop)
+        if beside.any():
+            beside &= ~robot.robot_commands(columns, batch, self.context.structs)
+            self.errors.add(batch.take(beside), columns.take(beside))
+            batch, columns = batch.take(~beside), columns.take(~beside)
         self.payloads.add(batch, columns, self._kept)
         offset, length, space, claimed = self._messages(batch, columns)
         body, plain, stamped = self._fingerprints(batch, columns, offset, length)
@@ -215,13 +231,14 @@ class Recorder:
             identification = np.where(batch.streams, np.arange(len(batch)) % 0xFFFF + 1, identification)
             identification = identification.astype(np.uint16)
         tap = of_bytes(batch.data, batch.frame_offset, network - batch.frame_offset)
+        source, destination = self._ends(batch)
         told = self._sequences.follow(batch, columns)
         self._told.append(told)
         self._parts.append(
             Rows.of(
                 (batch, columns, told),
-                source=self._endpoints(batch, batch.source_address, batch.source_port),
-                destination=self._endpoints(batch, batch.destination_address, batch.destination_port),
+                source=source,
+                destination=destination,
                 known_id=cfe.known_ids(columns.msg_id, columns.headers),
                 cdr_length=length,
                 space=space,
@@ -251,6 +268,11 @@ class Recorder:
             self._parts.clear()  # so that no more than one column is there twice
             self._parts.append(Rows(**{name: np.concatenate(parts.pop(name)) for name in list(parts)}))
         return _counting(self._parts[0], self._sequences.whole(self._told))
+
+    def _ends(self, batch: PacketBatch) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Number the endpoints of a batch: the source and the destination of each row."""
+        source = self._endpoints(batch, batch.source_address, batch.source_port)
+        return source, self._endpoints(batch, batch.destination_address, batch.destination_port)
 
     def _endpoints(
         self, batch: PacketBatch, address: NDArray[np.uint32], port: NDArray[np.uint16]
