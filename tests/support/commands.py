@@ -6,18 +6,16 @@ import gzip
 import json
 import socket
 import struct
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import here
 import pytest
+import warm
 from mcap.reader import make_reader
 from places import ROOT
 from schema import held
-
-EDORAS = Path(sys.executable).with_name("edoras")
 
 
 @pytest.fixture(scope="session")
@@ -49,20 +47,13 @@ def captures(tmp_path_factory):
 @pytest.fixture(scope="session")
 def command():
     """The path of the installed command."""
-    return str(EDORAS)
+    return str(warm.EDORAS)
 
 
 @pytest.fixture(scope="session")
 def edoras():
-    """A function: run the installed command as a shell would; its result is ``subprocess.run``'s."""
-
-    def run(*arguments, **keywords):
-        keywords = {"stdin": subprocess.DEVNULL, **keywords} if "input" not in keywords else keywords
-        return subprocess.run(
-            [EDORAS, *map(str, arguments)], capture_output=True, timeout=300, check=False, **keywords
-        )
-
-    return run
+    """A function: run the command in a process; its result is ``subprocess.run``'s."""
+    return warm.run
 
 
 @pytest.fixture

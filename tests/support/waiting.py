@@ -16,6 +16,8 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
+import warm
+
 HOST = "127.0.0.1"
 PATIENCE_S = 120
 
@@ -73,7 +75,7 @@ class Program:
 
     def __init__(self, *arguments, **options):
         usual = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        self.process = subprocess.Popen([*map(str, arguments)], text=True, **usual | options)
+        self.process = warm.Popen([*map(str, arguments)], text=True, **usual | options)
         self.out, self.err = Stream(self.process.stdout), Stream(self.process.stderr)
 
     def __enter__(self):

@@ -3,70 +3,135 @@
 To start is most of what a short command takes; for tests that run many, and are not about how it starts.
 """
 
+from __future__ import annotations
+
+import ctypes
 import json
 import os
 import pkgutil
 import socket
 import subprocess
 import sys
-from contextlib import contextmanager, suppress
+import threading
+from contextlib import suppress
+from functools import cache
 from importlib import import_module
 from io import FileIO, TextIOWrapper
 from pathlib import Path
 
+EDORAS = Path(sys.executable).with_name("edoras")
 PRELOADED = ("cli", "pipelines", "render")
+PLAIN = (True, None, None, None, -1, False)
+"""What ``Popen`` is told of signals, groups, user, umask and session where nobody asks for any."""
+PR_SET_CHILD_SUBREAPER = 36
 
 
-@contextmanager
-def server():
-    """Give a function that runs a line's words here and now; returns exit code and both outputs, as said."""
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    process = subprocess.Popen(
-        [sys.executable, __file__, str(theirs.fileno())],
-        pass_fds=[theirs.fileno()],
-        stdin=subprocess.DEVNULL,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # as edoras does: threads do not survive a fork
-    )
-    theirs.close()
+class Popen(subprocess.Popen):
+    """``subprocess.Popen``, but ``edoras`` comes from the server, unless it is to start in a special way."""
 
-    def run(words):
-        given = json.dumps([words, str(Path.cwd()), dict(os.environ)]).encode()
-        reading, writing = os.pipe()
-        socket.send_fds(ours, [given], [writing])
-        os.close(writing)
-        with os.fdopen(reading, "rb") as pipe:
-            text = pipe.read().decode()
-        return int(ours.recv(16)), text
+    def _execute_child(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest):
+        ends, how = rest[3:9], rest[9 : 9 + len(PLAIN)]
+        special = preexec_fn or pass_fds or env is not None or how != PLAIN or not _in_its_network()
+        if special or args[0] != str(EDORAS):
+            super()._execute_child(args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest)
+            return
+        streams = [end if end >= 0 else number for number, end in enumerate((ends[0], ends[3], ends[5]))]
+        self.pid = _server(os.getpid()).start([*map(os.fspath, args)], str(cwd or Path.cwd()), streams)
+        self._child_created = True
+        self._close_pipe_fds(*ends)
 
-    with process, ours:
-        yield run
+
+def run(*arguments, **options):
+    """Run ``edoras`` as ``subprocess.run`` does; its output is taken."""
+    data = options.pop("input", None)
+    usual = {"stdin": subprocess.DEVNULL if data is None else subprocess.PIPE}
+    usual |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    words = [str(EDORAS), *map(str, arguments)]
+    with Popen(words, **usual | options) as process:
+        try:
+            out, err = process.communicate(data, timeout=300)
+        except BaseException:
+            process.kill()
+            raise
+    return subprocess.CompletedProcess(words, process.returncode, out, err)
+
+
+def _in_its_network():
+    """Tell whether this thread is in the network that the process, and so the server, is in."""
+    return Path("/proc/self/ns/net").readlink() == Path("/proc/thread-self/ns/net").readlink()
+
+
+class _Server:
+    """The side of the tests."""
+
+    def __init__(self):
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._one_at_a_time = threading.Lock()
+        self._process = subprocess.Popen(
+            [sys.executable, __file__, str(theirs.fileno())],
+            pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # as edoras does: threads do not survive a fork
+        )
+        theirs.close()
+
+    def start(self, words, folder, streams):
+        """Start a process, a child of this one; return its number."""
+        prctl = ctypes.CDLL(None).prctl
+        with self._one_at_a_time:
+            prctl(PR_SET_CHILD_SUBREAPER, 1)  # whose parent ends, it becomes the child of this process
+            try:
+                given = json.dumps([words, folder, dict(os.environ)]).encode()
+                socket.send_fds(self._socket, [given], streams)
+                child = int(self._socket.recv(16))
+                assert self._socket.recv(16) == b"parent ended"
+            finally:
+                prctl(PR_SET_CHILD_SUBREAPER, 0)
+        return child
+
+
+@cache
+def _server(_process):
+    return _Server()
 
 
 def serve(asked):
-    """Fork a command for each request, one after the other, until the socket is closed."""
+    """Fork a command for each request, by way of a parent that ends, until the socket is closed."""
+    del sys.path[0]  # of this file
     for name in PRELOADED:
         package = import_module(f"edoras_tools.{name}")
         for item in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             with suppress(ImportError):  # of an extra that is not installed
                 import_module(item.name)
     while True:
-        given, outputs, _, _ = socket.recv_fds(asked, 1 << 20, 1)
+        given, streams, _, _ = socket.recv_fds(asked, 1 << 20, 3)
         if not given:
             return
-        if not (child := os.fork()):
-            become(outputs[0], *json.loads(given))
-        os.close(outputs[0])
-        asked.send(str(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])).encode())
+        if not (parent := os.fork()):
+            if child := os.fork():
+                asked.send(str(child).encode())
+                os._exit(0)
+            asked.close()
+            become(streams, *json.loads(given))
+        for stream in streams:
+            os.close(stream)
+        os.waitpid(parent, 0)
+        asked.send(b"parent ended")
 
 
-def become(output, words, folder, environ):
+def become(streams, words, folder, environ):
     """Be the command that somebody typed in a folder."""
     from edoras_tools.cli import programs
 
-    for number, name in ((1, "stdout"), (2, "stderr")):
-        os.dup2(output, number)
-        setattr(sys, name, TextIOWrapper(FileIO(number, "w"), write_through=True))
-    os.close(output)
+    for number, (name, stream) in enumerate(zip(("stdin", "stdout", "stderr"), streams, strict=True)):
+        os.dup2(stream, number)
+        os.close(stream)
+        old = getattr(sys, name)
+        how = {"encoding": old.encoding, "errors": old.errors}
+        setattr(sys, name, os.fdopen(number, old.mode, closefd=False, **how))
+    sys.stderr.reconfigure(line_buffering=True)
+    if os.path.sameopenfile(1, 2):  # both in the order of the writing
+        sys.stdout = TextIOWrapper(FileIO(1, "w", closefd=False), write_through=True)
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environ)
