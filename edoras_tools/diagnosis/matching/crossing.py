@@ -38,6 +38,15 @@ _ALIKE: Final = 0.5
 _LEAST_DIFFERENT: Final = 3
 _NEARLY_ALL: Final = 0.9
 _BODIES: Final = "body_print", "body_print"
+_TO_ROBOT: Final = (
+    _BODIES,
+    ("value_print", "value_print"),
+    ("value_print", "stamped_print"),
+    ("shared_print", "shared_print"),
+)
+"""A robot is sent bare numbers, their bytes or values as the configured type has them, or a struct."""
+_COMPARED: Final = (*_TO_ROBOT, ("stamped_print", "stamped_print"))
+"""What streams of different MsgIds are compared by: fingerprints of what goes in and of what comes out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,14 +161,15 @@ def _ways_in(
     begin_ns, end_ns = (
         np.array([rows.time_ns[item.rows[place]] for item in ways_out], np.int64) for place in (0, -1)
     )
-    pairs = (
-        (into, ways_out[at])
-        for into in ways_in
-        for at in np.flatnonzero(
-            (end_ns >= rows.time_ns[into.rows[0]]) & (begin_ns <= rows.time_ns[into.rows[-1]] + _LONGEST_NS)
-        ).tolist()
+    first_ns, last_ns = (
+        np.array([rows.time_ns[item.rows[place]] for item in ways_in], np.int64) for place in (0, -1)
     )
-    for into, out in pairs:
+    pairs = _alike(ways_in, ways_out, known)
+    in_time = (end_ns[pairs[1]] >= first_ns[pairs[0]]) & (
+        begin_ns[pairs[1]] <= last_ns[pairs[0]] + _LONGEST_NS
+    )
+    for place, at in pairs[:, in_time].T.tolist():
+        into, out = ways_in[place], ways_out[at]
         if not _may_follow(into, out) or not follows(into, out):
             continue
         for kinds in _kinds(into, out, known):
@@ -171,6 +181,21 @@ def _ways_in(
             if score >= _ALIKE and (id(out) not in best or rank > best[id(out)].rank):
                 best[id(out)] = _Way(rank, into, *prints)
     return best
+
+
+def _alike(ways_in: Sequence[Stream], ways_out: Sequence[Stream], known: _Prints) -> NDArray[np.intp]:
+    """Return which ways in have some fingerprint of which ways out: (2, pairs), places of both, in order."""
+    ids, width = np.array([item.msg_id for item in ways_out]), len(ways_out)
+    codes = [place * width + np.flatnonzero(ids == into.msg_id) for place, into in enumerate(ways_in)]
+    for kinds in _COMPARED:
+        (values, owner), (sought, seeker) = (
+            known.all_of(streams, kind) for streams, kind in zip((ways_in, ways_out), kinds, strict=True)
+        )
+        low, high = (np.searchsorted(values, sought, side) for side in ("left", "right"))
+        count = high - low
+        at = np.repeat(low - np.concatenate(([0], np.cumsum(count)[:-1])), count) + np.arange(count.sum())
+        codes.append(np.unique(owner[at] * width + np.repeat(seeker, count)))
+    return np.stack(np.divmod(np.unique(np.concatenate(codes)), max(1, width)))
 
 
 class _Way(NamedTuple):
@@ -228,6 +253,13 @@ class _Prints:
             self._different[key] = np.unique(prints[prints != 0])
         return self._different[key]
 
+    def all_of(self, streams: Sequence[Stream], kind: str) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
+        """Return those of all streams, in order, and the place of the stream that each is of."""
+        parts = [self.different(stream, kind) for stream in streams]
+        values = np.concatenate([np.zeros(0, np.uint64), *parts])
+        order = np.argsort(values, kind="stable")
+        return values[order], np.repeat(np.arange(len(parts)), [len(part) for part in parts])[order]
+
     def cut(self, stream: Stream) -> bool:
         """Tell whether the capture cut some packet of a stream."""
         key = id(stream)
@@ -244,13 +276,7 @@ def _kinds(into: Stream, out: Stream, known: _Prints) -> list[tuple[str, str]]:
             return [(known.COUNT, known.COUNT)]
         return [("packet_print", "packet_print")]
     if out.link.last_hop:
-        # A robot is sent bare numbers, their bytes or values as the configured type has them, or a struct.
-        return [
-            _BODIES,
-            ("value_print", "value_print"),
-            ("value_print", "stamped_print"),
-            ("shared_print", "shared_print"),
-        ]
+        return list(_TO_ROBOT)
     return [
         (kind, kind)
         for kind in (_BODIES[0], "stamped_print", "value_print")
