@@ -223,7 +223,7 @@ def _layout(path: str) -> Callable[[], str]:
 
 def _keys() -> str:
     """Return the keys of the three-pane view."""
-    from edoras_tools.addons.tui.help import KEYS
+    from edoras_tools.addons.tui.panes import KEYS
 
     lines = ["| keys | what |", "|---|---|"]
     for head, *keys in KEYS:

@@ -23,8 +23,8 @@ from edoras_tools.decode.columns import Begun
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.merge import follow_streams, recorded_faults, recorded_host
 from edoras_tools.io.processes import Workers, portable
+from edoras_tools.io.processors import jobs_for
 from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
-from edoras_tools.pipelines.jobs import jobs_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

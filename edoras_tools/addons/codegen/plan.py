@@ -1,4 +1,11 @@
-"""Message types for C: in the order that C requires, each with the maximum size of its fields."""
+"""Message types for C: in the order that C requires, each with the maximum size of its fields.
+
+How many bytes the longest message of a type takes, padding and all: padding depends on where a value starts,
+and that on how long the strings before it are. What counts is only the start's place modulo 8. So a value is
+an 8 by 8 matrix: from a start at place ``r`` to an end at place ``s``, the most bytes that takes, or
+``_NEVER``. One value after another is the product of their matrices in the algebra where plus is maximum and
+times is plus; so many of them is a power, by repeated squaring.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +16,8 @@ from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.codegen import sizes
+import numpy as np
+
 from edoras_tools.addons.codegen.names import c_type_name, member_name
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.cdr.plan import WIDE_UNIT
@@ -19,12 +27,59 @@ from edoras_tools.ros.types.schema import PLACEHOLDER, PRIMITIVES, STRINGS, Mess
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from edoras_tools.addons.codegen.bounds import Bounds
     from edoras_tools.ros import TypeStore
     from edoras_tools.ros.types.schema import Constant, Definition
+
+
+_PLACES: Final = 8
+_NEVER: Final = -(1 << 60)
+_MOST: Final = 1 << 50
+"""Larger sizes are cut to this, so that sums do not overflow 64 bits."""
+
+
+def nothing() -> NDArray[np.int64]:
+    """Return the matrix of no bytes."""
+    return np.where(np.eye(_PLACES, dtype=bool), 0, _NEVER)
+
+
+def aligned(size: int) -> NDArray[np.int64]:
+    """Return the matrix of a primitive, aligned to its size."""
+    matrix = np.full((_PLACES, _PLACES), _NEVER)
+    for start in range(_PLACES):
+        taken = -start % size + size
+        matrix[start, (start + taken) % _PLACES] = taken
+    return matrix
+
+
+def then(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the matrix of one value after another."""
+    total: NDArray[np.int64] = (first[:, :, None] + second[None, :, :]).max(axis=1)
+    return np.where(total < 0, _NEVER, np.minimum(total, _MOST))
+
+
+def times(matrix: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Return the matrix of a value repeated ``count`` times."""
+    result = nothing()
+    while count:
+        if count & 1:
+            result = then(result, matrix)
+        matrix = then(matrix, matrix)
+        count >>= 1
+    return result
+
+
+def up_to(matrix: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """Return the matrix of a value repeated 0 to ``most`` times."""
+    return times(np.maximum(matrix, nothing()), most)
+
+
+def longest(matrix: NDArray[np.int64]) -> int:
+    """Return the most bytes from an aligned start."""
+    return int(matrix[0].max())
+
 
 _LARGEST_MESSAGE: Final = 1 << 26
 """Most bytes of one message; a larger static array is a mistake."""
@@ -108,15 +163,15 @@ class Message:
     @cached_property
     def matrix(self) -> NDArray[np.int64]:
         """Its longest CDR, see ``sizes``."""
-        matrix = sizes.nothing()
+        matrix = nothing()
         for member in self.members:
-            matrix = sizes.then(matrix, _matrix(member))
+            matrix = then(matrix, _matrix(member))
         return matrix
 
     @cached_property
     def most_bytes(self) -> int:
         """Bytes of its longest CDR, encapsulation included."""
-        return ENCAPSULATION_BYTES + sizes.longest(self.matrix)
+        return ENCAPSULATION_BYTES + longest(self.matrix)
 
     @cached_property
     def has_defaults(self) -> bool:
@@ -250,11 +305,11 @@ def _matrix(member: CMember) -> NDArray[np.int64]:
         one = member.message.matrix
     elif member.ros.type in STRINGS:
         narrow = member.ros.type == "string"
-        unit = sizes.aligned(1 if narrow else WIDE_UNIT)
+        unit = aligned(1 if narrow else WIDE_UNIT)
         most = member.characters + narrow
-        one = sizes.then(sizes.aligned(4), sizes.up_to(unit, most))
+        one = then(aligned(4), up_to(unit, most))
     else:
-        one = sizes.aligned(struct.calcsize("<" + PRIMITIVES[member.ros.type]))
+        one = aligned(struct.calcsize("<" + PRIMITIVES[member.ros.type]))
     if member.is_sequence:
-        return sizes.then(sizes.aligned(4), sizes.up_to(one, member.elements))
-    return sizes.times(one, member.elements) if member.elements else one
+        return then(aligned(4), up_to(one, member.elements))
+    return times(one, member.elements) if member.elements else one

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import subprocess
+import tempfile
 import threading
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from pathlib import Path
+from shutil import rmtree
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 from textual import on, work
@@ -15,32 +20,76 @@ from textual.widgets import Input
 from textual.worker import get_current_worker
 
 from edoras_tools.addons.tui.data import messages
-from edoras_tools.addons.tui.data.feed import Feed
-from edoras_tools.addons.tui.data.filter_thread import FilterThread
+from edoras_tools.addons.tui.data.feed import Feed, FilterThread
 from edoras_tools.addons.tui.data.rates import rate_figure
 from edoras_tools.addons.tui.data.sort import sort_order
-from edoras_tools.addons.tui.field_filter import filter_of
 from edoras_tools.addons.tui.lists.hex_pane import HexPane
 from edoras_tools.addons.tui.lists.lines import Lines
-from edoras_tools.addons.tui.navigation import Navigation
+from edoras_tools.addons.tui.navigation import Navigation, filter_of
 from edoras_tools.addons.tui.panes import ViewOptions
 from edoras_tools.addons.tui.prompts import FilterLine
-from edoras_tools.addons.tui.wireshark import open_in_wireshark
 from edoras_tools.decode.filters.rows import ColumnRows
-from edoras_tools.errors import EdorasError
+from edoras_tools.dissectors.lua import GUARD, own_digest
+from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.io.formats.pcapng.writer import PcapngSink
+from edoras_tools.io.outputs import write_bytes
 from edoras_tools.io.signals import ENDING
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.capture.conversation import Conversation
+from edoras_tools.pipelines.wireshark.lua import dissector
+from edoras_tools.pipelines.wireshark.program import SCRIPT, find_program
 from edoras_tools.render.severity import Level
 
 if TYPE_CHECKING:
-    import subprocess
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
+    from edoras_tools.addons.tui.data.store import Part
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.io import Source
-    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.pipelines.workbench import Settings, Workbench
+
+
+_THEN_REMOVE: Final = '"$@"; rm -rf "$0"'
+"""A shell script: Wireshark may run longer than this process, and needs its files until it ends."""
+
+
+def open_in_wireshark(parts: Sequence[Part], row: int, settings: Settings) -> subprocess.Popen[bytes]:
+    """Write packets to a file and open Wireshark with our dissector on it.
+
+    Args:
+        parts: what ``Store.parts`` returned.
+        row: the packet to go to.
+
+    Returns:
+        The process, which removes the file when Wireshark ends.
+
+    Raises:
+        EdorasError: Wireshark is not installed, or the file cannot be written.
+    """
+    path = find_program("wireshark")
+    text, _ = dissector(settings)
+    folder = Path(tempfile.mkdtemp(prefix="edoras-"))
+    try:
+        script, capture = folder / SCRIPT, folder / "packets.pcapng"
+        write_bytes(script, text.encode())
+        with closing(PcapngSink(capture)) as sink:
+            for block, _, shown in parts:
+                sink.write(block.batch if isinstance(shown, range) else block.batch.take(np.asarray(shown)))
+        arguments = ["-X", f"lua_script:{script}", "-r", str(capture), "-g", str(row + 1)]
+        return subprocess.Popen(  # noqa: S603  the user asked for it
+            ["/bin/sh", "-c", _THEN_REMOVE, str(folder), path, *arguments],
+            env=os.environ | {GUARD: own_digest(text)},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    except (OSError, CaptureError) as error:
+        rmtree(folder, ignore_errors=True)
+        raise CaptureError(f"Wireshark cannot be opened: {error}") from error
+
 
 __all__ = ["ViewOptions", "Viewer"]
 

@@ -16,10 +16,10 @@ from edoras_tools.io.formats.split import RecordingOptions, SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import FileSink, Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
+from edoras_tools.io.processors import jobs_for
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing, Waiting
 from edoras_tools.pipelines.capture.ledger import Ledger
-from edoras_tools.pipelines.jobs import jobs_for
 from edoras_tools.pipelines.reading import Limits, ReadLoop, reading
 from edoras_tools.sessions.sequence import SequenceCounts
 

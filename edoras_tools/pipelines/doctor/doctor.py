@@ -18,10 +18,10 @@ from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.io.formats.cfe.contents import message_limits, network_peers
 from edoras_tools.io.formats.merge import follow_streams, recorded_faults, recorded_host
 from edoras_tools.io.formats.text import json_value
+from edoras_tools.io.processors import jobs_for
 from edoras_tools.pipelines.clocks import OneByOne
 from edoras_tools.pipelines.doctor.apart import judged_apart
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
-from edoras_tools.pipelines.jobs import jobs_for
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.words import did_you_mean
 

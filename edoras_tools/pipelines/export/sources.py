@@ -18,6 +18,7 @@ from edoras_tools.io.formats.merge import recorded_faults
 from edoras_tools.io.formats.open import is_cfe_file
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.processes import InOrder, Workers
+from edoras_tools.io.processors import jobs_for
 from edoras_tools.io.topics.faults import fault_messages
 from edoras_tools.io.topics.names import APART, DATAGRAMS_TOPIC
 from edoras_tools.io.topics.rows import RECORD_BYTES, Messages, lay_out
@@ -29,7 +30,6 @@ from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.block import TopicBlock
 from edoras_tools.pipelines.export.judged import JUDGED, judged_block, judged_blocks
-from edoras_tools.pipelines.jobs import jobs_for
 from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files

@@ -21,7 +21,7 @@ from distributed import LocalCluster
 from distributed.scheduler import KilledWorker
 from places import CAPTURES, MISSIONS
 
-from edoras_tools.addons.archive import cluster, work
+from edoras_tools.addons.archive import update, work
 from edoras_tools.addons.archive.index import open_index
 from edoras_tools.addons.archive.places import find_captures
 from edoras_tools.addons.archive.questions import ArchiveSpan, list_captures, list_losses
@@ -290,7 +290,7 @@ class Hook:
 
 def test_a_lost_worker_changes_nothing(folder, updated, scheduler):
     whole = updated(folder / "x.duckdb", folder)
-    with cluster.workers(0, scheduler, most=1) as client:
+    with update.workers(0, scheduler, most=1) as client:
         before = client.run(os.getpid)
         hook = Hook(lambda: os.kill(next(iter(before.values())), signal.SIGKILL))
         found = updated(folder / "y.duckdb", folder, progress=hook)
@@ -464,14 +464,14 @@ def refused(folder, address):
 
 
 def test_a_scheduler_that_does_not_answer_is_refused(folder, monkeypatch):
-    monkeypatch.setattr(cluster, "_PATIENCE_S", 0.3)
+    monkeypatch.setattr(update, "_PATIENCE_S", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         for address in ("tcp://127.0.0.1:1", "nonsense", f"tcp://127.0.0.1:{silent.getsockname()[1]}"):
             assert refused(folder, address).startswith(f"{address}: no dask scheduler answers there; ")
 
 
 def test_a_worker_is_no_scheduler(folder, scheduler):
-    with cluster.workers(0, scheduler, most=1) as client:
+    with update.workers(0, scheduler, most=1) as client:
         worker = next(iter(client.nthreads()))
     assert refused(folder, worker).startswith(
         f"{worker}: is the address of a Worker, not of a dask scheduler"
@@ -480,7 +480,7 @@ def test_a_worker_is_no_scheduler(folder, scheduler):
 
 def test_a_lost_scheduler_is_told(folder, monkeypatch):
     lost = LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=60)
-    monkeypatch.setattr(cluster, "_PATIENCE_S", 0.5)
+    monkeypatch.setattr(update, "_PATIENCE_S", 0.5)
     watch = _Run._watch
     monkeypatch.setattr(_Run, "_watch", lambda run: (lost.close(), watch(run)))
     told = refused(folder, lost.scheduler_address)
@@ -488,7 +488,7 @@ def test_a_lost_scheduler_is_told(folder, monkeypatch):
 
 
 def test_a_scheduler_without_workers_is_refused(folder, monkeypatch):
-    monkeypatch.setattr(cluster, "_PATIENCE_S", 0.3)
+    monkeypatch.setattr(update, "_PATIENCE_S", 0.3)
     with LocalCluster(
         n_workers=0, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=60
     ) as empty:

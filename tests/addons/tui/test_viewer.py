@@ -6,7 +6,7 @@ import signal
 import pytest
 from textual.events import MouseScrollDown
 
-from edoras_tools.addons.tui.help import Help
+from edoras_tools.addons.tui.panes import Help
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.sbn import SBN
 from edoras_tools.pipelines.selection import Selection

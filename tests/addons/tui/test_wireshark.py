@@ -7,7 +7,7 @@ import sys
 import pytest
 from waiting import until
 
-from edoras_tools.addons.tui import wireshark
+from edoras_tools.addons.tui import viewer
 from edoras_tools.errors import CaptureError
 
 PRETENDER = """#!{python}
@@ -60,4 +60,4 @@ def test_wireshark_gets_what_is_shown_and_goes_to_the_packet(drive, pretender):
 def test_absent_is_said(monkeypatch):
     monkeypatch.setenv("PATH", "/nowhere")
     with pytest.raises(CaptureError, match="wireshark is not installed"):
-        wireshark.open_in_wireshark([], 0, None)
+        viewer.open_in_wireshark([], 0, None)

@@ -173,7 +173,7 @@ CAPTURES = sorted((ROOT / "samples/captures").glob("*.pcap"))
 
 def chapters(monkeypatch, path, jobs, *, listing=False, configs=()):
     """What is found in chapters of some hundred datagrams."""
-    monkeypatch.setattr("edoras_tools.pipelines.jobs._LARGE", 1)
+    monkeypatch.setattr("edoras_tools.io.processors._LARGE", 1)
     monkeypatch.setattr(examination, "CHAPTER", 150)
     source = open_files([path])
     parts = _Parts(source, 100)
