@@ -196,27 +196,24 @@ class Recorder:
         beside = among(columns.link, lambda link: link.quotes)
         self.left_out += len(batch) - len(chosen) - int(beside.sum())
         beside |= among(columns.link, lambda link: link.last_hop) & ~commands
-        if beside.any():
-            beside[chosen] = True
-            chosen = np.flatnonzero(beside)
-        if not len(chosen):
-            return
-        if len(chosen) < len(batch):
-            batch, columns = batch.take(chosen), columns.take(chosen)
-        self._count += len(batch)
-        self._times.append(batch.time_ns)
-        (self._apart or self.keep)(batch, columns)
+        for rows in (chosen, np.flatnonzero(beside)):
+            if len(rows):
+                whole = len(rows) == len(batch)
+                part = (batch, columns) if whole else (batch.take(rows), columns.take(rows))
+                (self._apart or self.keep)(*part)
+        if len(chosen):
+            self._count += len(chosen)
+            self._times.append(batch.time_ns[chosen])
 
     def keep(self, batch: PacketBatch, columns: Columns) -> None:
         """Keep what is needed of the datagrams of a batch.
 
-        They carry a packet or a command, or are errors or signs of life.
+        All of them carry a packet or a command, or all are errors or signs of life.
         """
         beside = among(columns.link, lambda link: link.quotes or link.last_hop)
-        if beside.any():
-            beside &= ~robot.robot_commands(columns, batch, self.context.structs)
-            self.errors.add(batch.take(beside), columns.take(beside))
-            batch, columns = batch.take(~beside), columns.take(~beside)
+        if beside.all() and not robot.robot_commands(columns, batch, self.context.structs).any():
+            self.errors.add(batch, columns)
+            return
         self.payloads.add(batch, columns, self._kept)
         offset, length, space, claimed = self._messages(batch, columns)
         body, plain, stamped = self._fingerprints(batch, columns, offset, length)

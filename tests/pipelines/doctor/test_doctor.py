@@ -169,6 +169,8 @@ def test_constants_are_named():
 
 
 CAPTURES = sorted((ROOT / "samples/captures").glob("*.pcap"))
+ERRORS = ROOT / "tests/captures/season3/q25_robot_off_then_bridge_off.pcap.zst"
+"""A capture with ICMP errors about closed ports."""
 
 
 def chapters(monkeypatch, path, jobs, *, listing=False, configs=()):
@@ -195,7 +197,7 @@ class _Parts:
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
-@pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*CAPTURES, ERRORS], ids=lambda path: path.stem)
 def test_chapters_are_judged_alike_by_any_number_of_processes(monkeypatch, path):
     one, *others = (chapters(monkeypatch, path, jobs, listing=True) for jobs in every(2, (1, 2, 3)))
     assert others
