@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
+import pytest
 from effort import examples
 from hypothesis import given, settings
-from scenarios import flights, fly, truth
+from scenarios import examined, flights, fly, replayed, truth
 from truth import bounds, sums
 
-from edoras_tools.addons.lab.emulator.source import frames_of
-from edoras_tools.diagnosis.examination import Examination
-from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.cfs.queues import QueueEnd
 
 UNSURE = 0.05
 """Of what counters cover so much may be told as given way to a newer one: which of two nothing shows."""
-
-
-def examined(sent):
-    """Return what ``doctor --json`` says of some datagrams."""
-    bench, demux = Settings(configs=[]).workbench(), Demux()
-    examination = Examination(bench.columns.context)
-    for first in range(0, len(sent), 1000):
-        batch = demux.demux(frames_of(sent[first : first + 1000], first + 1))
-        examination.add(batch, bench.columns.decode(batch))
-    return examination.diagnose().as_json()
 
 
 @settings(max_examples=examples(120))
@@ -36,3 +24,22 @@ def test_what_is_proven_was_lost_and_what_counters_cover_is_told(flight):
     assert proven <= most
     open_ = more + sum(result.get(name) or 0 for name in ("waiting", "not_captured"))
     assert least * (1 - UNSURE) <= proven + open_
+
+
+@pytest.mark.parametrize("enabled", ["before", "by the first packet"])
+@pytest.mark.parametrize("hertz", [8, 10, 30, 60])
+def test_what_a_replay_records_tells_what_was_lost(hertz, enabled):
+    simulation, sent = replayed(hertz, 300, enabled_before=enabled == "before")
+    result = examined(sent)
+    ends = QueueEnd.MSG_LIMIT, QueueEnd.PIPE_OVERFLOW
+    lost = sum(item.end in ends for item in simulation.cfs.account.arrivals)
+    proven, more = bounds(result)
+    assert proven <= lost <= proven + more
+    assert more <= 6
+    assert bool(lost) == (hertz > 8)
+    (row,) = [
+        item for item in result["balance"] if (item["msg_id"], item["hop"]) == ("0x1827", "software bus")
+    ]
+    assert row["lost_by"].get("limit", 0) == sum(
+        item.end is QueueEnd.MSG_LIMIT and item.msg_id == 0x1827 for item in simulation.cfs.account.arrivals
+    )

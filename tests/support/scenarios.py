@@ -8,17 +8,22 @@ from typing import NamedTuple
 
 from hypothesis import strategies as st
 
-from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.lab.emulator import Simulation, messages
 from edoras_tools.addons.lab.emulator.account import socket
 from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp
 from edoras_tools.addons.lab.emulator.simulation import WireDatagram
+from edoras_tools.addons.lab.emulator.source import frames_of
 from edoras_tools.cfs import edoras_app, telemetry_output
 from edoras_tools.cfs import executive_services as es
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.cfs.queues import QueueEnd
+from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.model import Endpoint
+from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire import cfe
+from edoras_tools.wire import cfe, envelope
 
 START_NS = 1_800_000_000 * SECOND
 EXTRA = 0x8F1
@@ -157,3 +162,34 @@ def truth(simulation, sent):
         for item in sent
     )
     return Bounds(sum(covered) - just_before, most)
+
+
+def replayed(hertz, count, *, enabled_before):
+    """Return the simulation of a replay of commands to a cFS without bridges, and what it recorded."""
+    simulation = Simulation(start_ns=START_NS, bridges=False, with_account=True)
+    ground = Endpoint(simulation.cfs.profile.address, 50_000)
+    enable = cfe.emit_command(
+        telemetry_output.COMMAND_MSG_ID, telemetry_output.ENABLE, b"127.0.0.1".ljust(16, b"\0")
+    )
+    command = envelope.DEFAULT.emit(messages.twist(0.5, 0.1))
+    begin_ns = START_NS + 4 * SECOND
+    packets = [(begin_ns + index * SECOND // hertz, 0x1827, command) for index in range(count)]
+    fed = [
+        (at, cfe.emit_command(msg_id, edoras_app.SET, data, sequence_flags=0)) for at, msg_id, data in packets
+    ]
+    fed.append((begin_ns - (3 * SECOND if enabled_before else SECOND // 100), enable))
+    for at, packet in fed:
+        simulation.feed(at, simulation.cfs.ci_endpoint, packet)
+    more = [WireDatagram(at, ground, simulation.cfs.ci_endpoint, packet) for at, packet in fed]
+    sent = simulation.run(begin_ns + count * SECOND // hertz + 20 * SECOND)
+    return simulation, sorted([*sent, *more], key=lambda item: item.time_ns)
+
+
+def examined(sent):
+    """Return what ``doctor --json`` says of some datagrams."""
+    bench, demux = Settings(configs=[]).workbench(), Demux()
+    examination = Examination(bench.columns.context)
+    for first in range(0, len(sent), 1000):
+        batch = demux.demux(frames_of(sent[first : first + 1000], first + 1))
+        examination.add(batch, bench.columns.decode(batch))
+    return examination.diagnose().as_json()

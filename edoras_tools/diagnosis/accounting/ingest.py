@@ -328,7 +328,8 @@ def _account(
                 low[0] = -_MODULUS  # how much it had read before the first sample, nothing tells
                 idle = np.flatnonzero(np.diff(count[part]) < sources.profile.ci_datagrams_per_wake)
                 behind = int(seen[idle[0] + 1]) if len(idle) else int(seen[-1])
-                account.older_until_ns = min(behind, int(seen[0]) + DRAINS_NS)
+                if count[end - 1] != sent[end - 1]:  # else it read what was sent here, and nothing older
+                    account.older_until_ns = min(behind, int(seen[0]) + DRAINS_NS)
         most = sources.profile.ci_datagrams_per_wake
         drained = np.diff(count[part], prepend=count[first]) < most
         unread = 0 if first else _unseen(sources, endpoint, sent_ns, own[0])
