@@ -279,7 +279,9 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     else:
         why = f"it keeps {limit} of one MsgId, and {who} hands over a burst {every}"
     if loss.stream is None:
-        return Advice(f"{why} (assumed)", f"send at most {_safe(clean):g} Hz, or {_subscribed('more')}")
+        return Advice(
+            f"{why} (assumed)", f"send at most {_safe(clean):g} Hz, or {_subscribed('a higher limit')}"
+        )
     stream = loss.stream
     rows = np.flatnonzero((case.rows.link == stream.link) & (case.rows.destination == stream.receiver))
     arrivals = Arrivals(case.rows.time_ns[rows], case.rows.msg_id[rows].astype(np.int64))
@@ -303,10 +305,10 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     need = min(own.most(pipe.round_ns * _LATE) + 1, pipe.depth if over_network else socket.reads)
     higher = (*way[:-1], _with_limit(pipe, stream.msg_id, need))
     if need > limit and not max(arrivals.lost(higher, stream.msg_id)):
-        slower += f", or {_subscribed(f'{need:,}')}"
+        slower += f", or {_subscribed(f'a limit of {need:,}')}"
     paced = arrivals.spaced(SECOND / _safe(clean), stream.msg_id)
     return Advice(why, slower, max(paced.lost(way, stream.msg_id)) if fits else None)
 
 
 def _subscribed(limit: str) -> str:
-    return f"let the application subscribe with a limit of {limit} (CFE_SB_SubscribeEx)"
+    return f"let the application subscribe with {limit} (CFE_SB_SubscribeEx)"

@@ -11,9 +11,10 @@ Rules:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.diagnosis.accounting.losses import APP
 from edoras_tools.diagnosis.accounting.ports import PORT
 from edoras_tools.diagnosis.balance import RESTARTED, UNHEARD, Row, not_counted, sent
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, Verdict, alike, group_verdicts
@@ -21,7 +22,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from edoras_tools.diagnosis.examination import Diagnosis
 
@@ -83,7 +84,7 @@ class Problem:
         severity: how much it matters.
         verdicts: what explains it, the worst first; may be empty.
         left: messages that would still be lost then, by the queue model; None where it cannot tell.
-        of: messages of the routes that it is about.
+        of: of how many: all of its routes where nothing else lost any, else those that it lost.
     """
 
     lost: int | None
@@ -191,9 +192,10 @@ def _losses(found: Diagnosis) -> tuple[list[Problem], set[int]]:
     for key, members in groups.items():
         own = list({id(item): item for item in verdicts[key]}.values())
         own.sort(key=lambda item: (item.msg_id is None, -(item.lost or 0)))
-        problems.append(_problem(found, key[0], members, own, alone=alone))
-    problems.sort(key=lambda item: -(item.lost or 0))
-    return problems, {id(item) for members in verdicts.values() for item in members}
+        rows = [row for row, _ in members]
+        problems.append((_problem(found, key[0], members, own, alone=alone), rows))
+    problems.sort(key=lambda item: -(item[0].lost or 0))
+    return list(_promising(found, problems)), {id(item) for members in verdicts.values() for item in members}
 
 
 def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdict]:
@@ -237,8 +239,17 @@ def _problem(
         text = f"{'' if alone else about}{_place(cause, rows, own)}{_when(found, own)}"
         if cause in _AT_QUEUES and own:
             text += f": {advice.why if advice else own[0].reason.partition(': ')[2]}"
-    left = advice.left if advice else None
-    return Problem(lost, text, remedy, Severity.ERROR, tuple(own), left, sent_of(found, rows))
+    return Problem(lost, text, remedy, Severity.ERROR, tuple(own), advice.left if advice else None)
+
+
+def _promising(found: Diagnosis, problems: Sequence[tuple[Problem, Sequence[Row]]]) -> Iterator[Problem]:
+    """Yield problems with what a remedy, which several may share, is promised for."""
+    for item, rows in problems:
+        alike = [other for other, _ in problems if other.remedy == item.remedy]
+        cured = sum(other.lost or 0 for other in alike)
+        keys = {_route(row) for row in rows}
+        lost = sum(row.all_lost + row.unaccounted for row in found.balance if _route(row) in keys)
+        yield replace(item, of=sent_of(found, rows) if lost <= cured else cured)
 
 
 def _more(reason: str, own: Sequence[Verdict]) -> str:
@@ -248,6 +259,7 @@ def _more(reason: str, own: Sequence[Verdict]) -> str:
 def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
     """Return where it was, with the name of the pipe, application or peer."""
     hop = next((item.hop for item in own if item.hop), rows[0].hop)
+    hop = hop.replace(APP, "the application's pipe")
     if cause == "limit" and own:
         return f"at {hop}"
     if cause in {"limit", "overflow"}:
@@ -292,11 +304,9 @@ def _names(found: Diagnosis, rows: Iterable[Row]) -> str:
 
 def _headline(found: Diagnosis, problems: Sequence[Problem]) -> str:
     if found.unnamed:
-        unexamined = "; ".join(item.told for item in found.unnamed)
-        if not found.datagrams:
-            return f"Not all was examined: {unexamined}. Nothing else of CI, TO or SBN is here."
-        rest = _total(found, problems)
-        return f"Not all was examined: {unexamined}. In the rest: {rest[0].lower()}{rest[1:]}"
+        number = sum(item.datagrams for item in found.unnamed)
+        rest = _total(found, problems) if found.datagrams else "nothing else of CI, TO or SBN is here."
+        return f"{plural(number, 'datagram')} were not examined. In the rest: {rest[0].lower()}{rest[1:]}"
     if not found.datagrams:
         where = "in the chosen time" if found.capture.cut else "here"
         return f"No cFS {where}: nothing of CI, TO or SBN was examined."
@@ -369,13 +379,14 @@ def _fine(found: Diagnosis) -> str:
     for rows in routes.values():
         fates.setdefault(_fate(rows), []).append(rows)
     arrived, unseen = fates.get("arrived", ()), fates.get("unseen", ())
-    sums = plural(sum(sent(rows) for rows in arrived), "message")
+    whole = plural(sum(rows[-1].out for rows in arrived), "message")
+    others = sum(rows[-1].out for rows in (*arrived, *fates.get("open", ())))
     open_ended = sum(row.waiting + row.not_captured + row.shared for row in found.balance)
     parts = []
     if arrived and not open_ended and fates.keys() <= {"arrived", "lost"}:
-        parts.append("All else arrived." if "lost" in fates else f"All {sums} arrived.")
-    elif arrived:
-        parts.append(f"{sums} on {plural(len(arrived), 'route')} arrived.")
+        parts.append("All else arrived." if "lost" in fates else f"All {whole} arrived.")
+    elif others:
+        parts.append(f"{plural(others, 'other message' if 'lost' in fates else 'message')} arrived.")
     if found.superseded:
         parts.append(f"{found.superseded:,} gave way to newer ones, as the application does.")
     if unseen:
