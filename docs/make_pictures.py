@@ -17,6 +17,7 @@ from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.sniff import decode_packet
+from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.plot.request import parse_request
 from edoras_tools.pipelines.plot.series import open_recordings, read_plot
@@ -25,6 +26,7 @@ from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.render.capture import packet
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
+from edoras_tools.render.doctor.doctor import screen
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.svg import terminal_picture, without_fonts
 from edoras_tools.render.terminal import palette
@@ -78,6 +80,14 @@ def info() -> str:
     summary = inspect(open_files([path]), settings.workbench()).summary()
     view = capture_summary({**summary, "source": path.name})
     return terminal_picture([view], width=100, title="edoras info a_rover.pcap -c rover_ground.yaml")
+
+
+def doctor() -> str:
+    """Draw the first screen of a diagnosis."""
+    settings, path = _bench("d3_cpu1_cpu2", _ROVERS)
+    source = open_files([path.with_suffix(".pcap.gz")])
+    found = examine(source, settings.workbench()).diagnosis
+    return terminal_picture([screen(found, 100)], width=100, title=f"edoras d3_cpu1_cpu2.pcap {_CONFIGS}")
 
 
 def _three_panes(
@@ -170,6 +180,7 @@ PICTURES: Final[dict[str, Callable[[], str]]] = {
     "sniff": sniff,
     "decode": decode,
     "info": info,
+    "doctor": doctor,
     "plot": plot,
     "tui": tui,
     "tui_filter": tui_filter,

@@ -95,7 +95,7 @@ def _expectations(given: InputOptions) -> tuple[InputOptions, Path]:
     if not files:
         raise ConfigError(f"name the expectations last: {form}")
     if len(files) == 1 and not read and not any(given.live):
-        raise ConfigError(f"{files[0]}: name both, the recording and the expectations: {form}")
+        raise ConfigError(f"{files[0]}: two files are needed: {form}")
     return given._replace(files=FileOptions(files[:-1], read)), files[-1]
 
 

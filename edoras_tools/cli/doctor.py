@@ -51,9 +51,7 @@ class TaskOptions(NamedTuple):
     ] = None
     predict: Annotated[bool, "Only report how much each route of the mission can carry."] = False
     constant: options.Constants = None
-    max_loss: Annotated[
-        options.Share, "Exit code 0 if no more than this is lost or unaccounted for of any route, e.g. 1%."
-    ] = None
+    max_loss: Annotated[options.Share, "Succeed if each route lost at most this share, e.g. 1%."] = None
     list_lost: Annotated[
         Listing | None,
         "FORMAT",

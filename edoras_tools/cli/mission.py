@@ -46,6 +46,9 @@ def draft(
     for note in () if quiet else made.notes:
         tell(note)
     if output is not None and not quiet:
-        tell(f"{output}: {plural(made.topics, 'topic')}, {made.sure} with a type that alone fits")
+        tell(
+            f"{output}: {plural(made.topics, 'topic')}; several types fit {made.topics - made.sure} of them: "
+            "check these"
+        )
     if made.failure is not None:
         raise made.failure

@@ -288,7 +288,7 @@ RosOption = Annotated[
 Json = Annotated[bool, "Print JSON."]
 Quiet = Annotated[bool, "--quiet -q", "No progress, no summary."]
 VERBOSE: Final = "Also print versions, settings file and missions, on stderr."
-Verbose = Annotated[bool, "--verbose -v", f"{VERBOSE} Show notes in lists."]
+Verbose = Annotated[bool, "--verbose -v", f"{VERBOSE} Also list harmless notes."]
 
 
 class Scenario(StrEnum):

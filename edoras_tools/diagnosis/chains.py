@@ -5,10 +5,10 @@ Rules:
 1. The hops between the ground bridge and the robot are the rows of the balance, with their figures.
 2. A hop that nothing here counts is named all the same, without figures, and with what would show it.
 3. Where a command leaves cFS as another packet, on the Software Bus Network, that packet's hops follow. Of
-   what goes into the first of them, what no command of the capture became is told: it was under way when the
-   capture began, or the application made it by itself. If it leaves on several ways, to the robot and on SBN,
-   what did not leave on this one left elsewhere, and the hop before is the application, whatever stands
-   above. So ``in = out of the hop before + entered - elsewhere``.
+   what goes into the first of them, messages already under way at the start, or made by the application, are
+   counted apart. If it leaves on several ways, to the robot and on SBN, what did not leave on this one left
+   by the other, and the hop before is the application, whatever stands above. So ``in = out of the hop
+   before + entered - elsewhere``.
 4. The bridges' own hops are counted by bags of the ROS side: messages of the time that both recorded.
 """
 

@@ -283,7 +283,7 @@ def _lost_here(verdict: Verdict, number: int) -> Verdict:
     other = (verdict.lost or 0) - number
     if not other or verdict.by_type:
         return replace(verdict, lost=number or None)
-    line = f"{plural(other, 'message')} of these arrived, or are told to be lost elsewhere"
+    line = f"{plural(other, 'message')} of these arrived, or are counted under another cause"
     return replace(verdict, lost=number, evidence=(*verdict.evidence, line))
 
 

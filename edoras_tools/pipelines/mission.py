@@ -169,7 +169,7 @@ class MissionDraft:
     Attributes:
         text: of the file.
         topics: how many it has.
-        sure: how many of them have a type that alone fits.
+        sure: how many of them one type only fits.
         notes: what it does not have, a line each.
         failure: why the capture ended early, if it did; the draft is of what is before.
     """
@@ -340,7 +340,7 @@ class _Writer:
         if len(fits) == 1:
             sure = f"the only known type that fits {examined}"
         else:
-            sure = f"? fits {examined}, as do {listed(fits[1:], 4)}"
+            sure = f"? a guess, tested on {examined}; {listed(fits[1:], 4)} fit too"
         lines = [f"    {_key(stream)}: # {plural(stream.count, 'packet')}", f"      # {sure}"]
         if stream.bare:
             looked = stream.bare + stream.formats.total()

@@ -119,7 +119,7 @@ def test_what_nothing_counts_is_not_taken_for_no_loss(rover, call, expect, tmp_p
     ("arguments", "words"),
     [
         (["check"], "name the expectations last"),
-        (["check", "expect.yaml"], "name both, the recording and the expectations"),
+        (["check", "expect.yaml"], "two files are needed"),
         (["check", "a.pcap", "none.yaml"], "none.yaml: cannot be read"),
         (["check", "a.pcap", "bad.yaml"], "did you mean /cmd_vel?"),
         (

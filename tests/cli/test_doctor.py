@@ -195,7 +195,10 @@ def test_the_headline_holds_all_that_is_lost_and_the_worst_comes_first(call, cap
     done = call("doctor", "-v", captures("d3_cpu1_cpu2"), *missions("rover_ground"))
     head = done.out.split("✗")[0]
     assert "6,601 messages were lost: 3,641 of 4,239 0x0828 (cFS 66:1), 2,214 of 3,719 0x0828" in head
-    losses = [int(text.replace(",", "")) for text in re.findall(r"spans of time, ([\d,]+) of", done.out)]
+    losses = [
+        int(text.replace(",", ""))
+        for text in re.findall(r"([\d,]+) of [\d,]+ lost, in \d+ periods", done.out)
+    ]
     assert losses[0] == max(losses)
     assert "the worst: " in done.out
     page = tmp_path / "page.html"

@@ -10,7 +10,7 @@ def test_a_draft_is_given_with_c(call, tmp_path):
     path = tmp_path / "missions/draft.yaml"
     done = call("mission", "draft", ROVER, "-o", path)
     assert (done.code, done.out) == (0, "")
-    assert done.err == [f"edoras: {path}: 2 topics, 0 with a type that alone fits"]
+    assert done.err == [f"edoras: {path}: 2 topics; several types fit 2 of them: check these"]
     rows = call("info", ROVER, "-c", path, "--json").json()["routes"]
     assert {row["topic"]: row["count"] for row in rows if row["topic"]} == {"/ci_1827": 600, "/to_0827": 63}
     assert call("mission", "draft", ROVER).out == path.read_text(encoding="utf-8")

@@ -214,7 +214,7 @@ def not_cfs(case: Case) -> Iterator[Verdict]:
                 hop=str(flow.source),
                 span=(flow.first_ns, flow.last_ns),
                 evidence=("none of them is a packet whose length agrees, or has a MsgId that is known",),
-                remedy=f"let {flow.source.address} send elsewhere; what listens there reads every datagram",
+                remedy=f"another program at {flow.source.address} sends to this port; move it",
             )
 
 

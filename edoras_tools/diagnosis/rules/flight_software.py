@@ -137,8 +137,8 @@ def not_observable(case: Case) -> Iterator[Verdict]:
     cut = (rows.known_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID) & rows.has(Finding.CAPTURE_CUT)
     if not case.tracks and cut.any():
         yield _not_shown(
-            "the capture cut 0x803 off before its counters: how many messages the software bus lost is not "
-            "observable from here",
+            "the capture cut 0x803 off before its counters: how many messages the software bus lost cannot be "
+            "shown",
             "capture whole frames, without -s or with -s 0",
         )
         return
@@ -154,7 +154,7 @@ def not_observable(case: Case) -> Iterator[Verdict]:
         return
     if not case.has_telemetry:
         yield _not_shown(
-            f"what became of {plural(commands + into, 'message')} into cFS is not observable from here: no "
+            f"what became of {plural(commands + into, 'message')} into cFS cannot be shown: no "
             "telemetry of that cFS is in the capture",
             (
                 "capture Telemetry Output's link too (UDP port 1235 on the ground's host): 0x803 counts, "
@@ -163,8 +163,7 @@ def not_observable(case: Case) -> Iterator[Verdict]:
         )
     elif not case.tracks:
         yield _not_shown(
-            "0x803 is not in the capture: how many messages the software bus lost is not observable from "
-            "here",
+            "0x803 is not in the capture: this capture cannot show how many messages the software bus lost",
             f"have Telemetry Output send it: {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}",
         )
 
@@ -194,8 +193,9 @@ def event_suppression(case: Case) -> Iterator[Verdict]:
                 continue
             yield Verdict(
                 Severity.NOTE,
-                f"{plural(events, 'event')} CFE_SB {number} came, the last at {case.at(last_ns)}, while "
-                f"its counter grew by {track.growth(name):,}: cFS stops this event after {STOPS_AFTER}, "
+                f"cFS reported CFE_SB {number} {plural(events, 'time')}, the last at {case.at(last_ns)}, "
+                f"while its counter grew by {track.growth(name):,}: cFS stops this event after "
+                f"{STOPS_AFTER}, "
                 "until its filter is reset, and events may be lost themselves",
                 hop="event services",
                 span=(last_ns, track.times[-1]),

@@ -82,7 +82,7 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     last_ns = max((item.last_ns for item in accounts), default=case.end_ns)
     behind = int((missing > last_ns).sum())
     if visible and behind < len(missing):
-        evidence.append("the counters of 0x803 and 0x884 explain no more than is told elsewhere")
+        evidence.append("cFS's counters (0x803, 0x884) do not explain these")
     elif not visible:
         evidence.append("0x803 is not in the capture, so the software bus cannot be cleared or blamed")
     if behind:
@@ -221,8 +221,8 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
         evidence=(*evidence, *case.drops_text()),
         remedy="let fragments through on the way, or raise its MTU above the longest of these"
         if cut
-        else "capture on the cFS host itself: what is there and not here, the network lost; what is "
-        "missing there too, that host's own queue (tc -s qdisc)",
+        else "capture on the cFS host too: packets seen there but not here were lost by the network, "
+        "those missing there as well by that host's own queue (tc -s qdisc)",
         confidence="low" if case.capture.drops else first.confidence,
         cause=first.kind,
     )
@@ -288,7 +288,7 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
         yield Verdict(
             Severity.ERROR,
             f"{loss.lost:,} of {loss.of:,} messages on {case.name(loss.msg_id)} are missing behind the "
-            "point where they were counted; where is not observable from here",
+            "point where they were counted; the capture cannot show where",
             msg_id=loss.msg_id,
             link=loss.stream.link.label,
             hop=pipe if offered > clean else None,
@@ -401,8 +401,8 @@ def older_losses(case: Case) -> Iterator[Verdict]:
             first_ns = max(track.times[0], case.start_ns)  # it was made before it came
             yield Verdict(
                 Severity.NOTE,
-                f"{limits + overflows:,} losses that {case.label(instance)} counts are older than its first "
-                "0x803 in the capture: start-up, or earlier traffic",
+                f"{limits + overflows:,} losses of {case.label(instance)} happened before the capture began: "
+                "at start-up, or of earlier traffic",
                 hop="software bus",
                 span=(first_ns, first_ns),
                 evidence=(

@@ -49,7 +49,7 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
         yield Verdict(
             Severity.WARNING,
             f"{case.name(stream.msg_id)} is sent at {rate:.1f} Hz, above the {clean:g} Hz that are clean: "
-            f"{why}. How many were lost is not observable from here",
+            f"{why}. The capture cannot show how many were lost",
             msg_id=stream.msg_id,
             link="ci",
             hop=hop,
@@ -228,8 +228,8 @@ def topic_never_seen(case: Case) -> Iterator[Verdict]:
     for link, topics in absent.items():
         yield Verdict(
             Severity.NOTE,
-            f"no datagram of the {link.label.upper()} link is in the capture: what {', '.join(topics)} did "
-            "is not observable from here",
+            f"no datagram of the {link.label.upper()} link is in the capture: it cannot show what "
+            f"{', '.join(topics)} did",
             link=link.label,
             hop="capture",
             evidence=(f"links seen: {', '.join(sorted(item.label.upper() for item in links)) or 'none'}",),

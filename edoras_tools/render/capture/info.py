@@ -138,8 +138,8 @@ def totals(summary: Mapping[str, Any]) -> Table:
         return grid
     drops = summary.get("capture_drops")
     if drops is None:
-        of_it = " by this format" if summary.get("kind") == "pcap" else ""
-        grid.add_row("drops", Text(f"not told{of_it}", palette.DIM))
+        why = " (pcap does not record them)" if summary.get("kind") == "pcap" else ""
+        grid.add_row("drops", Text(f"unknown{why}", palette.DIM))
     elif drops:
         lost = f"{plural(drops, 'frame')} lost by the capture itself; gaps below may be among them"
         grid.add_row("drops", Text(lost, Level.ERROR.style))

@@ -187,7 +187,7 @@ def _verdict(found: Diagnosis, group: Sequence[Verdict]) -> RenderableType:
         title.append(f"  {_when(found, worst)}, confidence {worst.confidence}", palette.DIM)
     else:
         lost, of = sum(item.lost or 0 for item in group), sum(item.of or 0 for item in group)
-        title.append(f"  {len(group)} spans of time, {lost:,} of {of:,} in all", palette.DIM)
+        title.append(f"  {lost:,} of {of:,} lost, in {len(group)} periods", palette.DIM)
     body: list[RenderableType] = [plain(told_of(group), palette.STRONG)]
     if len(group) > 1:
         body.append(_spans(found, group))

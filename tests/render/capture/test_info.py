@@ -39,7 +39,9 @@ def test_drops_are_an_error(summary):
     assert "\x1b[1;31m1,234 frames lost by the capture itself" in out.getvalue()
 
 
-@pytest.mark.parametrize(("kind", "told"), [("pcap", "not told by this format"), ("mcap", "not told")])
+@pytest.mark.parametrize(
+    ("kind", "told"), [("pcap", "unknown (pcap does not record them)"), ("mcap", "unknown")]
+)
 def test_drops_that_are_not_told_are_not_none(summary, kind, told):
     lines = shown(capture_summary({**summary, "kind": kind, "capture_drops": None})).splitlines()
     (line,) = (line for line in lines if line.startswith("drops"))

@@ -130,7 +130,7 @@ def _verdict(found: Diagnosis, members: Sequence[Verdict]) -> str:
     spans = ""
     if len(members) > 1:
         lost, of = sum(item.lost or 0 for item in members), sum(item.of or 0 for item in members)
-        told = f"{len(members)} spans of time, {lost:,} of {of:,} in all"
+        told = f"{lost:,} of {of:,} lost, in {len(members)} periods"
         spans = _spans(found, members)
     evidence = "".join(f"<li>{escape(line)}</li>" for line in worst.evidence)
     remedy = f'<p class="remedy">{escape(worst.remedy)}</p>' if worst.remedy else ""
@@ -283,7 +283,7 @@ def _routes(found: Diagnosis) -> str:
 
 def _habits(found: Diagnosis) -> str:
     lines = "".join(f"<li>{escape(item.reason)}</li>" for item in found.habits)
-    lead = '<p class="dim">What these senders always do; nothing is wrong with this link for it.</p>'
+    lead = '<p class="dim">What these senders always do.</p>'
     return section("Habits", [f"<ul>{lines}</ul>"] if lines else [], lead)
 
 
