@@ -137,8 +137,8 @@ def not_observable(case: Case) -> Iterator[Verdict]:
     cut = (rows.known_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID) & rows.has(Finding.CAPTURE_CUT)
     if not case.tracks and cut.any():
         yield _not_shown(
-            "the capture cut 0x803 off before its counters: how many messages the software bus lost cannot be "
-            "shown",
+            "the capture cut 0x803 off before its counters: how many messages the software bus lost "
+            "cannot be shown",
             "capture whole frames, without -s or with -s 0",
         )
         return
