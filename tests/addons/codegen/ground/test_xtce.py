@@ -53,7 +53,9 @@ def test_the_independent_reader_reads_the_values_that_we_do(name, definition):
     made = definition(describe_packets(bench).text)
     known = telemetry(name, bench)
     compared, told = 0, set()
-    for item in every(3, known):
+    first = {item.message.topic: item for item in reversed(known)}
+    read = [*first.values(), *every(3, known)]
+    for item in read:
         prefix = f"{identifier(item.message.topic.removeprefix('/cfs/'))}_"
         theirs = parsed(made, item.datagram.payload)
         for field, value in flat(item.message.values):
@@ -67,7 +69,7 @@ def test_the_independent_reader_reads_the_values_that_we_do(name, definition):
                 assert found == value or (value == "" and found == ""), field
     assert told >= {("event_type", 2, "info"), ("clock_state", -1, "invalid")}
     assert len(known) > 300
-    assert compared > 10 * len(every(3, known))
+    assert compared > 10 * len(read)
 
 
 @pytest.mark.parametrize("length", [0, 1, 2, 6, 7, 8, 9, 15, 63, 254])
