@@ -129,13 +129,13 @@ def jobs_for(source: Source, asked: int, *, fixed: bool = True) -> int:
     return 1 + (_spare(others) if fixed else others)
 
 
-def _spare(wanted: int) -> int:
-    """Return how many processors are free, at most as many as are wanted."""
-    found = 0
-    for look in range(_LOOKS if wanted else 0):
+def _spare(most: int) -> int:
+    """Return how many processors are free, at most this many."""
+    count = 0
+    for look in range(_LOOKS if most else 0):
         if look:
             sleep(_LOOK_S)
-        found = max(found, min(wanted, spare_processors()))
-        if found == wanted:
+        count = max(count, min(most, spare_processors()))
+        if count == most:
             break
-    return found
+    return count

@@ -45,10 +45,10 @@ class IngestCount:
     reports: int = 0
     _base: tuple[int, int] | None = None
     _exact: bool = False
-    _begun: bool = False
+    _started: bool = False
     _last: tuple[int, int] | None = None
     _repeated: int = 0
-    _anew: bool = False
+    _restarted: bool = False
 
     def reported(self, count: int) -> None:
         """Take a report.
@@ -59,17 +59,19 @@ class IngestCount:
         now = count, self.sent
         self.reports += 1
         if self._last is not None and count < self._last[0]:
-            self._anew = self._begun
+            self._restarted = self._started
             self._base = self._last = None
         self._repeated = self._repeated + 1 if now == self._last else 0
         self._last = now
-        if not self._begun or self._base is None:
+        if not self._started or self._base is None:
             self._base = now
-            self._exact = not self._anew and (not self.sent or (not self._begun and self._repeated > 0))
+            self._exact = not self._restarted and (
+                not self.sent or (not self._started and self._repeated > 0)
+            )
 
     def begin(self) -> None:
         """Note that from now on what is to be counted is sent."""
-        self._begun = True
+        self._started = True
 
     @property
     def is_known(self) -> bool:
@@ -99,11 +101,11 @@ class IngestCount:
     @property
     def is_counted(self) -> bool:
         """Whether CI has reported since the first datagram was sent."""
-        return self._begun and self._last is not None and self._last[1] > 0
+        return self._started and self._last is not None and self._last[1] > 0
 
     def summary(self) -> dict[str, Any]:
         """Return ``ingest`` of ``replay --json``."""
-        if self._anew:
+        if self._restarted:
             state = "restarted"
         elif not self.is_counted:
             state = "unknown"

@@ -36,14 +36,14 @@ class CallScheduler:
     """Makes calls when they are due or requested, one at a time, from ``start`` to ``close``."""
 
     def __init__(self) -> None:
-        self._asked: SimpleQueue[tuple[Call, tuple[Any, ...]] | None] = SimpleQueue()
+        self._requests: SimpleQueue[tuple[Call, tuple[Any, ...]] | None] = SimpleQueue()
         self._due: list[tuple[int, int, int, Call]] = []
         self._numbers = count()
         self._thread = threading.Thread(target=self._run, name="demo nodes", daemon=True)
 
     def ask(self, call: Call, *arguments: Any) -> None:
         """Request a call as soon as possible; from any thread."""
-        self._asked.put((call, arguments))
+        self._requests.put((call, arguments))
 
     def every(self, hertz: float, call: Call) -> None:
         """Make a call at a rate from now on; only from the scheduler's thread."""
@@ -60,7 +60,7 @@ class CallScheduler:
     def close(self) -> None:
         """End the thread; does nothing if it has not started or has ended."""
         if self._thread.ident is not None:
-            self._asked.put(None)
+            self._requests.put(None)
             self._thread.join()
 
     def _put(self, due_ns: int, period_ns: int, call: Call) -> None:
@@ -76,7 +76,7 @@ class CallScheduler:
                 call()
             wait_s = max(self._due[0][0] - time.monotonic_ns(), 0) / 1e9 if self._due else None
             try:
-                item = self._asked.get(timeout=wait_s)
+                item = self._requests.get(timeout=wait_s)
             except Empty:
                 continue
             if item is None:

@@ -112,7 +112,7 @@ class Judge:
             hop, reason = main.hop or "", main.reason
         elif altered:
             cut = after.differs_at == self._profile.ci_buffer
-            hop, reason = (cut and _said(diagnosis, "ci_cut")) or (
+            hop, reason = (cut and _first_verdict(diagnosis, "ci_cut")) or (
                 command_ingest.NAME,
                 f"the echo differs from byte {after.differs_at} on",
             )
@@ -206,7 +206,7 @@ def _main(verdicts: Iterable[Verdict]) -> Verdict | None:
     return max(verdicts, key=lambda item: item.lost or 0, default=None)
 
 
-def _said(diagnosis: Diagnosis, rule: str) -> tuple[str, str] | None:
+def _first_verdict(diagnosis: Diagnosis, rule: str) -> tuple[str, str] | None:
     """Return hop and reason of a rule's first verdict."""
     found = next((item for item in diagnosis.verdicts if item.rule == rule), None)
     return (found.hop or "", found.reason) if found else None

@@ -39,31 +39,31 @@ class FilterThread(threading.Thread):
     def __init__(self, settled: Callable[[Where, PacketBlock, NDArray[np.int64]], None]) -> None:
         super().__init__(name="filter", daemon=True)
         self._settled = settled
-        self._wanted: Where | None = None
+        self._current: Where | None = None
         self._blocks: queue.SimpleQueue[tuple[Where, PacketBlock] | None] = queue.SimpleQueue()
 
     def begin(self, where: Where | None, blocks: Iterable[PacketBlock] = ()) -> None:
         """Start again with another filter, or none; blocks that still wait for the old one are dropped."""
-        self._wanted = where
+        self._current = where
         if where is not None:
             for block in blocks:
                 self._blocks.put((where, block))
 
     def put(self, block: PacketBlock) -> None:
         """Add a block."""
-        if self._wanted is not None:
-            self._blocks.put((self._wanted, block))
+        if self._current is not None:
+            self._blocks.put((self._current, block))
 
     def stop(self) -> None:
         """End the thread."""
-        self._wanted = None
+        self._current = None
         self._blocks.put(None)
 
     def run(self) -> None:
         """Filter blocks until stopped."""
         while (asked := self._blocks.get()) is not None:
             where, block = asked
-            if where is self._wanted:
+            if where is self._current:
                 self._settled(where, block, np.flatnonzero(where.mask(block.batch, block.columns)))
 
 
