@@ -200,11 +200,16 @@ class Case:
     @cached_property
     def holes(self) -> list[tuple[int, int]]:
         """From when to when nothing was captured though all went on sending and the interface was there."""
-        return [
-            (start_ns, end_ns)
-            for start_ns, end_ns in find_holes(self.rows)
-            if not any(start < end_ns and start_ns < end for start, end in self.capture.away)
-        ]
+        return self._holes[0]
+
+    @cached_property
+    def _holes(self) -> tuple[list[tuple[int, int]], ...]:
+        """Holes that are sure, and those that may be."""
+        away = self.capture.away
+        return tuple(
+            [item for item in found if not any(start < item[1] and item[0] < end for start, end in away)]
+            for found in find_holes(self.rows)
+        )
 
     @property
     def away(self) -> list[tuple[int, int]]:
@@ -221,7 +226,7 @@ class Case:
             self.streams,
             self.hops,
             self.tracks,
-            self.away,
+            sorted([*self.away, *self._holes[1]]),
             self.capture.drops,
         )
 
@@ -313,6 +318,7 @@ class Case:
             self._never_whole,
             self.unreachable.closed,
             self.away,
+            self._holes[1],
         )
 
     @cached_property

@@ -145,7 +145,8 @@ class Quality:
 
     def may_have_missed(self, count: int, confidence: float = CONFIDENCE) -> int:
         """Return how many of so many datagrams the capture can have missed at most."""
-        number = largest_number(count, self.upper_share(confidence), confidence)
+        each = self._each(confidence)
+        number = min((largest_number(count, *group, each) for group in self.groups), default=count)
         return min(number, self.drops or 0) if self.counts else number
 
     def excludes(self, share: float, confidence: float = CONFIDENCE) -> bool:
@@ -402,13 +403,29 @@ def largest_share(checked: int, missing: int, confidence: float = CONFIDENCE) ->
     return high
 
 
-def largest_number(count: int, share: float, confidence: float = CONFIDENCE) -> int:
-    """Return the quantile of a binomial distribution: the least number that so many stay at or below."""
+@cache
+def largest_number(count: int, checked: int, missing: int, confidence: float = CONFIDENCE) -> int:
+    """Return how many of so many datagrams can be missed, where others were checked, by Fisher's exact test.
+
+    If each is missed by chance, those that are missed lie among the checked and the others as their numbers
+    say: that so few lie among the checked would be less likely than the confidence allows.
+    """
     low, high = 0, count
     while low < high:
-        middle = (low + high) // 2
-        if binomial_tail(middle, count, share) >= confidence:
-            high = middle
+        middle = (low + high + 1) // 2
+        if hypergeometric_tail(missing, checked, count, middle + missing) < 1 - confidence:
+            high = middle - 1
         else:
-            low = middle + 1
+            low = middle
     return low
+
+
+def hypergeometric_tail(most: int, checked: int, others: int, drawn: int) -> float:
+    """Return the probability that at most ``most`` of so many drawn, none twice, are among the checked."""
+
+    def ways(of: int, number: int) -> float:
+        return lgamma(of + 1) - lgamma(number + 1) - lgamma(of - number + 1)
+
+    among = range(max(0, drawn - others), min(most, checked) + 1)
+    whole = ways(checked + others, drawn)
+    return sum(exp(ways(checked, number) + ways(others, drawn - number) - whole) for number in among)

@@ -61,11 +61,20 @@ def test_bounds_of_many_are_bounds_of_few_made_narrower():
     assert shares[-1] == pytest.approx(0.05, abs=0.0003)
 
 
-@given(st.integers(0, 80), st.floats(0.0, 1.0))
-def test_the_largest_number_is_the_quantile(count, share):
-    number = largest_number(count, share)
-    assert float(exact_tail(number, count, share)) >= 0.999 - 1e-9
-    assert number == 0 or float(exact_tail(number - 1, count, share)) <= 0.999 + 1e-9
+def exact_share(most, checked, others, drawn):
+    """Of all ways to miss so many: the share of those with at most so many among the checked."""
+    ways = sum(comb(checked, n) * comb(others, drawn - n) for n in range(min(most, drawn) + 1))
+    return Fraction(ways, comb(checked + others, drawn))
+
+
+@given(st.integers(0, 60), st.integers(0, 60), st.data())
+def test_the_largest_number_is_that_of_fishers_test(count, checked, data):
+    missing = data.draw(st.integers(0, checked))
+    number = largest_number(count, checked, missing)
+    likely = [float(exact_share(missing, checked, count, missing + n)) for n in range(count + 1)]
+    assert likely == sorted(likely, reverse=True)
+    assert likely[number] >= 0.001 - 1e-9
+    assert number == count or likely[number + 1] <= 0.001 + 1e-9
 
 
 def test_what_lacks_none_excludes_the_share_that_the_issue_names():

@@ -276,7 +276,7 @@ ROVERS = {
     "TO to another port": Variant(port(1235, 6235), ports=(("to", 6235),)),
     "SBN at another port": Variant(port(2236, 7236), ports=(("sbn", 7236),)),
     "poses lost after TO": Variant(
-        without(some(0x827, {10, 20, 21, 22, 40})), more=5, says=("lost_after_cfs",)
+        without(some(0x827, set(range(2, 62, 2)))), more=30, says=("lost_after_cfs",)
     ),
 }
 """Done to a_rover."""

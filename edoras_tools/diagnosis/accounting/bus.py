@@ -390,10 +390,10 @@ class Telemetry:
         """Make losses of what is missing from a span."""
         taken = sum(part.taken.values())
         rest = part.missing - taken
-        if taken and rest > 0:
+        likeliest = max(part.taken, key=lambda kind: part.taken[kind], default=None)
+        more = max(0, min(rest, part.outside))
+        if taken and likeliest is not None:
             # Where no count was seen, a pipe that was full before and after was full.
-            likeliest = max(part.taken, key=lambda kind: part.taken[kind])
-            more = min(rest, part.outside)
             part.taken[likeliest] += more
             rest -= more
         of = part.span.count + part.missing
@@ -407,6 +407,7 @@ class Telemetry:
         for counted, number in part.taken.items():
             if number:
                 self.losses.append(self._loss(part, counted, number, of, "high"))
+                self.losses[-1].uncounted = more if counted == likeliest else 0
         dropped, missed = self._never_whole(part)
         if rest > 0 and (cut := min(rest, dropped)):
             part.evidence.append(f"the first fragments of {cut:,} of them came, and no later ones")
@@ -418,7 +419,7 @@ class Telemetry:
         if rest <= 0:
             return
         if part.owner not in self._counts and part.kinds:
-            self.losses.append(self._loss(part, part.kinds[0], rest, of, "high"))
+            self.losses.append(replace(self._loss(part, part.kinds[0], rest, of, "high"), uncounted=rest))
             return
         if part.owner not in self._counts and self._cut(part.stream):
             self.untold[id(part.stream)] = self.untold.get(id(part.stream), 0) + rest

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from edoras_tools.diagnosis.accounting.claims import shares
+from edoras_tools.diagnosis.quality import CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from edoras_tools.diagnosis.accounting.bus import Telemetry
     from edoras_tools.diagnosis.accounting.fates import Fate
-    from edoras_tools.diagnosis.accounting.losses import Known
+    from edoras_tools.diagnosis.accounting.losses import Known, Loss
     from edoras_tools.diagnosis.quality import Quality
 
 _UNEXPLAINED: Final = frozenset({"after", "unknown", "fragments"})
@@ -20,38 +23,57 @@ _UNEXPLAINED: Final = frozenset({"after", "unknown", "fragments"})
 def doubt(known: Known, telemetry: Telemetry, fates: Sequence[Fate], quality: Quality) -> None:
     """Take losses back that the capture may have missed: they become uncertain.
 
-    None does where a capture that misses such a share, of all or of one traffic, would show it; nor what came
-    over TCP, where the bytes themselves tell what the capture lacks.
+    None does where a capture that misses such a share would show it; nor what came over TCP, where the bytes
+    themselves tell what the capture lacks.
 
     Args:
         telemetry: its losses become fewer, and are counted as uncertain there.
         fates: likewise what is unaccounted for.
     """
+    _leave_quiet(known, telemetry)
     streamed = known.rows.streamed
-    gaps = [
-        loss
-        for loss in telemetry.losses
-        if loss.kind in _UNEXPLAINED and loss.stream and not streamed[loss.stream.rows[0]]
-    ]
+    gaps: dict[int, list[tuple[Loss, int]]] = {}
+    for loss in telemetry.losses:
+        number = loss.lost if loss.kind in _UNEXPLAINED else loss.uncounted
+        if number and loss.stream is not None and not streamed[loss.stream.rows[0]]:
+            gaps.setdefault(id(loss.stream), []).append((loss, number))
     unseen = [fate for fate in fates if fate.seen and fate.unaccounted]
-    missing = sum(loss.lost for loss in gaps)
+    missing = sum(number for own in gaps.values() for _, number in own)
     sent = sum(len(stream) for stream in known.streams) + missing
     missing += sum(fate.unaccounted for fate in unseen)
     if not missing or quality.excludes(missing / sent):
         return
-    for stream in {id(loss.stream): loss.stream for loss in gaps}.values():
-        own = [loss for loss in gaps if loss.stream is stream]
-        most = [loss.lost for loss in own]
-        number = _doubtful(sum(most), sum(loss.of or loss.lost for loss in own), quality)
-        for loss, share in zip(own, shares(number, most, most), strict=True):
-            loss.lost -= share
-        telemetry.uncertain[id(stream)] = telemetry.uncertain.get(id(stream), 0) + number
+    # That one of many lacks more than it would by itself is no wonder.
+    sure = 1 - (1 - CONFIDENCE) / len(known.streams)
+    for stream in known.streams:
+        own = gaps.get(id(stream), [])
+        most = [number for _, number in own]
+        of = len(stream) + int(stream.missing.sum())
+        number = min(sum(most), quality.may_have_missed(of, sure))
+        for (loss, _), share in zip(own, shares(number, most, most), strict=True):
+            _take_back(telemetry, loss, share)
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
     for fate in unseen:
-        fate.missed = _doubtful(fate.unaccounted, len(fate.stream), quality)
+        if not quality.excludes(fate.unaccounted / len(fate.stream)):
+            fate.missed = min(fate.unaccounted, quality.may_have_missed(len(fate.stream), sure))
         fate.unaccounted -= fate.missed
 
 
-def _doubtful(missing: int, of: int, quality: Quality) -> int:
-    """Return how many of the missing ones the capture may have missed."""
-    return 0 if quality.excludes(missing / of) else min(missing, quality.may_have_missed(of))
+def _leave_quiet(known: Known, telemetry: Telemetry) -> None:
+    """Take back what is missing where nothing at all was captured, and nobody shows whether it was there."""
+    for loss in telemetry.losses if known.quiet else ():
+        among = loss.among
+        if loss.kind in _UNEXPLAINED and among is not None and among.missing is not None:
+            times = known.captured(among.stream)
+            inside = np.zeros(len(among.rows), bool)
+            for start_ns, end_ns in known.quiet:
+                behind = np.minimum(among.rows + 1, len(times) - 1)
+                inside |= (times[among.rows] <= start_ns) & (times[behind] >= end_ns)
+            _take_back(telemetry, loss, min(loss.lost, int(among.missing[inside].sum())))
+    telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
+
+
+def _take_back(telemetry: Telemetry, loss: Loss, number: int) -> None:
+    loss.lost -= number
+    key = id(loss.stream)
+    telemetry.uncertain[key] = telemetry.uncertain.get(key, 0) + number

@@ -112,6 +112,7 @@ class Loss:
         closed: Telemetry Output was not sending meanwhile: it would not have sent them either.
         among: the messages that it is, or is some of; None where nothing tells.
         rivals: link label, MsgId and hop of each traffic that may have lost them; empty where that is known.
+        uncounted: of them, how many no counter has.
     """
 
     kind: LossKind
@@ -131,6 +132,7 @@ class Loss:
     closed: bool = False
     among: Among | None = None
     rivals: tuple[tuple[str, int, str], ...] = ()
+    uncounted: int = 0
 
     @property
     def offered_hz(self) -> float:
@@ -167,6 +169,8 @@ class Known:
     """(rows,), which datagrams went to a closed port."""
     outages: Sequence[tuple[int, int]] = ()
     """From when to when the capturing interface was away."""
+    quiet: Sequence[tuple[int, int]] = ()
+    """From when to when nothing at all was captured, and nothing tells why."""
     _unseen: list[bool] = field(default_factory=list)
     _spans: dict[int, list[Span]] = field(default_factory=dict)
     _captured: dict[int, NDArray[np.int64]] = field(default_factory=dict)

@@ -8,7 +8,7 @@ Its receiver gets twice what the network doubled, and once what the capture did.
 3. What is told of one way holds for the others: a capture doubles all, and a network that is known to has
    not been helped.
 4. Else two with one time are the capture's: no interface gets two at once.
-5. Else nothing tells: of what went to cFS it is uncertain whether that came twice.
+5. Else nothing tells. They are left out, and of what went to cFS it is uncertain whether that came twice.
 """
 
 from __future__ import annotations
@@ -68,7 +68,6 @@ def who_doubled(
         if receiver >= 0 and (vote := votes.get(receiver, 0) or whole):
             out[members] = BY_NETWORK if vote > 0 else BY_CAPTURE
     out[copies.duplicate & (out == 0) & copies.at_once] = BY_CAPTURE
-    out[copies.duplicate & (out == 0) & ~to_cfs] = BY_NETWORK  # a count or nobody tells
     return out
 
 

@@ -26,6 +26,7 @@ from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, fol
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -52,7 +53,7 @@ class Prepared:
         copies: datagrams that were captured before.
         relayed: datagrams that were captured in front of a proxy, and are counted behind it.
         duplicates: i64, rows that the network doubled.
-        doubled: rows that were captured twice, or went to cFS twice: nothing tells. They are left out.
+        doubled: rows that were captured twice, or sent twice: nothing tells. They are left out.
         disordered: records that stood behind a later one.
         translated: address to the address that it is another name of.
     """
@@ -98,6 +99,8 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
         ingest = payloads.ingest
         sources = names[rows.source[ingest["row"]]]
         who = who_doubled(told, copies, ingest, sources, recorder.endpoints)
+        if any(item.doubled for item in proxied.values()):
+            who[duplicate & (who == 0)] = BY_NETWORK  # a proxy says that it sent some again
         perhaps = duplicate & (who == 0)
         copy, duplicate = copy | perhaps | (who == BY_CAPTURE), who == BY_NETWORK
     doubled = told.take(np.flatnonzero(perhaps))
@@ -161,8 +164,15 @@ def _counted(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bool:
     between = (rows.time_ns >= samples["time_ns"][0]) & (rows.time_ns <= samples["time_ns"][-1])
     to_ci = between & among(rows.link, lambda link: link.to_cfs and not link.from_cfs)
     strange = int((to_ci & (kind == _PLACE[ConversationKind.STRANGER])).sum())
-    own = int((to_ci & (kind == _PLACE[ConversationKind.CFS])).sum())
+    own = _different(rows, to_ci & (kind == _PLACE[ConversationKind.CFS]))
     return 2 * (grown - own) >= strange
+
+
+def _different(rows: Rows, chosen: NDArray[np.bool_]) -> int:
+    """Return how many datagrams some rows are: one with equal bytes and identification may be a copy."""
+    own = np.flatnonzero(chosen & (rows.identification != 0))
+    first, _ = numbered(rows.bytes_print[own], rows.identification[own])
+    return int(chosen.sum()) - len(own) + len(first)
 
 
 def _disordered(rows: Rows) -> int:

@@ -39,25 +39,29 @@ _MOST: Final = 64
 """Holes that are told, the longest."""
 
 
-def find_holes(rows: Rows) -> list[tuple[int, int]]:
-    """Return from when to when the capture has holes; rows are in order of time."""
+def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Return from when to when the capture has holes, and may have; rows are in order of time.
+
+    It may have one where nothing at all was captured, cFS went on counting, and no other shows that it went
+    on sending.
+    """
     steps = np.diff(rows.time_ns)
     long = np.flatnonzero(steps >= _LEAST_NS)
     if not len(long):
-        return []
+        return [], []
     long = np.sort(long[np.argsort(-steps[long], kind="stable")[:_MOST]])
     streams = _streams(rows)
     commands = rows.time_ns[among(rows.link, lambda link: link.only_to_cfs)]
     network = np.flatnonzero(among(rows.link, lambda link: link.peers))
     who = rows.spacecraft_id[network].astype(np.int64) << 32 | rows.processor_id[network]
     peers = [rows.time_ns[network[members]] for _, members in by_value(who)]
-    found = []
+    found: tuple[list[tuple[int, int]], ...] = [], []
     for start_ns, end_ns in zip(rows.time_ns[long].tolist(), rows.time_ns[long + 1].tolist(), strict=True):
         others = _steady(commands, start_ns, end_ns)
         others |= sum(_steady(times, start_ns, end_ns) for times in peers) > 1
-        if others and _went_on(rows, streams, start_ns, end_ns):
-            found.append((start_ns, end_ns))
-    return found
+        if _went_on(rows, streams, start_ns, end_ns):
+            found[not others].append((start_ns, end_ns))
+    return found[0], found[1]
 
 
 def _streams(rows: Rows) -> list[NDArray[np.intp]]:

@@ -259,6 +259,10 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
         evidence=(
             known,
             *(
+                f"nothing at all was captured from {case.at(start_ns)} to {case.at(end_ns)}"
+                for start_ns, end_ns in case.known.quiet
+            ),
+            *(
                 f"{case.name(stream.msg_id)}: {number:,} of {len(stream) + number:,}"
                 for stream, number in found
             ),

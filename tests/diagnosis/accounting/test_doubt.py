@@ -39,3 +39,17 @@ def test_one_or_two_may_be_missed(lab, msg_id, number):
     poses = [item for item in sent if msg_id(item) == 0x827]
     kept = [item for item in sent if item not in poses[5 : 5 + number]]
     assert figures(lab.examine(kept, drops=None)) == (0, number)
+
+
+def test_what_is_missing_where_nothing_at_all_was_captured_is_uncertain(lab):
+    """One command was sent long before: nobody shows whether cFS was heard then."""
+    sent, _ = lab.simulate(seconds=40, count=1)
+    telemetry = [item for item in sent if item.destination.port in {1234, 1235}]
+    quiet = range(lab.start_ns + 15 * SECOND, lab.start_ns + 21 * SECOND)
+    kept = [item for item in telemetry if item.time_ns not in quiet]
+    found = lab.examine(kept, lab.mission("rover_ground"))
+    proven, uncertain = figures(found)
+    assert (proven, uncertain + sum(row.not_captured for row in found.balance)) == (
+        0,
+        len(telemetry) - len(kept),
+    )
