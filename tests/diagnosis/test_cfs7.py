@@ -253,7 +253,7 @@ def examined_from(name, start_s, end_s):
 
 
 def test_what_the_first_counter_of_a_part_may_have_counted_is_not_lost_behind_telemetry_output():
-    """All 50 of 0x827 that the whole lost were over its limit, and all 31 of the part: 4 nobody counted here."""
+    """All 50 of 0x827 that the whole lost were over its limit, and all 31 of the part, 4 uncounted."""
     part = examined_from("clock_set", 26.32, 32.57)
     assert not found(part, "lost_after_cfs")
     lost = Counter()
