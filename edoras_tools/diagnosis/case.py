@@ -20,6 +20,7 @@ from edoras_tools.diagnosis.accounting.ingest import Ingest, Sources, ingests, k
 from edoras_tools.diagnosis.accounting.losses import Known, Loss
 from edoras_tools.diagnosis.accounting.ports import Unreached, unreached
 from edoras_tools.diagnosis.accounting.stops import Outage, outages
+from edoras_tools.diagnosis.constants import learn
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.loss_reports import (
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
+    from edoras_tools.diagnosis.constants import Constants
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
     from edoras_tools.diagnosis.evidence.relays.proxied import Proxied, RouteWay
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
@@ -121,7 +123,7 @@ class Case:
         endpoints: what ``source`` and ``destination`` of the rows index.
         samples: (link, MsgId) to some CDR messages by length.
         context: mission, types and options.
-        profile: the constants of cFS.
+        assumed: the constants of cFS that were given: its usual ones where nobody said others.
         capture: what is known of the capture itself.
         proxied: what a proxy did on purpose.
         verdicts: what the rules have said so far.
@@ -152,10 +154,23 @@ class Case:
         self.context: Context = recorder.context
         msg_ids = recorder.context.msg_ids
         limits = {msg_ids.of_known(item): limit for item, limit in profile.to_limits.items()}
-        self.profile = replace(profile, to_limits=limits)
+        self.assumed = replace(profile, to_limits=limits)
         self.capture = capture
         self.refused: list[Refused] = []
         self.verdicts: list[Verdict] = []
+
+    @cached_property
+    def constants(self) -> Constants:
+        """The constants of cFS, and which of them the capture shows."""
+        overflows = any(track.growth("pipe_overflows") for track in self.tracks.values())
+        return learn(
+            self.assumed, self.rows, self.streams, self.hops, self.reported_losses, overflows=overflows
+        )
+
+    @property
+    def profile(self) -> SimProfile:
+        """The constants of cFS: learned from the capture, else assumed."""
+        return self.constants.profile
 
     @property
     def mission(self) -> Mission:
@@ -238,7 +253,7 @@ class Case:
     @cached_property
     def network(self) -> Network:
         """The Software Bus Network."""
-        return Network(self.rows, self.payloads, self.instances, self.profile, self.away)
+        return Network(self.rows, self.payloads, self.instances, self.assumed, self.away)
 
     @cached_property
     def timeline(self) -> Timeline:

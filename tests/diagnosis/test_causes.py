@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import struct
 
 import pytest
 from mutations import changed, frames, write
@@ -13,9 +14,10 @@ from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.scheduler import SleepUntil, Work
 from edoras_tools.cfs import executive_services
 from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import Endpoint
 from edoras_tools.units import SECOND
-from edoras_tools.wire import cfe
+from edoras_tools.wire import cfe, envelope
 
 SEASON = ROOT / "tests/captures/season3"
 ES_COMMAND, TO_COMMAND = 0x1806, 0x1880
@@ -189,3 +191,19 @@ def test_a_network_that_changes_the_order_is_named(lab):
     (verdict,) = [item for item in told(found, "duplicated") if "behind" in item.reason]
     assert "came late: the network put" in verdict.reason
     assert found.lost == 0
+
+
+def test_of_commands_in_pairs_each_first_one_is_superseded_and_nothing_is_wrong(lab):
+    body = b"\0\1\0\0" + bytes(40)
+    feeds, commands = [], []
+    for number in range(60):
+        for place in range(2):
+            seconds = 3.0 + number + place / 20
+            value = body + struct.pack("<d", number + place / 2)
+            data = cfe.emit_command(0x1827, 1, envelope.DEFAULT.emit(value), sequence_flags=0)
+            feeds.append((seconds, 1234, data))
+            commands.append(lab.at(seconds, STATION, lab.ci, data))
+    sent, _ = lab.simulate("two-rovers", seconds=66, hz=0.0, feeds=feeds)
+    found = lab.examine(lab.merged(sent, *commands))
+    assert (found.superseded, found.lost, found.unaccounted, found.bad) == (60, 0, 0, False)
+    assert found.worst < Severity.WARNING

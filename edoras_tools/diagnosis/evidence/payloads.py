@@ -40,6 +40,10 @@ _BUS_COUNTERS: Final = (
 )
 _CI_COUNTERS: Final = cfe.COMMAND_INGEST_HOUSEKEEPING, ("ingest_packets", "ingest_errors")
 _CI_7_COUNTERS: Final = cfe.COMMAND_INGEST_HOUSEKEEPING_7, _CI_COUNTERS[1]
+_FEWER: Final = 4
+"""Counters that change so many times less in the other byte order are in that one."""
+_BIG_TYPES: Final = (1 << 8, 2 << 8, 3 << 8, 4 << 8)
+"""Types of events of a cFS that writes the highest byte first."""
 _CHANGES: Final = np.isin(np.arange(1 << 16), list(APPLICATIONS))
 _TO_COUNTERS: Final = cfe.TELEMETRY_OUTPUT_HOUSEKEEPING, ("command_counter", "command_error_counter")
 
@@ -87,6 +91,27 @@ class Samples:
         told = self._whole().copy()
         told[1] = time_ns[told[0]]
         return replace(self, _parts=[told])
+
+    def ordered(self, widths: Mapping[str, int]) -> Self:
+        """Return them with counters in the byte order in which they change least: they grow by little.
+
+        Args:
+            widths: column to bytes of its counter; columns of one byte are not there.
+        """
+        whole = self._whole().copy()
+        places = [self.names.index(name) for name in widths]
+        own = whole[places]
+        other = np.stack(
+            [
+                column.astype(f"<u{size}").byteswap().astype(np.int64)
+                for column, size in zip(own, widths.values(), strict=True)
+            ]
+        )
+        steps, turned = (int(np.abs(np.diff(columns)).sum()) for columns in (own, other))
+        if not steps or turned * _FEWER > steps:
+            return self
+        whole[places] = other
+        return replace(self, _parts=[whole])
 
     def _whole(self) -> NDArray[np.int64]:
         if len(self._parts) != 1:
@@ -286,6 +311,14 @@ class Payloads:
             commands=moved(self.commands),
         )
 
+    def ordered(self) -> Payloads:
+        """Return them with counters in the byte order of their cFS, as these tell it."""
+        return replace(
+            self,
+            housekeeping=self.housekeeping.ordered({"pipe_overflows": 2, "msg_limits": 2}),
+            ingest=self.ingest.ordered({"packets": 4, "errors": 4}),
+        )
+
     def timed(self, time_ns: NDArray[np.int64]) -> Payloads:
         """Return them with other capture times, one a row of the table."""
         return replace(
@@ -352,23 +385,23 @@ def _events(
     start = columns.packet_offset[rows] + columns.header_length[rows]
     payload = gather(batch.data, start, cfe.EVENT.size)
     payload[np.arange(cfe.EVENT.size) >= have[:, None]] = 0
-    numbers = {
-        name: cfe.EVENT.column(name, payload).tolist()
-        for name in ("event_id", "event_type", "spacecraft_id", "processor_id")
-    }
+    names = "event_id", "event_type", "spacecraft_id", "processor_id"
+    read = [cfe.EVENT.column(name, payload) for name in names]
+    turned = np.isin(read[1], _BIG_TYPES)
+    numbers = [np.where(turned, column.byteswap(), column).tolist() for column in read]
     texts = {}
     for name in ("app_name", "message"):
         slot = cfe.EVENT.by_name[name]
         column = np.ascontiguousarray(payload[:, slot.start : slot.end]).view(f"S{slot.end - slot.start}")
         found = column[:, 0].tolist()  # most are said again and again
-        read = {text: text.split(b"\0", 1)[0].decode("utf-8", "replace") for text in set(found)}
-        texts[name] = [read[text] for text in found]
+        unlike = {text: text.split(b"\0", 1)[0].decode("utf-8", "replace") for text in set(found)}
+        texts[name] = [unlike[text] for text in found]
     for row, number, time_ns, app, event_id, event_type, spacecraft_id, processor_id, message in zip(
         rows.tolist(),
         batch.number[rows].tolist(),
         batch.time_ns[rows].tolist(),
         texts["app_name"],
-        *numbers.values(),
+        *numbers,
         texts["message"],
         strict=True,
     ):

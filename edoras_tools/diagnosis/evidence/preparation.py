@@ -135,7 +135,7 @@ def in_time_order(recorder: Recorder) -> tuple[Rows, Payloads, int]:
 
     Sequence counts are followed anew where there were any: gaps are those of the link, not of the file.
     """
-    rows, payloads = recorder.rows(), recorder.payloads
+    rows, payloads = recorder.rows(), recorder.payloads.ordered()
     disordered = _disordered(rows)
     if disordered:
         order = np.argsort(rows.time_ns, kind="stable")

@@ -52,9 +52,10 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
             remedy="see whether the application that reads this pipe runs",
         )
     every = f"{period // 1_000_000} ms"
+    measured = not over_network and {"ci_wake_ns", "app_msg_limit"} <= case.constants.learned
     reason = (
         f"{least}{lost_at(case, loss, 'commands')}: more than {limit} of one MsgId waiting while {who} "
-        f"delivers in {every} bursts"
+        f"delivers in {every} bursts ({'measured' if measured else 'assumed'})"
     )
     still = stood_still(case, loss)
     evidence = list(loss.evidence)
@@ -65,7 +66,7 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
         most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
         sent = f"sent at {loss.span.rate_hz:.1f} Hz"
         if loss.span.rate_hz > clean and times[-1] - times[0] > period:
-            evidence.append(f"{sent}; up to {clean:g} Hz get through")
+            evidence.append(f"{sent}; up to {clean:g} Hz get through ({'measured' if measured else 'assumed'})")
         elif most > limit:
             evidence.append(f"up to {most:,} were sent within {every}; {limit} are clean")
         elif still:
@@ -120,6 +121,7 @@ def _over_output_limit(case: Case, loss: Loss) -> Verdict:
     reason = (
         f"{lost_at(case, loss)}: {published(loss)}{limit} of this MsgId may wait{_set_by(case, loss)} and "
         f"TO sends every {period / 1e6:.0f} ms, so {rate:.1f}/s get through"
+        f"{'' if 'to_wake_ns' in case.constants.learned else ' (assumed)'}"
     )
     evidence = list(loss.evidence)
     if measured:

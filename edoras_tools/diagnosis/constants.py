@@ -1,0 +1,191 @@
+"""Constants of the flight side that the capture itself shows: rounds, limits, depths.
+
+1. A round is the shortest time that often lies between two bursts of one sender, of which nearly all others
+   are multiples. Command Ingest's shows where its commands come out of the last hop, and no message waits for
+   longer than it.
+2. What a pipe keeps shows in full rounds, where an event names its MsgId at that pipe.
+3. A constant that was learned replaces the assumed one where they differ by more than a tenth; not one that
+   somebody gave.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.links.table import among
+from edoras_tools.units import MILLISECOND, SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss
+    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.matching.crossing import Hop
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+_USUAL: Final = SimProfile()
+_BURST_NS: Final = 20 * MILLISECOND
+_LEAST: Final = 20
+_OFTEN: Final = 0.2
+_NEAR: Final = 0.15
+_MULTIPLES: Final = 6
+_NEARLY_ALL: Final = 0.8
+_FULL: Final = 0.3
+_SMALL: Final = 6
+"""Of rounds that are larger one message more or less is as good as none."""
+_WAITS: Final = 0.7, 1.3
+"""A message waits for at most a round: the longest wait of nearly all is between these shares of it."""
+_ALIKE: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """How often something is done, as the capture shows it.
+
+    Attributes:
+        period_ns: usual time from one to the next.
+        low_ns: shortest, of most of them.
+        high_ns: longest, of most of them.
+    """
+
+    period_ns: int
+    low_ns: int
+    high_ns: int
+
+
+def find_round(times: NDArray[np.int64]) -> Round | None:
+    """Return the round in which bursts come; None where they show none.
+
+    Args:
+        times: ns, in order.
+    """
+    if len(times) < _LEAST:
+        return None
+    steps = np.diff(times)
+    begins = times[np.concatenate(([True], steps > _BURST_NS))]
+    steps = np.diff(begins)
+    steps = steps[steps < 5 * SECOND]
+    if len(steps) < _LEAST:
+        return None
+    first = float(np.quantile(steps, _OFTEN / 2))
+    own = steps[np.abs(steps - first) < 2 * _NEAR * first]
+    if not len(own):
+        return None
+    period = float(np.median(own))
+    own = steps[np.abs(steps - period) < _NEAR * period]
+    ratio = steps[steps < (_MULTIPLES + 0.5) * period] / period
+    fits = np.abs(ratio - np.round(ratio)) < 2 * _NEAR
+    if len(own) < _OFTEN * len(steps) or fits.mean() < _NEARLY_ALL:
+        return None
+    low, high = np.quantile(own, (0.1, 0.9)).astype(np.int64).tolist()
+    return Round(int(period), low, high)
+
+
+@dataclass(frozen=True, slots=True)
+class Constants:
+    """The constants of a capture's flight side.
+
+    Attributes:
+        profile: all of them: learned, else assumed.
+        rounds: name of a constant to the round that the capture shows.
+        learned: names of those that the capture shows, and MsgIds whose limits it shows.
+    """
+
+    profile: SimProfile
+    rounds: Mapping[str, Round]
+    learned: frozenset[str | int]
+
+
+def learn(
+    assumed: SimProfile,
+    rows: Rows,
+    streams: Sequence[Stream],
+    hops: Sequence[Hop],
+    losses: Mapping[ReportedLoss, LossEvents],
+    *,
+    overflows: bool,
+) -> Constants:
+    """Return the constants, with those that the capture shows in place of the assumed ones.
+
+    Args:
+        assumed: constants where it shows none.
+        losses: what events name as lost.
+        overflows: whether a pipe was full.
+    """
+    rounds: dict[str, Round] = {}
+    down = among(rows.link, lambda link: link.only_from_cfs)
+    sent = [rows.time_ns[down & (rows.source == source)] for source in np.unique(rows.source[down]).tolist()]
+    output = max(sent, key=len, default=rows.time_ns[:0])
+    if found := find_round(output):
+        rounds["to_wake_ns"] = found
+    if found := _ingest(rows, hops):
+        rounds["ci_wake_ns"] = found
+    profile = assumed
+    for name, item in rounds.items():
+        if _usual(assumed, name) and abs(item.period_ns - getattr(assumed, name)) > _ALIKE * getattr(
+            assumed, name
+        ):
+            profile = replace(profile, **{name: item.period_ns})  # type: ignore[arg-type]
+    names: set[str | int] = set(rounds)
+    limits = dict(assumed.to_limits)
+    for stream in streams if "to_wake_ns" in rounds else ():
+        by_user = limits.get(stream.msg_id) != _USUAL.to_limits.get(stream.known_id)
+        most = _kept(rows.time_ns[stream.rows]) if stream.link.only_from_cfs and not by_user else 0
+        named = any(
+            item.kind == "limit" and item.at_output and item.msg_id == stream.msg_id for item in losses
+        )
+        # Fewer came, and many are missing: no more are kept. More came: more are.
+        scarce = named and int(stream.missing.sum()) > _ALIKE * len(stream)
+        if most and (scarce or most > limits.get(stream.msg_id, assumed.to_default_limit)):
+            limits[stream.msg_id] = most
+            names.add(stream.msg_id)
+    profile = replace(profile, to_limits=limits)
+    if overflows:
+        depth = _kept(output)
+        if _usual(assumed, "to_pipe_depth") and 0 < depth < (1 - _ALIKE) * profile.to_pipe_depth:
+            profile, names = replace(profile, to_pipe_depth=depth), names | {"to_pipe_depth"}
+    commands = {item.msg_id for item in losses if item.kind == "limit" and item.sender.startswith("CI")}
+    out = [_kept(np.sort(rows.time_ns[hop.out_rows])) for hop in _last(hops) if hop.into.msg_id in commands]
+    if "ci_wake_ns" in rounds and _usual(assumed, "app_msg_limit") and (most := max(out, default=0)):
+        profile, names = replace(profile, app_msg_limit=most), names | {"app_msg_limit"}
+    return Constants(profile, rounds, frozenset(names))
+
+
+def _usual(profile: SimProfile, name: str) -> bool:
+    """Tell whether nobody said another value than the lab applications'."""
+    return bool(getattr(profile, name) == getattr(_USUAL, name))
+
+
+def _last(hops: Sequence[Hop]) -> list[Hop]:
+    """Return the hops from Command Ingest to the last hop: nothing else makes their messages wait."""
+    return [hop for hop in hops if hop.into.link.only_to_cfs and hop.out.link.last_hop]
+
+
+def _ingest(rows: Rows, hops: Sequence[Hop]) -> Round | None:
+    out = [rows.time_ns[hop.out_rows] for hop in _last(hops)]
+    found = find_round(np.sort(np.concatenate(out))) if out else None
+    if found is None:
+        return None
+    delays = np.concatenate([hop.delays_ns for hop in _last(hops)])
+    longest = float(np.quantile(delays, 0.9)) / found.period_ns if len(delays) else 0.0
+    low, high = _WAITS
+    return found if low < longest < high else None
+
+
+def _kept(times: NDArray[np.int64]) -> int:
+    """Return how many come in a full round; 0 where rounds are seldom full.
+
+    One that arrives while a round is sent may come with it.
+    """
+    begins = np.flatnonzero(np.diff(times, prepend=times[:1] - SECOND) > _BURST_NS)
+    sizes = np.diff(np.append(begins, len(times)))
+    if len(sizes) < _LEAST:
+        return 0
+    most = int(np.quantile(sizes, 0.9))
+    return most if float((sizes >= most - (most > _SMALL)).mean()) >= _FULL else 0

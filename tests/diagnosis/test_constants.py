@@ -1,0 +1,103 @@
+"""Constants that a capture shows: another cFS than the usual one is judged by its own."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from places import ROOT
+
+from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.diagnosis.constants import find_round
+from edoras_tools.units import MILLISECOND, SECOND
+
+OTHER = {
+    "to_wake_ns": 100 * MILLISECOND,
+    "ci_wake_ns": 250 * MILLISECOND,
+    "app_msg_limit": 2,
+    "msg_max": 20,
+}
+SWAPPED = {0x803: ((28, 2), (30, 2)), 0x884: ((28, 4), (32, 4)), 0x808: ((36, 2), (38, 2), (40, 4), (44, 4))}
+
+
+def big_endian(items):
+    """Return telemetry as a cFS writes it that has the highest byte first: counters, and events."""
+    found = []
+    for item in items:
+        data = bytearray(item.payload)
+        if item.destination.port == 1235:
+            for start, size in SWAPPED.get(int.from_bytes(data[:2], "big"), ()):
+                data[start : start + size] = data[start : start + size][::-1]
+        found.append(item._replace(payload=bytes(data)))
+    return found
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_a_cfs_with_other_constants_is_judged_by_its_own(lab, big):
+    sent, counters = lab.simulate(
+        "rover", seconds=20, hz=5.0, limits=((0x827, 20),), generators=((5.0, 0x827, 300),), **OTHER
+    )
+    found = lab.examine(big_endian(sent) if big else sent)
+    profile = found.case.profile
+    assert profile.to_wake_ns == pytest.approx(OTHER["to_wake_ns"], rel=0.1)
+    assert profile.to_limits[0x827] == pytest.approx(20, abs=2)
+    assert profile.to_pipe_depth == pytest.approx(20, abs=2)
+    assert found.lost + found.unaccounted <= counters.msg_limits + counters.pipe_overflows
+    text = json.dumps(found.as_json())
+    assert "every 100 ms" in text
+    assert "500 ms" not in text
+    assert "pipe of 50" not in text
+
+
+def test_counters_of_a_big_endian_cfs_are_read_in_its_order(lab):
+    sent, counters = lab.simulate("rover", seconds=40, hz=20.0)
+    small, large = lab.examine(sent), lab.examine(big_endian(sent))
+    assert 256 < small.lost <= counters.msg_limits
+    assert [item.as_json() for item in large.verdicts] == [item.as_json() for item in small.verdicts]
+    assert [(row.lost, row.came, row.out) for row in large.balance] == [
+        (row.lost, row.came, row.out) for row in small.balance
+    ]
+
+
+def test_a_constant_that_was_given_is_not_replaced(lab):
+    sent, _ = lab.simulate("rover", seconds=20, to_wake_ns=OTHER["to_wake_ns"])
+    given_ns = 300 * MILLISECOND
+    found = lab.examine(sent, profile=SimProfile(to_wake_ns=given_ns))
+    assert found.case.profile.to_wake_ns == given_ns
+    assert lab.examine(sent).case.profile.to_wake_ns == pytest.approx(OTHER["to_wake_ns"], rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["a_rover", "c4_cmd_rate", "season3/q17_two_bridges_same_topic"])
+def test_what_nothing_shows_is_called_assumed(lab, name):
+    found = lab.read(ROOT / f"tests/captures/{name}.pcap.zst")
+    reasons = [item.reason for item in found.verdicts if item.rule == "app_pipe_limit"]
+    assert reasons
+    assert all("delivers in 500 ms bursts (assumed)" in line for line in reasons)
+    assert found.case.constants.rounds["to_wake_ns"].period_ns == pytest.approx(SECOND / 2, rel=0.05)
+    assert found.case.profile == found.case.assumed
+
+
+@given(
+    st.integers(50, 900),
+    st.lists(st.tuples(st.integers(1, 4), st.integers(1, 6)), min_size=40, max_size=120),
+)
+def test_a_round_is_learned_from_bursts_that_come_in_each_or_some(period_ms, bursts):
+    times, now = [], 0
+    for skipped, count in bursts:
+        now += skipped if len(times) % 3 else 1
+        times += [now * period_ms * MILLISECOND + at * MILLISECOND // 10 for at in range(count)]
+    found = find_round(np.array(times, np.int64))
+    shortest = int(np.diff(np.unique(np.array(times) // (period_ms * MILLISECOND))).min())
+    if found is not None and shortest == 1:
+        assert found.period_ns == pytest.approx(period_ms * MILLISECOND, rel=0.1)
+        assert found.low_ns <= found.period_ns <= found.high_ns
+
+
+@given(st.lists(st.integers(0, 10**6), min_size=30, max_size=100, unique=True))
+def test_times_without_a_round_show_none_or_one_of_their_own(places):
+    times = np.sort(np.array(places, np.int64)) * MILLISECOND
+    found = find_round(times)
+    assert found is None or found.period_ns <= int(np.diff(times).max())
