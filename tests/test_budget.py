@@ -39,15 +39,15 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(66_713, 150, 58_000),
-    "lines with code, all": Limit(78_700, 150, 84_000),  # with what is still to come
-    "files": Limit(584, 10, 450),
-    "files below 170 lines, of 1,000": Limit(486, 10, 500),  # a median of 170 lines or more
+    "lines with code, core": Limit(66_877, 150, 58_000),
+    "lines with code, all": Limit(78_864, 150, 84_000),  # with what is still to come
+    "files": Limit(585, 10, 450),
+    "files below 170 lines, of 1,000": Limit(485, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
     "files that record runs through": Limit(120, 2, 80),
     "files that sniff --where runs through": Limit(112, 2, 80),
     "modules that host loads": Limit(131, 2, 40),
-    "bare participles among 1,000 names": Limit(46.1, 1, 3),
+    "bare participles among 1,000 names": Limit(46.0, 1, 3),
     "functions of complexity over 25": Limit(5, 0, 0),
 }
 
@@ -214,7 +214,7 @@ def test_figures_keep_to_their_limits(figures):
 
 
 def test_a_limit_is_kept_and_follows():
-    limits = {"files": Limit(100, 10, 50)}
+    limits = {"files": Limit(585, 10, 50)}
     assert list(judged({"files": 100}, limits)) == []
     assert list(judged({"files": 90}, limits)) == []
     assert list(judged({"files": 101}, limits)) == ["files: 101 is over the limit of 100"]

@@ -132,21 +132,11 @@ def learn(
             assumed, name
         ):
             profile = replace(profile, **{name: item.period_ns})  # type: ignore[arg-type]
-    names: set[str | int] = set(rounds)
-    limits = dict(assumed.to_limits)
-    for stream in streams if "to_wake_ns" in rounds else ():
-        by_user = limits.get(stream.msg_id) != _USUAL.to_limits.get(stream.known_id)
-        most = _kept(rows.time_ns[stream.rows]) if stream.link.only_from_cfs and not by_user else 0
-        named = any(
-            item.kind == "limit" and item.at_output and item.msg_id == stream.msg_id for item in losses
-        )
-        # Fewer came, and many are missing: no more are kept. More came: more are.
-        scarce = named and int(stream.missing.sum()) > _ALIKE * len(stream)
-        if most and (scarce or most > limits.get(stream.msg_id, assumed.to_default_limit)):
-            limits[stream.msg_id] = most
-            names.add(stream.msg_id)
-    profile = replace(profile, to_limits=limits)
-    if overflows:
+    limits = _limits(assumed, rows, streams, losses) if "to_wake_ns" in rounds else {}
+    names: set[str | int] = {*rounds, *limits}
+    profile = replace(profile, to_limits={**assumed.to_limits, **limits})
+    lacking = sum(int(item.missing.sum()) for item in streams if item.link.only_from_cfs)
+    if overflows and lacking > _ALIKE * len(output):
         depth = _kept(output)
         if _usual(assumed, "to_pipe_depth") and 0 < depth < (1 - _ALIKE) * profile.to_pipe_depth:
             profile, names = replace(profile, to_pipe_depth=depth), names | {"to_pipe_depth"}
@@ -155,6 +145,24 @@ def learn(
     if "ci_wake_ns" in rounds and _usual(assumed, "app_msg_limit") and (most := max(out, default=0)):
         profile, names = replace(profile, app_msg_limit=most), names | {"app_msg_limit"}
     return Constants(profile, rounds, frozenset(names))
+
+
+def _limits(
+    assumed: SimProfile, rows: Rows, streams: Sequence[Stream], losses: Mapping[ReportedLoss, LossEvents]
+) -> dict[int, int]:
+    """Return how many of a MsgId may wait at Telemetry Output, where full rounds show it."""
+    found: dict[int, int] = {}
+    at_output = {item.msg_id for item in losses if item.kind == "limit" and item.at_output}
+    for stream in streams:
+        limit = assumed.to_limits.get(stream.msg_id)
+        if not stream.link.only_from_cfs or limit != _USUAL.to_limits.get(stream.known_id):
+            continue
+        most = _kept(rows.time_ns[stream.rows])
+        # Fewer came, and many are missing: no more are kept. More came: more are.
+        scarce = stream.msg_id in at_output and int(stream.missing.sum()) > _ALIKE * len(stream)
+        if most and (scarce or most > (limit or assumed.to_default_limit)):
+            found[stream.msg_id] = most
+    return found
 
 
 def _usual(profile: SimProfile, name: str) -> bool:

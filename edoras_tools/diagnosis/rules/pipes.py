@@ -66,7 +66,9 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
         most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
         sent = f"sent at {loss.span.rate_hz:.1f} Hz"
         if loss.span.rate_hz > clean and times[-1] - times[0] > period:
-            evidence.append(f"{sent}; up to {clean:g} Hz get through ({'measured' if measured else 'assumed'})")
+            evidence.append(
+                f"{sent}; up to {clean:g} Hz get through ({'measured' if measured else 'assumed'})"
+            )
         elif most > limit:
             evidence.append(f"up to {most:,} were sent within {every}; {limit} are clean")
         elif still:
