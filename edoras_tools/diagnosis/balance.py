@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKET, Loss, LossKind
-from edoras_tools.diagnosis.accounting.ports import CLOSED, PORT
+from edoras_tools.diagnosis.accounting.ports import PORT_CLOSED, UDP_PORT
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links import table
@@ -39,8 +39,8 @@ CI_HOP: Final = "CI"
 BUS: Final = "software bus"
 APPLICATION: Final = "application"
 _HOPS: Final = frozenset({PROXY_HOP, CI_HOP, BUS, APPLICATION, BEHIND})
-_BEFORE_CI: Final[tuple[LossKind, ...]] = ("network", "socket", "down", "restart", "ci_stopped", CLOSED)
-_NOT_READ: Final[tuple[LossKind, ...]] = ("sbn_socket", "down", CLOSED)
+_BEFORE_CI: Final[tuple[LossKind, ...]] = ("network", "socket", "down", "restart", "ci_stopped", PORT_CLOSED)
+_NOT_READ: Final[tuple[LossKind, ...]] = ("sbn_socket", "down", PORT_CLOSED)
 _FIGURES: Final = (
     *(
         "came",
@@ -62,11 +62,11 @@ _NO_INGEST: Final = f"{NOT_COUNTED}no 0x884 of this CI, no kernel counter of its
 _NO_BUS: Final = f"{NOT_COUNTED}no 0x803 of its cFS"
 _COUNTED: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost", "lost": "0x803"}
 PEER: Final = "SBN peer"
-ENDS: Final = (PEER, PORT)
+BEHIND_LINKS: Final = (PEER, UDP_PORT)
 """How hops are called that are behind what the capture shows of a message."""
 UNHEARD: Final = "sbn_timeout"
 """Cause of the loss of what was sent to a peer that timed out: the rule that tells of it."""
-RESTARTED: Final = "sbn_peer_restart"
+PEER_RESTARTED: Final = "sbn_peer_restart"
 """Cause of the loss of what was sent to a peer that was started again: the rule that tells of it."""
 ON_PURPOSE: Final = "/edoras/faults: done on purpose"
 
@@ -233,7 +233,7 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
     for row in rows:
         if row.msg_id is None:
             continue
-        if row.hop in _HOPS or row.link in {"to", "sbn"} or row.hop.startswith(PORT):
+        if row.hop in _HOPS or row.link in {"to", "sbn"} or row.hop.startswith(UDP_PORT):
             groups.setdefault((row.route, row.link, row.msg_id, row.instance), []).append(row)
     named = {key: members for key, members in groups.items() if key[0] != NO_ROUTE}
     others = {key: members for key, members in groups.items() if not members[0].name}
@@ -254,8 +254,8 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
 
 
 def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:
-    first, last = members[0], next(row for row in reversed(members) if not row.hop.startswith(ENDS))
-    unheard = sum(row.came - row.out for row in members if row.hop.startswith(ENDS))
+    first, last = members[0], next(row for row in reversed(members) if not row.hop.startswith(BEHIND_LINKS))
+    unheard = sum(row.came - row.out for row in members if row.hop.startswith(BEHIND_LINKS))
     msg_id = f"0x{first.msg_id:04x}"
     return Headline(
         topic=topics.get(first.route, msg_id),
@@ -513,7 +513,7 @@ def _peer(before: Row, silent: Unheard) -> Row:
         duplicated=0,
         lost={
             cause: number
-            for cause, number in ((UNHEARD, silent.lost), (RESTARTED, silent.restarted))
+            for cause, number in ((UNHEARD, silent.lost), (PEER_RESTARTED, silent.restarted))
             if number
         },
         superseded=0,
@@ -534,7 +534,7 @@ def _port(case: Case, before: Row | None, item: Unreached) -> Row:
     uncertain = len(item.uncertain)
     return Row(
         *(before.route, before.link, before.msg_id, before.instance),
-        f"{PORT} {case.endpoints[item.endpoint]}",
+        f"{UDP_PORT} {case.endpoints[item.endpoint]}",
         before.out,
         before.out - sum(lost.values()) - uncertain,
         lost=lost,

@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from edoras_tools.diagnosis.accounting.ports import PORT
+from edoras_tools.diagnosis.accounting.ports import UDP_PORT
 from edoras_tools.diagnosis.balance import APPLICATION, BUS, CI_HOP, NOT_COUNTED, Row, summed
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links.ci import CI
@@ -159,7 +159,7 @@ def _hops(
     first = own[0]
     yield _bridge(PUBLISHER, bridges.get((first.link, first.msg_id or 0)), out=first.came)
     yield from map(_of_row, own)
-    last = next(row for row in reversed(own) if not row.hop.startswith(PORT))
+    last = next(row for row in reversed(own) if not row.hop.startswith(UDP_PORT))
     if last.hop in _INSIDE:
         yield ChainHop(TO_ROBOT, last.out, None, None, counted=_CAPTURE_MORE)
     for way in last.onward:

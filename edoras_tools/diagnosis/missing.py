@@ -18,7 +18,7 @@ import numpy as np
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.accounting.losses import Among, LossKind
-from edoras_tools.diagnosis.accounting.ports import CLOSED, REFUSED
+from edoras_tools.diagnosis.accounting.ports import PORT_CLOSED, REFUSED
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID
@@ -49,7 +49,10 @@ _CAUSES: Final[dict[LossKind, str]] = {
     "fragments": "its later fragments never came",
     "port_closed": "nobody listened on the port of {hop}",
 }
-_UNREACHED: Final = {CLOSED: "nobody listened on {}", REFUSED: "an ICMP error came back from the way to {}"}
+_UNREACHED: Final = {
+    PORT_CLOSED: "nobody listened on {}",
+    REFUSED: "an ICMP error came back from the way to {}",
+}
 _ROOM: Final = 1 << 32
 """Numbers for the counts that are missing behind one row."""
 

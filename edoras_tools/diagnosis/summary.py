@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.accounting.losses import APP
-from edoras_tools.diagnosis.accounting.ports import PORT
-from edoras_tools.diagnosis.balance import RESTARTED, UNHEARD, Row, not_counted, sent
+from edoras_tools.diagnosis.accounting.ports import UDP_PORT
+from edoras_tools.diagnosis.balance import PEER_RESTARTED, UNHEARD, Row, not_counted, sent
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, Verdict, alike, group_verdicts
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -39,7 +39,7 @@ CAUSES: Final = {
     "stopped": "while the application was stopped",
     "away": "while the SBN peer was away",
     "unsubscribed": "to an SBN peer that did not subscribe",
-    RESTARTED: "sent to an SBN peer that restarted",
+    PEER_RESTARTED: "sent to an SBN peer that restarted",
     UNHEARD: "sent to a silent SBN peer",
     "sbn_socket": "at SBN's full socket",
     "fragments": "on the way, where later fragments are dropped",
@@ -113,7 +113,7 @@ class Problem:
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
+class DoctorSummary:
     """What a person reads first.
 
     Attributes:
@@ -146,7 +146,7 @@ class Summary:
         return f"Also {', '.join(parts)}." if parts else ""
 
 
-def summarize(found: Diagnosis) -> Summary:
+def summarize(found: Diagnosis) -> DoctorSummary:
     """Return what a person reads first of a diagnosis."""
     losses, used = _losses(found)
     others = [item for item in found.verdicts if id(item) not in used and item.severity >= Severity.WARNING]
@@ -159,7 +159,7 @@ def summarize(found: Diagnosis) -> Summary:
     headline, fine = _headline(found, problems), _fine(found)
     if fine and not (problems or found.uncertain):
         headline, fine = f"{headline.removesuffix('.')}: {fine[0].lower()}{fine[1:]}", ""
-    return Summary(headline, tuple(problems), fine, notes)
+    return DoctorSummary(headline, tuple(problems), fine, notes)
 
 
 def _apart(groups: Sequence[Sequence[Verdict]]) -> Problem:
@@ -207,7 +207,7 @@ def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdi
         if (item.cause == cause if item.cause else item.rule in rules)
         and item.msg_id in {None, row.msg_id}
         and (item.lost is None) == (cause == "unaccounted")
-        and (row.hop == item.hop or not row.hop.startswith(("SBN", PORT)))
+        and (row.hop == item.hop or not row.hop.startswith(("SBN", UDP_PORT)))
     ]
     return [item for item in own if item.msg_id is not None] or own
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from edoras_tools.wire.layout import Layout
 
 
-ENDS: Final = ("source", "destination")
+ADDRESSED: Final = ("source", "destination")
 
 
 class IcmpLink(LinkProtocol):
@@ -76,7 +76,7 @@ class IcmpLink(LinkProtocol):
         whole = max(ports["length"] - QUOTED_UDP.size, 0)
         payload = data[form.size : form.size + whole]
         source, destination = (
-            Endpoint(header.by_name[name].field.text(ends[name]), ports[f"{name}_port"]) for name in ENDS
+            Endpoint(header.by_name[name].field.text(ends[name]), ports[f"{name}_port"]) for name in ADDRESSED
         )
         return Datagram(
             number=datagram.number,
@@ -120,8 +120,8 @@ def quoted_rows(batch: PacketBatch, rows: NDArray[np.intp]) -> QuotedRows:
         rows: those of the errors.
     """
     own = batch.take(rows)
-    address = {name: np.zeros(len(rows), np.uint32) for name in ENDS}
-    port = {name: np.zeros(len(rows), np.uint16) for name in ENDS}
+    address = {name: np.zeros(len(rows), np.uint32) for name in ADDRESSED}
+    port = {name: np.zeros(len(rows), np.uint16) for name in ADDRESSED}
     identification, closed = np.zeros(len(rows), np.uint16), np.zeros(len(rows), bool)
     known = np.frombuffer(b"".join(own.ipv6), np.uint8).reshape(-1, 16)
     table = known[:0]
@@ -129,7 +129,7 @@ def quoted_rows(batch: PacketBatch, rows: NDArray[np.intp]) -> QuotedRows:
         at = np.flatnonzero(own.ip_version == form.version)
         error, header, udp = form.headers
         window, start = gather(batch.data, own.offset[at], form.size), form.start(header)
-        places = {name: header.by_name[name] for name in ENDS}
+        places = {name: header.by_name[name] for name in ADDRESSED}
         raw = {
             name: np.ascontiguousarray(window[:, start + slot.start : start + slot.end])
             for name, slot in places.items()
@@ -141,8 +141,8 @@ def quoted_rows(batch: PacketBatch, rows: NDArray[np.intp]) -> QuotedRows:
         else:
             reporter = known[own.source_address[at]]
             table, which = np.unique(np.concatenate(list(raw.values())), axis=0, return_inverse=True)
-            numbers = dict(zip(ENDS, np.split(which.reshape(-1), len(ENDS)), strict=True))
-        for name in ENDS:
+            numbers = dict(zip(ADDRESSED, np.split(which.reshape(-1), len(ADDRESSED)), strict=True))
+        for name in ADDRESSED:
             address[name][at] = numbers[name]
             port[name][at] = udp.column(f"{name}_port", window, form.start(udp))
         closed[at] = error.column("code", window) == form.port_unreachable

@@ -24,7 +24,7 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.claims import (
     CLOSED,
     MISSING,
-    OWN,
+    OWN_PACKETS,
     POSSIBLE,
     PRESSED,
     Claim,
@@ -294,7 +294,7 @@ class Telemetry:
         if not part.silenced and not part.unled:
             part.cause = self._cause(part)
         if part.owner in self._counts and part.stream.link.only_from_cfs:
-            key, rank, kinds = len(self.parts), OWN if part.cause is None else CLOSED, tuple(COUNTERS)
+            key, rank, kinds = len(self.parts), OWN_PACKETS if part.cause is None else CLOSED, tuple(COUNTERS)
             claim = Claim(key, low_ns, high_ns, part.missing, kinds, (part.owner,), rank, id(part.stream))
             self.claims.append(claim)
         self.parts.append(part)

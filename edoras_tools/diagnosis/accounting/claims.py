@@ -29,7 +29,7 @@ ABSENT: Final = 1
 """Rank of other commands that surely did not come out."""
 CLOSED: Final = 2
 """Rank of what is missing while nothing took it."""
-OWN: Final = 3
+OWN_PACKETS: Final = 3
 """Rank of the packets of cFS itself that are."""
 QUIET: Final = 4
 """Rank of commands that surely did not come out, where no event names them and no pipe was full by them."""
@@ -181,7 +181,7 @@ def settle_known(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[
     """Give counts to what surely is missing, then to what may be; see ``settle_possible``."""
     for ranks, slack_ns in (
         ((PRESSED, ABSENT, CLOSED), _APART_NS),
-        ((PRESSED, ABSENT, CLOSED, OWN), _APART_NS),
+        ((PRESSED, ABSENT, CLOSED, OWN_PACKETS), _APART_NS),
         ((QUIET, INTO_STOP), 0),
     ):
         sure = [claim for claim in claims if claim.rank in ranks]

@@ -34,7 +34,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     Loss,
 )
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Pipes
-from edoras_tools.diagnosis.accounting.ports import CLOSED
+from edoras_tools.diagnosis.accounting.ports import PORT_CLOSED
 from edoras_tools.diagnosis.accounting.stops import Stops
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
@@ -299,7 +299,7 @@ class Commands:
         if fate.claim(chosen):
             hop = SBN_SOCKET if fate.stream.link.peers else ""
             text = "ICMP errors: port unreachable"
-            self.losses.append(loss_of(self._known, fate, CLOSED, chosen, [text], hop=hop))
+            self.losses.append(loss_of(self._known, fate, PORT_CLOSED, chosen, [text], hop=hop))
 
     def _rest(
         self, fate: Fate, tails: Mapping[int, int], shared: Sequence[int], among: dict[int, int]

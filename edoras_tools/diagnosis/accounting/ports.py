@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.unreachable import Unreachable
     from edoras_tools.diagnosis.matching.streams import Stream
 
-PORT: Final = "port"
-CLOSED: Final[LossKind] = "port_closed"
+UDP_PORT: Final = "port"
+PORT_CLOSED: Final[LossKind] = "port_closed"
 REFUSED: Final = "unreachable"
 """Causes of a loss, which are the rules that tell of them."""
 _FINE, _UNCERTAIN, _REFUSED, _CLOSED = range(4)
-_CAUSES: Final = {_CLOSED: CLOSED, _REFUSED: REFUSED}
+_CAUSES: Final = {_CLOSED: PORT_CLOSED, _REFUSED: REFUSED}
 
 
 @dataclass(frozen=True, slots=True)

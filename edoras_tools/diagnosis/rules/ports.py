@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.diagnosis.accounting.ports import CLOSED, PORT, REFUSED
+from edoras_tools.diagnosis.accounting.ports import PORT_CLOSED, REFUSED, UDP_PORT
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.units import SECOND
@@ -33,7 +33,7 @@ def port_closed(case: Case) -> Iterator[Verdict]:
     for span in case.unreachable.spans:
         open_ns = before.get(span.port, 0)
         before[span.port] = span.end_ns
-        lost, uncertain = (_within(case, span, open_ns, cause) for cause in (CLOSED, None))
+        lost, uncertain = (_within(case, span, open_ns, cause) for cause in (PORT_CLOSED, None))
         if not lost and not uncertain:
             continue
         again = span.end_ns != NEVER
@@ -56,7 +56,7 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         yield Verdict(
             Severity.ERROR if number else Severity.WARNING,
             reason,
-            hop=f"{PORT} {span.port}",
+            hop=f"{UDP_PORT} {span.port}",
             lost=number or None,
             of=number + uncertain.total(),
             span=(span.start_ns, span.last_ns),
@@ -82,7 +82,7 @@ def unreachable(case: Case) -> Iterator[Verdict]:
             "ICMP errors about them came back",
             msg_id=item.stream.msg_id if item.own else None,
             link=item.stream.link.label,
-            hop=f"{PORT} {endpoint}",
+            hop=f"{UDP_PORT} {endpoint}",
             lost=len(rows),
             of=len(rows),
             span=case.span(item.stream.rows[rows]),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 MAX_PAYLOAD = 65535
 """Maximum bytes of IP payload that fragments can address."""
-HEAD_BYTES = 64
+QUOTED_BYTES = 64
 """So much of the IP payload of a datagram that never became whole is kept: ports and the first headers."""
 _MOST_LACKING = 1 << 14
 _PIECE_OVERHEAD = 128
@@ -64,7 +64,7 @@ class Beginning(NamedTuple):
         time_ns: capture time of the first of its fragments.
         source: IP address, 4 or 16 bytes.
         destination: likewise.
-        head: at most ``HEAD_BYTES`` of the IP payload: the UDP header and what follows it.
+        head: at most ``QUOTED_BYTES`` of the IP payload: the UDP header and what follows it.
     """
 
     time_ns: int
@@ -104,7 +104,7 @@ class Reassembler:
     def _beginning(self, key: tuple[int, int, bytes, bytes]) -> Beginning | None:
         partial = self._partials[key]
         head = next((data for start, data in partial.pieces if start == 0), b"")
-        return Beginning(partial.time_ns, key[2], key[3], head[:HEAD_BYTES]) if head else None
+        return Beginning(partial.time_ns, key[2], key[3], head[:QUOTED_BYTES]) if head else None
 
     def add(self, fragment: Fragment) -> tuple[bytes | None, tuple[int, int]]:
         """Add a fragment.

@@ -245,7 +245,7 @@ class Demux:
             source_port=none,
             destination_port=none,
         )
-        return in_order([batch, own])
+        return by_time([batch, own])
 
     def _stream_rows(
         self,
@@ -273,7 +273,7 @@ class Demux:
         messages = self._messages(
             joined_frames(parts), old, final=size - len(parts[-1].data) > _WAITING_BYTES
         )
-        return in_order([batch, messages])
+        return by_time([batch, messages])
 
     def _messages(self, frames: FrameBatch, old: int, *, final: bool) -> PacketBatch:
         from edoras_tools.io.frames.tcp import StreamReassembler
@@ -419,7 +419,7 @@ def _made(frames: MadeFrames) -> PacketBatch:
     )
 
 
-def in_order(batches: list[PacketBatch]) -> PacketBatch:
+def by_time(batches: list[PacketBatch]) -> PacketBatch:
     """Return the rows of batches of the same frames, in the order of the frames."""
     batches = [batch for batch in batches if len(batch)] or batches[:1]
     if len(batches) == 1:

@@ -25,7 +25,7 @@ LOST: Final = frozenset({QueueEnd.MSG_LIMIT, QueueEnd.PIPE_OVERFLOW, QueueEnd.SO
 
 
 @dataclass(slots=True)
-class Arrival:
+class QueueArrival:
     """A packet or datagram at one pipe or socket.
 
     Attributes:
@@ -43,7 +43,7 @@ class Arrival:
     end_ns: int = -1
 
 
-class Account:
+class ArrivalAccount:
     """Every arrival in an emulated cFS, over all its boots.
 
     Args:
@@ -56,9 +56,9 @@ class Account:
 
     def __init__(self, now: Callable[[], int], *, is_on: bool) -> None:
         self._is_on = is_on
-        self.arrivals: list[Arrival] = []
+        self.arrivals: list[QueueArrival] = []
         self._now = now
-        self._waiting: dict[str, deque[Arrival]] = {}
+        self._waiting: dict[str, deque[QueueArrival]] = {}
 
     def watch(self, queue: Fifo[_Message], hop: str) -> Fifo[_Message]:
         """Note from now on what becomes of everything in a queue; return it."""
@@ -75,7 +75,7 @@ class Account:
             arrival = waiting.popleft()
             arrival.end, arrival.end_ns = outcome, now
             return
-        arrival = Arrival(hop, msg_id, now)
+        arrival = QueueArrival(hop, msg_id, now)
         self.arrivals.append(arrival)
         if outcome is QueueEnd.WAITING:
             waiting.append(arrival)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.lab.emulator.account import Account, socket
+from edoras_tools.addons.lab.emulator.account import ArrivalAccount, socket
 from edoras_tools.addons.lab.emulator.services.clock import Clock
 from edoras_tools.addons.lab.emulator.services.events import Event, EventServices
 from edoras_tools.addons.lab.emulator.services.executive_services import ExecutiveServices, LoadedApp
@@ -78,7 +78,7 @@ class Cfs:
         self.to_endpoint = Endpoint(profile.address, profile.to_source_port or ANY_PORT)
         self._listening: dict[int, Callable[[bytes], object]] = {}
         self._tasks: list[Running] = []
-        self.account = Account(lambda: scheduler.now, is_on=with_account)
+        self.account = ArrivalAccount(lambda: scheduler.now, is_on=with_account)
         self._reset()
 
     def _reset(self) -> None:

@@ -25,7 +25,7 @@ from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import length_of, msg_id_of, with_sequence_count
 
 if TYPE_CHECKING:
-    from edoras_tools.addons.lab.emulator.account import Account
+    from edoras_tools.addons.lab.emulator.account import ArrivalAccount
     from edoras_tools.cfs.profile import SimProfile
 
 
@@ -86,7 +86,7 @@ class SoftwareBus:
         subscribed: MsgIds in the order of their first subscription, as reported to SBN.
     """
 
-    def __init__(self, profile: SimProfile, account: Account | None = None) -> None:
+    def __init__(self, profile: SimProfile, account: ArrivalAccount | None = None) -> None:
         self.profile = profile
         self._account = account
         self.counters = Counters()
