@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.io.frames.fragments import HEAD_BYTES, Fragment, Reassembler
+from edoras_tools.io.frames.fragments import QUOTED_BYTES, Fragment, Reassembler
 
 KEY = (4, 7, b"\x7f\0\0\1", b"\x7f\0\0\2")
 SECOND = 1_000_000_000
@@ -49,7 +49,7 @@ def test_the_beginning_of_what_never_became_whole_is_kept():
     reassembler = Reassembler(timeout_ns=SECOND)
     assert reassembler.add(first)[0] is None
     assert reassembler.add(last)[0] is None  # nobody knows of what it was
-    assert [item.head for item in reassembler.beginnings()] == [first.data[:HEAD_BYTES]]
+    assert [item.head for item in reassembler.beginnings()] == [first.data[:QUOTED_BYTES]]
     for piece in pieces_of(bytes(200), 104, key=(4, 9, *KEY[2:]), time_ns=3 * SECOND):
         reassembler.add(piece)
     assert (reassembler.pending, reassembler.abandoned) == (0, 2)
