@@ -363,7 +363,7 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
             "envelope.DEFAULT",
             "cdr.ENCAPSULATION",
             "cfdp.PDU_HEADER",
-            "icmp.HEADER",
+            "icmp.ICMPV4",
             "icmp.ICMPV6",
             "icmp.QUOTED_UDP",
             "fprime.FRAME",

@@ -42,17 +42,8 @@ _HOPS: Final = frozenset({PROXY_HOP, CI_HOP, BUS, APPLICATION, BEHIND})
 _BEFORE_CI: Final[tuple[LossKind, ...]] = ("network", "socket", "down", "restart", "ci_stopped", PORT_CLOSED)
 _NOT_READ: Final[tuple[LossKind, ...]] = ("sbn_socket", "down", PORT_CLOSED)
 _FIGURES: Final = (
-    *(
-        "came",
-        "out",
-        "duplicated",
-        "superseded",
-        "waiting",
-        "not_captured",
-        "unaccounted",
-        "uncertain",
-        "shared",
-    ),
+    *("came", "out", "duplicated", "superseded", "waiting"),
+    *("not_captured", "unaccounted", "uncertain", "shared"),
 )
 _SEEN: Final = "datagrams in the capture"
 _COUNT: Final = "sequence count"

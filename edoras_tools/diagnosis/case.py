@@ -20,7 +20,7 @@ from edoras_tools.diagnosis.accounting.ingest import Ingest, Sources, ingests, k
 from edoras_tools.diagnosis.accounting.losses import Known, Loss
 from edoras_tools.diagnosis.accounting.ports import Unreached, unreached
 from edoras_tools.diagnosis.accounting.stops import Outage, outages
-from edoras_tools.diagnosis.constants import learn
+from edoras_tools.diagnosis.constants import learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.loss_reports import (
@@ -163,7 +163,7 @@ class Case:
     def constants(self) -> Constants:
         """The constants of cFS, and which of them the capture shows."""
         overflows = any(track.growth("pipe_overflows") for track in self.tracks.values())
-        return learn(
+        return learn_constants(
             self.assumed, self.rows, self.streams, self.hops, self.reported_losses, overflows=overflows
         )
 

@@ -102,7 +102,7 @@ class Constants:
     learned: frozenset[str | int]
 
 
-def learn(
+def learn_constants(
     assumed: SimProfile,
     rows: Rows,
     streams: Sequence[Stream],

@@ -38,7 +38,7 @@ _CODES_6: Final = (
 )
 _PORTS: Final = Field("source_port", 16, "of the sender"), Field("destination_port", 16, "that it was for")
 
-HEADER: Final = Layout(
+ICMPV4: Final = Layout(
     "icmp",
     "ICMP",
     Field("type", 8, "the kind of message", names={3: "destination unreachable"}, clause="RFC 792"),
@@ -140,7 +140,7 @@ FORMS: Final = (
     ErrorForm(
         protocol=1,
         version=4,
-        headers=(HEADER, QUOTED_IPV4, QUOTED_UDP),
+        headers=(ICMPV4, QUOTED_IPV4, QUOTED_UDP),
         constants=(
             {"type": 3},
             {"ip_version": 4, "header_length": 5, "fragment_offset": 0, "protocol": _UDP},

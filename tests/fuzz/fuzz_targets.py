@@ -30,6 +30,7 @@ from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.diagnosis.matching.comparison import compare_captures
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.diagnosis.runs import Run, run_differences
+from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.errors import CaptureError, ConfigError, FieldError, WireError
 from edoras_tools.io.formats.mcap.recover import recover as run_recover
 from edoras_tools.io.formats.mcap.recover import verify
@@ -312,11 +313,8 @@ def diagnosis(data: bytes) -> Hashable:
             ledger.add(batch, columns)
         found.append(examination.diagnose())
         tables.append(table)
-        told = json.loads(
-            json.dumps(
-                {"schema": 1, "source": "fuzz", **found[-1].as_json(), "warnings": []}, allow_nan=False
-            )
-        )
+        parts = {"schema": 1, "source": "fuzz", "warnings": [], "summary": summarize(found[-1]).as_json()}
+        told = json.loads(json.dumps({**found[-1].as_json(), **parts}, allow_nan=False))
         check(told, _SCHEMAS["doctor"])
         counts = {"source": "fuzz", "datagrams": ledger.datagrams, "routes": ledger.routes()}
         runs.append(Run(counts, told))

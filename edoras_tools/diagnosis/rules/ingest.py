@@ -232,7 +232,8 @@ def app_outage(case: Case) -> Iterator[Verdict]:
                 remedy=_remedy(case, case.called(loss.hop)),
             )
     for item in case.outages:
-        end_ns = item.end_ns if item.end_ns is not None else case.end_ns
+        start_ns = max(item.start_ns, case.start_ns)
+        end_ns = max(start_ns, item.end_ns if item.end_ns is not None else case.end_ns)
         if any(
             case.called(loss.hop) == item.app and loss.start_ns <= end_ns + case.profile.ci_wake_ns
             for loss in told
@@ -245,7 +246,7 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             Severity.WARNING,
             f"{item.app} was {what}; no loss by it can be seen here",
             hop=item.app,
-            span=(max(item.start_ns, case.start_ns), end_ns),
+            span=(start_ns, end_ns),
             evidence=(item.witness,),
             remedy=f"enable it again after it restarts: {case.inject(ENABLE_OUTPUT)}"
             if item.app.startswith("TO_")
