@@ -18,8 +18,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.diagnosis.accounting.ports import UDP_PORT
-from edoras_tools.diagnosis.balance import APPLICATION, BUS, CI_HOP, NOT_COUNTED, Row, summed
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
+from edoras_tools.diagnosis.ledger import APPLICATION, BUS, CI_HOP, ENDINGS, NOT_COUNTED, Row, summed
 from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.sbn import SBN
@@ -36,7 +36,7 @@ _ROBOT, _SBN = (link.label for link in (ROBOT, SBN))
 _GIVE_BAG: Final = f"{NOT_COUNTED}give --bag"
 _CAPTURE_MORE: Final = f"{NOT_COUNTED}capture the robot link, or SBN"
 _INSIDE: Final = frozenset({PROXY_HOP, CI_HOP, BUS})
-_REST: Final = ("superseded", "waiting", "not_captured", "unaccounted", "uncertain", "shared")
+_REST: Final = ENDINGS[1:]
 
 
 class BridgeCount(NamedTuple):
@@ -191,7 +191,7 @@ def _bridge(
 
 
 def _of_row(row: Row) -> ChainHop:
-    rest = {name: value for name in _REST if (value := getattr(row, name))}
+    rest: dict[str, int] = {name: value for name in _REST if (value := getattr(row, name))}
     to_robot = row.hop == APPLICATION and {label for label, _ in row.onward} == {_ROBOT}
     told = row.counted.get("out") or row.counted.get("lost", "")
     lost: int | None = row.all_lost

@@ -11,11 +11,12 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode.conversations import Conversations, Flow, Unnamed, unnamed
 from edoras_tools.diagnosis.accounting.commands import Refused
 from edoras_tools.diagnosis.accounts import accounts
-from edoras_tools.diagnosis.balance import Headline, Row, balance, headlines, not_counted, sent, summed
+from edoras_tools.diagnosis.balance import Headline, WaySum, headlines, not_counted, sent, ways
 from edoras_tools.diagnosis.case import Capture, Case
 from edoras_tools.diagnosis.chains import Chain, chains
 from edoras_tools.diagnosis.evidence.relays.proxied import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
+from edoras_tools.diagnosis.ledger import CAPTURE, Ledger, Row, summed
 from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rules import OTHERS, SINGLE, rules
 from edoras_tools.diagnosis.rules.capture import too_many
@@ -106,6 +107,16 @@ class Diagnosis:
         return sum(row.uncertain for row in self.balance)
 
     @property
+    def messages_lost(self) -> int:
+        """Messages that surely are lost: not the copies among the arrivals that are."""
+        return sum(way.messages_lost for way in self.ways)
+
+    @property
+    def ways(self) -> list[WaySum]:
+        """What became of each traffic on its way."""
+        return ways(self.balance)
+
+    @property
     def headlines(self) -> list[Headline]:
         """What became of each route, a line each."""
         return headlines(self.balance, self.topics)
@@ -134,7 +145,7 @@ class Diagnosis:
         Args:
             share: from 0 to 1.
         """
-        rows = [row for row in self.balance if row.hop != "capture"]
+        rows = [row for row in self.balance if row.hop != CAPTURE]
         groups: dict[tuple[int, int | None], list[Row]] = {}
         for row in rows:
             groups.setdefault((row.route, row.msg_id), []).append(row)
@@ -206,9 +217,12 @@ class Diagnosis:
             "unaccounted": self.unaccounted,
             "uncertain": self.uncertain,
             "estimated": None,
+            "messages_lost": self.messages_lost,
+            "messages_uncertain": sum(way.messages_uncertain for way in self.ways),
             "verdicts": [verdict.as_json() for verdict in self.verdicts],
             "habits": [verdict.as_json() for verdict in self.habits],
             "balance": [row.as_json(self.topics.get(row.route)) for row in self.balance],
+            "ways": [way.as_json(self.topics.get(way.hops[0].route)) for way in self.ways],
             "chains": [item.as_json() for item in self.chains],
             "routes": self.routes,
             "peers": self.peers,
@@ -418,8 +432,12 @@ class Examination:
             case=case,
             balance=(
                 *(
-                    replace(row, hop=case.called(row.hop))
-                    for row in (balance(case) if len(case.rows) else ())
+                    replace(
+                        row,
+                        hop=case.called(row.hop),
+                        name="" if row.msg_id is None else case.packet_name(row.msg_id),
+                    )
+                    for row in (Ledger(case).rows() if len(case.rows) else ())
                 ),
                 *sample_rows(capture),
             ),

@@ -16,11 +16,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.cfs import telemetry_output
-from edoras_tools.diagnosis.accounting.losses import Among, LossKind
-from edoras_tools.diagnosis.accounting.ports import PORT_CLOSED, REFUSED
-from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
-from edoras_tools.links import table
+from edoras_tools.diagnosis.accounting.losses import Among
+from edoras_tools.diagnosis.ledger import Entry, Ledger
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.sessions.sequence import MODULUS
 
@@ -29,30 +26,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.accounting.commands import Refused
     from edoras_tools.diagnosis.case import Case
 
-_CAUSES: Final[dict[LossKind, str]] = {
-    "limit": "over the message limit of {hop}",
-    "overflow": "{hop} was full",
-    "after": "lost between cFS and the capture",
-    "unknown": "lost on the software bus",
-    "network": "lost before CI",
-    "socket": "CI's socket was full",
-    "down": "cFS was down",
-    "restart": "{hop} was restarted",
-    "stopped": "{hop} was stopped",
-    "ci_stopped": "{hop} was stopped",
-    "away": "the SBN peer was away",
-    "unsubscribed": "the SBN peer had not subscribed to it",
-    "sbn_socket": "SBN's socket was full",
-    "fragments": "its later fragments never came",
-    "port_closed": "nobody listened on the port of {hop}",
-}
-_UNREACHED: Final = {
-    PORT_CLOSED: "nobody listened on {}",
-    REFUSED: "an ICMP error came back from the way to {}",
-}
+_Share = tuple[Entry, Among]
 _ROOM: Final = 1 << 32
 """Numbers for the counts that are missing behind one row."""
 
@@ -98,104 +74,36 @@ class Missing:
         return {**asdict(self), "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}"}
 
 
-@dataclass(frozen=True, slots=True)
-class _Share:
-    """So many messages of one MsgId that were lost for one cause, among those that may be meant."""
-
-    what: str
-    link: str
-    msg_id: int
-    lost: int
-    start_ns: int
-    end_ns: int
-    among: Among | None
-
-
 def missing(case: Case) -> list[Missing]:
     """Return all of them, in order of time."""
-    found = [*_dropped(case), *_unplaced(case)]
+    listed: list[Missing] = []
     groups: dict[tuple[int, bool], list[_Share]] = {}
-    for share in _shares(case):
-        if share.among is None:
-            found += [_entry(case, share)] * share.lost
+    for entry in Ledger(case).losses():
+        among = entry.among
+        if isinstance(among, Among):
+            groups.setdefault((id(among.stream), among.missing is None), []).append((entry, among))
         else:
-            groups.setdefault((id(share.among.stream), share.among.missing is None), []).append(share)
+            listed += _alone(case, entry, among)
     for shares in groups.values():
-        units = [_units(share.among) for share in shares if share.among is not None]
+        units = [_units(among) for _, among in shares]
         labels = _connected(units)
         for label in np.unique(labels).tolist():
             members = np.flatnonzero(labels == label).tolist()
-            found += _told(case, [(shares[index], units[index]) for index in members])
-    return sorted(found, key=lambda item: item.time_ns)
+            listed += _together(case, [(*shares[index], units[index]) for index in members])
+    return sorted(listed, key=lambda item: item.time_ns)
 
 
-def _shares(case: Case) -> Iterator[_Share]:
-    """Yield all that the balance has as lost of streams, and what counters have of no stream."""
-    for loss in case.losses:
-        link = loss.stream.link.label if loss.stream else ""
-        what = _CAUSES[loss.kind].format(hop=loss.hop)
-        yield _Share(what, link, loss.msg_id, loss.lost, loss.start_ns, loss.end_ns, loss.among)
-    for item in case.refused:
-        if id(item) in case.commands.placed:
-            yield _refused(item, *case.commands.placed[id(item)])
-    for stream in case.streams:
-        silent = case.unheard.get(id(stream))
-        if silent is not None and silent.lost:
-            what = f"sent to the SBN peer {silent.peer} while it was silent"
-            yield _whole(case, what, silent.lost, Among(stream, np.array(silent.rows, np.intp)))
-        if silent is not None and silent.restarted:
-            what = f"sent to the SBN peer {silent.peer} before it was started again"
-            among = Among(stream, np.array(silent.restarted_rows, np.intp))
-            yield _whole(case, what, silent.restarted, among)
-    for part in case.unreached:
-        for cause, rows in part.lost.items():
-            what = _UNREACHED[cause].format(case.endpoints[part.endpoint])
-            yield _whole(case, what, len(rows), Among(part.stream, rows))
-    for lost, among in case.telemetry.silent:
-        if lost and case.socket_failed(among.stream):
-            yield _whole(case, f"{telemetry_output.SOCKET} failed", lost, among)
-
-
-def _refused(item: Refused, lost: int, among: Among | None) -> _Share:
-    msg_id = NO_MSG_ID if item.msg_id is None else item.msg_id
-    what = f"{item.rule} at {item.hop or 'cFS'}"
-    return _Share(what, item.link or "", msg_id, lost, item.start_ns, item.end_ns, among)
-
-
-def _unplaced(case: Case) -> Iterator[Missing]:
-    """Yield what was refused and is of no stream: the datagrams of that time, where they are as many."""
-    rows = case.rows
-    for item in case.refused:
-        if not (left := case.commands.unplaced[id(item)]):
-            continue
-        there = (rows.time_ns >= item.start_ns) & (rows.time_ns <= item.end_ns)
-        if item.link:
-            there &= rows.link == table.named(item.link).code
-        if item.msg_id is not None:
-            there &= rows.msg_id == item.msg_id
-        at, share = np.flatnonzero(there).tolist(), _refused(item, left, None)
-        if len(at) != left:
-            yield from [_entry(case, share, len(at) if len(at) > left else None)] * left
-            continue
-        for row in at:
-            when = int(rows.time_ns[row])
-            one = replace(_entry(case, share), time_ns=when, until_ns=when)
-            yield replace(one, number=int(rows.number[row]))
-
-
-def _whole(case: Case, what: str, lost: int, among: Among) -> _Share:
-    stream, times = among.stream, case.rows.time_ns[among.stream.rows[among.rows]]
-    return _Share(what, stream.link.label, stream.msg_id, lost, int(times.min()), int(times.max()), among)
-
-
-def _dropped(case: Case) -> Iterator[Missing]:
-    """Yield what a proxy dropped on purpose; it is not in the capture."""
-    for (link, _, msg_id), item in case.proxied.items():
-        for when, _ in item.dropped:
-            share = _Share(
-                f"dropped on purpose by the {PROXY_HOP}", table.link(link).label, msg_id, 1, when, when, None
-            )
-            yield _entry(case, share)
+def _alone(case: Case, entry: Entry, rows: NDArray[np.intp] | None) -> Iterator[Missing]:
+    """Yield the messages of a loss that is of no stream: the rows that it may be, where they are as many."""
+    number = entry.number
+    if rows is None or len(rows) != number:
+        one_of = None if rows is None or len(rows) < number else len(rows)
+        yield from [_entry(case, entry, one_of)] * number
+        return
+    for row in rows.tolist():
+        when = int(case.rows.time_ns[row])
+        one = replace(_entry(case, entry), time_ns=when, until_ns=when)
+        yield replace(one, number=int(case.rows.number[row]))
 
 
 def _units(among: Among) -> NDArray[np.int64]:
@@ -225,73 +133,67 @@ def _connected(units: Sequence[NDArray[np.int64]]) -> NDArray[np.intp]:
     return label
 
 
-def _told(case: Case, shares: Sequence[tuple[_Share, NDArray[np.int64]]]) -> Iterator[Missing]:
+def _together(case: Case, shares: Sequence[tuple[Entry, Among, NDArray[np.int64]]]) -> Iterator[Missing]:
     """Yield the messages of losses that share what they are among (rules 2 to 4)."""
-    every = np.unique(np.concatenate([units for _, units in shares]))
-    if sum(share.lost for share, _ in shares) == len(every):
+    every = np.unique(np.concatenate([units for _, _, units in shares]))
+    if sum(entry.number for entry, _, _ in shares) == len(every):
         causes: dict[int, dict[str, _Share]] = {}
-        for share, units in shares:
+        for entry, among, units in shares:
             for unit in units.tolist():
-                causes.setdefault(unit, {})[share.what] = share
+                causes.setdefault(unit, {})[entry.text] = entry, among
         for unit, texts in causes.items():
             yield _message(case, next(iter(texts.values())), unit, " or ".join(texts))
         return
     taken = np.zeros(0, np.int64)
-    for share, units in sorted(shares, key=lambda item: len(item[1]) - item[0].lost):
+    for entry, among, units in sorted(shares, key=lambda item: len(item[2]) - item[0].number):
         free = np.setdiff1d(units, taken)
-        if share.lost < len(free):
-            yield from [_entry(case, share, len(free))] * share.lost
+        if entry.number < len(free):
+            yield from [_entry(case, entry, len(free))] * entry.number
             continue
         taken = np.concatenate((taken, free))
         for unit in free.tolist():
-            yield _message(case, share, unit, share.what)
-        yield from [_entry(case, share)] * (share.lost - len(free))
+            yield _message(case, (entry, among), unit, entry.text)
+        yield from [_entry(case, entry)] * (entry.number - len(free))
 
 
-def _entry(case: Case, share: _Share, one_of: int | None = None) -> Missing:
+def _entry(case: Case, entry: Entry, one_of: int | None = None) -> Missing:
     """Return a message that no packet and no count tells."""
+    msg_id = NO_MSG_ID if entry.traffic.msg_id is None else entry.traffic.msg_id
     return Missing(
-        link=share.link,
-        msg_id=share.msg_id,
-        topic=_name(case, share.msg_id),
+        link=entry.traffic.link,
+        msg_id=msg_id,
+        topic=_name(case, msg_id),
         count=1,
-        time_ns=share.start_ns,
-        until_ns=share.end_ns,
+        time_ns=entry.times_ns[0],
+        until_ns=entry.times_ns[1],
         number=None,
         first=None,
         one_of=one_of,
-        what=share.what,
+        what=entry.text,
     )
 
 
 def _message(case: Case, share: _Share, unit: int, what: str) -> Missing:
     """Return a message that is known: a packet, or a sequence count."""
-    among, rows = share.among, case.rows
-    assert among is not None
+    entry, among = share
+    rows, stream = case.rows, among.stream
     index, place = divmod(unit, _ROOM)
-    stream = among.stream
     row = int(stream.rows[index])
-    times = (int(rows.time_ns[row]),) * 2
-    number: int | None = int(rows.number[row])
-    first = one_of = None
-    if among.missing is not None:
-        number, times = None, (times[0], int(rows.time_ns[stream.rows[min(index + 1, len(stream) - 1)]]))
-        gap = int(stream.missing[index])
-        if int(among.missing[np.flatnonzero(among.rows == index)[0]]) < gap:
-            one_of = gap  # others are missing there as well
-        else:
-            first = (int(rows.sequence_count[row]) + 1 + place) % MODULUS
-    return Missing(
-        link=share.link,
-        msg_id=share.msg_id,
-        topic=_name(case, share.msg_id),
-        count=1,
-        time_ns=times[0],
-        until_ns=times[1],
-        number=number,
-        first=first,
-        one_of=one_of,
-        what=what,
+    one = replace(_entry(case, entry), what=what)
+    start_ns = int(rows.time_ns[row])
+    if among.missing is None:
+        return replace(one, time_ns=start_ns, until_ns=start_ns, number=int(rows.number[row]))
+    end_ns = int(rows.time_ns[stream.rows[min(index + 1, len(stream) - 1)]])
+    gap = int(stream.missing[index])
+    # Others may be missing there as well.
+    whole = int(among.missing[np.flatnonzero(among.rows == index)[0]]) >= gap
+    count = (int(rows.sequence_count[row]) + 1 + place) % MODULUS
+    return replace(
+        one,
+        time_ns=start_ns,
+        until_ns=end_ns,
+        first=count if whole else None,
+        one_of=None if whole else gap,
     )
 
 

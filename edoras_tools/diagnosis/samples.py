@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.diagnosis.balance import Row
+from edoras_tools.diagnosis.ledger import Row
 from edoras_tools.diagnosis.missing import Missing
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.rtps.link import RTPS

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.accounting.losses import APP
 from edoras_tools.diagnosis.accounting.ports import UDP_PORT
-from edoras_tools.diagnosis.balance import PEER_RESTARTED, UNHEARD, Row, not_counted, sent
+from edoras_tools.diagnosis.balance import not_counted, sent
+from edoras_tools.diagnosis.ledger import PEER_RESTARTED, UNHEARD, Row
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, Verdict, alike, group_verdicts
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -318,11 +319,17 @@ def _total(found: Diagnosis, problems: Sequence[Problem]) -> str:
     more = found.uncertain
     doubt = f" Up to {more:,} more may be lost." if more else ""
     if proven:
-        return f"{_lost(found, proven)}{doubt}"
+        return f"{_lost(found, proven)}{_copies(found, proven)}{doubt}"
     counts = _counts(item for item in problems if item.verdicts[0].rule != "not_examined")
     but = f", but {' and '.join(counts)}:" if counts else "."
     of = " with what is shown" if found.choice else ""
     return f"No loss found{of}{but}{doubt}"
+
+
+def _copies(found: Diagnosis, proven: int) -> str:
+    """Return the sentence of those that were copies, where the network doubled some of what was lost."""
+    least = found.messages_lost
+    return f" Some are copies: {least:,} to {proven:,} messages never arrived." if least < proven else ""
 
 
 def _counts(problems: Iterable[Problem], kind: str = "") -> list[str]:
@@ -339,6 +346,8 @@ def _lost(found: Diagnosis, proven: int) -> str:
     """Return the sentence of what was lost: of one route, or of all together."""
     rows = [row for row in found.balance if row.all_lost or row.unaccounted]
     noun, were = "commands" if all(row.link == "ci" for row in rows) else "messages", "were"
+    if found.messages_lost < proven:
+        noun = "datagrams"
     if proven == 1:
         noun, were = noun.removesuffix("s"), "was"
     routes, of = {_route(row) for row in rows}, sent_of(found, rows)

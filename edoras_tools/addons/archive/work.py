@@ -23,8 +23,9 @@ from edoras_tools.addons.archive.places import (
     reason_of,
 )
 from edoras_tools.addons.archive.tables import TABLES, IndexTable
-from edoras_tools.diagnosis.balance import Row, sent
+from edoras_tools.diagnosis.balance import sent
 from edoras_tools.diagnosis.evidence.payloads import EventRecord, events_in
+from edoras_tools.diagnosis.ledger import CAPTURE, Row
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.older import UTC
@@ -323,7 +324,7 @@ def _latencies(row: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
 def _outcomes(findings: Findings) -> list[dict[str, Any]]:
     """Return the sums of each route's rows of the balance; the capture's own losses are of none."""
     found = findings.diagnosis
-    rows = sorted((row for row in found.balance if row.hop != "capture"), key=_key)
+    rows = sorted((row for row in found.balance if row.hop != CAPTURE), key=_key)
     made = []
     for _, group in groupby(rows, key=_key):
         members = list(group)

@@ -110,8 +110,8 @@ class Telemetry:
         losses: what was lost.
         closed: id of a stream to messages that were published while the way out was closed, and that no
             counter has.
-        silenced: id of a stream to those that Telemetry Output took and did not send until it was enabled.
-        silent: these again: how many, among which.
+        silenced: a stream, how many of it Telemetry Output took and did not send until it was enabled, and
+            among which.
         away: id of a stream to those that are missing while the capturing interface was away.
         uncertain: id of a stream to counts that are missing, and that the capture itself may have missed.
         silences: sender of telemetry to the times in which that was so.
@@ -127,8 +127,7 @@ class Telemetry:
         self.proxied: dict[int, int] = {}
         self.untold: dict[int, int] = {}
         self._unled: dict[tuple[int, int], list[tuple[int, int]]] = {}
-        self.silenced: dict[int, int] = {}
-        self.silent: list[tuple[int, Among]] = []
+        self.silenced: list[tuple[Stream, int, Among]] = []
         self.away: dict[int, int] = {}
         self.uncertain: dict[int, int] = {}
         self.silences: dict[int, list[tuple[int, int]]] = {}
@@ -339,10 +338,11 @@ class Telemetry:
             part.evidence = [text]
             self.losses.append(replace(self._loss(part, kind_, rest, part.missing, "high"), hop=hop))
             return
-        where = self.silenced if part.silenced else self.untold if part.unled else self.closed
-        where[id(part.stream)] = where.get(id(part.stream), 0) + rest
         if part.silenced:
-            self.silent.append((rest, part.among))
+            self.silenced.append((part.stream, rest, part.among))
+            return
+        where = self.untold if part.unled else self.closed
+        where[id(part.stream)] = where.get(id(part.stream), 0) + rest
 
     def _kinds(self, part: Part, gaps: NDArray[np.int64], *, via: bool) -> tuple[PipeKind, ...]:
         """Tell as what the missing of a span may have been counted (rule 2), and collect what says so."""

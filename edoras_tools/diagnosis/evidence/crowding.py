@@ -52,25 +52,42 @@ def _several_senders(rows: Rows, own: NDArray[np.intp], endpoints: Sequence[Endp
     return f"{len(times)} senders sent it at once ({each})"
 
 
-def _echoes(rows: Rows, own: NDArray[np.intp]) -> str:
-    """Tell of a steady sender's datagrams that come again after a short time that is always the same."""
+def find_echoes(rows: Rows, own: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Tell which of a steady sender's datagrams are copies: they come a short time after an equal one.
+
+    That time is always about the same; a burst of equal ones has no usual time from one to the next.
+    """
     times, prints = rows.time_ns[own], rows.bytes_print[own]
-    steps = np.diff(times)
+    steps, none = np.diff(times), np.zeros(len(own), bool)
     if len(steps) < 2 * _LEAST:
-        return ""
-    usual = float(np.quantile(steps, 0.75))
+        return none
+    usual = _usual(steps)
     echo = (steps < _ECHO * usual) & (prints[1:] == prints[:-1])
     if int(echo.sum()) < max(_LEAST, _ECHO_SHARE * len(own)):
-        return ""
+        return none
     first, median, third = np.quantile(steps[echo], (0.25, 0.5, 0.75))
     rest = np.diff(times[np.concatenate(([True], ~echo))])
     steady = np.abs(rest - usual) < usual / 3
     if third - first > max(median / 3, 5 * MILLISECOND) or steady.mean() < _STEADY:
+        return none
+    return np.concatenate(([False], echo))
+
+
+def _echoes(rows: Rows, own: NDArray[np.intp]) -> str:
+    """Tell of copies on the way."""
+    echo, steps = find_echoes(rows, own), np.diff(rows.time_ns[own])
+    if not echo.any():
         return ""
+    late_ms = np.median(steps[echo[1:]]) / MILLISECOND
     return (
-        f"{int(echo.sum()):,} of them are copies that came {median / MILLISECOND:.0f} ms after an equal one, "
-        f"the others at {SECOND / usual:.1f} Hz, so the network or a relay doubles them"
+        f"{int(echo.sum()):,} of them are copies that came {late_ms:.0f} ms after an equal one, the others "
+        f"at {SECOND / _usual(steps):.1f} Hz, so the network or a relay doubles them"
     )
+
+
+def _usual(steps: NDArray[np.int64]) -> float:
+    """Return the time from one message to the next, of most of them."""
+    return float(np.quantile(steps, 0.75))
 
 
 def _hz(times: NDArray[np.int64]) -> str:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.decode.conversations import ConversationKind, foreign, unnamed
-from edoras_tools.diagnosis.balance import ON_PURPOSE
 from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
+from edoras_tools.diagnosis.ledger import ON_PURPOSE
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links import table
 from edoras_tools.links.fprime import FPRIME

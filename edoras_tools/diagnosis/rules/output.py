@@ -267,8 +267,7 @@ def _restarted(case: Case, told: Callable[..., dict[str, Any]]) -> Iterator[Verd
 def _silent(case: Case) -> Iterator[Verdict]:
     """Say when nothing was sent until Telemetry Output was enabled."""
     for sender, spans in case.telemetry.silences.items():
-        own = [item for item in case.streams if item.link is TO and item.sender == sender]
-        number = sum(case.telemetry.silenced.get(id(item), 0) for item in own)
+        number = sum(lost for item, lost, _ in case.telemetry.silenced if item.sender == sender)
         for start_ns, end_ns in spans if number else ():
             failed = case.suppressed((start_ns, end_ns))
             taken = None if failed else _taken(case, sender, start_ns, end_ns)

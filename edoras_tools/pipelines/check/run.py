@@ -6,7 +6,8 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.accounts import latency_ms
-from edoras_tools.diagnosis.balance import Row, not_counted, sent
+from edoras_tools.diagnosis.balance import not_counted, sent
+from edoras_tools.diagnosis.ledger import CAPTURE, Row
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.pipelines.check.expectations import LOSS_KEYS
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
 NOTABLE_FINDINGS: Final = frozenset(item.label for item in NOTABLE)
 """Labels of the findings that are warnings or errors."""
-_CAPTURE: Final = "capture"
 _OF_DATAGRAMS: Final = frozenset({*LOSS_KEYS, "latency"})
 """Bounds of what only datagrams show."""
 
@@ -181,7 +181,7 @@ class Figures:
     @classmethod
     def whole(cls, ledger: Ledger, diagnosis: Diagnosis | None) -> Figures:
         """Return the figures of all messages; ``silence`` is how long the capture lasts."""
-        rows = [row for row in diagnosis.balance if row.hop != _CAPTURE] if diagnosis else []
+        rows = [row for row in diagnosis.balance if row.hop != CAPTURE] if diagnosis else []
         seconds = (ledger.end_ns - ledger.start_ns) / SECOND
         return cls(ledger.datagrams, None, seconds, None, None, sent(rows), **_losses(rows))
 
@@ -224,10 +224,10 @@ def _results(expected: Expectations, observed: Observation, findings: Examined) 
     ledger = observed.report.ledger
     diagnosis = findings.diagnosis
     if findings.failure is not None:
-        yield CheckResult(_CAPTURE, "input", "read to its end", str(findings.failure), passed=False)
+        yield CheckResult(CAPTURE, "input", "read to its end", str(findings.failure), passed=False)
     if not ledger.datagrams:
         wanted = "messages" if diagnosis is None else "datagrams of a link"
-        yield CheckResult(_CAPTURE, "input", wanted, "none", passed=False)
+        yield CheckResult(CAPTURE, "input", wanted, "none", passed=False)
     for topic, subject, watches in zip(expected.topics, observed.subjects, observed.fields, strict=True):
         figures = Figures.of(subject, ledger, diagnosis)
         for key, bound in topic.bounds.items():
@@ -258,7 +258,7 @@ def _results(expected: Expectations, observed: Observation, findings: Examined) 
         yield from _allowed("verdicts", expected.verdicts or frozenset(), found)
     whole = Figures.whole(ledger, diagnosis)
     for key, bound in expected.bounds.items():
-        yield _bounded(_CAPTURE, key, bound, whole)
+        yield _bounded(CAPTURE, key, bound, whole)
 
 
 def _recorded(expected: Expectations, whole: Figures) -> Iterator[CheckResult]:
@@ -271,9 +271,9 @@ def _recorded(expected: Expectations, whole: Figures) -> Iterator[CheckResult]:
             yield CheckResult(about, "allowed", _only(allowed), NOT_OBSERVABLE, passed=False)
     for key, bound in expected.bounds.items():
         if key in _OF_DATAGRAMS:
-            yield CheckResult(_CAPTURE, key, bound.text, NOT_OBSERVABLE, passed=False)
+            yield CheckResult(CAPTURE, key, bound.text, NOT_OBSERVABLE, passed=False)
         else:
-            yield _bounded(_CAPTURE, key, bound, whole)
+            yield _bounded(CAPTURE, key, bound, whole)
 
 
 def _bounded(about: str, key: str, bound: Tolerance, figures: Figures) -> CheckResult:
@@ -299,7 +299,7 @@ def _bounded(about: str, key: str, bound: Tolerance, figures: Figures) -> CheckR
                 if key == "rate"
                 else "the capture does not show it"
             )
-    if about != _CAPTURE and not figures.count:
+    if about != CAPTURE and not figures.count:
         shown = "no message"
         passed = passed and key == "count"
     return CheckResult(about, key, bound.text, shown, passed)

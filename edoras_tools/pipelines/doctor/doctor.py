@@ -90,6 +90,7 @@ class Findings:
     def summary(self) -> dict[str, Any]:
         """Return the findings in the shape of ``doctor --json``."""
         return {
+            "schema": 2,
             "source": self.source.info.name,
             "summary": summarize(self.diagnosis).as_json(),
             **self.diagnosis.as_json(),

@@ -6,7 +6,7 @@ from collections import Counter
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.diagnosis.balance import Row, summed
+from edoras_tools.diagnosis.ledger import Row, summed
 from edoras_tools.diagnosis.plots import Plots, plots
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts

@@ -1,0 +1,612 @@
+"""The ledger: what became of every message, and where. Whatever is printed is a selection or a sum of it.
+
+Rules:
+
+1. The unit is an arrival: a datagram that came to a hop, each copy by itself, or a count that was published.
+   Everything that arrives at a hop goes on to the next one or has one entry there: ``lost`` by a cause,
+   ``unaccounted`` for (surely missing, and nothing shows why), ``uncertain`` (lost, or only not seen),
+   ``shared`` (at most so many are among the losses of an entry that is of several), ``superseded``,
+   ``waiting``, or ``not_captured``.
+2. What comes out of a hop goes into the next one of its way. So a row for each hop follows from the entries
+   alone: ``in + duplicated = out + all entries there``, and no figure is counted twice.
+3. Every entry names where its figure is from. What nothing decides is never an entry of ``lost``.
+4. A message is lost where all its arrivals were. Where ``n`` arrivals more came to a cFS than the capture
+   shows, or a network made as many copies, up to ``n`` of those that were lost may be copies of messages
+   that arrived: so many fewer messages are proven lost.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+
+import numpy as np
+
+from edoras_tools.cfs import telemetry_output
+from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKET, Among, Loss, LossKind
+from edoras_tools.diagnosis.accounting.ports import PORT_CLOSED, REFUSED, UDP_PORT
+from edoras_tools.diagnosis.evidence.crowding import find_echoes
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
+from edoras_tools.links import table
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.accounting.closed import Unheard
+    from edoras_tools.diagnosis.accounting.commands import Refused
+    from edoras_tools.diagnosis.accounting.fates import Fate
+    from edoras_tools.diagnosis.accounting.ports import Unreached
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+Ending = Literal["lost", "superseded", "waiting", "not_captured", "unaccounted", "uncertain", "shared"]
+"""How an arrival can end at a hop."""
+ENDINGS: Final[tuple[Ending, ...]] = get_args(Ending)
+_SUMMED: Final = ("came", "out", "duplicated", "copies", *ENDINGS[1:])
+CI_HOP: Final = "CI"
+BUS: Final = "software bus"
+APPLICATION: Final = "application"
+PEER: Final = "SBN peer"
+CAPTURE: Final = "capture"
+UNHEARD: Final = "sbn_timeout"
+"""Cause of the loss of what was sent to a peer that timed out: the rule that tells of it."""
+PEER_RESTARTED: Final = "sbn_peer_restart"
+"""Cause of the loss of what was sent to a peer that was started again: the rule that tells of it."""
+TO_SOCKET: Final = "to_socket"
+ON_PURPOSE: Final = "/edoras/faults: done on purpose"
+NOT_COUNTED: Final = "not observable: "
+"""How the text begins that says what would have counted a figure."""
+_SEEN: Final = "datagrams in the capture"
+_COUNT: Final = "sequence count"
+_NOT_LOST: Final = "what the software bus did not lose"
+_NO_INGEST: Final = f"{NOT_COUNTED}no 0x884 of this CI, no kernel counter of its socket"
+_NO_BUS: Final = f"{NOT_COUNTED}no 0x803 of its cFS"
+_BY_BUS: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost", "lost": "0x803"}
+_BEFORE_CI: Final = frozenset({"network", "socket", "down", "restart", "ci_stopped", PORT_CLOSED})
+_NOT_READ: Final = frozenset({"sbn_socket", "down", PORT_CLOSED})
+_ON_BUS: Final = frozenset({*COUNTERS, "unknown"})
+_BEHIND_BUS: Final = frozenset({"stopped", "away", "unsubscribed"})
+_AT_PIPE: Final = frozenset({*COUNTERS, "stopped", "away"})
+_BEHIND_PIPE: Final = frozenset({"after", "unknown", "fragments"})
+_TEXTS: Final[Mapping[LossKind, str]] = {
+    "limit": "over the message limit of {hop}",
+    "overflow": "{hop} was full",
+    "after": "lost between cFS and the capture",
+    "unknown": "lost on the software bus",
+    "network": "lost before CI",
+    "socket": "CI's socket was full",
+    "down": "cFS was down",
+    "restart": "{hop} was restarted",
+    "stopped": "{hop} was stopped",
+    "ci_stopped": "{hop} was stopped",
+    "away": "the SBN peer was away",
+    "unsubscribed": "the SBN peer had not subscribed to it",
+    "sbn_socket": "SBN's socket was full",
+    "fragments": "its later fragments never came",
+    "port_closed": "nobody listened on the port of {hop}",
+}
+_UNREACHED: Final = {
+    PORT_CLOSED: "nobody listened on {}",
+    REFUSED: "an ICMP error came back from the way to {}",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """Messages that are followed together.
+
+    Attributes:
+        route: index of the configured route, or ``NO_ROUTE``.
+        link: label of the link on which the messages are seen; empty where they are not.
+        msg_id: cFE MsgId; None where it is not known which.
+        instance: the cFS, as people are told of it; None where unknown.
+        topic: topic, where no route is configured for it.
+    """
+
+    route: int = NO_ROUTE
+    link: str = ""
+    msg_id: int | None = None
+    instance: str | None = None
+    topic: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Arrivals of one traffic that ended at one hop in one way.
+
+    Attributes:
+        traffic: the messages.
+        hop: place.
+        ending: how they ended.
+        number: arrivals.
+        cause: why, of those that are lost.
+        text: the same for people.
+        times_ns: when the first and the last of them was sent, or the loss began and ended.
+        among: the messages that they are, or are some of: of a stream, or as rows of the capture; None where
+            nothing tells.
+    """
+
+    traffic: Traffic
+    hop: str
+    ending: Ending
+    number: int
+    cause: str = ""
+    text: str = ""
+    times_ns: tuple[int, int] = (0, 0)
+    among: Among | NDArray[np.intp] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What became of the messages of one traffic at one hop: a sum of entries.
+
+    Attributes:
+        route: index of the configured route, or ``NO_ROUTE``.
+        link: label of the link on which the messages are seen.
+        msg_id: cFE MsgId; None where it is not known which.
+        instance: the cFS, as people are told of it; None where unknown.
+        hop: place.
+        came: arrivals that went in.
+        out: arrivals that came out.
+        duplicated: of those, how many more than once.
+        lost: cause to arrivals.
+        superseded: arrivals that gave way to a newer one.
+        waiting: arrivals that may be on their way still.
+        not_captured: arrivals that could not be followed: nothing here shows what became of them.
+        unaccounted: arrivals that are missing without a cause that the capture shows.
+        uncertain: arrivals that may be lost, or only not captured.
+        shared: the most that are among the losses of a row that is of several: see ``among``.
+        among: link, MsgId and hop of each row that a loss may be of, where it is not known of which.
+        counted: figure to where it was counted.
+        name: cFE's name for the packet, if it has one.
+        onward: label of the link and MsgId of each packet as which it came out of the application.
+        topic: topic, where no route is configured for it.
+        copies: of what went into the first hop of its way, or came to it unseen, how many are copies.
+    """
+
+    route: int
+    link: str
+    msg_id: int | None
+    instance: str | None
+    hop: str
+    came: int
+    out: int
+    duplicated: int = 0
+    lost: Mapping[str, int] = field(default_factory=dict)
+    superseded: int = 0
+    waiting: int = 0
+    not_captured: int = 0
+    unaccounted: int = 0
+    uncertain: int = 0
+    shared: int = 0
+    among: tuple[tuple[str, int, str], ...] = ()
+    counted: Mapping[str, str] = field(default_factory=dict)
+    name: str = ""
+    onward: tuple[tuple[str, int], ...] = ()
+    topic: str = ""
+    copies: int = 0
+
+    @property
+    def all_lost(self) -> int:
+        """Arrivals lost, of all causes."""
+        return sum(self.lost.values())
+
+    @property
+    def proven(self) -> int:
+        """Arrivals that surely did not come out, whatever the cause."""
+        return self.all_lost + self.unaccounted
+
+    @property
+    def observed(self) -> bool:
+        """Whether something counts what is lost there; if not, 0 means nothing."""
+        return bool(self.lost) or not self.counted.get("lost", "").startswith(NOT_COUNTED)
+
+    @property
+    def adds_up(self) -> bool:
+        """Whether rule 2 holds, and nothing is negative."""
+        rest: list[int] = [getattr(self, name) for name in ENDINGS[1:]]
+        figures = (self.came, self.out, self.duplicated, *self.lost.values(), *rest)
+        return min(figures) >= 0 and self.came + self.duplicated == self.out + self.all_lost + sum(rest)
+
+    def as_json(self, topic: str | None) -> dict[str, Any]:
+        """Return it in the shape of ``doctor --json``."""
+        return {
+            "topic": topic or self.topic or None,
+            "name": self.name or None,
+            "link": self.link or None,
+            "msg_id": None if self.msg_id is None else f"0x{self.msg_id:04x}",
+            "instance": self.instance,
+            "hop": self.hop,
+            "in": self.came,
+            "duplicated": self.duplicated,
+            "out": self.out,
+            "lost": self.all_lost,
+            "lost_by": dict(self.lost),
+            **{name: getattr(self, name) for name in ENDINGS if name != "lost"},
+            "among": [
+                {"link": link or None, "msg_id": f"0x{msg_id:04x}", "hop": hop}
+                for link, msg_id, hop in self.among
+            ],
+            "counted": dict(self.counted),
+        }
+
+
+@dataclass(slots=True)
+class _Hop:
+    """A hop of a way.
+
+    Attributes:
+        name: its name.
+        came: arrivals that went in.
+        duplicated: of those that came out, how many more than once.
+        about: what its row says besides figures.
+        entries: what ended there.
+    """
+
+    name: str
+    came: int
+    duplicated: int
+    about: dict[str, Any]
+    entries: list[Entry] = field(default_factory=list)
+
+    @property
+    def ended(self) -> int:
+        """Arrivals that ended there."""
+        return sum(entry.number for entry in self.entries)
+
+    @property
+    def out(self) -> int:
+        """Arrivals that came out; more may have been refused than datagrams here show."""
+        return max(0, self.came + self.duplicated - self.ended)
+
+    def row(self, traffic: Traffic) -> Row:
+        """Return the sums of its entries."""
+        sums: dict[str, Any] = dict.fromkeys(ENDINGS[1:], 0)
+        lost: Counter[str] = Counter()
+        for entry in self.entries:
+            if entry.ending == "lost":
+                lost[entry.cause] += entry.number
+            else:
+                sums[entry.ending] += entry.number
+        return Row(
+            traffic.route,
+            traffic.link,
+            traffic.msg_id,
+            traffic.instance,
+            self.name,
+            self.out + self.ended - self.duplicated,
+            self.out,
+            self.duplicated,
+            dict(lost.most_common()),
+            topic=traffic.topic,
+            **sums,
+            **self.about,
+        )
+
+
+class Way:
+    """The hops of one traffic in order, with what ended at each.
+
+    Args:
+        entered: arrivals at the first hop.
+        doubtful: arrivals besides, if the network doubled them and not the capture.
+        copies: arrivals that are copies of others, those included that the capture does not show.
+    """
+
+    def __init__(self, traffic: Traffic, entered: int = 0, doubtful: int = 0, copies: int = 0) -> None:
+        self.traffic, self._entered, self._doubtful = traffic, entered + doubtful, doubtful
+        self._copies = copies
+        self._hops: list[_Hop] = []
+
+    def hop(self, name: str, counted: Mapping[str, str], *, duplicated: int = 0, **about: Any) -> None:
+        """Go on to the next hop; ``about`` has more of its row's attributes."""
+        self._hops.append(_Hop(name, self.left, duplicated, {"counted": counted, **about}))
+        if len(self._hops) == 1:
+            self.end("uncertain", self._doubtful)
+
+    def end(self, ending: Ending, number: int, cause: str = "", **about: Any) -> None:
+        """Let so many end at the last hop; ``about`` has more of the entry's attributes."""
+        if number:
+            hop = self._hops[-1]
+            hop.entries.append(Entry(self.traffic, hop.name, ending, number, cause, **about))
+
+    def lose(self, losses: Iterable[Loss], kinds: frozenset[str]) -> None:
+        """Let end at the last hop what was lost by some kinds of loss."""
+        for loss in losses:
+            if loss.kind in kinds:
+                text = _TEXTS[loss.kind].format(hop=loss.hop)
+                times = loss.start_ns, loss.end_ns
+                self.end("lost", loss.lost, loss.kind, text=text, times_ns=times, among=loss.among)
+
+    @property
+    def left(self) -> int:
+        """Arrivals that come out of the last hop, as far as entries say."""
+        return self._hops[-1].out if self._hops else self._entered
+
+    @property
+    def counted_by(self) -> str:
+        """What counted the arrivals that come out of the last hop."""
+        return str(self._hops[-1].about["counted"].get("out", _SEEN)) if self._hops else _SEEN
+
+    @property
+    def onward(self) -> tuple[tuple[str, int], ...]:
+        """Link and MsgId of each packet as which they came out of the application."""
+        return tuple(self._hops[-1].about.get("onward", ())) if self._hops else ()
+
+    def close(self, out: int) -> None:
+        """Let so many come out of the last hop, and have come to each what left it or ended there."""
+        for hop in reversed(self._hops):
+            hop.came = out = out + hop.ended - hop.duplicated
+
+    def entries(self) -> Iterator[Entry]:
+        """Yield all entries, in order of the way."""
+        for hop in self._hops:
+            yield from hop.entries
+
+    def rows(self) -> list[Row]:
+        """Return a row a hop."""
+        rows = [hop.row(self.traffic) for hop in self._hops]
+        return [replace(row, copies=0 if place else self._copies) for place, row in enumerate(rows)]
+
+
+class Ledger:
+    """What became of all traffic of a capture.
+
+    Attributes:
+        ways: one for each stream, in their order, and then for what is of none.
+    """
+
+    def __init__(self, case: Case) -> None:
+        self.ways = list(_ways(case))
+
+    def rows(self) -> list[Row]:
+        """Return a row for each traffic and hop."""
+        return [row for way in self.ways for row in way.rows()]
+
+    def losses(self) -> Iterator[Entry]:
+        """Yield what is lost, in the order of the ways."""
+        for way in self.ways:
+            yield from (entry for entry in way.entries() if entry.ending == "lost")
+
+
+def _ways(case: Case) -> Iterator[Way]:
+    for stream in case.streams:
+        fate = case.commands.fates.get(id(stream))
+        way = _published(case, stream) if fate is None else _sent(case, fate)
+        if (silent := case.unheard.get(id(stream))) is not None:
+            _to_peer(case, way, stream, silent)
+        for item in case.unreached:
+            if item.stream is stream:
+                _to_port(case, way, item)
+        yield way
+    yield from _all_dropped(case)
+    for item in case.unreached:
+        if not item.own:
+            way = Way(Traffic(link=item.stream.link.label), len(item.stream))
+            _to_port(case, way, item)
+            yield way
+    yield from (_unseen(case, loss) for loss in case.losses if loss.stream is None)
+    for instance, number in case.commands.uncaptured.items():
+        way = Way(Traffic(instance=case.label(instance)), number)
+        way.hop(BUS, _BY_BUS)
+        way.end("not_captured", number)
+        yield way
+    for refused in case.refused:
+        if left := case.commands.unplaced[id(refused)]:
+            yield _of_no_stream(case, refused, left)
+    if drops := case.capture.drops:
+        way = Way(Traffic(), drops + len(case.rows))
+        way.hop(CAPTURE, {"in": "the capture's own counter", "out": _SEEN})
+        way.end("not_captured", drops)
+        yield way
+
+
+def _sent(case: Case, fate: Fate) -> Way:
+    """Return the way of what goes into cFS: to CI or SBN, over the software bus, through the application."""
+    stream, losses = fate.stream, case.losses_of(fate.stream)
+    done = case.known.done_to(stream)
+    # What a proxy did to a MsgId is told once, whoever else gets that MsgId.
+    first = next(item for item in case.streams if case.known.done_to(item) is done)
+    dropped, doubled = (done.dropped, min(done.doubled, len(stream))) if first is stream else ([], 0)
+    traffic = Traffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
+    echoes = find_echoes(case.rows, stream.rows)
+    copies = int((np.isin(stream.rows, case.prepared.duplicates) | echoes).sum()) + doubled
+    copies += sum(item.not_captured for item in case.ingests if item.endpoint == stream.receiver)
+    entered = len(stream) + len(dropped) - doubled
+    way = Way(traffic, entered, doubtful=case.perhaps_doubled(stream), copies=copies)
+    if dropped or doubled:
+        _by_proxy(way, dropped, len(dropped), doubled)
+    all_out = {"out": "all of them came out of cFS again"} if fate.seen and fate.arrived.all() else {}
+    _taken_in(case, fate, way, all_out)
+    lost = {"lost": "0x803, and what cFS refuses by itself"} if case.tracks else all_out or {"lost": _NO_BUS}
+    way.hop(BUS, {"in": way.counted_by, **lost})
+    if not fate.seen:
+        way.lose(losses, _BEHIND_BUS)
+    way.lose(losses, _ON_BUS)
+    for item in case.refused:
+        number, among = case.commands.placed.get(id(item), (0, None))
+        if among is not None and among.stream is stream:
+            _refuse(way, item, number, among)
+    way.end("shared", min(fate.shared, way.left))
+    if not (fate.seen or fate.reached is not None or fate.commanded is not None):
+        way.end("uncertain", min(fate.unaccounted, way.left))
+    if fate.commanded is not None and fate.unaccounted:
+        way.hop(telemetry_output.NAME, {"in": _NOT_LOST, "out": "0x880: commands that it took or refused"})
+        way.end("unaccounted", fate.unaccounted)
+    if fate.reached is not None:
+        counted = {"in": _NOT_LOST, "out": "number of datagrams on the robot link"}
+        way.hop(APPLICATION, counted, onward=((ROBOT.label, NO_MSG_ID),))
+        way.end("unaccounted", fate.unaccounted)
+        way.end("waiting", way.left - fate.reached)
+    if fate.seen:
+        _applied(case, fate, way)
+    return way
+
+
+def _taken_in(case: Case, fate: Fate, way: Way, all_out: Mapping[str, str]) -> None:
+    """Go on to what reads datagrams: CI, or SBN where it did not read all."""
+    stream, losses = fate.stream, case.losses_of(fate.stream)
+    if stream.link.only_to_cfs:
+        accounts = [item for item in case.ingests if item.endpoint == stream.receiver]
+        by = "the kernel's counter of its socket" if any(item.by_kernel for item in accounts) else "0x884"
+        way.hop(CI_HOP, {"in": _SEEN, **({"out": by} if accounts else all_out or {"lost": _NO_INGEST})})
+        way.lose(losses, _BEFORE_CI)
+        way.end("waiting", fate.queued)
+        way.end("unaccounted", fate.uncounted)
+        way.end("not_captured", min(fate.late + fate.unsure, way.left))
+    elif any(loss.kind in _NOT_READ for loss in losses):
+        way.hop(SBN_SOCKET, {"in": _SEEN, "out": "not counted: what came out, and what the bus counts"})
+        way.lose(losses, _NOT_READ)
+
+
+def _applied(case: Case, fate: Fate, way: Way) -> None:
+    """Go on through the application, to what was seen to come out of it."""
+    outs = [hop.out for hop in fate.hops]
+    ways = ", ".join("the robot link" if out.link.last_hop else case.name(out.msg_id) for out in outs)
+    onward = tuple(dict.fromkeys((out.link.label, out.msg_id) for out in outs))
+    counted = {"in": _NOT_LOST, "out": f"same values on {ways}"}
+    way.hop(APPLICATION, counted, duplicated=fate.doubled, onward=onward)
+    way.lose(case.losses_of(fate.stream), _BEHIND_BUS)
+    way.end("superseded", fate.superseded)
+    way.end("waiting", fate.waiting - fate.uncertain)
+    way.end("uncertain", fate.uncertain + fate.missed + fate.elsewhere + fate.beyond)
+    way.end("unaccounted", fate.unaccounted)
+    way.end("not_captured", way.left - int(fate.arrived.sum()) - fate.passed_on - fate.doubled)
+
+
+def _published(case: Case, stream: Stream) -> Way:
+    """Return the way of what cFS publishes: through Telemetry Output's pipe or a peer's, to the capture."""
+    owner, losses, telemetry = case.known.owner(stream), case.losses_of(stream), case.telemetry
+    instance = case.label(owner) if owner != NOBODY else None
+    way = Way(Traffic(stream.route, stream.link.label, stream.msg_id, instance))
+    by = _COUNT if stream.counted else f"{_SEEN}: it has no sequence count"
+    lost = "0x803" if owner in case.tracks else "not counted: no 0x803 is here"
+    way.hop(case.known.hop(stream), {"in": by, "lost": lost})
+    way.lose(losses, _AT_PIPE)
+    way.end("not_captured", telemetry.closed.get(id(stream), 0))
+    silenced = [(number, among) for of, number, among in telemetry.silenced if of is stream and number]
+    if silenced:
+        way.hop(telemetry_output.SOCKET, {"in": f"{_COUNT}, less what 0x803 counts", "out": _SEEN})
+        failed = case.socket_failed(stream)
+        for number, among in silenced:
+            about = _span_of(case, among) | {"text": f"{telemetry_output.SOCKET} failed"}
+            way.end("lost" if failed else "not_captured", number, TO_SOCKET if failed else "", **about)
+    done, dropped = case.known.done_to(stream), telemetry.proxied.get(id(stream), 0)
+    doubled = min(done.doubled, stream.duplicates if stream.counted else len(stream))
+    if dropped or doubled:
+        _by_proxy(way, done.dropped, dropped, doubled)
+    counted = {"in": by, "out": _SEEN}
+    way.hop(BEHIND, counted, duplicated=stream.duplicates - doubled if stream.counted else 0)
+    way.lose(losses, _BEHIND_PIPE)
+    way.end("not_captured", telemetry.away.get(id(stream), 0))
+    way.end("unaccounted", telemetry.untold.get(id(stream), 0))
+    way.end("uncertain", telemetry.uncertain.get(id(stream), 0))
+    way.close(len(stream))
+    return way
+
+
+def _to_peer(case: Case, way: Way, stream: Stream, silent: Unheard) -> None:
+    """Go on to an SBN peer that did not hear all that was sent to it."""
+    way.hop(f"{PEER} {silent.peer}", {"in": _SEEN, "out": "what it was sent while it was not silent"})
+    for cause, rows, when in (
+        (UNHEARD, silent.rows, "while it was silent"),
+        (PEER_RESTARTED, silent.restarted_rows, "before it was started again"),
+    ):
+        if rows:
+            about = _span_of(case, Among(stream, np.array(rows, np.intp)))
+            way.end("lost", len(rows), cause, text=f"sent to the SBN peer {silent.peer} {when}", **about)
+    way.end("unaccounted", silent.unaccounted)
+    way.end("uncertain", silent.uncertain)
+
+
+def _to_port(case: Case, way: Way, item: Unreached) -> None:
+    """Go on to an endpoint that did not get all that was sent to it."""
+    endpoint = case.endpoints[item.endpoint]
+    counted = {"in": _SEEN, "lost": "ICMP errors", "out": "datagrams without an ICMP error"}
+    way.hop(f"{UDP_PORT} {endpoint}", counted, onward=way.onward)
+    for cause, rows in item.lost.items():
+        about = _span_of(case, Among(item.stream, rows))
+        way.end("lost", len(rows), cause, text=_UNREACHED[cause].format(endpoint), **about)
+    way.end("uncertain", len(item.uncertain))
+
+
+def _by_proxy(way: Way, dropped: Sequence[tuple[int, bytes]], number: int, doubled: int) -> None:
+    """Go on through a proxy that dropped so many of some and doubled others; they are not in the capture."""
+    counted = dict.fromkeys(("in", "lost", "duplicated"), ON_PURPOSE) | {"out": _SEEN}
+    way.hop(PROXY_HOP, counted, duplicated=doubled)
+    text = f"dropped on purpose by the {PROXY_HOP}"
+    if number < len(dropped):
+        way.end("lost", number, PROXY_HOP, text=text, times_ns=(dropped[0][0], dropped[-1][0]))
+        return
+    for when, _ in dropped:
+        way.end("lost", 1, PROXY_HOP, text=text, times_ns=(when, when))
+
+
+def _all_dropped(case: Case) -> Iterator[Way]:
+    """Yield what a proxy dropped and of which nothing else is in the recording."""
+    streams = {id(case.known.done_to(stream)) for stream in case.streams}
+    for (code, _, msg_id), item in case.proxied.items():
+        if item.dropped and id(item) not in streams:
+            link = table.link(code)
+            route = int(case.context.routes_on(link)[msg_id]) if msg_id >= 0 else NO_ROUTE
+            traffic = Traffic(route, link.label, msg_id if msg_id >= 0 else None)
+            way = Way(traffic, len(item.dropped))
+            _by_proxy(way, item.dropped, len(item.dropped), 0)
+            yield way
+
+
+def _unseen(case: Case, loss: Loss) -> Way:
+    """Return the way of a loss whose traffic is not in the capture."""
+    msg_id = None if loss.msg_id == NO_MSG_ID else loss.msg_id
+    way = Way(Traffic(msg_id=msg_id, instance=case.label(loss.instance)), loss.lost)
+    way.hop(loss.hop, _BY_BUS, among=loss.rivals)
+    way.lose([loss], frozenset({loss.kind}))
+    return way
+
+
+def _of_no_stream(case: Case, item: Refused, number: int) -> Way:
+    """Return the way of messages that were judged by themselves: the datagrams of that time."""
+    rows = case.rows
+    mask = (rows.time_ns >= item.start_ns) & (rows.time_ns <= item.end_ns)
+    if item.link:
+        mask &= rows.link == table.named(item.link).code
+    if item.msg_id is not None:
+        mask &= rows.msg_id == item.msg_id
+    way = Way(Traffic(link=item.link or "", msg_id=item.msg_id), max(number, item.of or 0))
+    way.hop(item.hop or "cFS", {"in": _SEEN, "lost": "each datagram by itself"})
+    _refuse(way, item, number, np.flatnonzero(mask))
+    return way
+
+
+def _refuse(way: Way, item: Refused, number: int, among: Among | NDArray[np.intp]) -> None:
+    """Let end at the last hop what cFS refused."""
+    text = f"{item.rule} at {item.hop or 'cFS'}"
+    way.end("lost", number, item.rule, text=text, times_ns=(item.start_ns, item.end_ns), among=among)
+
+
+def _span_of(case: Case, among: Among) -> dict[str, Any]:
+    """Return messages, and when the first and the last of them were sent, as an entry has them."""
+    times = case.rows.time_ns[among.stream.rows[among.rows]]
+    return {"among": among, "times_ns": (int(times.min()), int(times.max()))}
+
+
+def summed(rows: Iterable[Row]) -> tuple[Row, ...]:
+    """Return the rows of several chapters of a capture, each of one traffic at one hop put together."""
+    sums: dict[tuple[Any, ...], Row] = {}
+    for row in rows:
+        key = row.route, row.link, row.msg_id, row.instance, row.hop
+        before = sums.get(key)
+        if before is None:
+            sums[key] = row
+            continue
+        figures = {name: getattr(before, name) + getattr(row, name) for name in _SUMMED}
+        onward = tuple(dict.fromkeys((*before.onward, *row.onward)))
+        lost = dict((Counter(before.lost) + Counter(row.lost)).most_common())
+        sums[key] = replace(row, lost=lost, onward=onward, **figures)
+    return tuple(sums.values())
