@@ -39,16 +39,16 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(66_880, 150, 58_000),
-    "lines with code, all": Limit(78_867, 150, 84_000),  # with what is still to come
-    "files": Limit(585, 10, 450),
+    "lines with code, core": Limit(66_897, 150, 58_000),
+    "lines with code, all": Limit(78_885, 150, 84_000),  # with what is still to come
+    "files": Limit(586, 10, 450),
     "files below 170 lines, of 1,000": Limit(485, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
     "files that record runs through": Limit(120, 2, 80),
     "files that sniff --where runs through": Limit(112, 2, 80),
     "modules that host loads": Limit(131, 2, 40),
     "bare participles among 1,000 names": Limit(46.0, 1, 3),
-    "functions of complexity over 25": Limit(5, 0, 0),
+    "functions of complexity over 25": Limit(4, 0, 0),
 }
 
 BARE = re.compile(

@@ -16,7 +16,7 @@ from edoras_tools.diagnosis.case import Capture, Case
 from edoras_tools.diagnosis.chains import Chain, chains
 from edoras_tools.diagnosis.evidence.relays.proxied import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
-from edoras_tools.diagnosis.ledger import CAPTURE, Ledger, Row, summed
+from edoras_tools.diagnosis.ledger import CAPTURE, MessageLedger, Row, summed
 from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rules import OTHERS, SINGLE, rules
 from edoras_tools.diagnosis.rules.capture import too_many
@@ -437,7 +437,7 @@ class Examination:
                         hop=case.called(row.hop),
                         name="" if row.msg_id is None else case.packet_name(row.msg_id),
                     )
-                    for row in (Ledger(case).rows() if len(case.rows) else ())
+                    for row in (MessageLedger(case).rows() if len(case.rows) else ())
                 ),
                 *sample_rows(capture),
             ),

@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
 
-Ending = Literal["lost", "superseded", "waiting", "not_captured", "unaccounted", "uncertain", "shared"]
+HowEnded = Literal["lost", "superseded", "waiting", "not_captured", "unaccounted", "uncertain", "shared"]
 """How an arrival can end at a hop."""
-ENDINGS: Final[tuple[Ending, ...]] = get_args(Ending)
+ENDINGS: Final[tuple[HowEnded, ...]] = get_args(HowEnded)
 _SUMMED: Final = ("came", "out", "duplicated", "copies", *ENDINGS[1:])
 CI_HOP: Final = "CI"
 BUS: Final = "software bus"
@@ -98,7 +98,7 @@ _UNREACHED: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Traffic:
+class LedgerTraffic:
     """Messages that are followed together.
 
     Attributes:
@@ -117,7 +117,7 @@ class Traffic:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class LedgerEntry:
     """Arrivals of one traffic that ended at one hop in one way.
 
     Attributes:
@@ -132,9 +132,9 @@ class Entry:
             nothing tells.
     """
 
-    traffic: Traffic
+    traffic: LedgerTraffic
     hop: str
-    ending: Ending
+    ending: HowEnded
     number: int
     cause: str = ""
     text: str = ""
@@ -253,7 +253,7 @@ class _Hop:
     came: int
     duplicated: int
     about: dict[str, Any]
-    entries: list[Entry] = field(default_factory=list)
+    entries: list[LedgerEntry] = field(default_factory=list)
 
     @property
     def ended(self) -> int:
@@ -265,7 +265,7 @@ class _Hop:
         """Arrivals that came out; more may have been refused than datagrams here show."""
         return max(0, self.came + self.duplicated - self.ended)
 
-    def row(self, traffic: Traffic) -> Row:
+    def row(self, traffic: LedgerTraffic) -> Row:
         """Return the sums of its entries."""
         sums: dict[str, Any] = dict.fromkeys(ENDINGS[1:], 0)
         lost: Counter[str] = Counter()
@@ -290,7 +290,7 @@ class _Hop:
         )
 
 
-class Way:
+class LedgerWay:
     """The hops of one traffic in order, with what ended at each.
 
     Args:
@@ -299,7 +299,7 @@ class Way:
         copies: arrivals that are copies of others, those included that the capture does not show.
     """
 
-    def __init__(self, traffic: Traffic, entered: int = 0, doubtful: int = 0, copies: int = 0) -> None:
+    def __init__(self, traffic: LedgerTraffic, entered: int = 0, doubtful: int = 0, copies: int = 0) -> None:
         self.traffic, self._entered, self._doubtful = traffic, entered + doubtful, doubtful
         self._copies = copies
         self._hops: list[_Hop] = []
@@ -310,11 +310,11 @@ class Way:
         if len(self._hops) == 1:
             self.end("uncertain", self._doubtful)
 
-    def end(self, ending: Ending, number: int, cause: str = "", **about: Any) -> None:
+    def end(self, ending: HowEnded, number: int, cause: str = "", **about: Any) -> None:
         """Let so many end at the last hop; ``about`` has more of the entry's attributes."""
         if number:
             hop = self._hops[-1]
-            hop.entries.append(Entry(self.traffic, hop.name, ending, number, cause, **about))
+            hop.entries.append(LedgerEntry(self.traffic, hop.name, ending, number, cause, **about))
 
     def lose(self, losses: Iterable[Loss], kinds: frozenset[str]) -> None:
         """Let end at the last hop what was lost by some kinds of loss."""
@@ -344,7 +344,7 @@ class Way:
         for hop in reversed(self._hops):
             hop.came = out = out + hop.ended - hop.duplicated
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self) -> Iterator[LedgerEntry]:
         """Yield all entries, in order of the way."""
         for hop in self._hops:
             yield from hop.entries
@@ -355,7 +355,7 @@ class Way:
         return [replace(row, copies=0 if place else self._copies) for place, row in enumerate(rows)]
 
 
-class Ledger:
+class MessageLedger:
     """What became of all traffic of a capture.
 
     Attributes:
@@ -369,13 +369,13 @@ class Ledger:
         """Return a row for each traffic and hop."""
         return [row for way in self.ways for row in way.rows()]
 
-    def losses(self) -> Iterator[Entry]:
+    def losses(self) -> Iterator[LedgerEntry]:
         """Yield what is lost, in the order of the ways."""
         for way in self.ways:
             yield from (entry for entry in way.entries() if entry.ending == "lost")
 
 
-def _ways(case: Case) -> Iterator[Way]:
+def _ways(case: Case) -> Iterator[LedgerWay]:
     for stream in case.streams:
         fate = case.commands.fates.get(id(stream))
         way = _published(case, stream) if fate is None else _sent(case, fate)
@@ -388,12 +388,12 @@ def _ways(case: Case) -> Iterator[Way]:
     yield from _all_dropped(case)
     for item in case.unreached:
         if not item.own:
-            way = Way(Traffic(link=item.stream.link.label), len(item.stream))
+            way = LedgerWay(LedgerTraffic(link=item.stream.link.label), len(item.stream))
             _to_port(case, way, item)
             yield way
     yield from (_unseen(case, loss) for loss in case.losses if loss.stream is None)
     for instance, number in case.commands.uncaptured.items():
-        way = Way(Traffic(instance=case.label(instance)), number)
+        way = LedgerWay(LedgerTraffic(instance=case.label(instance)), number)
         way.hop(BUS, _BY_BUS)
         way.end("not_captured", number)
         yield way
@@ -401,25 +401,25 @@ def _ways(case: Case) -> Iterator[Way]:
         if left := case.commands.unplaced[id(refused)]:
             yield _of_no_stream(case, refused, left)
     if drops := case.capture.drops:
-        way = Way(Traffic(), drops + len(case.rows))
+        way = LedgerWay(LedgerTraffic(), drops + len(case.rows))
         way.hop(CAPTURE, {"in": "the capture's own counter", "out": _SEEN})
         way.end("not_captured", drops)
         yield way
 
 
-def _sent(case: Case, fate: Fate) -> Way:
+def _sent(case: Case, fate: Fate) -> LedgerWay:
     """Return the way of what goes into cFS: to CI or SBN, over the software bus, through the application."""
     stream, losses = fate.stream, case.losses_of(fate.stream)
     done = case.known.done_to(stream)
     # What a proxy did to a MsgId is told once, whoever else gets that MsgId.
     first = next(item for item in case.streams if case.known.done_to(item) is done)
     dropped, doubled = (done.dropped, min(done.doubled, len(stream))) if first is stream else ([], 0)
-    traffic = Traffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
+    traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
     echoes = find_echoes(case.rows, stream.rows)
     copies = int((np.isin(stream.rows, case.prepared.duplicates) | echoes).sum()) + doubled
     copies += sum(item.not_captured for item in case.ingests if item.endpoint == stream.receiver)
     entered = len(stream) + len(dropped) - doubled
-    way = Way(traffic, entered, doubtful=case.perhaps_doubled(stream), copies=copies)
+    way = LedgerWay(traffic, entered, doubtful=case.perhaps_doubled(stream), copies=copies)
     if dropped or doubled:
         _by_proxy(way, dropped, len(dropped), doubled)
     all_out = {"out": "all of them came out of cFS again"} if fate.seen and fate.arrived.all() else {}
@@ -449,7 +449,7 @@ def _sent(case: Case, fate: Fate) -> Way:
     return way
 
 
-def _taken_in(case: Case, fate: Fate, way: Way, all_out: Mapping[str, str]) -> None:
+def _taken_in(case: Case, fate: Fate, way: LedgerWay, all_out: Mapping[str, str]) -> None:
     """Go on to what reads datagrams: CI, or SBN where it did not read all."""
     stream, losses = fate.stream, case.losses_of(fate.stream)
     if stream.link.only_to_cfs:
@@ -465,7 +465,7 @@ def _taken_in(case: Case, fate: Fate, way: Way, all_out: Mapping[str, str]) -> N
         way.lose(losses, _NOT_READ)
 
 
-def _applied(case: Case, fate: Fate, way: Way) -> None:
+def _applied(case: Case, fate: Fate, way: LedgerWay) -> None:
     """Go on through the application, to what was seen to come out of it."""
     outs = [hop.out for hop in fate.hops]
     ways = ", ".join("the robot link" if out.link.last_hop else case.name(out.msg_id) for out in outs)
@@ -480,11 +480,11 @@ def _applied(case: Case, fate: Fate, way: Way) -> None:
     way.end("not_captured", way.left - int(fate.arrived.sum()) - fate.passed_on - fate.doubled)
 
 
-def _published(case: Case, stream: Stream) -> Way:
+def _published(case: Case, stream: Stream) -> LedgerWay:
     """Return the way of what cFS publishes: through Telemetry Output's pipe or a peer's, to the capture."""
     owner, losses, telemetry = case.known.owner(stream), case.losses_of(stream), case.telemetry
     instance = case.label(owner) if owner != NOBODY else None
-    way = Way(Traffic(stream.route, stream.link.label, stream.msg_id, instance))
+    way = LedgerWay(LedgerTraffic(stream.route, stream.link.label, stream.msg_id, instance))
     by = _COUNT if stream.counted else f"{_SEEN}: it has no sequence count"
     lost = "0x803" if owner in case.tracks else "not counted: no 0x803 is here"
     way.hop(case.known.hop(stream), {"in": by, "lost": lost})
@@ -511,7 +511,7 @@ def _published(case: Case, stream: Stream) -> Way:
     return way
 
 
-def _to_peer(case: Case, way: Way, stream: Stream, silent: Unheard) -> None:
+def _to_peer(case: Case, way: LedgerWay, stream: Stream, silent: Unheard) -> None:
     """Go on to an SBN peer that did not hear all that was sent to it."""
     way.hop(f"{PEER} {silent.peer}", {"in": _SEEN, "out": "what it was sent while it was not silent"})
     for cause, rows, when in (
@@ -525,7 +525,7 @@ def _to_peer(case: Case, way: Way, stream: Stream, silent: Unheard) -> None:
     way.end("uncertain", silent.uncertain)
 
 
-def _to_port(case: Case, way: Way, item: Unreached) -> None:
+def _to_port(case: Case, way: LedgerWay, item: Unreached) -> None:
     """Go on to an endpoint that did not get all that was sent to it."""
     endpoint = case.endpoints[item.endpoint]
     counted = {"in": _SEEN, "lost": "ICMP errors", "out": "datagrams without an ICMP error"}
@@ -536,7 +536,7 @@ def _to_port(case: Case, way: Way, item: Unreached) -> None:
     way.end("uncertain", len(item.uncertain))
 
 
-def _by_proxy(way: Way, dropped: Sequence[tuple[int, bytes]], number: int, doubled: int) -> None:
+def _by_proxy(way: LedgerWay, dropped: Sequence[tuple[int, bytes]], number: int, doubled: int) -> None:
     """Go on through a proxy that dropped so many of some and doubled others; they are not in the capture."""
     counted = dict.fromkeys(("in", "lost", "duplicated"), ON_PURPOSE) | {"out": _SEEN}
     way.hop(PROXY_HOP, counted, duplicated=doubled)
@@ -548,29 +548,29 @@ def _by_proxy(way: Way, dropped: Sequence[tuple[int, bytes]], number: int, doubl
         way.end("lost", 1, PROXY_HOP, text=text, times_ns=(when, when))
 
 
-def _all_dropped(case: Case) -> Iterator[Way]:
+def _all_dropped(case: Case) -> Iterator[LedgerWay]:
     """Yield what a proxy dropped and of which nothing else is in the recording."""
     streams = {id(case.known.done_to(stream)) for stream in case.streams}
     for (code, _, msg_id), item in case.proxied.items():
         if item.dropped and id(item) not in streams:
             link = table.link(code)
             route = int(case.context.routes_on(link)[msg_id]) if msg_id >= 0 else NO_ROUTE
-            traffic = Traffic(route, link.label, msg_id if msg_id >= 0 else None)
-            way = Way(traffic, len(item.dropped))
+            traffic = LedgerTraffic(route, link.label, msg_id if msg_id >= 0 else None)
+            way = LedgerWay(traffic, len(item.dropped))
             _by_proxy(way, item.dropped, len(item.dropped), 0)
             yield way
 
 
-def _unseen(case: Case, loss: Loss) -> Way:
+def _unseen(case: Case, loss: Loss) -> LedgerWay:
     """Return the way of a loss whose traffic is not in the capture."""
     msg_id = None if loss.msg_id == NO_MSG_ID else loss.msg_id
-    way = Way(Traffic(msg_id=msg_id, instance=case.label(loss.instance)), loss.lost)
+    way = LedgerWay(LedgerTraffic(msg_id=msg_id, instance=case.label(loss.instance)), loss.lost)
     way.hop(loss.hop, _BY_BUS, among=loss.rivals)
     way.lose([loss], frozenset({loss.kind}))
     return way
 
 
-def _of_no_stream(case: Case, item: Refused, number: int) -> Way:
+def _of_no_stream(case: Case, item: Refused, number: int) -> LedgerWay:
     """Return the way of messages that were judged by themselves: the datagrams of that time."""
     rows = case.rows
     mask = (rows.time_ns >= item.start_ns) & (rows.time_ns <= item.end_ns)
@@ -578,13 +578,13 @@ def _of_no_stream(case: Case, item: Refused, number: int) -> Way:
         mask &= rows.link == table.named(item.link).code
     if item.msg_id is not None:
         mask &= rows.msg_id == item.msg_id
-    way = Way(Traffic(link=item.link or "", msg_id=item.msg_id), max(number, item.of or 0))
+    way = LedgerWay(LedgerTraffic(link=item.link or "", msg_id=item.msg_id), max(number, item.of or 0))
     way.hop(item.hop or "cFS", {"in": _SEEN, "lost": "each datagram by itself"})
     _refuse(way, item, number, np.flatnonzero(mask))
     return way
 
 
-def _refuse(way: Way, item: Refused, number: int, among: Among | NDArray[np.intp]) -> None:
+def _refuse(way: LedgerWay, item: Refused, number: int, among: Among | NDArray[np.intp]) -> None:
     """Let end at the last hop what cFS refused."""
     text = f"{item.rule} at {item.hop or 'cFS'}"
     way.end("lost", number, item.rule, text=text, times_ns=(item.start_ns, item.end_ns), among=among)

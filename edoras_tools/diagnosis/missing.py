@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.diagnosis.accounting.losses import Among
-from edoras_tools.diagnosis.ledger import Entry, Ledger
+from edoras_tools.diagnosis.ledger import LedgerEntry, MessageLedger
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.sessions.sequence import MODULUS
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
 
-_Share = tuple[Entry, Among]
+_Share = tuple[LedgerEntry, Among]
 _ROOM: Final = 1 << 32
 """Numbers for the counts that are missing behind one row."""
 
@@ -78,7 +78,7 @@ def missing(case: Case) -> list[Missing]:
     """Return all of them, in order of time."""
     listed: list[Missing] = []
     groups: dict[tuple[int, bool], list[_Share]] = {}
-    for entry in Ledger(case).losses():
+    for entry in MessageLedger(case).losses():
         among = entry.among
         if isinstance(among, Among):
             groups.setdefault((id(among.stream), among.missing is None), []).append((entry, among))
@@ -93,7 +93,7 @@ def missing(case: Case) -> list[Missing]:
     return sorted(listed, key=lambda item: item.time_ns)
 
 
-def _alone(case: Case, entry: Entry, rows: NDArray[np.intp] | None) -> Iterator[Missing]:
+def _alone(case: Case, entry: LedgerEntry, rows: NDArray[np.intp] | None) -> Iterator[Missing]:
     """Yield the messages of a loss that is of no stream: the rows that it may be, where they are as many."""
     number = entry.number
     if rows is None or len(rows) != number:
@@ -133,7 +133,9 @@ def _connected(units: Sequence[NDArray[np.int64]]) -> NDArray[np.intp]:
     return label
 
 
-def _together(case: Case, shares: Sequence[tuple[Entry, Among, NDArray[np.int64]]]) -> Iterator[Missing]:
+def _together(
+    case: Case, shares: Sequence[tuple[LedgerEntry, Among, NDArray[np.int64]]]
+) -> Iterator[Missing]:
     """Yield the messages of losses that share what they are among (rules 2 to 4)."""
     every = np.unique(np.concatenate([units for _, _, units in shares]))
     if sum(entry.number for entry, _, _ in shares) == len(every):
@@ -156,7 +158,7 @@ def _together(case: Case, shares: Sequence[tuple[Entry, Among, NDArray[np.int64]
         yield from [_entry(case, entry)] * (entry.number - len(free))
 
 
-def _entry(case: Case, entry: Entry, one_of: int | None = None) -> Missing:
+def _entry(case: Case, entry: LedgerEntry, one_of: int | None = None) -> Missing:
     """Return a message that no packet and no count tells."""
     msg_id = NO_MSG_ID if entry.traffic.msg_id is None else entry.traffic.msg_id
     return Missing(
