@@ -9,7 +9,7 @@ import sys
 
 import pytest
 import waiting
-from effort import LONG, examples
+from effort import examples, split, unmatched
 from hypothesis import settings
 from namespace import enter, entered
 from order import Order
@@ -51,7 +51,8 @@ GRACE_S = 60
 
 def pytest_configure(config):
     config.addinivalue_line("markers", f"limit(seconds): what the test may take, {LIMIT_S} s else")
-    config.addinivalue_line("markers", "long: only `make long` runs it")
+    config.addinivalue_line("markers", "long(*patterns): only `make long` runs it, or its cases that match")
+    config.addinivalue_line("markers", "quick(*patterns): `make test` runs its cases that match one")
     config.addinivalue_line("markers", "own_network: it fails where it would meet the traffic of others")
     config.pluginmanager.register(Order(config))
     config.stash[STDERR] = os.fdopen(os.dup(2), "w")  # pytest takes standard error away while tests run
@@ -60,11 +61,17 @@ def pytest_configure(config):
 STDERR = pytest.StashKey()
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Leave what takes long to ``make long``."""
-    if not LONG:
-        left = [item for item in items if item.get_closest_marker("long")]
-        items[:] = [item for item in items if not item.get_closest_marker("long")]
+    """Leave what takes long to ``make long``.
+
+    Raises:
+        UsageError: a pattern matches no case.
+    """
+    if not any("::" in word for word in config.args) and (wrong := unmatched(items)):
+        raise pytest.UsageError(*(f"{test}: no case matches {pattern!r}" for test, pattern in wrong))
+    items[:], left = split(items)
+    if left:
         config.hook.pytest_deselected(items=left)
 
 

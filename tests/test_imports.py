@@ -122,6 +122,7 @@ def loaded_by(program):
     return {name.partition(".")[0] for name in done.stdout.splitlines()}
 
 
+@pytest.mark.long
 def test_contracts():
     """What pyproject.toml says of the folders: import-linter's own verdict."""
     done = subprocess.run(
@@ -155,6 +156,7 @@ def test_files_with_scapy_say_their_licence():
         assert "# SPDX-License-Identifier: GPL-2.0-only" in head, name
 
 
+@pytest.mark.quick("record --help", "nonsense")
 @pytest.mark.parametrize("arguments", ["--help", "--version", "sniff --help", "record --help", "nonsense"])
 def test_help_loads_nothing_heavy(arguments):
     program = f"""

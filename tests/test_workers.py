@@ -132,3 +132,48 @@ def test_a_mistake_in_a_file_is_told_before_any_test_runs(pytest_of, tmp_path):
     assert code == 2
     assert "1 error during collection" in text
     assert not (tmp_path / "kept").exists()
+
+
+MARKED = """
+import pytest
+
+@pytest.mark.long
+def test_left(): assert False
+
+@pytest.mark.long("?-b")
+@pytest.mark.parametrize("other", "ab")
+@pytest.mark.parametrize("one", "xy")
+def test_some_left(one, other): assert other == "a"
+
+@pytest.mark.quick("x", "y*")
+@pytest.mark.parametrize("one", ["x", "xx", "yy"])
+def test_some_kept(one): assert one != "xx"
+"""
+HOOKS = """
+import effort, pytest
+
+def pytest_configure(config):
+    for name in ("long", "quick"):
+        config.addinivalue_line("markers", name)
+
+def pytest_collection_modifyitems(items):
+    if wrong := effort.unmatched(items):
+        raise pytest.UsageError(str(wrong))
+    effort.LONG = False
+    items[:] = effort.split(items)[0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "said"),
+    [
+        (MARKED, 0, "4 passed"),
+        (MARKED.replace('"x", "y*"', '"x", "z*"'), 4, "('test_a.py::test_some_kept', 'z*')"),
+    ],
+    ids=["right", "misspelt"],
+)
+def test_what_is_marked_is_left_to_make_long(pytest_of, monkeypatch, text, code, said):
+    monkeypatch.setattr(sys.modules[__name__], "KEPT", HOOKS)
+    found, out = pytest_of(a=text)
+    assert found == code, out
+    assert said in out

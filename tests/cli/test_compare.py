@@ -129,6 +129,7 @@ def test_a_file_that_is_not_there(compare, tmp_path):
     assert "there is no such file" in str(done.exception) + done.output
 
 
+@pytest.mark.long("d3_cpu1_cpu2")
 @pytest.mark.parametrize("name", ["a_rover", "d3_cpu1_cpu2", "f2_sbn_announce_reload", "n10_uplink_loss"])
 def test_json_holds_to_its_schema(compare, name):
     path = ROOT / f"tests/captures/{name}.pcap.zst"

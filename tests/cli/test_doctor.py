@@ -26,6 +26,7 @@ CAPTURES = {
 SMALL = [name for name in CAPTURES if name != "d3_cpu1_cpu2"]
 
 
+@pytest.mark.long("d3_cpu1_cpu2-*", "c1_tlm_rate_limit4-True")
 @pytest.mark.parametrize("configured", [True, False])
 @pytest.mark.parametrize("name", CAPTURES)
 def test_json_holds_to_its_schema_and_loss_to_its_exit_code(name, configured, call, captures, missions):
@@ -35,6 +36,7 @@ def test_json_holds_to_its_schema_and_loss_to_its_exit_code(name, configured, ca
     assert bool(done.json()["lost"]) == (code == 3)
 
 
+@pytest.mark.long("d3_cpu1_cpu2", "c1_tlm_rate_limit4")
 @pytest.mark.parametrize("name", CAPTURES)
 def test_people_read_verdicts_first(name, call, captures, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
@@ -129,6 +131,7 @@ def test_what_is_chosen_is_shown_and_the_rest_is_counted(call, captures, mission
     assert 0 < len(listed.out.splitlines()) - 1 < 92
 
 
+@pytest.mark.quick("a_rover")
 @pytest.mark.parametrize(
     "name",
     long_but(
@@ -147,6 +150,7 @@ def test_every_listing_has_as_many_as_are_lost(name, call, captures):
     assert table.splitlines()[-1].startswith(f"{lost:,} message")
 
 
+@pytest.mark.quick("aligned")
 @pytest.mark.parametrize(
     ("order", "together"),
     long_but([(1, True), (-1, False)], [(1, True), (-1, True), (1, False), (-1, False)]),
@@ -191,6 +195,7 @@ def test_what_was_refused_is_listed_by_its_rule(call, captures):
     assert all(item["number"] is not None for item in found)
 
 
+@pytest.mark.long
 def test_the_headline_holds_all_that_is_lost_and_the_worst_comes_first(call, captures, missions, tmp_path):
     done = call("doctor", "-v", captures("d3_cpu1_cpu2"), *missions("rover_ground"))
     head = done.out.split("✗")[0]
@@ -347,6 +352,7 @@ def report(call, reports):
     return write
 
 
+@pytest.mark.quick("a_rover", "f_sbn_disconnect")
 @pytest.mark.parametrize("name", long_but(SMALL, CAPTURES))
 def test_a_report_is_one_page_that_needs_nothing(name, report, captures, missions):
     text = report(captures(name), *missions(*CAPTURES[name][0])).read_text()
@@ -375,6 +381,7 @@ def test_a_report_sums_up_leads_to_its_parts_and_says_how_it_was_made(report, ca
     assert re.search(r"<footer.*edoras-tools \d.* UTC<br><code>edoras report .*-c .*two_rovers_ground", text)
 
 
+@pytest.mark.quick("a_rover", "f_sbn_disconnect")
 @pytest.mark.parametrize("name", long_but(SMALL, CAPTURES))
 def test_the_picture_of_the_links_holds_all_that_was_lost(name, report, call, captures, missions):
     options = missions(*CAPTURES[name][0])

@@ -37,6 +37,7 @@ def limited(edoras):
     return run
 
 
+@pytest.mark.quick("record")
 @pytest.mark.parametrize("kind", ["doctor", "record", "listen"])
 def test_memory(limited, captures, missions, tmp_path, kind):
     capture, rover = captures("a_rover"), missions("rover_ground")
@@ -50,6 +51,7 @@ def test_memory(limited, captures, missions, tmp_path, kind):
     assert any("out of memory" in told or "OpenBLAS" in told for _, told in ends)
 
 
+@pytest.mark.quick("x.mcap")
 @pytest.mark.parametrize("name", ["x.mcap", "x.pcap", "x.pcapng"])
 def test_the_size_of_a_file(limited, captures, tmp_path, name):
     words = ["record", "-r", captures("a_rover"), "-o", tmp_path / name]
@@ -57,6 +59,7 @@ def test_the_size_of_a_file(limited, captures, tmp_path, name):
     assert (code, "File too large" in told) == (1, True)
 
 
+@pytest.mark.quick("x.pcapng")
 @pytest.mark.parametrize("name", ["x.mcap", "x.pcap", "x.pcapng"])
 def test_nothing_is_left_where_nothing_can_be_written(limited, captures, tmp_path, name):
     """A service is started again and again while the disk is full."""
@@ -65,6 +68,7 @@ def test_nothing_is_left_where_nothing_can_be_written(limited, captures, tmp_pat
     assert f"{name}: cannot be written: File too large; name another file with -o or make room" in told
 
 
+@pytest.mark.quick("export")
 @pytest.mark.parametrize(
     "words",
     [
@@ -115,6 +119,7 @@ def garbled(path, share):
     return bytes(made)
 
 
+@pytest.mark.quick("1-doctor")
 @pytest.mark.parametrize(("share", "command"), [(0.05, "doctor"), (1, "doctor"), (1, "report")])
 def test_garbled_times_are_no_reason_for_memory(limited, captures, missions, tmp_path, share, command):
     """Between two of them lie up to 136 years; a number for each second would be 32 GiB."""
@@ -124,6 +129,7 @@ def test_garbled_times_are_no_reason_for_memory(limited, captures, missions, tmp
     assert limited(resource.RLIMIT_AS, 1000 * MIB, command, path, *missions("rover_ground"), *more)[0] == 3
 
 
+@pytest.mark.quick("record")
 @pytest.mark.parametrize(
     "words",
     [

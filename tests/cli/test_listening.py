@@ -186,6 +186,7 @@ DEFAULTS = {
 }
 
 
+@pytest.mark.quick("record", "live", "proxy_sbn", "bridge")
 @pytest.mark.parametrize("name", DEFAULTS)
 def test_by_default_nothing_answers_another_machine(machines, command, tmp_path, name):
     words, expected = DEFAULTS[name]
@@ -235,6 +236,7 @@ WRITTEN = {
 }
 
 
+@pytest.mark.quick("token", "bridge")
 @pytest.mark.parametrize("name", WRITTEN)
 def test_what_is_written_answers_and_it_is_said_who_may_speak(machines, command, tmp_path, name):
     words, expected, said = WRITTEN[name]
@@ -286,6 +288,7 @@ def test_a_token_that_is_guessed_is_refused(edoras, token):
     assert b"a token needs at least 8 characters" in done.stderr
 
 
+@pytest.mark.long
 def test_a_token_may_come_from_the_environment(edoras):
     done = edoras(
         *("live", "--sim", "rover", "--ws-port", 0, "--duration", "0.1"),

@@ -100,6 +100,7 @@ def test_record_for_a_time(start, link, recording, tmp_path):
     assert set(read.attachments) == {"rover_ground.yaml"}
 
 
+@pytest.mark.quick("2")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_record_until_interrupted(how, start, link, recording, tmp_path):
     """Everything sent before Ctrl-C is in the recording."""
@@ -141,6 +142,7 @@ def test_record_from_sockets_until_a_count(start, recording, tmp_path):
     assert recording(tmp_path / "x.mcap").counts["/edoras/datagrams"] == 5
 
 
+@pytest.mark.quick("mcap")
 @pytest.mark.parametrize("suffix", ["mcap", "pcap", "pcapng"])
 def test_a_silent_link_leaves_a_whole_and_empty_file(suffix, start, call, tmp_path):
     program, _ = start(

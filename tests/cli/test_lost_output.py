@@ -134,6 +134,7 @@ def test_the_proxy_tells_it_too(command, call, tmp_path):
     assert (tmp_path / "x_1.mcap").exists()
 
 
+@pytest.mark.quick("replay")
 @pytest.mark.parametrize("command_name", ["replay", "inject"])
 def test_what_sends_tells_it_too(command, call, captures, command_name, tmp_path):
     """The rate leaves no time to write until the end; the file is looked at then."""

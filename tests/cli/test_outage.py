@@ -75,6 +75,7 @@ def told_of_the_recording(call, path, report, read):
     assert [item["start_ns"] for item in said] == [item["start_ns"] for item in report["outages"]]
 
 
+@pytest.mark.quick("mcap")
 @pytest.mark.parametrize("suffix", ["mcap", "pcap"])
 def test_record_goes_on(command, call, missions, recording, datagrams, suffix, tmp_path):
     path = tmp_path / f"x.{suffix}"
@@ -108,6 +109,7 @@ def test_record_goes_on(command, call, missions, recording, datagrams, suffix, t
     assert err.rstrip().endswith(", 3 times")
 
 
+@pytest.mark.quick("words0")
 @pytest.mark.parametrize("words", [("sniff", "--json"), ("live", "--ws-port", "0"), ("doctor",)])
 def test_others_go_on(command, missions, words):
     def work():
@@ -122,6 +124,7 @@ def test_others_go_on(command, missions, words):
     assert len(inside(work)) == 2 * len(WAYS)
 
 
+@pytest.mark.quick("False")
 @pytest.mark.parametrize("lays", [False, True])
 def test_an_interface_is_waited_for(command, missions, recording, tmp_path, lays):
     """One that is not there, or is down."""

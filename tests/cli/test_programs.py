@@ -62,6 +62,7 @@ def test_ctrl_c_in_a_command(capfd, monkeypatch):
     assert capfd.readouterr().err.strip() == ""
 
 
+@pytest.mark.quick("edoras", "edoras-proxy")
 @pytest.mark.parametrize("name", ["edoras", "edoras-sniff", "edoras-record", "edoras-replay", "edoras-proxy"])
 def test_every_program_has_a_version(name):
     program = str(Path(sys.executable).with_name(name))
@@ -78,6 +79,7 @@ def test_the_package_is_a_program():
 CAPTURE = str(ROOT / "samples/captures/a_rover.pcap")
 
 
+@pytest.mark.quick("always-*", "never-*")
 @pytest.mark.parametrize(
     ("when", "environ", "coloured"),
     [
@@ -105,6 +107,7 @@ def test_an_unknown_colour(call):
 MISSION = str(ROOT / "samples/missions/rover_ground.yaml")
 
 
+@pytest.mark.quick("edoras sn*", "edoras sniff -c nowhere*")
 @pytest.mark.parametrize(
     ("line", "told"),
     [

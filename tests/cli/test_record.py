@@ -103,6 +103,7 @@ def test_what_a_recording_says_of_itself(rover, recording):
     assert read.metadata["edoras"]["datagrams"] == "1827"
 
 
+@pytest.mark.long("d3_cpu1_cpu2", "c1_tlm_rate_limit4")
 @pytest.mark.parametrize("name", ALL)
 def test_every_datagram_is_accounted_for(name, call, captures, missions, frames, recording, tmp_path):
     path = captures(name)
@@ -124,6 +125,7 @@ ERRORS = "q25_robot_off_then_bridge_off"
 """A capture with 209 ICMP errors among its datagrams."""
 
 
+@pytest.mark.long("d3_cpu1_cpu2", "c1_tlm_rate_limit4")
 @pytest.mark.parametrize("name", [*ALL, ERRORS])
 def test_a_capture_comes_back_bit_for_bit(name, call, captures, tmp_path):
     if name == ERRORS:
@@ -208,6 +210,7 @@ def test_rosbag2_directory_read_by_rosbags(call, captures, missions, tmp_path):
     assert (counts["/cmd_vel"], counts["/telemetry_pose"], counts["/edoras/datagrams"]) == (600, 63, 1827)
 
 
+@pytest.mark.quick("kind0")
 @pytest.mark.parametrize("kind", [["-o", "x.mcap"], ["--rosbag2", "-o", "bag"]])
 def test_split_by_time(kind, call, captures, missions, recording, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -345,6 +348,7 @@ def test_standard_input_may_be_a_file(call, edoras, captures, tmp_path):
         assert json.loads(edoras("info", "-", "--json", stdin=file).stdout)["datagrams"] == 1827
 
 
+@pytest.mark.quick("INT-pcap")
 @pytest.mark.parametrize("kind", ["mcap", "pcap"])
 @pytest.mark.parametrize("how", ["INT", "KILL"])
 def test_a_live_stream_on_standard_output(kind, how, command, edoras, missions, tmp_path):

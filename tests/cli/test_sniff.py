@@ -116,6 +116,7 @@ def test_wake_up_packets_are_named_for_what_they_are(call, captures, missions, d
     assert short > 1000
 
 
+@pytest.mark.quick("b_arm_single")
 @pytest.mark.parametrize("name", ["a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect"])
 def test_all_shows_every_datagram(name, packets, datagrams, captures):
     sent = datagrams(captures(name))

@@ -109,6 +109,7 @@ WRITERS = [
 ]
 
 
+@pytest.mark.quick("sniff -r")
 @pytest.mark.parametrize("options", long_but(WRITERS[::2], WRITERS), ids=" ".join)
 def test_head_is_no_error(options, command, captures):
     """``edoras ... | head -n 1``, which has gone long before the output ends."""
@@ -121,6 +122,7 @@ def test_head_is_no_error(options, command, captures):
     assert done.stderr == b""
 
 
+@pytest.mark.quick("decode*")
 @pytest.mark.parametrize("options", long_but(WRITERS[1::2], WRITERS), ids=" ".join)
 def test_a_full_disk_is_one_line(options, command, captures):
     after = ["2"] if "decode" in options else []

@@ -50,6 +50,7 @@ def pasted(remedy, at_s):
     return tuple(found)
 
 
+@pytest.mark.quick("20")
 @pytest.mark.parametrize("hz", [10, 20, 40])
 def test_send_at_most_so_many(lab, hz):
     problem = problem_of(lab.examine(lab.simulate(hz=hz, seconds=SECONDS)[0], drops=0), TWIST)
@@ -57,6 +58,7 @@ def test_send_at_most_so_many(lab, hz):
     assert lost_of(lab.examine(done, drops=0), TWIST) == problem.left == 0
 
 
+@pytest.mark.quick("10")
 @pytest.mark.parametrize("hz", [10, 20])
 def test_subscribe_with_so_high_a_limit(lab, hz):
     problem = problem_of(lab.examine(lab.simulate(hz=hz, seconds=SECONDS)[0], drops=0), TWIST)
@@ -79,6 +81,7 @@ def generated(lab, rate, feeds=()):
     )[0]
 
 
+@pytest.mark.quick("30")
 @pytest.mark.parametrize("hz", [10, 30, 60])
 def test_let_telemetry_output_keep_more(lab, hz):
     problem = problem_of(lab.examine(generated(lab, hz), drops=0), GENERATED)
@@ -88,6 +91,7 @@ def test_let_telemetry_output_keep_more(lab, hz):
     assert lost_of(lab.examine(done, drops=0), GENERATED) == problem.left == 0
 
 
+@pytest.mark.quick("30")
 @pytest.mark.parametrize("hz", [10, 30, 60])
 def test_publish_at_most_so_many(lab, hz):
     problem = problem_of(lab.examine(generated(lab, hz), drops=0), GENERATED)
@@ -95,6 +99,7 @@ def test_publish_at_most_so_many(lab, hz):
     assert lost_of(lab.examine(done, drops=0), GENERATED) == problem.left == 0
 
 
+@pytest.mark.quick("60")
 @pytest.mark.parametrize("hz", [60, 100])
 def test_publish_so_slowly_that_a_peers_pipe_never_fills(lab, hz):
     def run(rate):
@@ -124,6 +129,7 @@ def with_commands(lab, twist, times, hz=0.0):
     )
 
 
+@pytest.mark.quick("20")
 @pytest.mark.parametrize("count", [20, 50])
 def test_spread_a_burst(lab, twist, count):
     problem = problem_of(with_commands(lab, twist, [10 + 0.001 * at for at in range(count)]), TWIST)

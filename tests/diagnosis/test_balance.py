@@ -65,6 +65,7 @@ def test_the_captures_are_here():
     assert set(TRUTH) <= set(NAMES)
 
 
+@pytest.mark.long("c4_cmd_rate")
 @pytest.mark.parametrize("name", NAMES)
 def test_every_row_adds_up_and_the_sums_are_those_of_the_rows(name, diagnosis):
     found = diagnosis(name)

@@ -46,6 +46,7 @@ def diagnosis():
     return examined
 
 
+@pytest.mark.long("d3_cpu1_cpu2", "c4_cmd_rate")
 @pytest.mark.parametrize("name", NAMES)
 def test_what_comes_out_of_a_hop_goes_into_the_next_one(name, diagnosis):
     for chain in diagnosis(name).chains:

@@ -86,6 +86,7 @@ def adds_up(found):
             )
 
 
+@pytest.mark.quick("a_rover-*", "n3_cfs_restart-end", "n5_app_restarts-start", "p6b_extended_header-end")
 @pytest.mark.parametrize("side", ["end", "start"])
 @pytest.mark.parametrize("name", ["c1_tlm_rate_limit4", *COMMANDS])
 def test_the_sum_is_right_at_every_cut(batches, name, side):
@@ -112,6 +113,7 @@ def by_cause(found):
     return lost
 
 
+@pytest.mark.long("d3_cpu1_cpu2", "c3_mqueue10", "b_arm_single", "n1_to_remove_all", "n12_two_hosts_ground")
 @pytest.mark.parametrize("name", OTHERS)
 def test_a_part_of_a_capture_tells_no_loss_that_the_whole_has_not(batches, name):
     read, ports = batches(name), PORTS.get(name, ())
@@ -148,6 +150,7 @@ def test_what_one_side_of_a_capture_shows_lost_is_lost_in_all_of_it(batches, por
     assert found.lost + found.unaccounted <= 6601
 
 
+@pytest.mark.quick("flight-20", "ground-48", "flight-51", "ground-54", "flight-74")
 @pytest.mark.parametrize("eightieth", [20, 36, 48, 49, 51, 53, 54, 60, 68, 74, 76])
 @pytest.mark.parametrize("side", ["flight", "ground"])
 def test_what_was_under_way_when_a_capture_began_is_told_as_such(batches, side, eightieth):
@@ -172,6 +175,7 @@ RELAY_DROPPED += [141, 145, 150, 155, 163, 170, 172, 174, 192, 198, 199, 205, 20
 """Which commands the relay of n10 dropped, as it noted."""
 
 
+@pytest.mark.long("45", "135")
 @pytest.mark.parametrize("tenths_of_a_second", every(5, range(0, 390, 9)))
 def test_what_the_first_counts_do_not_tell_is_not_captured(tenths_of_a_second, batches):
     """A capture that begins amid commands does not show whether CI read the ones before its first count.
@@ -197,6 +201,7 @@ def lost_by(found, msg_id):
     return sum((Counter(row.lost) for row in found.balance if row.msg_id == msg_id), Counter())
 
 
+@pytest.mark.quick("201.7-robot", "206.9-no robot")
 @pytest.mark.parametrize("robot", [True, False], ids=["robot", "no robot"])
 @pytest.mark.parametrize("seconds", BEGINS_IN_A_BACKLOG)
 def test_what_waited_when_the_capture_began_is_no_loss_of_what_it_shows(batches, seconds, robot):

@@ -30,6 +30,7 @@ def test_what_is_proven_was_lost_and_what_counters_cover_is_told(flight):
     assert least * (1 - UNSURE) <= proven + open_
 
 
+@pytest.mark.quick("10-before", "60-by the first packet")
 @pytest.mark.parametrize("enabled", ["before", "by the first packet"])
 @pytest.mark.parametrize("hertz", [8, 10, 30, 60])
 def test_what_a_replay_records_tells_what_was_lost(hertz, enabled):

@@ -42,6 +42,7 @@ def lines(found, width, words=""):
     return shown.get().splitlines()
 
 
+@pytest.mark.long("d3_cpu1_cpu2", "c4_cmd_rate")
 @pytest.mark.parametrize("name", CAPTURES)
 def test_the_first_screen_is_true_and_fits(name, diagnosed):
     found = diagnosed(name)

@@ -27,6 +27,7 @@ def by_route(diagnosis):
     return lost
 
 
+@pytest.mark.quick("14.0")
 @pytest.mark.parametrize("hertz", [10.0, 14.0, 20.0])
 def test_commands_lost_at_the_pipe_are_what_the_counter_says(hertz, lab):
     sent, counters = lab.simulate(hz=hertz, seconds=40, count=int(hertz * 30))
@@ -38,6 +39,7 @@ def test_events_that_cfs_stops_after_sixteen_are_no_vanished_telemetry(lab):
     assert {item.rule for item in lab.examine(sent).verdicts} == {"app_pipe_limit", "event_suppression"}
 
 
+@pytest.mark.long
 def test_commands_lost_beside_much_telemetry_are_seen_in_what_it_does_not_explain(lab):
     sent, counters = lab.simulate("two-rovers", hz=15.0, state_hz=45.0, seconds=50)
     diagnosis = lab.examine(sent)
@@ -82,6 +84,7 @@ def test_tos_own_pipe_overflows_and_takes_its_events_with_it(lab):
     assert any("lost with it" in line for item in diagnosis.verdicts for line in item.evidence)
 
 
+@pytest.mark.long
 def test_steps_over_tos_pipe_are_each_what_was_lost(lab):
     rates = (20, 90, 100, 200, 500, 1000)
     steps = [
@@ -103,6 +106,7 @@ def test_steps_over_tos_pipe_are_each_what_was_lost(lab):
         assert (item.of - item.lost) / 8 == pytest.approx(96, abs=10)
 
 
+@pytest.mark.quick("60")
 @pytest.mark.parametrize("rate", [60, 100, 300])
 def test_a_burst_between_slow_messages_of_one_msg_id_is_counted_once(rate, lab):
     sent, counters = lab.simulate(
@@ -111,6 +115,7 @@ def test_a_burst_between_slow_messages_of_one_msg_id_is_counted_once(rate, lab):
     assert lab.examine(sent).lost == counters.msg_limits
 
 
+@pytest.mark.quick("6")
 @pytest.mark.parametrize("seconds", [6, 9, 12])
 def test_what_the_full_pipe_of_two_arms_lost_is_counted_once(seconds, lab):
     sent, counters = lab.simulate(
@@ -151,6 +156,7 @@ def test_a_table_with_other_limits_is_measured(lab):
     assert "20.0/s get through" in verdict.reason
 
 
+@pytest.mark.quick("False")
 @pytest.mark.parametrize("configured", [True, False])
 def test_two_routes_share_the_counter_and_telemetry_keeps_its_own(configured, lab):
     sent, counters = lab.simulate("two-arms", hz=10.0, state_hz=10.0, seconds=60)
@@ -249,6 +255,7 @@ def test_crossings_of_chapters_add_up():
     assert (second["latency"], second["of"]) == (fast, 10)
 
 
+@pytest.mark.quick("700-True")
 @pytest.mark.parametrize(("chapter", "sorted_"), [(700, True), (100, False)])
 def test_a_long_capture_that_is_shuffled_as_a_whole_is_sorted_or_said_first(
     tmp_path, monkeypatch, chapter, sorted_
@@ -283,6 +290,7 @@ def test_another_cfs_has_other_constants(lab):
     assert "rate_over_limit" in [item.rule for item in lab.examine(only).verdicts]
 
 
+@pytest.mark.quick("False")
 @pytest.mark.parametrize("configured", [True, False])
 def test_memory_overrun_by_one_message_takes_the_next_telemetry_away(configured, lab, msg_id):
     sent, _ = lab.simulate("two-rovers", seconds=45, hz=2.0)

@@ -53,6 +53,7 @@ def test_any_frames_of_f_prime(agreed, tmp_path_factory, frames):
 GDS, ROVER = ("10.0.0.1", 50000), ("10.0.0.2", 40000)
 
 
+@pytest.mark.quick("ccsds")
 @pytest.mark.parametrize("kind", ["own", "ccsds"])
 def test_f_prime_over_tcp(kind, agreed, tmp_path):
     """In both directions, cut anywhere, with what keeps the connection alive between frames."""
@@ -146,6 +147,7 @@ def test_lost_frames_are_marked(agreed, tmp_path):
     assert [channel.lost for channel in bench.frames.channels] == [3] * 3
 
 
+@pytest.mark.quick("to")
 @pytest.mark.parametrize("link", ["to", "fprime"])
 def test_frames_over_tcp(link, agreed, tmp_path):
     """Each format on a connection of its own, cut anywhere; F Prime has no secondary headers."""
@@ -172,6 +174,7 @@ COUNTS = {
 }
 
 
+@pytest.mark.quick("1", "2")
 @pytest.mark.parametrize("seed", range(3))
 def test_a_connection_whose_capture_begins_inside_a_frame(seed, tshark, tmp_path):
     """Every frame that is whole behind is shown, with a check or without."""
@@ -198,6 +201,7 @@ def test_a_connection_whose_capture_begins_inside_a_frame(seed, tshark, tmp_path
     assert found == expected
 
 
+@pytest.mark.quick("ccsds-1", "own-20")
 @pytest.mark.parametrize("first", [1, 5, 20, 33])
 @pytest.mark.parametrize("kind", ["own", "ccsds"])
 def test_a_connection_of_f_prime_whose_capture_begins_inside_a_frame(kind, first, tshark, tmp_path):

@@ -86,6 +86,7 @@ def with_a_tree(tshark):
     return dict(zip(FILTERS, map(int, row[2:-1:2]), strict=True))
 
 
+@pytest.mark.quick("edoras.topic == *")
 @pytest.mark.parametrize("expression", long_but(list(FILTERS)[::3], FILTERS))
 def test_filters_say_the_same_with_and_without_a_tree(expression, tshark, with_a_tree):
     shown = tshark(script=COMMITTED).run("-r", ROVER, "-Y", expression).splitlines()
@@ -123,6 +124,7 @@ COUNTED = [
 ]
 
 
+@pytest.mark.long
 def test_what_a_sequence_count_says(tshark, write_pcap, tmp_path):
     """In turns, so that between two counts of a sender there are those of others."""
     turns = zip_longest(*(enumerate(counts) for counts, _, _ in COUNTED))
@@ -229,6 +231,7 @@ def test_two_copies_are_one(tshark, tmp_path):
     assert said(**{GUARD: own_digest(mine.read_text())})  # this one only knows the rover
 
 
+@pytest.mark.long
 def test_an_unknown_type_leaves_all_else(tshark, tmp_path):
     mission = tmp_path / "bad.yaml"
     mission.write_text(ROVER_MISSION.read_text().replace("geometry_msgs/msg/Twist", "nope_msgs/msg/Twist"))

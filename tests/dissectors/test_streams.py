@@ -38,6 +38,7 @@ def said(tshark, capture, *fields):
     return [[item for row in column for item in row.split(",") if item] for column in columns]
 
 
+@pytest.mark.quick("cuts1")
 @pytest.mark.parametrize("cuts", [[], [33, 70, 200, 201, 777], range(0, 2000, 64)])
 def test_sbn_messages_of_any_segments(cuts, tshark, tmp_path):
     messages = sbn_messages(60)
@@ -50,6 +51,7 @@ def test_sbn_messages_of_any_segments(cuts, tshark, tmp_path):
         assert [int(value, 0) for value in values] == [item[name] for item in headers]
 
 
+@pytest.mark.quick("1", "6", "11")
 @pytest.mark.parametrize("seed", range(12))
 def test_a_capture_that_begins_inside_a_message_shows_every_whole_one_behind(seed, tshark, tmp_path):
     """In segments that begin anywhere, too; our own decoder starts with one of these messages."""
@@ -67,6 +69,7 @@ def test_a_capture_that_begins_inside_a_message_shows_every_whole_one_behind(see
     assert found == whole[-len(found) :]
 
 
+@pytest.mark.quick("example-protocol-False", "None-True")
 @pytest.mark.parametrize("deflate", [False, True])
 @pytest.mark.parametrize("subprotocol", ["example-protocol", None])
 def test_racs2_messages(deflate, subprotocol, tshark, tmp_path):

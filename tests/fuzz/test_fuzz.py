@@ -24,6 +24,7 @@ def test_seeds_and_what_once_broke(name):
     assert len(set(found)) >= min(len(found) // 3, 5)
 
 
+@pytest.mark.long("diagnosis-150")
 @pytest.mark.parametrize(
     ("name", "executions"),
     [

@@ -71,6 +71,7 @@ def started():
         assert not item.waiting
 
 
+@pytest.mark.quick("1024-2", "1048576-1")
 @pytest.mark.parametrize("count", [1, 2, 3])
 @pytest.mark.parametrize("slot", [1 << 20, 1 << 10])  # some arrays do not fit and go through the socket
 def test_results_come_in_order_and_nothing_is_written_over(started, monkeypatch, count, slot):
@@ -331,6 +332,7 @@ def recorded(path, types, capture, jobs):
     return path.read_bytes()
 
 
+@pytest.mark.quick("4096-*")
 @pytest.mark.parametrize("capture", long_but(["a_rover"], ["a_rover", "f_sbn"]))
 @pytest.mark.parametrize(
     ("room", "slot", "large"),
@@ -441,6 +443,7 @@ def test_processors_are_left_to_others(monkeypatch, yields, works, spare, crowde
         os.kill(process, signal.SIGCONT)
 
 
+@pytest.mark.quick("spare1")
 @pytest.mark.parametrize("spare", [[-1, -1, -1, -1], [1, -1, -1, 1], [1, 1, 1, 1]])
 def test_a_recording_is_the_same_whether_it_yields(tmp_path, monkeypatch, spare):
     told = cycle(spare)

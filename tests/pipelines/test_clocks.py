@@ -52,6 +52,7 @@ def totals(found):
     return found.lost, found.superseded, found.unaccounted, found.datagrams
 
 
+@pytest.mark.quick("by sender-0")
 @pytest.mark.parametrize(("split", "seconds"), long_but(QUICK, list(itertools.product(SPLITS, APART_S))))
 def test_a_capture_in_two_whose_clocks_differ_loses_the_same(tmp_path, traffic, whole, split, seconds):
     middle = traffic[len(traffic) // 2].time_ns
@@ -72,6 +73,7 @@ ROVERS = {
 }
 
 
+@pytest.mark.quick("a_rover", "p6b*")
 @pytest.mark.parametrize("name", ROVERS)
 def test_what_comes_out_of_cfs_tells_when_it_went_in(tmp_path, name):
     traffic = datagrams(ROOT / f"tests/captures/{name}.pcap.zst")
@@ -95,6 +97,7 @@ def test_two_hosts_that_captured_the_same_are_one(order):
     assert abs(float(note.split(" by ")[1].split()[0])) < 0.005
 
 
+@pytest.mark.long
 def test_captures_that_have_nothing_in_common_are_not_aligned(tmp_path, traffic):
     commands = [item for item in traffic if item.destination[1] == 1234]
     rest = [item for item in traffic if item.destination[1] != 1234]
@@ -126,6 +129,7 @@ def bounds(note):
 DRIFT = re.compile(r"by ([+-][\d.]+) ppm, between ([+-][\d.]+) and ([+-][\d.]+) ppm")
 
 
+@pytest.mark.quick("0-0-1", "-100-0.3-1", "200-4--1")
 @pytest.mark.parametrize("order", [1, -1])
 @pytest.mark.parametrize(("ppm", "seconds"), [(0, 0), (20, -1), (-100, 0.3), (200, 4)])
 def test_the_drift_of_two_hosts_clocks_is_told_and_taken_out(tmp_path, order, ppm, seconds):
@@ -140,6 +144,7 @@ def test_the_drift_of_two_hosts_clocks_is_told_and_taken_out(tmp_path, order, pp
     assert low <= seconds <= high <= low + 0.005
 
 
+@pytest.mark.quick("20")
 @pytest.mark.parametrize("ppm", [20, -200])
 def test_the_drift_between_parts_of_streams_is_told_by_their_counts(tmp_path, traffic, ppm):
     split = SPLITS["every other datagram"]
@@ -151,6 +156,7 @@ def test_the_drift_between_parts_of_streams_is_told_by_their_counts(tmp_path, tr
     assert low <= ppm <= high <= low + 1
 
 
+@pytest.mark.long
 def test_a_drift_that_order_alone_cannot_show_is_not_claimed(tmp_path, traffic):
     split = SPLITS["by link"]
     path = write(tmp_path / "a.pcap", [item for item in traffic if split(item, 0)])

@@ -181,6 +181,7 @@ def test_more_values_than_a_message_takes_are_refused_at_the_start():
         structs_of(f"bind: {{0x890: S60}}\nstructs: {{S0: {{members: {{}}}}, {doubled}}}")
 
 
+@pytest.mark.long
 def test_a_packet_of_more_values_than_a_message_takes_is_left_alone():
     where = structs_of(f"bind: {{0x890: A}}\nstructs: {{{FLAGS}, A: {{members: {{f: 'Flags[]'}}}}}}")
     packets = [wire.emit_telemetry(0x0890, bytes([255]) * size) for size in (8000, 9000)]

@@ -1,12 +1,18 @@
-"""How much of a search a run of the tests does: a part in ``make test``, all of it in ``make long``."""
+"""How much of a search a run of the tests does: a part in ``make test``, all of it in ``make long``.
+
+A test marked ``long`` is for ``make long``; with patterns of ids only the cases are that match one. Of a test
+marked ``quick`` with patterns, ``make test`` runs the cases that match one.
+"""
 
 import os
+from collections import defaultdict
+from fnmatch import fnmatchcase
 
 import pytest
 
 LONG = bool(os.environ.get("EDORAS_LONG"))
 _ALL = LONG or os.environ.get("HYPOTHESIS_PROFILE") == "explore"
-_PART = 8
+_PART = 16
 
 
 def examples(count, part=_PART, least=10):
@@ -24,3 +30,42 @@ def long_but(quick, values):
     cases = [value if isinstance(value, tuple) else (value,) for value in values]
     marks = [() if value in quick else pytest.mark.long for value in values]
     return [pytest.param(*case, marks=mark) for case, mark in zip(cases, marks, strict=True)]
+
+
+def split(items):
+    """Return the tests that this run does, and those that it leaves to ``make long``."""
+    kept, left = [], []
+    for item in items:
+        (left if not LONG and _is_long(item) else kept).append(item)
+    return kept, left
+
+
+def unmatched(items):
+    """Return the patterns, each with its test, that match no case of it: misspelt, it would hide cases."""
+    cases, tests = defaultdict(list), {}
+    for item in items:
+        test = item.nodeid.partition("[")[0]
+        cases[test].append(_case(item))
+        tests[test] = item
+    return [
+        (test, pattern)
+        for test, item in tests.items()
+        for mark in item.iter_markers()
+        if mark.name in {"quick", "long"}
+        for pattern in mark.args
+        if not any(fnmatchcase(case, pattern) for case in cases[test])
+    ]
+
+
+def _case(item):
+    return item.callspec.id if hasattr(item, "callspec") else ""
+
+
+def _is_long(item):
+    case = _case(item)
+    for mark in item.iter_markers():
+        if mark.name in {"quick", "long"}:
+            among = any(fnmatchcase(case, pattern) for pattern in mark.args)
+            if not among if mark.name == "quick" else among or not mark.args:
+                return True
+    return False

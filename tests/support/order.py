@@ -1,17 +1,19 @@
 """Which file of tests runs when: the longest of the last whole run first, so that none is left at the end.
 
 The seconds of each file are kept where pytest keeps what it knows of the last run; ``pytest --cache-clear``
-forgets them. Those of the slowest are printed behind a whole run.
+forgets them. Behind a whole run the files are printed that cost the most time of processors, which other work
+on the machine changes little: their own, and that of the programs that they started and saw end.
 """
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 
 import pytest
 
 KEY = "edoras/seconds of files"
-SHOWN = 15
+SHOWN = 25
 
 
 class Order:
@@ -21,7 +23,8 @@ class Order:
         self._cache = getattr(config, "cache", None)  # none with -p no:cacheprovider
         whole = config.args_source is config.ArgsSource.TESTPATHS
         self._whole = whole and not config.option.keyword and not config.option.markexpr
-        self._seconds = Counter()
+        self._seconds, self._cpu = Counter(), Counter()
+        self._before = 0.0
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items):
@@ -30,20 +33,39 @@ class Order:
         many = Counter(map(file_of, (item.nodeid for item in items)))
         items.sort(key=lambda item: -before.get(file_of(item.nodeid), many[file_of(item.nodeid)] / 20))
 
+    def pytest_runtest_logstart(self):
+        """Begin to count the processors' time."""
+        self._before = processor_seconds()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self):
+        """Say with each part of a test what time of processors it took."""
+        report = yield
+        now = processor_seconds()
+        report.cpu, self._before = now - self._before, now
+        return report
+
     def pytest_runtest_logreport(self, report):
         """Count what a part of a test took."""
         self._seconds[file_of(report.nodeid)] += report.duration
+        self._cpu[file_of(report.nodeid)] += getattr(report, "cpu", 0)  # none of a test whose process died
 
     def pytest_terminal_summary(self, terminalreporter):
         """Print and keep the seconds of the files of a whole run."""
         if self._whole and self._seconds:
             if self._cache:
                 self._cache.set(KEY, {name: round(seconds, 2) for name, seconds in self._seconds.items()})
-            terminalreporter.section(f"slowest {SHOWN} files of {len(self._seconds)}")
-            for name, seconds in self._seconds.most_common(SHOWN):
-                terminalreporter.write_line(f"{seconds:6.1f} s  {name}")
+            whole = f"{self._cpu.total():.0f} s of processors in {len(self._cpu)} files"
+            terminalreporter.section(f"{whole}; the most, and seconds")
+            for name, cpu in self._cpu.most_common(SHOWN):
+                terminalreporter.write_line(f"{cpu:6.1f} {self._seconds[name]:6.1f}  {name}")
 
 
 def file_of(test):
     """Return the file of a test's name."""
     return test.partition("::")[0]
+
+
+def processor_seconds():
+    """Return the processors' time of this process and of its children that ended."""
+    return sum(os.times()[:4])

@@ -166,6 +166,7 @@ def test_what_cannot_be_listed_is_told(s3, monkeypatch, tmp_path):
     s3.start()
 
 
+@pytest.mark.long
 def test_a_server_that_goes_away_is_told_and_the_next_update_goes_on(s3, scheduler, tmp_path):
     index = tmp_path / "x.duckdb"
     urls = [item.url for item in find_captures(["s3://fleet"])]

@@ -227,6 +227,7 @@ def test_what_cannot_be_read_stops_nothing(folder, updated):
     assert (again.report.read, again.report.bad) == (0, done.report.bad), "told again, and not read again"
 
 
+@pytest.mark.long
 def test_a_file_that_changes_while_it_is_read_has_no_rows(folder, updated, monkeypatch):
     path = folder / "a_rover.pcap"
     task = Task(((str(path), ""),), SETTINGS, fingerprint(SETTINGS))
@@ -342,6 +343,7 @@ with open_index(Path(index), write=True) as opened:
 """
 
 
+@pytest.mark.long
 def test_killed_it_goes_on(folder, updated, scheduler):
     index = folder / "x.duckdb"
     arguments = [index, scheduler, folder, MISSIONS / "rover_ground.yaml"]
@@ -387,6 +389,7 @@ except CaptureError as error:
 """
 
 
+@pytest.mark.long
 def test_a_full_disk_is_told_and_leaves_an_index(tmp_path):
     """The disk is a limit of a file's size, to which DuckDB comes while it commits."""
     index = tmp_path / "x.duckdb"
@@ -478,6 +481,7 @@ def test_a_worker_is_no_scheduler(folder, scheduler):
     )
 
 
+@pytest.mark.long
 def test_a_lost_scheduler_is_told(folder, monkeypatch):
     lost = LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=60)
     monkeypatch.setattr(update, "_PATIENCE_S", 0.5)

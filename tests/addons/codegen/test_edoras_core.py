@@ -135,6 +135,7 @@ def test_a_command_that_is_cut_stops_the_rover(rover):
         assert not any((ctypes.c_double * 6).in_dll(rover, "twist"))
 
 
+@pytest.mark.long
 def test_memory_of_a_heap_is_still_freed(library):
     heap_only = library.dll.edoras_heap_only
     heap_only.restype, heap_only.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
@@ -370,6 +371,7 @@ def test_the_classic_reader_trusts_nothing(library, store):
         assert bool(read(packet, 8, None, info, None)) == works
 
 
+@pytest.mark.quick("8/8 be", "1/1")
 @pytest.mark.parametrize("envelope", ENVELOPE_FORMATS, ids=str)
 def test_envelopes(cc, tmp_path, store, tools, envelope):
     write_folder(

@@ -95,6 +95,7 @@ def test_it_starts(run):
     assert published(app)[0] == []
 
 
+@pytest.mark.quick("1", "7", "1000")
 @pytest.mark.parametrize("rate", [1, 3, 7, 40, 333, 1000, 4000])
 def test_rates(run, rate):
     """So many in three seconds, and none more than a millisecond late."""

@@ -57,6 +57,7 @@ def frames(batch):
     ]
 
 
+@pytest.mark.quick("options0-*", "options1-.mcap-10000", "options2-.pcap-97", "options3-.pcapng-97")
 @pytest.mark.parametrize("step", [10_000, 97])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize(
@@ -81,6 +82,7 @@ def test_parts_are_the_whole(suffix, options, step, written, batch):
             assert all(50_000 < path.stat().st_size <= 60_000 for path in paths[:-1])
 
 
+@pytest.mark.quick(".pcap")
 @pytest.mark.parametrize("suffix", [".pcap", ".pcapng"])
 def test_a_frame_that_is_larger_than_a_part_is_alone_in_it(suffix, written, batch):
     paths, _ = written(suffix, split_bytes=1)
@@ -97,6 +99,7 @@ def test_only_the_newest_are_kept(suffix, written, batch):
     assert [frame for path in paths for frame in read(path)] == frames(batch)[200 * (last - 2) :]
 
 
+@pytest.mark.quick(".pcap")
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_all_together_are_no_larger_than_is_to_be_kept(suffix, written):
     paths, sink = written(suffix, 20, split_count=100, keep_bytes=100_000)

@@ -193,6 +193,7 @@ def test_a_segment_that_the_capture_cut_has_no_bytes_that_are_not_there():
     assert [item.frame for item in cut] == [segments[3].frame()[:60]]
 
 
+@pytest.mark.quick("data3")
 @pytest.mark.parametrize(
     "data", [b"\xff" * 5000, bytes(5000), b"GET / HTTP/1.1\r\n" * 300, b"\x7f\xff\x03" * 900]
 )
@@ -201,7 +202,7 @@ def test_another_protocol_on_the_port_is_kept_as_parts(data):
     kept = b"".join(item.frame[54:] for item in rows)
     assert kept == data
     demux = Demux()
-    for at in range(100):
+    for at in range(60):
         chunk = Segment(at * len(data), data)
         demux.demux(frames([chunk], at + 1))
     waiting = demux.finish()
@@ -228,16 +229,16 @@ def test_nothing_in_a_header_makes_it_fail(junk):
 
 def test_memory_is_bounded(monkeypatch):
     monkeypatch.setattr("edoras_tools.io.frames.linklayer._WAITING_BYTES", 100_000)
-    monkeypatch.setattr(tcp, "CONNECTIONS", 50)
+    monkeypatch.setattr(tcp, "CONNECTIONS", 25)
     demux = Demux()
     largest = 0
-    for at in range(300):  # each of another connection, each behind a gap, at one time
+    for at in range(60):  # each of another connection, each behind a gap, at one time
         source = ("10.0.0.1", 1000 + at)
         opening, data = Segment(1, flags=SYN, source=source), Segment(900, bytes(5000), source=source)
         demux.demux(frames([opening, data]))
         largest = max(largest, demux._waiting.data.size if demux._waiting is not None else 0)
     assert 50_000 < largest < 120_000
-    assert len(demux._streams._directions) <= 50
+    assert len(demux._streams._directions) <= 25
 
 
 def test_other_tcp_and_segments_without_bytes_are_skipped():

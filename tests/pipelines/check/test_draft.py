@@ -27,6 +27,7 @@ def held(source, text, folder, settings=SETTINGS):
     return check(source, settings.workbench(source.info), load_expectations(path))
 
 
+@pytest.mark.long("d3*", "c4*", "c1*", "c3*")
 @pytest.mark.parametrize(
     ("name", "configured"),
     long_but(list(zip(RECORDINGS, cycle((True, False)))), list(product(RECORDINGS, (True, False)))),
@@ -90,6 +91,7 @@ def test_another_good_run_passes(good, tmp_path):
     assert [(item.about, item.name, item.found) for item in report.results if not item.passed] == []
 
 
+@pytest.mark.quick("<lambda>-failed1")
 @pytest.mark.parametrize(
     ("source", "failed"),
     [

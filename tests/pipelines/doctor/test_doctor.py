@@ -117,6 +117,7 @@ def test_a_span_of_time_is_cut_out_and_the_rest_counted():
         found(Scope(period=Period(900 * SECOND)))
 
 
+@pytest.mark.quick("selection0*")
 @pytest.mark.parametrize(
     ("selection", "links", "lost"),
     [
@@ -196,6 +197,7 @@ class _Parts:
                 yield batch.take(slice(first, first + self._rows))
 
 
+@pytest.mark.quick("a_rover")
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 @pytest.mark.parametrize("path", [*CAPTURES, ERRORS], ids=lambda path: path.stem)
 def test_chapters_are_judged_alike_by_any_number_of_processes(monkeypatch, path):
@@ -237,6 +239,7 @@ def test_what_is_followed_over_chapters_comes_to_the_one_that_judges(monkeypatch
     assert two.diagnosis.capture.frames.channels
 
 
+@pytest.mark.quick("os.fork")
 @pytest.mark.parametrize("what", ["os.fork", "mmap.mmap"])
 def test_where_there_is_no_other_process_this_one_judges(monkeypatch, what):
     path = ROOT / "samples/captures/a_rover.pcap"

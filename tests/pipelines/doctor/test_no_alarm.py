@@ -35,6 +35,7 @@ def test_a_clean_demo_of_hours_has_no_verdict(scenario):
     assert (found.lost, found.unaccounted, found.bad) == (0, 0, False)
 
 
+@pytest.mark.quick("4.0")
 @pytest.mark.parametrize("hz", [2.0, 4.0, 8.0])
 def test_one_constant_twist_for_a_minute_has_no_verdict(hz, monkeypatch):
     monkeypatch.setattr(bridges.messages, "twist", lambda *_: CONSTANT)

@@ -356,6 +356,7 @@ ABSENT = NPM / "absent"
 WHY = ABSENT.read_text().strip() if ABSENT.exists() else "Foxglove's client is not installed: make npm"
 
 
+@pytest.mark.quick("foxglove.sdk.v1")
 @pytest.mark.skipif(not (NPM / ".installed").exists(), reason=WHY)
 @pytest.mark.parametrize("subprotocol", ["foxglove.websocket.v1", "foxglove.sdk.v1"])
 def test_who_subscribes_at_once_loses_nothing(subprotocol, tmp_path):

@@ -40,6 +40,7 @@ def to_ground(sent):
     )
 
 
+@pytest.mark.quick("1")
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_rover_loses_one_in_five_or_so_at_10_hz(captured, seed):
     simulation, sent = replay(captured("a_rover"), "rover", 1795241636.599, seed)
@@ -205,6 +206,7 @@ def command_rates():
     return lost
 
 
+@pytest.mark.long
 def test_c4_at_every_rate_as_many_commands_are_lost_within_three_points(command_rates):
     assert list(command_rates) == [2, 4, 6, 7, 8, 9, 10, 15, 20, 22, 25, 30, 50, 100]
     for rate, (sent, flight, emulated) in command_rates.items():
@@ -241,6 +243,7 @@ def test_n3_a_cfs_that_is_killed_and_begins_again():
     assert len({item.source for item in beside.sent if item.destination.port == 1235}) == 2
 
 
+@pytest.mark.quick("1")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_n5_applications_restart_stop_and_start(seed):
     beside = Beside("n5_app_restarts", seed).run()
@@ -276,6 +279,7 @@ def test_it_says_at_its_start_what_cfs_says(name):
     assert 4 <= before <= 12
 
 
+@pytest.mark.quick("1")
 @pytest.mark.parametrize("seed", SEEDS[:3])
 def test_c3_every_pipe_is_cut_where_the_host_allows_ten(seed):
     beside = Beside("c3_mqueue10", seed, msg_max=10).run()
@@ -287,6 +291,7 @@ def test_c3_every_pipe_is_cut_where_the_host_allows_ten(seed):
     assert uncut.pipe_overflows == 0
 
 
+@pytest.mark.quick("5")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_cfe_with_extended_headers(seed):
     """What it was sent goes in as it was sent; as many are lost, and packets as long come out."""

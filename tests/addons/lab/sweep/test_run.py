@@ -94,6 +94,7 @@ def test_telemetry_with_a_limit_of_4_ends_between_8_and_9_hz_as_captured(bench):
         assert found[rate] == (pytest.approx(received, abs=1), pytest.approx(msg_limit, abs=1)), rate
 
 
+@pytest.mark.long
 def test_telemetry_with_a_limit_of_255_ends_where_the_pipe_is_full(bench):
     summary = run(bench(*TWO), "/robot_1/ground/pose", "two-rovers", limit=255)
     assert 80 <= summary["threshold_hz"] < summary["first_loss_hz"] <= 91
@@ -108,6 +109,7 @@ def test_cfs_to_an_sbn_peer_ends_at_about_40_hz(bench):
     assert "8 of one MsgId may wait and SBN serves the pipe every 200 ms" in summary["reason"]
 
 
+@pytest.mark.quick("missions0*")
 @pytest.mark.parametrize(
     ("missions", "name", "scenario"), [(ROVER, "/cmd_vel", "rover"), (TWO, "0x1827", "two-rovers")]
 )
@@ -124,6 +126,7 @@ def test_at_10_hz_for_a_minute_commands_are_lost_as_by_the_real_rover(bench):
     assert 70 <= summary["steps"][0]["lost"] <= 120  # 92 in flight
 
 
+@pytest.mark.long
 def test_a_peer_s_states_reach_cfs_at_any_rate_and_what_they_cause_elsewhere_is_told(bench):
     summary = run(bench(*TWO), "/robot_1/pose", "two-rovers", rates=(1, 128))
     assert (summary["threshold_hz"], summary["limiting_hop"], summary["to_cfs"]) == (None, None, True)
@@ -156,6 +159,7 @@ def test_ci_cuts_at_768_bytes_and_the_echo_shows_it(bench):
     assert "longer than CI's 768 bytes" in summary["reason"]
 
 
+@pytest.mark.long
 def test_the_software_bus_takes_32768_bytes(bench):
     summary = run(
         bench(*TWO), "/robot_1/ground/pose", "two-rovers", rates=(2, 2), sizes=(20000, 40000), step_s=4
@@ -403,6 +407,7 @@ def test_a_dry_run_names_everything_that_would_be_sent(bench):
 EXTENDED = {"options": SendOptions(headers=cfe.WITH_EXTENDED)}
 
 
+@pytest.mark.quick("/robot_1/ground/cmd_vel-rates2-8-extended header")
 @pytest.mark.parametrize("headers", [cfe.WITH_EXTENDED, cfe.WITH_EXTENDED_2], ids=lambda item: item.name)
 @pytest.mark.parametrize(
     ("name", "rates", "threshold"),
@@ -419,6 +424,7 @@ def test_a_cfe_with_extended_headers_has_the_same_limits(name, rates, threshold,
     assert summary["threshold_hz"] == threshold
 
 
+@pytest.mark.long
 def test_ci_cuts_at_the_same_size_behind_extended_headers():
     settings = Settings([MISSIONS / "rover_ground.yaml"], options=Options(extended_header=True))
     summary = run(settings.workbench(), "/cmd_vel", "rover", rates=(2, 2), sizes=(84, 900), **EXTENDED)

@@ -257,6 +257,7 @@ def wholes(tmp_path_factory, types, capture):
     return made
 
 
+@pytest.mark.long
 def test_damaged_in_eight_ways(tmp_path, wholes):
     """Nothing is altered, exit codes are right, and what lies in chunks whose CRC is right is kept."""
     rows = damage.tried(damage.by_library, wholes, 304 if LONG else 24, tmp_path)
@@ -266,6 +267,7 @@ def test_damaged_in_eight_ways(tmp_path, wholes):
         assert (row["less than a scan"], row["altered"], row["exit code"]) == (0, 0, 0), way
 
 
+@pytest.mark.quick("zeroed block", "removed bytes", "truncated")
 @pytest.mark.parametrize("way", [way for way in damage.WAYS if way != "two joined"])
 def test_damage_inside_is_never_called_whole(tmp_path, recording, way):
     """Of a file of ours each byte is covered by a checksum."""

@@ -80,6 +80,7 @@ def test_bits_about_the_frame_check_sequence_are_no_link_type(tmp_path):
     assert (row.link_type, row.payload, error) == (101, b"hello", "")
 
 
+@pytest.mark.quick("default-*", "tiny-b_arm_single")
 @pytest.mark.usefixtures("_sizes")
 @pytest.mark.parametrize("name", ["a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect"])
 def test_scapy_reads_the_same_of_real_captures(name):
@@ -103,6 +104,7 @@ def imitation(order):
     return b"".join(record(b"\x01" * length, 1_700_000_000, 5, order) for length in (1, 0, 40, 7, 64)) * 3
 
 
+@pytest.mark.quick("tiny->", "default-<")
 @pytest.mark.usefixtures("_sizes")
 @pytest.mark.parametrize("order", "<>")
 @settings(max_examples=40)

@@ -193,6 +193,7 @@ def test_info_knows_the_interfaces_in_front_of_the_packets(tmp_path):
     assert (info.name, info.kind, info.time_resolution_ns, info.snap_length) == (str(path), "pcapng", 1, 200)
 
 
+@pytest.mark.quick("default-*")
 @pytest.mark.usefixtures("_sizes")
 @pytest.mark.parametrize("name", ["a_rover", "e_ci_errors"])
 def test_editcap_and_scapy_agree_on_real_captures(tmp_path, name):
