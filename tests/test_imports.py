@@ -170,6 +170,7 @@ except SystemExit:
     assert loaded_by(program) & HEAVY == set()
 
 
+@pytest.mark.quick("model*", "pipelines.workbench*")
 @pytest.mark.parametrize(
     ("module", "absent"),
     [

@@ -109,6 +109,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.quick("change*", "twice", "moved")
 @pytest.mark.parametrize("change", CHANGES, ids=lambda item: item.__name__)
 def test_a_doctored_capture_is_worse_where_it_was_changed(compare, tmp_path, change):
     items = datagrams(ROOT / "tests/captures/a_rover.pcap.zst")

@@ -56,6 +56,7 @@ def truncate(path):
     path.write_bytes(b"")
 
 
+@pytest.mark.quick("move*", "truncate*")
 @pytest.mark.parametrize(
     ("how", "fate"),
     [(delete, "deleted"), (move, "moved to"), (replace, "replaced by another file"), (truncate, "truncated")],

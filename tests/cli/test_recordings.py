@@ -163,6 +163,7 @@ def option_of(writer):
     return next((word for word in writer.split() if word.startswith("-")), None)
 
 
+@pytest.mark.long("archive report -o")
 @pytest.mark.parametrize("writer", WRITERS)
 def test_what_exists_is_refused(call, folder, writer):
     name, words = WRITERS[writer]

@@ -57,6 +57,7 @@ def counted(call, command, *inputs):
 COMMANDS = {"info": 205, "sniff": 205, "record": 205, "check": 100, "export": 205}
 
 
+@pytest.mark.quick("info*", "record*", "check*")
 @pytest.mark.parametrize(("command", "count"), COMMANDS.items())
 def test_bare_with_the_option_and_several(command, count, bag, database, folder, call):
     other = write_studio(folder / "other.mcap")
@@ -125,6 +126,7 @@ def test_standard_input_that_is_a_file(command, bag, database, call, monkeypatch
             assert counted(call, command, "-") == 205
 
 
+@pytest.mark.quick("part0*", "part3*", "part6*")
 @pytest.mark.parametrize(
     ("part", "seconds"),
     [

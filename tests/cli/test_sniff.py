@@ -230,6 +230,7 @@ def test_statistics_of_records_out_of_order_say_so(call, tmp_path):
 VIEWS = ["", "-V", "--json", "--fields number", "--stat routes", "--sequence mermaid"]
 
 
+@pytest.mark.long("sniff -V")
 @pytest.mark.parametrize("command", [*(f"sniff {view}" for view in VIEWS), "info", "info --json"])
 def test_a_port_that_looks_like_a_link_is_told_as_in_the_doctor(command, call):
     path = ROOT / "tests/captures/n10_uplink_loss.pcap.zst"
@@ -264,6 +265,7 @@ def test_what_is_shown_is_not_left_out(call):
     assert call("sniff", "-a", ROOT / "tests/captures/n10_uplink_loss.pcap.zst").code == 0
 
 
+@pytest.mark.long("sniff --fields*", "sniff -V*")
 @pytest.mark.parametrize(
     "command",
     ["sniff {}", "sniff -V -n 300 {}", "sniff --fields number,summary {}", "decode {} 105", "info {}"],

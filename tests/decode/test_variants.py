@@ -182,6 +182,7 @@ def test_a_build_that_comes_late_in_a_long_source_is_found(tmp_path):
     assert (headers[len(repeated) :] != 0).sum() > 800
 
 
+@pytest.mark.quick("1")
 @pytest.mark.parametrize("order", [1, -1])
 def test_what_one_decoder_detected_another_reads_with(tmp_path, order):
     """Each batch is begun by one and finished by the other, as processes share them."""

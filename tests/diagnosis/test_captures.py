@@ -62,6 +62,7 @@ def test_c1_names_the_loss_of_each_step_and_the_clean_rate(capture, missions):
     assert diagnosis.lost == sum(STEPS.values())
 
 
+@pytest.mark.quick("missions1")
 @pytest.mark.parametrize("missions", [(), ("two_rovers_ground", "two_rovers_flight")])
 def test_d3_follows_both_peers_within_a_second(capture, missions):
     diagnosis = capture("d3_cpu1_cpu2", *missions)

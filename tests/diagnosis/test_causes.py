@@ -66,6 +66,7 @@ def test_a_relay_that_doubles_is_named(lab):
     assert "78 of them are copies that came 21 ms after an equal one, the others at 7.0 Hz" in verdict.reason
 
 
+@pytest.mark.long("c4*")
 @pytest.mark.parametrize("name", ["a_rover", "c4_cmd_rate", "season3/q01_two_causes_one_counter"])
 def test_one_sender_that_repeats_itself_is_no_crowd(lab, name):
     found = lab.read(ROOT / f"tests/captures/{name}.pcap.zst")
@@ -118,6 +119,7 @@ def stalled(scenario, hz, *, seconds=5):
     return list(simulation.run(start_ns + 45 * SECOND))
 
 
+@pytest.mark.quick("rover-7.0")
 @pytest.mark.parametrize(("scenario", "hz"), [("rover", 7.0), ("two-rovers", 4.0)])
 def test_a_cfs_that_stood_still_is_the_cause_of_what_came_at_once(lab, scenario, hz):
     found = lab.examine(stalled(scenario, hz))
@@ -131,6 +133,7 @@ def test_a_cfs_that_stood_still_is_the_cause_of_what_came_at_once(lab, scenario,
     assert told(found, "topic_silent") == []
 
 
+@pytest.mark.long("c1*")
 @pytest.mark.parametrize("name", ["a_rover", "c1_tlm_rate_limit4", "p4_apps_stopped", "n5_app_restarts"])
 def test_a_cfs_of_which_something_comes_did_not_stand_still(lab, name):
     folder = SEASON if name.startswith("p4") else ROOT / "tests/captures"

@@ -35,6 +35,7 @@ def big_endian(items):
     return found
 
 
+@pytest.mark.quick("True")
 @pytest.mark.parametrize("big", [False, True])
 def test_a_cfs_with_other_constants_is_judged_by_its_own(lab, big):
     sent, counters = lab.simulate(
@@ -70,6 +71,7 @@ def test_a_constant_that_was_given_is_not_replaced(lab):
     assert lab.examine(sent).case.profile.to_wake_ns == pytest.approx(OTHER["to_wake_ns"], rel=0.1)
 
 
+@pytest.mark.long("c4_cmd_rate")
 @pytest.mark.parametrize("name", ["a_rover", "c4_cmd_rate", "season3/q17_two_bridges_same_topic"])
 def test_what_nothing_shows_is_called_assumed(lab, name):
     found = lab.read(ROOT / f"tests/captures/{name}.pcap.zst")

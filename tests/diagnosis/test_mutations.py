@@ -79,6 +79,15 @@ def figures(result):
 plain = cache(lambda name: figures(diagnosed(FOLDER / f"{name}.pcap.zst", TRUTHS[name].options)))
 
 
+@pytest.mark.quick(
+    "*_rover-two arms",
+    "b_arm*",
+    "n*-a rover",
+    "c3*-two arms",
+    "p6b*-a rover",
+    "season3/q*-a rover",
+    "season3/[enp]*-two arms",
+)
 @pytest.mark.parametrize("mission", MISSIONS if LONG else list(MISSIONS)[:2])
 @pytest.mark.parametrize("name", TRUTHS)
 def test_a_mission_gives_names_and_moves_no_figure(name, mission):

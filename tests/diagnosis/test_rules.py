@@ -121,7 +121,8 @@ def _answered(tmp_path, lab, code, reporter):
         packet = datagram(
             item.payload, item.source, item.destination, id=item.identification, ttl=item.time_to_live
         )
-        out.append(Frame(item.time_ns, frame(packet), len(frame(packet))))
+        sent = frame(packet)
+        out.append(Frame(item.time_ns, sent, len(sent)))
         if item.destination[1] == 1235 and 20 < (item.time_ns - out[0].time_ns) / 10**9 < 40:
             error = frame(error_about(packet, code=code, reporter=reporter))
             out.append(Frame(item.time_ns + 10_000, error, len(error)))

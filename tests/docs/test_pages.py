@@ -42,6 +42,17 @@ def without_sizes(text):
 QUICK = [page for page in REFRESHED if page.stem not in {"sweep", "balance", "archive"}]
 
 
+@pytest.mark.long(
+    "docs/doctor.md",
+    "docs/rtps.md",
+    "docs/fprime.md",
+    "docs/wire.md",
+    "docs/compare.md",
+    "docs/structs.md",
+    "docs/analysis.md",
+    "docs/settings.md",
+    "docs/replay.md",
+)
 @pytest.mark.parametrize("page", long_but(QUICK, REFRESHED), ids=identity)
 def test_the_output_shown_is_the_output(page, refresh, typed, tmp_path):
     for library in LIBRARIES if page.stem == "analysis" else ():

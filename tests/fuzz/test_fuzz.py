@@ -117,6 +117,7 @@ def test_time_is_shared():
     assert max(counts) - min(counts) <= max(counts) // 2
 
 
+@pytest.mark.long
 def test_the_command(tmp_path):
     done = subprocess.run(
         [

@@ -287,6 +287,7 @@ def test_kinds_and_masks_know_it(installed):
     assert table.link(64) is installed
 
 
+@pytest.mark.quick("wrong*")
 @pytest.mark.parametrize(
     ("text", "said"),
     [

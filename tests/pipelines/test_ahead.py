@@ -11,7 +11,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from children import children
-from effort import long_but
+from effort import examples, long_but
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import CAPTURES, ROOT
@@ -59,6 +59,7 @@ def same(one, other):
     return True
 
 
+@pytest.mark.quick("a_rover")
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
 def test_info_is_the_same_with_any_number_of_processes(path):
     found = [looked_at(path, jobs).summary() for jobs in (1, 2, 3)]
@@ -66,7 +67,7 @@ def test_info_is_the_same_with_any_number_of_processes(path):
     assert found[0]["datagrams"] > 500
 
 
-@settings(max_examples=10)
+@settings(max_examples=examples(10, part=2, least=5))
 @given(
     window=st.integers(6_000, 200_000),
     batches=st.integers(1, 6),
@@ -101,6 +102,7 @@ READERS = ("all", "none", "every third")
 IN_TURNS = list(zip(FILES, cycle(READERS)))
 
 
+@pytest.mark.quick("f_sbn_disconnect.pcap-*", "e_ci_errors.pcap-none")
 @pytest.mark.parametrize(
     ("path", "here"),
     long_but(IN_TURNS, list(product(FILES, READERS))),

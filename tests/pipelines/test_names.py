@@ -25,6 +25,7 @@ def counted(capture, selection=None):
     return inspect(source, bench, selection=selection or Selection())
 
 
+@pytest.mark.quick("f_sbn*")
 @pytest.mark.parametrize("capture", long_but(CAPTURES[2:], CAPTURES))
 def test_every_name_that_info_prints_chooses_what_it_counts(capture):
     rows = counted(capture).ledger.routes()

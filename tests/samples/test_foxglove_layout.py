@@ -98,6 +98,7 @@ def test_splits_are_complete(scenario):
     check(layout(scenario)["layout"])
 
 
+@pytest.mark.quick("rover-*")
 @pytest.mark.parametrize(
     ("scenario", "name", "followed"),
     [("two-rovers", "rovers", "/robot_1/ground/pose"), ("rover", "rover", "/telemetry_pose")],
@@ -129,6 +130,7 @@ def test_poses_of_both_rovers_are_shown_in_their_frame(recordings):
     assert panel["layers"]["grid"]["frameId"] == "world"
 
 
+@pytest.mark.quick("arm", "rover")
 @pytest.mark.parametrize("scenario", LAYOUTS)
 def test_events_go_to_the_log(recordings, scenario):
     panel = layout(scenario)["configById"]["RosOut!events"]

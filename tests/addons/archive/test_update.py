@@ -19,6 +19,7 @@ import duckdb
 import pytest
 from distributed import LocalCluster
 from distributed.scheduler import KilledWorker
+from effort import LONG
 from places import CAPTURES, MISSIONS
 
 from edoras_tools.addons.archive import update, work
@@ -43,9 +44,15 @@ LOST = 92 + 18 + 31
 
 @pytest.fixture(scope="module")
 def scheduler():
-    """The address of a scheduler with two workers, for all tests."""
+    """The address of a scheduler for all tests; its two workers are processes where they are to be killed."""
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=60
+        n_workers=2,
+        threads_per_worker=1,
+        processes=LONG,
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0" if LONG else None,
+        silence_logs=60,
     ) as made:
         yield made.scheduler_address
 
@@ -289,6 +296,7 @@ class Hook:
             act()
 
 
+@pytest.mark.long
 def test_a_lost_worker_changes_nothing(folder, updated, scheduler):
     whole = updated(folder / "x.duckdb", folder)
     with update.workers(0, scheduler, most=1) as client:

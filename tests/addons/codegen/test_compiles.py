@@ -48,6 +48,7 @@ def test_spoilt_messages_under_sanitizers(cc, tools, generated, corpus, tmp_path
     assert int(statuses["the representation is not CDR"]) > 50
 
 
+@pytest.mark.long
 def test_32_bits(cc, tools, generated, corpus, tmp_path):
     """The same bytes where size_t has 4 and double is aligned to 4."""
     tools.need_32_bits(cc, tmp_path)

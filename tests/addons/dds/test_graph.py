@@ -379,6 +379,7 @@ def test_where_cyclonedds_is_not_as_known_the_public_way_is_taken(node, monkeypa
     assert dds_messages.writer_of(graph._writers[0][1]).__qualname__.startswith("plain_writer_of")
 
 
+@pytest.mark.long
 def test_every_type_of_the_distribution_travels(node, until):
     one, other = node("one"), node("other")
     sent, heard = {}, {}

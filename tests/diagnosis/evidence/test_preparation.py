@@ -44,6 +44,7 @@ def some_moved(items, count, seed):
     return left
 
 
+@pytest.mark.long("d3*")
 @pytest.mark.parametrize("name", ["a_rover", "c1_tlm_rate_limit4", "d3_cpu1_cpu2", "n3_cfs_restart"])
 def test_counts_followed_again_say_the_same(tmp_path, name):
     rows = recorded(write(tmp_path / "x.pcap", captured(name))).rows()

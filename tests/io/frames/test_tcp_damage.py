@@ -133,6 +133,7 @@ def captured(path):
     return items, sent
 
 
+@pytest.mark.quick("samples*")
 @pytest.mark.parametrize("path", CAPTURES)
 def test_a_real_capture_with_damage(path):
     items, sent = captured(ROOT / path)

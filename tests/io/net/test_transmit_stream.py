@@ -131,6 +131,7 @@ def test_a_target_that_hangs_up_or_is_not_there_is_one_line(capture):
     )
 
 
+@pytest.mark.quick("more0*")
 @pytest.mark.parametrize(
     ("more", "said"),
     [

@@ -75,6 +75,7 @@ class Recorder:
         return [item.numbers for item in self.files]
 
 
+@pytest.mark.quick("True")
 @pytest.mark.parametrize("live", [False, True])
 def test_every_datagram_from_30_s_before_to_10_s_after(live, tmp_path):
     times = np.arange(0, 60 * SECOND, SECOND // 1000)  # 1,000 per second, with a loss in the middle

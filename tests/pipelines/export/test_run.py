@@ -99,6 +99,7 @@ def of_duckdb(path):
 READERS = {"pandas": of_pandas, "polars": of_polars, "duckdb": of_duckdb}
 
 
+@pytest.mark.quick("b_arm_single", "f_sbn_disconnect")
 @pytest.mark.parametrize("name", long_but(SMALL_SAMPLES, SAMPLE_MISSIONS))
 def test_parquet_holds_what_rosbags_reads(name, tmp_path):
     pytest.importorskip("pyarrow")
@@ -160,6 +161,7 @@ def test_shorter_lists_have_nothing_beside_longer_ones(tmp_path):
     assert made["ws"][made["name"] == "n0"].tolist() == [None, None]
 
 
+@pytest.mark.quick("csv")
 @pytest.mark.parametrize("suffix", ["csv", "jsonl"])
 def test_a_bag_and_its_capture_give_the_same(suffix, tmp_path):
     source = open_files([ROVER])

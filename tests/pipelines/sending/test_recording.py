@@ -139,6 +139,7 @@ class LookingWire(FakeWire):
         return last - first
 
 
+@pytest.mark.quick("pacing1*", "pacing2*")
 @pytest.mark.parametrize(
     ("pacing", "count"),
     [

@@ -74,6 +74,7 @@ def ours(decoded):
     }
 
 
+@pytest.mark.quick("b_arm_single")
 @needs_cosmos
 @pytest.mark.parametrize("capture", GROUND_SAMPLES)
 def test_cosmos_reads_the_values_that_we_do(capture, tmp_path):
@@ -100,6 +101,7 @@ def test_cosmos_reads_the_values_that_we_do(capture, tmp_path):
     assert compared > 10 * len(known)
 
 
+@pytest.mark.quick("extended header")
 @needs_cosmos
 @pytest.mark.parametrize("headers", [cfe.STANDARD, cfe.SHORT, WITH_EXTENDED], ids=lambda item: item.name)
 def test_a_string_of_any_length_leaves_the_next_fields_in_place(headers, tmp_path):
@@ -171,6 +173,7 @@ def test_a_command_is_the_packet_that_inject_sends(options, tmp_path):
         assert answer["hex"] == sent.packet.hex()
 
 
+@pytest.mark.quick("little")
 @needs_cosmos
 @pytest.mark.parametrize("order", ["little", "big"])
 def test_packets_of_c_structs_are_those_that_a_compiler_lays_out(order, tmp_path):

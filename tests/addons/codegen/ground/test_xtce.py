@@ -73,6 +73,7 @@ def test_the_independent_reader_reads_the_values_that_we_do(name, definition):
     assert compared > 10 * len(read)
 
 
+@pytest.mark.quick("6", "9", "15")
 @pytest.mark.parametrize("length", [0, 1, 2, 6, 7, 8, 9, 15, 63, 254])
 def test_a_string_of_any_length_leaves_the_next_fields_in_place(length, definition):
     route = Route("/odom", "nav_msgs/msg/Odometry", 0x0827, table.named("to"), "telemetry")

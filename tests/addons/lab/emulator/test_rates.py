@@ -50,6 +50,7 @@ def generate(simulation: Simulation, msg_id: int, rate: int, at_ns: int) -> None
     simulation.inject(at_ns, cfe.emit_command(0x18F0, 2, set_command(msg_id, rate)), "CI_LAB_APP")
 
 
+@pytest.mark.long
 def test_c1_at_every_rate_within_5_percent_with_the_same_events():
     boot = seconds(FIRST_TO_WAKE) - 30 * (500 * MILLISECOND + 165_000)
     simulation = Simulation(scenario="two-rovers", start_ns=boot, bridges=False)
@@ -71,6 +72,7 @@ def test_c1_at_every_rate_within_5_percent_with_the_same_events():
     assert simulation.cfs.bus.counters.pipe_overflows == 0
 
 
+@pytest.mark.quick("80*", "95*")
 @pytest.mark.parametrize(("rate", "clean"), [(60, True), (80, True), (95, False), (120, False)])
 def test_with_a_limit_of_255_the_pipe_itself_overflows_from_about_90_hz(rate, clean):
     profile = SimProfile(to_limits=TO_TABLE | {0x08F1: 255})
@@ -84,6 +86,7 @@ def test_with_a_limit_of_255_the_pipe_itself_overflows_from_about_90_hz(rate, cl
     assert (overflow in [text for _, text in simulation.cfs.console]) != clean
 
 
+@pytest.mark.quick("100*", "20*")
 @pytest.mark.parametrize(("rate", "low", "high"), [(20, 19, 21), (38, 36, 39), (100, 38, 42), (400, 38, 42)])
 def test_cfs_to_peer_tops_out_near_40_a_second_a_msg_id(rate, low, high):
     bridge = Peer(0x42, 3)

@@ -60,6 +60,7 @@ def in_front(items, port, *, moved):
     ]
 
 
+@pytest.mark.quick("ci-1234-other ends", "to-1235-same ends")
 @pytest.mark.parametrize("moved", [True, False], ids=["other ends", "same ends"])
 @pytest.mark.parametrize(("link", "port"), [("to", TO), ("ci", CI)])
 def test_a_capture_from_in_front_of_it_counts_nothing_twice(tmp_path, link, port, moved):
@@ -85,6 +86,7 @@ def by_cause(found):
     return total
 
 
+@pytest.mark.quick("1")
 @pytest.mark.parametrize("seed", range(3))
 def test_what_it_dropped_from_telemetry_is_not_blamed_on_cfs(tmp_path, seed):
     kept, faults, machine = relayed(["drop:0.1,link=to"], seed)
@@ -100,6 +102,7 @@ def test_what_it_dropped_from_telemetry_is_not_blamed_on_cfs(tmp_path, seed):
     assert "lost_after_cfs" not in {item.rule for item in found.verdicts}
 
 
+@pytest.mark.quick("1")
 @pytest.mark.parametrize("seed", range(3))
 def test_what_it_dropped_on_the_way_to_ci_was_sent_and_is_lost_there(tmp_path, seed):
     kept, faults, machine = relayed(["drop:0.07,msg_id=0x1827"], seed)
@@ -146,6 +149,7 @@ def test_of_two_rules_that_drop_one_datagram_it_is_lost_once(tmp_path):
     assert by_cause(found)["proxy"] == lost < len(faults)
 
 
+@pytest.mark.quick("1")
 @pytest.mark.parametrize("seed", range(3))
 def test_what_it_did_and_what_cfs_counted_are_all_that_was_sent(lab, msg_id, seed):
     """Commands through the faults into the emulated cFS: its own counters have what the proxy let through."""
