@@ -245,19 +245,18 @@ def test_progress_is_for_terminals_and_leaves_its_line_behind(command, edoras, c
     assert ANSI not in edoras(*options).stderr
 
 
-def test_names_and_terminals_that_are_no_text(command, captures, recording, tmp_path):
+def test_names_and_terminals_that_are_no_text(command, edoras, captures, recording, tmp_path):
     """A file name of any bytes, a terminal of ASCII only: shown, escaped, recorded and never an error."""
     odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.pcap"))
     odd.write_bytes(captures("a_rover").read_bytes())
     mission = odd.with_suffix(".yaml")
     mission.write_bytes((ROOT / "samples/missions/rover_ground.yaml").read_bytes())
     for options in (["info"], ["info", "--json"], ["sniff", "-n", "1", "-r"]):
-        done = subprocess.run([command, *options, odd], capture_output=True, check=False)
+        done = edoras(*options, odd)
         assert (done.returncode, done.stderr) == (0, b"")
     target = odd.with_suffix(".mcap")
-    done = subprocess.run([command, "record", "-q", "-r", odd, "-c", mission, "-o", target], check=False)
+    assert edoras("record", "-q", "-r", odd, "-c", mission, "-o", target).returncode == 0
     read = recording(target)
-    assert done.returncode == 0
     assert read.metadata["edoras"]["source"].endswith("/\\udcff.pcap")
     assert list(read.attachments) == ["\\udcff.yaml"]
     ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}

@@ -62,6 +62,7 @@ def is_nobody(program):
     )
 
 
+@pytest.mark.quick("live0")
 @pytest.mark.parametrize("live", [("-i", "lo", "-a"), ("--listen", "{port}")])
 def test_root_is_given_up_and_the_capture_goes_on(program, place, live):
     (port,) = free_ports(1)
@@ -78,6 +79,7 @@ def test_root_is_given_up_and_the_capture_goes_on(program, place, live):
     assert path.stat().st_uid == 65534
 
 
+@pytest.mark.quick("deleted")
 @pytest.mark.parametrize("deleted", [False, True], ids=["down", "deleted"])
 def test_the_socket_that_is_kept_follows_the_interface(program, place, datagrams, deleted):
     """Nobody may open another one: it is bound again when the interface is back, or is made anew."""

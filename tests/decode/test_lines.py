@@ -68,6 +68,7 @@ def _mutilated(seed):
     return Demux().demux(frames_of(sent))
 
 
+@pytest.mark.quick("1")
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_malformed_packets_come_from_columns_too(seed, monkeypatch):
     """And the lines are those of the dissector; hardly any needs it."""

@@ -96,6 +96,7 @@ def taught():
     scapy_layers.use({})
 
 
+@pytest.mark.quick("e_ci_errors", "f_sbn_disconnect")
 @pytest.mark.parametrize("name", long_but(OF_EACH_KIND, SAMPLE_MISSIONS))
 def test_on_every_packet_of_every_capture(name, tshark, taught, judge):
     configs = missions(SAMPLE_MISSIONS[name])
@@ -134,6 +135,7 @@ EXTENDED = LAYERS | {
 }
 
 
+@pytest.mark.quick("version1*")
 @pytest.mark.parametrize(
     ("version", "preference"), [(VERSION_1, "extended_header"), (VERSION_2, "msg_ids_of_version_2")]
 )

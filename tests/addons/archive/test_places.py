@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import pytest
 import s3fs
 from distributed import LocalCluster
+from effort import LONG
 from moto.server import ThreadedMotoServer
 from places import CAPTURES
 
@@ -118,8 +119,11 @@ def updated(index, root, scheduler):
 
 def test_a_bucket_is_indexed_as_a_folder(s3, scheduler, tmp_path):
     index = tmp_path / "x.duckdb"
-    command = ["s3://fleet", "--index", index, "--jobs", "1"]
-    assert archive(*command) == (0, "", [f"{index}: 4 captures: 4 read, 0 unchanged"])
+    if LONG:
+        command = ["s3://fleet", "--index", index, "--jobs", "1"]
+        assert archive(*command) == (0, "", [f"{index}: 4 captures: 4 read, 0 unchanged"])
+    else:  # without a cluster of its own
+        assert updated(index, "s3://fleet", scheduler).read == 4
     local = examined([str(CAPTURES / f"{name}.pcap") for name in NAMES])
     with open_index(index) as opened:
         rows = {row["capture"]: row for row in opened.rows("SELECT * FROM captures")}

@@ -76,6 +76,7 @@ def ours(path, folder, maker):
     return found
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not HERE, reason=WHY)
 def test_yamcs_takes_the_same_packets_out_of_frames_of_which_some_are_lost(tmp_path):
     (tmp_path / "rover.xml").write_bytes(

@@ -108,6 +108,7 @@ def on_terminal():
             terminal.end()
 
 
+@pytest.mark.quick("q")
 @pytest.mark.parametrize("key", [b"q", b"\x03"])
 def test_it_runs_on_a_terminal_and_gives_it_back(key, on_terminal):
     terminal = on_terminal("-r", str(CAPTURE))

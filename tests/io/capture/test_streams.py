@@ -154,6 +154,7 @@ def test_racs2_bridges(port, deflate):
     assert to_apps == [item for _, item in said] == heard[0][0]
 
 
+@pytest.mark.quick("deflate")
 @pytest.mark.skipif(not shutil.which("tshark"), reason="tshark is not installed")
 @pytest.mark.parametrize("deflate", [None, "deflate"])
 def test_tshark_reads_the_same_from_what_is_written(port, deflate, tmp_path):

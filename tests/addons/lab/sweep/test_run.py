@@ -102,6 +102,7 @@ def test_telemetry_with_a_limit_of_255_ends_where_the_pipe_is_full(bench):
     assert "TO's pipe of 50 is emptied every 500 ms" in summary["reason"]
 
 
+@pytest.mark.long
 def test_cfs_to_an_sbn_peer_ends_at_about_40_hz(bench):
     summary = run(bench(*TWO), "/robot_1/cmd_vel", "two-rovers")
     assert 38 <= summary["threshold_hz"] < summary["first_loss_hz"] <= 42
