@@ -52,6 +52,7 @@ class TaskOptions(NamedTuple):
     predict: Annotated[bool, "Only report how much each route of the mission can carry."] = False
     constant: options.Constants = None
     max_loss: Annotated[options.Share, "Succeed if each route lost at most this share, e.g. 1%."] = None
+    strict: Annotated[bool, "Judge what may be lost, too: exit code 3, and --max-loss."] = False
     list_lost: Annotated[
         Listing | None,
         "FORMAT",
@@ -90,10 +91,10 @@ def doctor(
         _compare(settings, scope, given.paths, task.against, printing)
     else:
         found = _examine(settings, profile, scope, given, duration or 0, printing, jobs or 0, verbose=verbose)
-        reasons = [] if task.max_loss is None else found.beyond(task.max_loss)
+        reasons = [] if task.max_loss is None else found.beyond(task.max_loss, strict=task.strict)
         for reason in reasons:
             tell(reason)
-        if reasons or (task.max_loss is None and found.bad):
+        if reasons or (task.max_loss is None and (found.bad or (task.strict and found.uncertain))):
             raise typer.Exit(LOST)
 
 
@@ -109,10 +110,11 @@ def _check_task(task: TaskOptions, given: InputOptions, duration: int | None) ->
     asked = [name for name, wanted in tasks.items() if wanted]
     if len(asked) > 1:
         raise ConfigError(f"{' and '.join(asked)} exclude each other; choose one")
-    if asked and task.max_loss is not None:
-        raise ConfigError(
-            f"--max-loss belongs to a diagnosis and has no effect with {asked[0]}: leave one out"
-        )
+    for name, value in {"--max-loss": task.max_loss is not None, "--strict": task.strict}.items():
+        if asked and value:
+            raise ConfigError(
+                f"{name} belongs to a diagnosis and has no effect with {asked[0]}: leave one out"
+            )
     if asked and (duration or any(given.live)):
         raise ConfigError(f"{asked[0]} has no effect on live traffic: name files")
     if task.predict and given.paths:

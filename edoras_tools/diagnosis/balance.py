@@ -171,11 +171,6 @@ def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:
         else sum(row.out for row in members if row.hop == last.hop)
         - sum(row.duplicated for row in members)
         - unheard,
-        superseded=sum(row.superseded for row in members),
         lost=sum(row.all_lost for row in members),
-        waiting=sum(row.waiting for row in members),
-        not_captured=sum(row.not_captured for row in members),
-        unaccounted=sum(row.unaccounted for row in members),
-        uncertain=sum(row.uncertain for row in members),
-        shared=sum(row.shared for row in members),
+        **{name: sum(getattr(row, name) for row in members) for name in ENDINGS[1:]},
     )

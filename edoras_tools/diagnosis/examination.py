@@ -137,13 +137,14 @@ class Diagnosis:
         found = self.lost or self.unaccounted or self.capture.drops or not self.datagrams
         return bool(found) or self.worst is Severity.ERROR
 
-    def beyond(self, share: float) -> list[str]:
+    def beyond(self, share: float, *, strict: bool = False) -> list[str]:
         """Return why exit code 3 is due, a line each, if so much of any route, and of all, may be missing.
 
         Where nothing counts what was lost of a route, that is a reason too.
 
         Args:
             share: from 0 to 1.
+            strict: whether what may be lost counts as lost.
         """
         rows = [row for row in self.balance if row.hop != CAPTURE]
         groups: dict[tuple[int, int | None], list[Row]] = {}
@@ -151,11 +152,12 @@ class Diagnosis:
             groups.setdefault((row.route, row.msg_id), []).append(row)
         told = []
         for (route, msg_id), own in {**groups, (NO_ROUTE, NO_MSG_ID): rows}.items():
-            missing = sum(row.all_lost + row.unaccounted for row in own)
+            missing = sum(row.proven + row.uncertain * strict for row in own)
             unnamed = "messages of unknown MsgId" if msg_id is None else f"0x{msg_id:04x}"
             name = "messages in all" if msg_id == NO_MSG_ID else self.topics.get(route, unnamed)
             if missing > share * sent(own):
-                counted = f"{missing:,} of {sent(own):,} {name} lost or unaccounted for"
+                how = "lost, or may be" if strict else "lost or unaccounted for"
+                counted = f"{missing:,} of {sent(own):,} {name} {how}"
                 told.append(f"{counted}: more than {share * 100:g} %")
             elif msg_id != NO_MSG_ID and (unseen := not_counted(own)):
                 told.append(f"what was lost of {name} is {unseen}")

@@ -528,8 +528,22 @@ def test_a_share_may_be_lost(name, share, code, told, call, captures, missions):
 
 
 @pytest.mark.parametrize(
+    ("options", "code", "told"),
+    [
+        (["--max-loss", "23%"], 0, []),
+        (["--max-loss", "23%", "--strict"], 3, ["64 of 275 0x1827 lost, or may be"]),
+    ],
+)
+def test_what_may_be_lost_counts_where_the_judge_is_strict(options, code, told, call):
+    path = ROOT / "tests/captures/season3/q25_robot_off_then_bridge_off.pcap.zst"
+    done = call("doctor", path, "-q", *options)
+    assert (done.code, [line.partition(": ")[2].partition(": ")[0] for line in done.err]) == (code, told)
+
+
+@pytest.mark.parametrize(
     ("arguments", "told"),
     [
+        (["{}", "--strict", "--bag", "x"], "--strict belongs to a diagnosis and has no effect with --bag"),
         (["{}", "--max-loss", "1%", "--list-lost", "csv"], "has no effect with --list-lost: leave one out"),
         (["{}", "--max-loss", "1%", "--against", "x.pcap"], "has no effect with --against: leave one out"),
         (["{}", "--list-lost", "csv", "--against", "x.pcap"], "--list-lost and --against exclude each other"),
