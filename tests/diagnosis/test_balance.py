@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from captures import ROBOT_GOT
 from places import ROOT
+from truth import diagnosed
 
 from edoras_tools.decode import Options
 from edoras_tools.diagnosis.examination import Examination
@@ -181,3 +182,20 @@ def test_a_dead_sbn_is_an_error(diagnosis):
         "sbn_disconnected",
         "cfs_errors",
     }
+
+
+@pytest.mark.parametrize(
+    ("name", "lost", "uncertain"),
+    [
+        ("season3/q07_uplink_dup_loss_reorder_cfs", 0, 37),  # 78 of those that came are a relay's copies
+        ("season3/q17_two_bridges_same_topic", 41, 0),  # what a second sender sends is no copy
+    ],
+)
+def test_copies_among_what_was_lost_are_no_messages(name, lost, uncertain):
+    found = diagnosed(ROOT / f"tests/captures/{name}.pcap.zst")
+    assert found["lost"] == lost + uncertain
+    assert (found["messages_lost"], found["messages_uncertain"]) == (lost, uncertain)
+    sums = Counter()
+    for way in found["ways"]:
+        sums.update({figure: way[figure] for figure in ("lost", "superseded", "unaccounted")})
+    assert all(sums[figure] == found[figure] for figure in sums)

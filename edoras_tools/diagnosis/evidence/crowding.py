@@ -55,14 +55,16 @@ def _several_senders(rows: Rows, own: NDArray[np.intp], endpoints: Sequence[Endp
 def find_echoes(rows: Rows, own: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Tell which of a steady sender's datagrams are copies: they come a short time after an equal one.
 
-    That time is always about the same; a burst of equal ones has no usual time from one to the next.
+    That time is always about the same; a burst of equal ones has no usual time from one to the next. What a
+    second sender sends is no copy.
     """
     times, prints = rows.time_ns[own], rows.bytes_print[own]
     steps, none = np.diff(times), np.zeros(len(own), bool)
     if len(steps) < 2 * _LEAST:
         return none
     usual = _usual(steps)
-    echo = (steps < _ECHO * usual) & (prints[1:] == prints[:-1])
+    sources = rows.source[own]
+    echo = (steps < _ECHO * usual) & (prints[1:] == prints[:-1]) & (sources[1:] == sources[:-1])
     if int(echo.sum()) < max(_LEAST, _ECHO_SHARE * len(own)):
         return none
     first, median, third = np.quantile(steps[echo], (0.25, 0.5, 0.75))
