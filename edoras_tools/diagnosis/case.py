@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
@@ -48,7 +49,7 @@ from edoras_tools.wire import cfe
 from edoras_tools.wire.sbn import HEADER as SBN_HEADER
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Hashable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -269,22 +270,31 @@ class Case:
     @cached_property
     def hops(self) -> list[Hop]:
         """Streams that come out again as others."""
-        return find_hops([*self.streams, *find_robots(self.rows)], self.rows, self._follows)
+        return find_hops([*self.streams, *find_robots(self.rows)], self.rows, self)
 
-    def _follows(self, into: Stream, out: Stream) -> bool:
+    def arrival(self, stream: Stream) -> Hashable:
+        """Return all that decides what may come out of a stream; None where nobody took it."""
+        taken = stream.msg_id not in self._not_taken
+        return (stream.link.code, stream.receiver, stream.processor) if taken else None
+
+    def departure(self, stream: Stream) -> Hashable:
+        """Return all that decides what a stream may have been before."""
+        return stream.link.code, stream.sender, self._leaves(stream)
+
+    def _leaves(self, out: Stream) -> str:
+        """Return the name of the cFS that a stream leaves."""
+        if not out.link.only_from_cfs:
+            return self.network.identity_of.get(out.sender, "")
+        owner = self.instances.owner(out.sender, int(self.rows.time_ns[out.rows[0]]))
+        return self.instances.items[owner].name if owner != NOBODY else ""
+
+    def follows(self, into: Stream, out: Stream) -> bool:
         """Tell whether what arrives as one stream may leave as another: of the same cFS, not its sibling."""
-        if into.msg_id in self._not_taken:
-            return False
         if self._of_another(into, out):
             return False
         if into.link.only_to_cfs or out.link.last_hop:
             return True
-        arrives = self.network.identity_of.get(into.receiver, "")
-        if out.link.only_from_cfs:
-            owner = self.instances.owner(out.sender, int(self.rows.time_ns[out.rows[0]]))
-            leaves = self.instances.items[owner].name if owner != NOBODY else ""
-        else:
-            leaves = self.network.identity_of.get(out.sender, "")
+        arrives, leaves = self.network.identity_of.get(into.receiver, ""), self._leaves(out)
         if arrives and leaves:
             return arrives == leaves
         return f"{into.processor[0]}:{into.processor[1]}" != leaves
@@ -436,9 +446,15 @@ class Case:
 
     def perhaps_doubled(self, stream: Stream) -> int:
         """Return how many messages of a stream into cFS came twice, or were captured twice: nothing tells."""
+        return self._doubled[stream.link.code, stream.receiver, stream.msg_id]
+
+    @cached_property
+    def _doubled(self) -> Counter[tuple[int, int, int]]:
+        """Link, receiver and MsgId of each."""
         rows = self.prepared.doubled
-        same = (rows.link == stream.link.code) & (rows.destination == stream.receiver)
-        return int((same & (rows.msg_id == stream.msg_id)).sum())
+        return Counter(
+            zip(*(item.tolist() for item in (rows.link, rows.destination, rows.msg_id)), strict=True)
+        )
 
     def route(self, msg_id: int, link: Link | None = None) -> Route | None:
         """Return the configured route of a MsgId, on a link or on any."""

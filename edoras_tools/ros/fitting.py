@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
+
+import numpy as np
 
 from edoras_tools.errors import EdorasError
 from edoras_tools.ros.cdr.plan import ROUNDING
@@ -23,31 +26,34 @@ USUAL: Final = (
 """What the EDORAS demos send: likelier than another type of the same shape."""
 
 
-def types_that_fit(types: TypeStore, samples: Sequence[bytes], own: Collection[str] = ()) -> list[str]:
+def types_that_fit(types: TypeStore, samples: Collection[bytes], own: Collection[str] = ()) -> list[str]:
     """Return the types that end at the last byte of all samples, or where a writer might leave bytes behind.
 
     Args:
         samples: CDR, encapsulation included.
         own: types to try besides those of ``PACKAGES``; they come first, then the usual ones.
     """
-    if not samples:
-        return []
-    names = [name for name in types.types() if name.startswith(tuple(f"{item}/msg/" for item in PACKAGES))]
-    found = []
-    for name in {*names, *own}:
-        try:
-            if all(_ends(types, name, cdr) for cdr in samples):
-                found.append(name)
-        except EdorasError:
-            continue
-    return sorted(found, key=lambda name: (name not in own, name not in USUAL, name))
+    return types_that_fit_each(types, [samples], own)[0]
 
 
-def _ends(types: TypeStore, name: str, cdr: bytes) -> bool:
-    """Tell whether a message of a type ends with these bytes.
-
-    Raises:
-        EdorasError: they are none of its messages.
-    """
-    types.decode(name, cdr)
-    return len(cdr) - types.extent(name, cdr) <= types.most_trailing(name) - ROUNDING
+def types_that_fit_each(
+    types: TypeStore, groups: Sequence[Collection[bytes]], own: Collection[str] = ()
+) -> list[list[str]]:
+    """Return for each of many groups of samples what ``types_that_fit`` does; none for an empty group."""
+    some = [group for group in groups if group]
+    if not some:
+        return [[] for _ in groups]
+    cdrs = [cdr for group in some for cdr in group]
+    length = np.array([len(cdr) for cdr in cdrs], np.int32)
+    offset = np.cumsum(length, dtype=np.int64) - length
+    data, begins = np.frombuffer(b"".join(cdrs), np.uint8), np.cumsum([0, *map(len, some[:-1])])
+    names = {name for name in types.types() if name.startswith(tuple(f"{item}/msg/" for item in PACKAGES))}
+    found: list[list[str]] = [[] for _ in some]
+    for name in sorted({*names, *own}, key=lambda name: (name not in own, name not in USUAL, name)):
+        with suppress(EdorasError):
+            behind = types.trailing(name, data, offset, length)
+            ends = (behind >= 0) & (behind <= types.most_trailing(name) - ROUNDING)
+            for place in np.flatnonzero(np.logical_and.reduceat(ends, begins)).tolist():
+                found[place].append(name)
+    left = iter(found)
+    return [next(left) if group else [] for group in groups]

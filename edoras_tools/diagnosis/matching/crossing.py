@@ -8,7 +8,7 @@ mission have them: what the bytes tell holds with any mission.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
@@ -16,10 +16,11 @@ from edoras_tools.diagnosis.evidence.fingerprint import paired
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import quantiles
+from edoras_tools.wire.arrays.fingerprint import MIX, stirred
+from edoras_tools.wire.arrays.order import distinct, numbered, quantiles
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Hashable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -38,15 +39,18 @@ _ALIKE: Final = 0.5
 _LEAST_DIFFERENT: Final = 3
 _NEARLY_ALL: Final = 0.9
 _BODIES: Final = "body_print", "body_print"
-_TO_ROBOT: Final = (
-    _BODIES,
-    ("value_print", "value_print"),
-    ("value_print", "stamped_print"),
-    ("shared_print", "shared_print"),
-)
+_VALUES: Final = "value_print", "value_print"
+_TO_ROBOT: Final = _BODIES, _VALUES, ("value_print", "stamped_print"), ("shared_print", "shared_print")
 """A robot is sent bare numbers, their bytes or values as the configured type has them, or a struct."""
-_COMPARED: Final = (*_TO_ROBOT, ("stamped_print", "stamped_print"))
+_REWRITTEN: Final = _BODIES, ("stamped_print", "stamped_print"), _VALUES
 """What streams of different MsgIds are compared by: fingerprints of what goes in and of what comes out."""
+_COUNT: Final = "count"
+_OF_PACKETS: Final = ("packet_print", "packet_print"), (_COUNT, _COUNT)
+"""Of one MsgId: the packets, and the counts of those that the capture cut."""
+_COMPARED: Final = (*_REWRITTEN, *_TO_ROBOT[2:], *_OF_PACKETS)
+"""All of these, the strictest first; ``_BODIES`` is before any other."""
+_PAIRS: Final = 1 << 20
+"""Equal fingerprints that are held against each other at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,203 +125,246 @@ class Hop:
         return self.known & ~self.arrived
 
 
-def find_hops(streams: Sequence[Stream], rows: Rows, follows: Callable[[Stream, Stream], bool]) -> list[Hop]:
+class Passage(Protocol):
+    """Tells which streams may be what others were further on; each is asked once for streams of one kind."""
+
+    def arrival(self, stream: Stream) -> Hashable:
+        """Return all that matters of a stream that goes in; None where nothing of it comes out."""
+
+    def departure(self, stream: Stream) -> Hashable:
+        """Return all that matters of a stream that comes out."""
+
+    def follows(self, into: Stream, out: Stream) -> bool:
+        """Tell whether one stream's receiver is the sender of another."""
+
+
+def find_hops(streams: Sequence[Stream], rows: Rows, passage: Passage) -> list[Hop]:
     """Find every pair of streams of which one is the other, further on.
 
     Each way out has one way in, but for a robot's: several MsgIds may command it.
-
-    Args:
-        follows: tells whether one stream's receiver is the sender of another.
     """
-    ways_in = [item for item in streams if item.link.to_cfs and item.link.packets]
-    ways_out = [item for item in streams if item.link.from_cfs]
-    known = _Prints(rows)
+    goes_in = [item for item in streams if item.link.to_cfs and item.link.packets]
+    ways_in = _Ends(goes_in, rows, passage.arrival, [item.receiver for item in goes_in])
+    comes_out = [item for item in streams if item.link.from_cfs]
     hops: list[Hop] = []
-    every = list(ways_out)  # each is looked up by its id
-    while ways_out:
-        best = _ways_in(ways_in, ways_out, rows, known, follows)
-        rests = []
-        for out in ways_out:
-            if id(out) in best:
-                _, into, came, went = best[id(out)]
-                hops.append(_match(into, out, rows, came, went))
-                other = ~np.isin(went, came)
-                if out.link.last_hop and other.any():
-                    rests.append(replace(out, rows=out.rows[other]))
-        ways_out = rests
-        every += rests
+    while comes_out:
+        ways_out = _Ends(comes_out, rows, passage.departure, [item.sender for item in comes_out])
+        comes_out = []
+        for at, (place, (came_by, went_by)) in sorted(_ways_in(ways_in, ways_out, passage.follows).items()):
+            into, out = ways_in.streams[place], ways_out.streams[at]
+            came, went = ways_in.of(place, came_by), ways_out.of(at, went_by)
+            hops.append(_match(into, out, rows, came, went))
+            other = ~np.isin(went, came)
+            if out.link.last_hop and other.any():
+                comes_out.append(replace(out, rows=out.rows[other]))
     return [hop for hop in hops if hop.matched]
 
 
+class _Ends:
+    """Streams that go in, or that come out, in columns: an element each.
+
+    Attributes:
+        msg_id: i64.
+        command: bool.
+        instance: i64.
+        peers: bool, between SBN peers.
+        last_hop: bool, to a robot.
+        span_ns: i64 (2, n), times of the first and of the last row.
+        end: i64, the endpoint at cFS.
+        cut: bool, the capture cut some packet.
+        same: i64, equal for the same stream on both sides.
+        party: i64, equal where all is that decides what may follow what; -1: nothing may.
+    """
+
+    def __init__(
+        self, streams: Sequence[Stream], rows: Rows, kind: Callable[[Stream], Hashable], ends: Sequence[int]
+    ) -> None:
+        self.streams, self._rows = streams, rows
+        self.msg_id, self.command, self.instance, self.peers, self.last_hop, self.same = (
+            (
+                np.array(column, np.int64)
+                for column in zip(
+                    *(
+                        (
+                            item.msg_id,
+                            item.is_command,
+                            item.instance,
+                            item.link.peers,
+                            item.link.last_hop,
+                            id(item),
+                        )
+                        for item in streams
+                    ),
+                    strict=True,
+                )
+            )
+            if streams
+            else np.zeros((6, 0), np.int64)
+        )
+        self.end = np.array(ends, np.int64)
+        kinds: dict[Hashable, int] = {None: -1}
+        self.party = np.array([kinds.setdefault(kind(item), len(kinds)) for item in streams], np.int64)
+        count = [len(item.rows) for item in streams]
+        self._owner = np.repeat(np.arange(len(streams)), count)
+        self._at = np.concatenate([np.zeros(0, np.intp), *(item.rows for item in streams)])
+        borders = [np.cumsum(count) - count, np.cumsum(count) - 1]
+        self.span_ns = rows.time_ns[self._at[np.array(borders, np.intp)]]
+        self.cut = (
+            np.bincount(self._owner[rows.has(Finding.CAPTURE_CUT)[self._at]], minlength=len(streams)) > 0
+        )
+        self._different: dict[str, tuple[NDArray[np.intp], NDArray[np.uint64]]] = {}
+
+    def _prints(self, kind: str, at: NDArray[np.intp]) -> NDArray[np.uint64]:
+        if kind != _COUNT:
+            return np.asarray(getattr(self._rows, kind)[at])
+        return np.where(self._rows.counted[at], self._rows.sequence_count[at].astype(np.uint64) + 1, 0)
+
+    def of(self, place: int, kind: str) -> NDArray[np.uint64]:
+        """Return the fingerprints of a stream's rows, u64: of a column, or its counts; 0 tells nothing."""
+        return self._prints(kind, self.streams[place].rows)
+
+    def different(self, kind: str) -> tuple[NDArray[np.intp], NDArray[np.uint64]]:
+        """Return the different fingerprints of each stream, in order, without 0: whose, and which."""
+        if kind not in self._different:
+            prints = self._prints(kind, self._at)
+            told = np.flatnonzero(prints)
+            order = told[np.lexsort((prints[told], self._owner[told]))]
+            owner, values = self._owner[order], prints[order]
+            once = np.append(True, (np.diff(owner) != 0) | (values[1:] != values[:-1]))[: len(order)]
+            if kind == _COUNT:
+                # A count says nothing but within one MsgId of one cFS.
+                values = values + (self.msg_id[owner] << 16 | self.instance[owner] << 48).astype(np.uint64)
+            self._different[kind] = owner[once], values[once]
+        return self._different[kind]
+
+    def keys(self, kind: str, *, into: bool) -> tuple[NDArray[np.intp], NDArray[np.uint64]]:
+        """Return what equal fingerprints are looked up by: whose, and which.
+
+        Of what goes from an SBN peer to an SBN peer only the streams of one endpoint may be the same.
+        """
+        owner, values = self.different(kind)
+        peers = self.peers[owner] != 0
+        plain, ended = np.where(into & peers, 1, 0), np.where(peers, self.end[owner] + 2, 1)
+        more = peers if into else np.ones(len(owner), bool)
+        salts = np.concatenate((plain, ended[more])).astype(np.uint64)
+        found = stirred(np.concatenate((values, values[more])) + salts * MIX)
+        return np.concatenate((owner, owner[more])), found
+
+
 def _ways_in(
-    ways_in: Sequence[Stream],
-    ways_out: Sequence[Stream],
-    rows: Rows,
-    known: _Prints,
-    follows: Callable[[Stream, Stream], bool],
-) -> dict[int, _Way]:
-    """Return the likeliest way in of each way out, by its id."""
-    best: dict[int, _Way] = {}
-    begin_ns, end_ns = (
-        np.array([rows.time_ns[item.rows[place]] for item in ways_out], np.int64) for place in (0, -1)
-    )
-    first_ns, last_ns = (
-        np.array([rows.time_ns[item.rows[place]] for item in ways_in], np.int64) for place in (0, -1)
-    )
-    pairs = _alike(ways_in, ways_out, known)
-    in_time = (end_ns[pairs[1]] >= first_ns[pairs[0]]) & (
-        begin_ns[pairs[1]] <= last_ns[pairs[0]] + _LONGEST_NS
-    )
-    for place, at in pairs[:, in_time].T.tolist():
-        into, out = ways_in[place], ways_out[at]
-        if not _may_follow(into, out) or not follows(into, out):
-            continue
-        for kinds in _kinds(into, out, known):
-            prints = known.of(into, kinds[0]), known.of(out, kinds[1])
-            different = known.different(into, kinds[0]), known.different(out, kinds[1])
-            score = _likeness(*prints, different, sure=out.link.last_hop)
-            near = -abs((into.msg_id & 0xF) - (out.msg_id & 0xF))
-            rank = kinds == _BODIES, score, near
-            if score >= _ALIKE and (id(out) not in best or rank > best[id(out)].rank):
-                best[id(out)] = _Way(rank, into, *prints)
+    into: _Ends, out: _Ends, follows: Callable[[Stream, Stream], bool]
+) -> dict[int, tuple[int, tuple[str, str]]]:
+    """Return the likeliest way in of each way out, and the fingerprints that are alike; by their places."""
+    party = _Parties(into, out, follows)
+    parts = [part for kinds in _COMPARED for part in _scored(into, out, party, kinds)]
+    place, at, order, score, near = (np.concatenate(part) for part in zip(*parts, strict=True))
+    rank = np.maximum(score, _ALIKE)
+    best: dict[int, tuple[int, tuple[str, str]]] = {}
+    for index in np.lexsort((order, place, -near, -rank, order != 0, at)).tolist():
+        goes, comes, kinds = int(place[index]), int(at[index]), _COMPARED[order[index]]
+        if comes not in best and (
+            score[index] >= _ALIKE or _likely(into.of(goes, kinds[0]), out.of(comes, kinds[1]))
+        ):
+            best[comes] = goes, kinds
     return best
 
 
-def _alike(ways_in: Sequence[Stream], ways_out: Sequence[Stream], known: _Prints) -> NDArray[np.intp]:
-    """Return which ways in have some fingerprint of which ways out: (2, pairs), places of both, in order."""
-    ids, width = np.array([item.msg_id for item in ways_out]), len(ways_out)
-    codes = [place * width + np.flatnonzero(ids == into.msg_id) for place, into in enumerate(ways_in)]
-    for kinds in _COMPARED:
-        (values, owner), (sought, seeker) = (
-            known.all_of(streams, kind) for streams, kind in zip((ways_in, ways_out), kinds, strict=True)
-        )
-        low, high = (np.searchsorted(values, sought, side) for side in ("left", "right"))
-        count = high - low
-        at = np.repeat(low - np.concatenate(([0], np.cumsum(count)[:-1])), count) + np.arange(count.sum())
-        codes.append(np.unique(owner[at] * width + np.repeat(seeker, count)))
-    return np.stack(np.divmod(np.unique(np.concatenate(codes)), max(1, width)))
+class _Parties:
+    """Answers for many pairs of streams whether one may follow the other, and asks once for each kind."""
+
+    def __init__(self, into: _Ends, out: _Ends, follows: Callable[[Stream, Stream], bool]) -> None:
+        self._into, self._out, self._follows = into, out, follows
+        self._width = int(out.party.max(initial=-1)) + 1
+        self._known: dict[int, bool] = {}
+
+    def follows(self, place: NDArray[np.intp], at: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Tell for pairs of places, of which none is of a party where nothing follows."""
+        pair = self._into.party[place] * self._width + self._out.party[at]
+        first, which = numbered(pair)
+        for row in first.tolist():
+            if int(pair[row]) not in self._known:
+                streams = self._into.streams[place[row]], self._out.streams[at[row]]
+                self._known[int(pair[row])] = self._follows(*streams)
+        return np.array([self._known[int(pair[row])] for row in first.tolist()], np.bool_)[which]
 
 
-class _Way(NamedTuple):
-    """What may have come out as a stream: how likely, by what is alike; fingerprints of both."""
+def _scored(
+    into: _Ends, out: _Ends, party: _Parties, kinds: tuple[str, str]
+) -> Iterator[Sequence[NDArray[Any]]]:
+    """Yield the likeliest way in of each way out by one kind of fingerprints, and those that may be it.
 
-    rank: tuple[bool, float, int]
-    into: Stream
-    came: NDArray[np.uint64]
-    went: NDArray[np.uint64]
+    Some of the rest may be, where what came first had gone in before the capture began: ``_likely`` tells.
 
-
-def _may_follow(into: Stream, out: Stream) -> bool:
-    if out.link.last_hop:
-        return into.is_command
-    if into is out or (into.link.peers and out.link.peers and into.receiver != out.sender):
-        return False
-    if into.msg_id == out.msg_id:
-        if into.link.peers and out.link.peers:
-            return False  # SBN's pipes leave out what SBN itself has put on the bus
-        return into.instance == out.instance or NOBODY in {into.instance, out.instance}
-    return into.is_command != out.is_command
-
-
-class _Prints:
-    """The fingerprints of streams: each is compared with many others, and looked up once.
-
-    A kind is a column of the table, or ``COUNT``: sequence counts, 0 where there is none. 0 tells nothing.
+    Yields:
+        of pairs of streams: the places of both and of the fingerprints, how alike, how near the MsgIds are.
     """
-
-    COUNT: Final = "count"
-
-    def __init__(self, rows: Rows) -> None:
-        self._rows = rows
-        self._cut = rows.has(Finding.CAPTURE_CUT)
-        self._of: dict[tuple[int, str], NDArray[np.uint64]] = {}
-        self._different: dict[tuple[int, str], NDArray[np.uint64]] = {}
-        self._cut_ones: dict[int, bool] = {}
-
-    def of(self, stream: Stream, kind: str) -> NDArray[np.uint64]:
-        """Return those of a stream's rows, u64."""
-        key, rows = (id(stream), kind), self._rows
-        if key not in self._of:
-            if kind == self.COUNT:
-                counts = rows.sequence_count[stream.rows].astype(np.uint64) + 1
-                self._of[key] = np.where(rows.counted[stream.rows], counts, 0)
-            else:
-                self._of[key] = getattr(rows, kind)[stream.rows]
-        return self._of[key]
-
-    def different(self, stream: Stream, kind: str) -> NDArray[np.uint64]:
-        """Return each of them once, in order, without 0."""
-        key = id(stream), kind
-        if key not in self._different:
-            prints = self.of(stream, kind)
-            self._different[key] = np.unique(prints[prints != 0])
-        return self._different[key]
-
-    def all_of(self, streams: Sequence[Stream], kind: str) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
-        """Return those of all streams, in order, and the place of the stream that each is of."""
-        parts = [self.different(stream, kind) for stream in streams]
-        values = np.concatenate([np.zeros(0, np.uint64), *parts])
-        order = np.argsort(values, kind="stable")
-        return values[order], np.repeat(np.arange(len(parts)), [len(part) for part in parts])[order]
-
-    def cut(self, stream: Stream) -> bool:
-        """Tell whether the capture cut some packet of a stream."""
-        key = id(stream)
-        if key not in self._cut_ones:
-            self._cut_ones[key] = bool(self._cut[stream.rows].any())
-        return self._cut_ones[key]
+    order = _COMPARED.index(kinds)
+    (owner, keys), (seeker, sought) = into.keys(kinds[0], into=True), out.keys(kinds[1], into=False)
+    different = np.bincount(out.different(kinds[1])[0], minlength=len(out.streams))
+    # Where too few differ to tell, nothing is alike; a robot gets no equal value by chance.
+    some = ((different >= _LEAST_DIFFERENT) | (out.last_hop != 0))[seeker]
+    by_seeker = np.flatnonzero(some)[np.argsort(seeker[some], kind="stable")]
+    seeker, sought = seeker[by_seeker], sought[by_seeker]
+    usable = into.party[owner] >= 0
+    by_key = np.flatnonzero(usable)[np.argsort(keys[usable], kind="stable")]
+    owner, keys = owner[by_key], keys[by_key]
+    low, high = (np.searchsorted(keys, sought, side) for side in ("left", "right"))
+    begins = np.append(0, np.flatnonzero(np.diff(seeker)) + 1)
+    block = np.append(0, np.cumsum(high - low))[begins] // _PAIRS
+    for part in np.split(np.arange(len(seeker)), begins[1:][np.diff(block) != 0]):
+        count = (high - low)[part]
+        met = np.repeat(low[part] - (np.cumsum(count) - count), count) + np.arange(count.sum())
+        code = np.sort(np.repeat(seeker[part], count) * len(into.streams) + owner[met])
+        begins = np.flatnonzero(np.append(True, code[1:] != code[:-1])[: len(code)])
+        both = np.diff(np.append(begins, len(code)))
+        at, place = np.divmod(code[begins], max(1, len(into.streams)))
+        score = both / different[at]
+        late = (score < _ALIKE) & (out.last_hop[at] != 0) & (both >= _LEAST_DIFFERENT)
+        fits = ((score >= _ALIKE) | late) & _may_follow(into, out, place, at, kinds)
+        at, place, score = at[fits], place[fits], score[fits]
+        there = party.follows(place, at)
+        at, place, score = at[there], place[there], score[there]
+        near = -np.abs((into.msg_id[place] & 0xF) - (out.msg_id[at] & 0xF))
+        first = np.lexsort((place, -near, -score, at))
+        first = first[np.append(True, np.diff(at[first]) != 0)[: len(first)]]
+        taken = np.union1d(first, np.flatnonzero(score < _ALIKE))
+        yield place[taken], at[taken], np.full(len(taken), order), score[taken], near[taken]
 
 
-def _kinds(into: Stream, out: Stream, known: _Prints) -> list[tuple[str, str]]:
-    """Return which fingerprints of each to compare, the strictest first."""
-    if into.msg_id == out.msg_id:
-        if into.instance == out.instance != NOBODY and (known.cut(into) or known.cut(out)):
-            # What is left of a packet differs with the headers before it; one cFS gives a count once.
-            return [(known.COUNT, known.COUNT)]
-        return [("packet_print", "packet_print")]
-    if out.link.last_hop:
-        return list(_TO_ROBOT)
-    return [
-        (kind, kind)
-        for kind in (_BODIES[0], "stamped_print", "value_print")
-        if len(known.different(into, kind)) and len(known.different(out, kind))
-    ]
+def _may_follow(
+    into: _Ends, out: _Ends, place: NDArray[np.intp], at: NDArray[np.intp], kinds: tuple[str, str]
+) -> NDArray[np.bool_]:
+    """Tell which pairs of places these fingerprints can make the same, as far as MsgIds and times go."""
+    in_time = (out.span_ns[1, at] >= into.span_ns[0, place]) & (
+        out.span_ns[0, at] <= into.span_ns[1, place] + _LONGEST_NS
+    )
+    robot, same = out.last_hop[at] != 0, into.msg_id[place] == out.msg_id[at]
+    between = (into.peers[place] & out.peers[at]) != 0
+    if kinds in _OF_PACKETS:
+        one = into.instance[place], out.instance[at]
+        # What is left of a packet differs with the headers before it; one cFS gives a count once.
+        cut = (one[0] == one[1]) & (one[0] != NOBODY) & (into.cut[place] | out.cut[at])
+        anyone = (one[0] == one[1]) | (one[0] == NOBODY) | (one[1] == NOBODY)
+        fits = same & ~robot & ~between & anyone & (cut == (kinds[0] == _COUNT))
+        # SBN's pipes leave out what SBN itself has put on the bus.
+        return np.asarray(in_time & fits & (into.same[place] != out.same[at]))
+    command = into.command[place] != 0
+    other = ~same & (command != (out.command[at] != 0)) & (~between | (into.end[place] == out.end[at]))
+    fits = np.where(robot, command & (kinds in _TO_ROBOT), other & (kinds in _REWRITTEN))
+    return np.asarray(in_time & fits)
 
 
-def _likeness(
-    came: NDArray[np.uint64],
-    went: NDArray[np.uint64],
-    differing: tuple[NDArray[np.uint64], NDArray[np.uint64]],
-    *,
-    sure: bool,
-) -> float:
-    """Return what part of the messages that come out went in: 0 where too few differ to tell.
+def _likely(came: NDArray[np.uint64], went: NDArray[np.uint64]) -> bool:
+    """Tell whether a robot gets what goes in: what it got before the first that did had gone in before.
 
     Args:
         came: fingerprints of what goes in.
         went: of what comes out.
-        differing: each of both once, in order, without 0.
-        sure: the same value is no chance, however few there are.
     """
-    known, different = differing
-    if not len(different) or (len(different) < _LEAST_DIFFERENT and not sure):
-        return 0.0
-    alike = float(_among(different, known).mean())
-    if sure and alike < _ALIKE:
-        # What comes out first may have gone in before the capture began; what follows did not.
-        there = np.flatnonzero(np.isin(went, came) & (went != 0))
-        behind = np.unique(went[there[0] :][went[there[0] :] != 0]) if len(there) else different[:0]
-        there_too = _among(behind, known)
-        if there_too.sum() >= _LEAST_DIFFERENT and there_too.mean() > _NEARLY_ALL:
-            return _ALIKE
-    return alike
-
-
-def _among(values: NDArray[np.uint64], known: NDArray[np.uint64]) -> NDArray[np.bool_]:
-    """Return which values are in some others, which are in order."""
-    if not len(known):
-        return np.zeros(len(values), bool)
-    return np.asarray(known[np.minimum(np.searchsorted(known, values), len(known) - 1)] == values)
+    there = np.isin(went, came[came != 0])
+    behind = distinct(went[there.argmax() :])
+    there_too = np.isin(behind[behind != 0], came)
+    return bool(there_too.sum() >= _LEAST_DIFFERENT and there_too.mean() > _NEARLY_ALL)
 
 
 def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went: NDArray[np.uint64]) -> Hop:

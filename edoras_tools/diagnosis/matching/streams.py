@@ -176,35 +176,39 @@ def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:
     output = among(rows.link, lambda link: link.only_from_cfs)
     cases = ((network, rows.processor_id.astype(np.int64)), (output, rows.source.astype(np.int64)))
     for there, sender in cases:
-        bare = there & (out == NOBODY) & (rows.msg_id != NO_MSG_ID)
-        timed = there & (instances.of_row != NOBODY)
-        for who in np.unique(sender[bare]).tolist():
-            mine = bare & (sender == who)
-            for msg_id in np.unique(rows.msg_id[mine]).tolist():
-                lost = np.flatnonzero(mine & (rows.msg_id == msg_id))
-                same = timed & (sender == who)
-                # Behind TO several instances share a MsgId; an SBN sender is one instance at a time.
-                same &= (rows.msg_id == msg_id) if there is output else np.ones(len(rows), bool)
-                known = np.flatnonzero(same)
-                if there is output:
-                    lost = _handed_on(rows, lost, instances.of_row, out)
-                if len(known) and len(lost):
-                    out[lost] = _nearest(rows, lost, known, instances.of_row, by_count=there is output)
+        lost = np.flatnonzero(there & (out == NOBODY) & (rows.msg_id != NO_MSG_ID))
+        timed = np.flatnonzero(there & (instances.of_row != NOBODY))
+        key = [sender]
+        if there is output:
+            lost = _handed_on(rows, lost, out)
+            # Behind TO several instances share a MsgId; an SBN sender is one instance at a time.
+            key.append(rows.msg_id.astype(np.int64))
+        both = np.concatenate((lost, timed))
+        which = numbered(*(column[both] for column in key))[1]
+        known = dict(by_value(which[len(lost) :]))
+        for who, at in by_value(which[: len(lost)]):
+            if who in known:
+                rest, same = lost[at], timed[known[who]]
+                out[rest] = _nearest(rows, rest, same, instances.of_row, by_count=there is output)
     return out
 
 
-def _handed_on(
-    rows: Rows, lost: NDArray[np.intp], instance: NDArray[np.int32], out: NDArray[np.int32]
-) -> NDArray[np.intp]:
+def _handed_on(rows: Rows, lost: NDArray[np.intp], out: NDArray[np.int32]) -> NDArray[np.intp]:
     """Give packets from Telemetry Output the instance that sent the same ones over SBN; return the others."""
     network = np.flatnonzero(
         among(rows.link, lambda link: link.peers) & np.isin(rows.msg_id, rows.msg_id[lost])
     )
-    from_ = handed_on(rows, network, lost)
-    same = from_ >= 0
-    out[lost[same]] = out[network[from_[same]]]
-    left: NDArray[np.intp] = lost[~same & (instance[lost] == NOBODY)]
-    return left
+    both = np.concatenate((network, lost))
+    cut = rows.msg_id[both[rows.has(Finding.CAPTURE_CUT)[both]]]
+    left = []
+    # Cut packets are compared otherwise: a MsgId that has one apart from those that have none.
+    for some in (True, False):
+        mine, theirs = (item[np.isin(rows.msg_id[item], cut) == some] for item in (lost, network))
+        from_ = handed_on(rows, theirs, mine)
+        same = from_ >= 0
+        out[mine[same]] = out[theirs[from_[same]]]
+        left.append(mine[~same])
+    return np.sort(np.concatenate(left))
 
 
 def _nearest(

@@ -14,7 +14,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Finding, Peer
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -187,11 +187,15 @@ def _beside(
 ) -> NDArray[np.bool_]:
     """Tell which messages have one of another source within a span of time, before or after."""
     near = np.zeros(len(app), bool)
-    for one in np.unique(source[app]).tolist():
-        mine = source[app] == one
-        others, when = time_ns[every[source[every] != one]], time_ns[app[mine]]
-        first = np.searchsorted(others, when - span_ns)
-        near[mine] = first < np.searchsorted(others, when + span_ns, "right")
+    every_ns, own = time_ns[every], dict(by_value(source[every]))
+    for one, mine in by_value(source[app]):
+        when = time_ns[app[mine]]
+        # Fewer of its own within the span than of all.
+        within, of_own = (
+            np.searchsorted(times, when + span_ns, "right") - np.searchsorted(times, when - span_ns)
+            for times in (every_ns, every_ns[own[one]])
+        )
+        near[mine] = of_own < within
     return near
 
 
@@ -205,14 +209,14 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
     Look for a direction of a link on which nothing ever came.
     """
     rows = case.rows
-    network = (rows.link == SBN) & (rows.sbn_msg_type >= 0)
-    sources, targets = rows.source[network], rows.destination[network]
-    first, _ = numbered(sources, targets)
-    ways = set(zip(sources[first].tolist(), targets[first].tolist(), strict=True))
-    for source, target in sorted(ways):
-        if (target, source) in ways:
+    network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0))
+    way = rows.source[network].astype(np.int64) << 32 | rows.destination[network]
+    ways = dict(by_value(way))
+    for both, at in ways.items():
+        source, target = both >> 32, both & 0xFFFFFFFF
+        if target << 32 | source in ways:
             continue
-        there = np.flatnonzero(network & (rows.source == source) & (rows.destination == target))
+        there = network[at]
         first_ns, last_ns = int(rows.time_ns[there[0]]), int(rows.time_ns[there[-1]])
         seconds = len(np.unique(rows.time_ns[there] // SECOND))
         if last_ns - first_ns < _WAIT_NS or seconds < _LEAST_SECONDS:

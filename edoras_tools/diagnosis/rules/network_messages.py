@@ -13,7 +13,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, Finding, Peer
 from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -223,8 +223,9 @@ def wrong_protocol_version(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     wrong = (rows.link == SBN) & rows.has(Finding.SBN_VERSION_MISMATCH)
-    for source in np.unique(rows.source[wrong]).tolist():
-        members = np.flatnonzero(wrong & (rows.source == source))
+    there = np.flatnonzero(wrong)
+    for source, at in by_value(rows.source[there]):
+        members = there[at]
         yield _refused(
             case,
             members,
@@ -263,8 +264,9 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             if craft or not foreign[near[same]].any():
                 foreign[near[same]] = True
     identity = rows.spacecraft_id.astype(np.uint64) << 32 | rows.processor_id
-    for who in np.unique(identity[foreign]).tolist():
-        members = np.flatnonzero(foreign & (identity == who))
+    there = np.flatnonzero(foreign)
+    for who, at in by_value(identity[there]):
+        members = there[at]
         peer, start_ns = Peer(who >> 32, who & 0xFFFFFFFF), case.span(members)[0]
         carried = np.unique(rows.msg_id[members]).tolist()
         said = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
@@ -297,10 +299,8 @@ def subscription_storm(case: Case) -> Iterator[Verdict]:
     wants = np.array(wanted, np.int64)[listed["said"]]
     subs = (rows.sbn_msg_type[listed["row"]] == sbn.MsgType.SUB) & (wants > 0)
     row = listed["row"][subs]
-    first, which = numbered(rows.source[row], wants[subs])
-    for source in np.unique(rows.source[row]).tolist():
-        numbers = np.flatnonzero(rows.source[row[first]] == source).tolist()
-        own = [rows.time_ns[row[which == number]] for number in numbers]
+    for source, at in by_value(rows.source[row]):
+        own = [rows.time_ns[row[at[same]]] for _, same in by_value(numbered(wants[subs][at])[1])]
         often = [when for when in own if len(when) >= _LEAST and float(np.median(np.diff(when))) < _OFTEN_NS]
         if not often:
             continue
@@ -326,9 +326,9 @@ def proto_storm(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     protos = (rows.link == SBN) & (rows.sbn_msg_type == sbn.MsgType.PROTO)
-    for source in np.unique(rows.source[protos]).tolist():
-        sent = np.flatnonzero(protos & (rows.source == source))
-        heard = int(((rows.link == SBN) & (rows.destination == source)).sum())
+    there, every = np.flatnonzero(protos), np.bincount(rows.destination[rows.link == SBN])
+    for source, at in by_value(rows.source[there]):
+        sent, heard = there[at], int(every[source]) if source < len(every) else 0
         if len(sent) < _LEAST or 2 * len(sent) < heard:
             continue
         yield Verdict(

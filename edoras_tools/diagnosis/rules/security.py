@@ -12,7 +12,7 @@ from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.model import Finding, Peer
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ def stranger_commands(case: Case) -> Iterator[Verdict]:
         stations.setdefault(address[source], set()).add(address[destination])
     sent = sound_commands(case)
     by_way: dict[tuple[str, str], list[NDArray[np.intp]]] = {}
-    first, which = numbered(rows.source[sent], rows.destination[sent])
-    for number, row in enumerate(sent[first].tolist()):
+    for _, at in by_value(numbered(rows.source[sent], rows.destination[sent])[1]):
+        row = sent[at[0]]
         way = address[rows.source[row]], address[rows.destination[row]]
-        by_way.setdefault(way, []).append(sent[which == number])
+        by_way.setdefault(way, []).append(sent[at])
     for (sender, target), parts in by_way.items():
         members = np.sort(np.concatenate(parts))
         known = stations.get(target)
@@ -81,13 +81,13 @@ def identity_from_two_addresses(case: Case) -> Iterator[Verdict]:
     rows = case.rows
     spoke = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(_UNSOUND_NETWORK))
     identity = rows.spacecraft_id[spoke].astype(np.uint64) << 32 | rows.processor_id[spoke]
-    for who in np.unique(identity).tolist():
-        members = spoke[identity == who]
+    for who, at in by_value(identity):
+        members = spoke[at]
         first: dict[str, int] = {}
         count: dict[str, int] = {}
-        for source in np.unique(rows.source[members]).tolist():
+        for source, of_source in by_value(rows.source[members]):
             address = case.endpoints[source].address
-            own = members[rows.source[members] == source]
+            own = members[of_source]
             first[address] = min(int(own[0]), first.get(address, int(own[0])))
             count[address] = count.get(address, 0) + len(own)
         if len(first) < 2:
@@ -126,9 +126,9 @@ def repeated_commands(case: Case) -> Iterator[Verdict]:
     sender = host_of[rows.source[sent]]
     origin = sender[first[which]]
     repeats = np.flatnonzero(sender != origin)
-    for who in np.unique(sender[repeats]).tolist():
-        members = sent[repeats[sender[repeats] == who]]
-        origins = sorted({names[item] for item in origin[repeats[sender[repeats] == who]].tolist()})
+    for who, at in by_value(sender[repeats]):
+        members = sent[repeats[at]]
+        origins = sorted({names[item] for item in origin[repeats[at]].tolist()})
         start_ns, row = int(rows.time_ns[members[0]]), int(members[0])
         earlier = int(sent[first[which[np.searchsorted(sent, row)]]])
         yield Verdict(
@@ -171,11 +171,11 @@ def privileged_commands(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     sent = sound_commands(case)
-    first, which = numbered(rows.msg_id[sent], rows.function_code[sent])
-    for number, row in enumerate(sent[first].tolist()):
+    for _, at in by_value(numbered(rows.msg_id[sent], rows.function_code[sent])[1]):
+        members, row = sent[at], int(sent[at[0]])
         if not privilege(case, row):
             continue
-        msg_id, code, members = int(rows.msg_id[row]), int(rows.function_code[row]), sent[which == number]
+        msg_id, code = int(rows.msg_id[row]), int(rows.function_code[row])
         senders = sorted(
             {case.endpoints[source].address for source in np.unique(rows.source[members]).tolist()}
         )
