@@ -6,12 +6,12 @@ it. Fingerprints are u64; 0 means that there is none.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 from zlib import crc32
 
 import numpy as np
 
-from edoras_tools.wire.arrays.fingerprint import MIX, WEIGHTS, finished, stirred
+from edoras_tools.wire.arrays.fingerprint import LONGEST, MIX, WEIGHTS, finished, of_bytes, stirred
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.ros import TypeStore
     from edoras_tools.ros.cdr.columns import Ragged
+
+_OCTETS: Final = np.uint8, np.int8
 
 
 def of_values(
@@ -121,12 +123,41 @@ def _field(name: str, column: NDArray[Any] | Ragged) -> NDArray[np.uint64]:
         for index in range(flat.shape[1]):
             total += stirred(_bits(flat[:, index]) + key) * WEIGHTS[index % len(WEIGHTS)]
         return total
-    count = np.diff(column.offsets)
-    within = np.arange(len(column.values)) - np.repeat(column.offsets[:-1], count)
-    part = stirred(_bits(column.values) + key) * WEIGHTS[within % len(WEIGHTS)]
-    sums = np.concatenate((np.zeros(1, np.uint64), np.cumsum(part, dtype=np.uint64)))
-    total = sums[column.offsets[1:]] - sums[column.offsets[:-1]] + count.astype(np.uint64) * key
-    return np.asarray(total, np.uint64)
+    values, offset, count = column.values, column.offsets[:-1], np.diff(column.offsets)
+    total, rest = count.astype(np.uint64) * key, np.ones(len(count), np.bool_)
+    for sign, narrow in enumerate(_OCTETS) if values.dtype.kind in "iub" else ():
+        # The same values are the same bytes, whatever type holds them: the first that holds all of a row.
+        if values.dtype in (narrow, np.bool_):
+            fits = rest
+        else:
+            least, most = np.iinfo(narrow).min, np.iinfo(narrow).max
+            outside = np.append(0, np.cumsum((values < least) | (values > most)))
+            fits = rest & (outside[column.offsets[1:]] == outside[offset])
+        octets = values.astype(narrow, copy=False).view(np.uint8)
+        total[fits] += _octets(octets, offset[fits], count[fits], key ^ np.uint64(sign))
+        rest = rest & ~fits
+        if not rest.any():
+            return total
+    if not rest.all():
+        values, count = values[np.repeat(rest, count)], count[rest]
+    begin = np.cumsum(count) - count
+    within = np.arange(len(values)) - np.repeat(begin, count)
+    part = stirred(_bits(values) + key) * WEIGHTS[within % len(WEIGHTS)]
+    sums = np.append(np.uint64(0), np.cumsum(part, dtype=np.uint64))
+    total[rest] += sums[begin + count] - sums[begin]
+    return total
+
+
+def _octets(
+    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int64], key: np.uint64
+) -> NDArray[np.uint64]:
+    """Return what ranges of bytes add to the fingerprints; each byte counts, however many there are."""
+    data = np.append(data, np.zeros(LONGEST, np.uint8))
+    total = np.zeros(len(offset), np.uint64)
+    for block in range(0, int(length.max(initial=0)), LONGEST):
+        part = of_bytes(data, offset + block, np.maximum(length - block, 0))
+        total += np.where(part, stirred(part + key) * WEIGHTS[block // LONGEST % len(WEIGHTS)], 0)
+    return total
 
 
 def _text(name: str, column: NDArray[Any] | Ragged) -> NDArray[np.uint64]:
