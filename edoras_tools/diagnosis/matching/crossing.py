@@ -16,7 +16,7 @@ from edoras_tools.diagnosis.evidence.fingerprint import paired
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.fingerprint import MIX, stirred
+from edoras_tools.wire.arrays.fingerprint import MIX
 from edoras_tools.wire.arrays.order import distinct, numbered, quantiles
 
 if TYPE_CHECKING:
@@ -212,7 +212,6 @@ class _Ends:
         self.cut = (
             np.bincount(self._owner[rows.has(Finding.CAPTURE_CUT)[self._at]], minlength=len(streams)) > 0
         )
-        self._different: dict[str, tuple[NDArray[np.intp], NDArray[np.uint64]]] = {}
 
     def _prints(self, kind: str, at: NDArray[np.intp]) -> NDArray[np.uint64]:
         if kind != _COUNT:
@@ -223,32 +222,31 @@ class _Ends:
         """Return the fingerprints of a stream's rows, u64: of a column, or its counts; 0 tells nothing."""
         return self._prints(kind, self.streams[place].rows)
 
-    def different(self, kind: str) -> tuple[NDArray[np.intp], NDArray[np.uint64]]:
-        """Return the different fingerprints of each stream, in order, without 0: whose, and which."""
-        if kind not in self._different:
-            prints = self._prints(kind, self._at)
-            told = np.flatnonzero(prints)
-            order = told[np.lexsort((prints[told], self._owner[told]))]
-            owner, values = self._owner[order], prints[order]
-            once = np.append(True, (np.diff(owner) != 0) | (values[1:] != values[:-1]))[: len(order)]
-            if kind == _COUNT:
-                # A count says nothing but within one MsgId of one cFS.
-                values = values + (self.msg_id[owner] << 16 | self.instance[owner] << 48).astype(np.uint64)
-            self._different[kind] = owner[once], values[once]
-        return self._different[kind]
+    def different(self, kind: str, some: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.uint64]]:
+        """Return the different fingerprints of some streams, in order, without 0: whose, and which."""
+        at = self._at if some.all() else self._at[some[self._owner]]
+        owner, prints = self._owner if some.all() else self._owner[some[self._owner]], self._prints(kind, at)
+        there = np.flatnonzero(prints)
+        first = there[numbered(owner[there], prints[there])[0]]
+        once = first[np.lexsort((prints[first], owner[first]))]
+        if kind != _COUNT:
+            return owner[once], prints[once]
+        # A count says nothing but within one MsgId of one cFS.
+        what = self.msg_id[owner[once]] << 16 | self.instance[owner[once]] << 48
+        return owner[once], prints[once] + what.astype(np.uint64)
 
-    def keys(self, kind: str, *, into: bool) -> tuple[NDArray[np.intp], NDArray[np.uint64]]:
+    def keys(
+        self, owner: NDArray[np.intp], values: NDArray[np.uint64], *, into: bool
+    ) -> tuple[NDArray[np.intp], NDArray[np.uint64]]:
         """Return what equal fingerprints are looked up by: whose, and which.
 
         Of what goes from an SBN peer to an SBN peer only the streams of one endpoint may be the same.
         """
-        owner, values = self.different(kind)
         peers = self.peers[owner] != 0
         plain, ended = np.where(into & peers, 1, 0), np.where(peers, self.end[owner] + 2, 1)
         more = peers if into else np.ones(len(owner), bool)
         salts = np.concatenate((plain, ended[more])).astype(np.uint64)
-        found = stirred(np.concatenate((values, values[more])) + salts * MIX)
-        return np.concatenate((owner, owner[more])), found
+        return np.concatenate((owner, owner[more])), np.concatenate((values, values[more])) + salts * MIX
 
 
 def _ways_in(
@@ -277,6 +275,20 @@ class _Parties:
         self._width = int(out.party.max(initial=-1)) + 1
         self._known: dict[int, bool] = {}
 
+    def usable(self, kinds: tuple[str, str]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Tell of which streams of each side something may be the same; of very many it is not asked."""
+        shape = len(self._into.streams), len(self._out.streams)
+        able = self._into.party >= 0
+        if shape[0] * shape[1] > _PAIRS:
+            return able, np.ones(shape[1], bool)
+        place, at = np.nonzero(np.broadcast_to(able[:, None], shape))
+        fits = _may_follow(self._into, self._out, place, at, kinds)
+        fits[fits] = self.follows(place[fits], at[fits])
+        goes, comes = (
+            np.bincount(item[fits], minlength=size) for item, size in zip((place, at), shape, strict=True)
+        )
+        return goes > 0, comes > 0
+
     def follows(self, place: NDArray[np.intp], at: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Tell for pairs of places, of which none is of a party where nothing follows."""
         pair = self._into.party[place] * self._width + self._out.party[at]
@@ -299,14 +311,16 @@ def _scored(
         of pairs of streams: the places of both and of the fingerprints, how alike, how near the MsgIds are.
     """
     order = _COMPARED.index(kinds)
-    (owner, keys), (seeker, sought) = into.keys(kinds[0], into=True), out.keys(kinds[1], into=False)
-    different = np.bincount(out.different(kinds[1])[0], minlength=len(out.streams))
+    goes, comes = party.usable(kinds)
+    owner, values = out.different(kinds[1], comes)
+    different = np.bincount(owner, minlength=len(out.streams))
     # Where too few differ to tell, nothing is alike; a robot gets no equal value by chance.
-    some = ((different >= _LEAST_DIFFERENT) | (out.last_hop != 0))[seeker]
-    by_seeker = np.flatnonzero(some)[np.argsort(seeker[some], kind="stable")]
+    some = ((different >= _LEAST_DIFFERENT) | (out.last_hop != 0))[owner]
+    seeker, sought = out.keys(owner[some], values[some], into=False)
+    by_seeker = np.argsort(seeker, kind="stable")
     seeker, sought = seeker[by_seeker], sought[by_seeker]
-    usable = into.party[owner] >= 0
-    by_key = np.flatnonzero(usable)[np.argsort(keys[usable], kind="stable")]
+    owner, keys = into.keys(*into.different(kinds[0], goes & bool(len(seeker))), into=True)
+    by_key = np.argsort(keys, kind="stable")
     owner, keys = owner[by_key], keys[by_key]
     low, high = (np.searchsorted(keys, sought, side) for side in ("left", "right"))
     begins = np.append(0, np.flatnonzero(np.diff(seeker)) + 1)
