@@ -11,7 +11,7 @@ from zlib import crc32
 
 import numpy as np
 
-from edoras_tools.wire.arrays.fingerprint import LONGEST, MIX, WEIGHTS, finished, of_bytes, stirred
+from edoras_tools.wire.arrays.fingerprint import HASHED_BYTES, MIX, WEIGHTS, finished, of_bytes, stirred
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -152,11 +152,11 @@ def _octets(
     data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int64], key: np.uint64
 ) -> NDArray[np.uint64]:
     """Return what ranges of bytes add to the fingerprints; each byte counts, however many there are."""
-    data = np.append(data, np.zeros(LONGEST, np.uint8))
+    data = np.append(data, np.zeros(HASHED_BYTES, np.uint8))
     total = np.zeros(len(offset), np.uint64)
-    for block in range(0, int(length.max(initial=0)), LONGEST):
+    for block in range(0, int(length.max(initial=0)), HASHED_BYTES):
         part = of_bytes(data, offset + block, np.maximum(length - block, 0))
-        total += np.where(part, stirred(part + key) * WEIGHTS[block // LONGEST % len(WEIGHTS)], 0)
+        total += np.where(part, stirred(part + key) * WEIGHTS[block // HASHED_BYTES % len(WEIGHTS)], 0)
     return total
 
 

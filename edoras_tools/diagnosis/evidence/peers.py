@@ -19,7 +19,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -195,8 +195,7 @@ class Network:
     def _identify(self, rows: Rows, network: NDArray[np.intp]) -> None:
         short = rows.has(Finding.TRUNCATED) & ~rows.has(Finding.CAPTURE_CUT)
         sound = network[~(rows.has(Finding.SBN_UNKNOWN_TYPE) | short)[network]]
-        for source, at in by_value(rows.source[sound]):
-            own = sound[at]
+        for source, own in groups(rows.source, sound):
             who = rows.spacecraft_id[own].astype(np.uint64) << 32 | rows.processor_id[own]
             values, counts = np.unique(who, return_counts=True)
             most = int(values[counts.argmax()])

@@ -125,7 +125,7 @@ class Hop:
         return self.known & ~self.arrived
 
 
-class Passage(Protocol):
+class Crossing(Protocol):
     """Tells which streams may be what others were further on; each is asked once for streams of one kind."""
 
     def arrival(self, stream: Stream) -> Hashable:
@@ -138,19 +138,19 @@ class Passage(Protocol):
         """Tell whether one stream's receiver is the sender of another."""
 
 
-def find_hops(streams: Sequence[Stream], rows: Rows, passage: Passage) -> list[Hop]:
+def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list[Hop]:
     """Find every pair of streams of which one is the other, further on.
 
     Each way out has one way in, but for a robot's: several MsgIds may command it.
     """
     goes_in = [item for item in streams if item.link.to_cfs and item.link.packets]
-    ways_in = _Ends(goes_in, rows, passage.arrival, [item.receiver for item in goes_in])
+    ways_in = _Ends(goes_in, rows, crossing.arrival, [item.receiver for item in goes_in])
     comes_out = [item for item in streams if item.link.from_cfs]
     hops: list[Hop] = []
     while comes_out:
-        ways_out = _Ends(comes_out, rows, passage.departure, [item.sender for item in comes_out])
+        ways_out = _Ends(comes_out, rows, crossing.departure, [item.sender for item in comes_out])
         comes_out = []
-        for at, (place, (came_by, went_by)) in sorted(_ways_in(ways_in, ways_out, passage.follows).items()):
+        for at, (place, (came_by, went_by)) in sorted(_ways_in(ways_in, ways_out, crossing.follows).items()):
             into, out = ways_in.streams[place], ways_out.streams[at]
             came, went = ways_in.of(place, came_by), ways_out.of(at, went_by)
             hops.append(_match(into, out, rows, came, went))
@@ -180,38 +180,24 @@ class _Ends:
         self, streams: Sequence[Stream], rows: Rows, kind: Callable[[Stream], Hashable], ends: Sequence[int]
     ) -> None:
         self.streams, self._rows = streams, rows
-        self.msg_id, self.command, self.instance, self.peers, self.last_hop, self.same = (
-            (
-                np.array(column, np.int64)
-                for column in zip(
-                    *(
-                        (
-                            item.msg_id,
-                            item.is_command,
-                            item.instance,
-                            item.link.peers,
-                            item.link.last_hop,
-                            id(item),
-                        )
-                        for item in streams
-                    ),
-                    strict=True,
-                )
-            )
-            if streams
-            else np.zeros((6, 0), np.int64)
-        )
-        self.end = np.array(ends, np.int64)
+
+        def column(value: Callable[[Stream], int], kind: type = np.int64) -> NDArray[Any]:
+            return np.array([value(item) for item in streams], kind)
+
+        self.msg_id, self.end = column(lambda item: item.msg_id), np.array(ends, np.int64)
+        self.instance, self.same = column(lambda item: item.instance), column(id)
+        self.command = column(lambda item: item.is_command, np.bool_)
+        self.peers = column(lambda item: item.link.peers, np.bool_)
+        self.last_hop = column(lambda item: item.link.last_hop, np.bool_)
         kinds: dict[Hashable, int] = {None: -1}
-        self.party = np.array([kinds.setdefault(kind(item), len(kinds)) for item in streams], np.int64)
-        count = [len(item.rows) for item in streams]
+        self.party = column(lambda item: kinds.setdefault(kind(item), len(kinds)))
+        count = column(len)
         self._owner = np.repeat(np.arange(len(streams)), count)
         self._at = np.concatenate([np.zeros(0, np.intp), *(item.rows for item in streams)])
         borders = [np.cumsum(count) - count, np.cumsum(count) - 1]
         self.span_ns = rows.time_ns[self._at[np.array(borders, np.intp)]]
-        self.cut = (
-            np.bincount(self._owner[rows.has(Finding.CAPTURE_CUT)[self._at]], minlength=len(streams)) > 0
-        )
+        cut = self._owner[rows.has(Finding.CAPTURE_CUT)[self._at]]
+        self.cut = np.bincount(cut, minlength=len(streams)) > 0
 
     def _prints(self, kind: str, at: NDArray[np.intp]) -> NDArray[np.uint64]:
         if kind != _COUNT:
@@ -224,8 +210,8 @@ class _Ends:
 
     def different(self, kind: str, some: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.uint64]]:
         """Return the different fingerprints of some streams, in order, without 0: whose, and which."""
-        at = self._at if some.all() else self._at[some[self._owner]]
-        owner, prints = self._owner if some.all() else self._owner[some[self._owner]], self._prints(kind, at)
+        mine = slice(None) if some.all() else some[self._owner]
+        owner, prints = self._owner[mine], self._prints(kind, self._at[mine])
         there = np.flatnonzero(prints)
         first = there[numbered(owner[there], prints[there])[0]]
         once = first[np.lexsort((prints[first], owner[first]))]
@@ -242,7 +228,7 @@ class _Ends:
 
         Of what goes from an SBN peer to an SBN peer only the streams of one endpoint may be the same.
         """
-        peers = self.peers[owner] != 0
+        peers = self.peers[owner]
         plain, ended = np.where(into & peers, 1, 0), np.where(peers, self.end[owner] + 2, 1)
         more = peers if into else np.ones(len(owner), bool)
         salts = np.concatenate((plain, ended[more])).astype(np.uint64)
@@ -284,10 +270,7 @@ class _Parties:
         place, at = np.nonzero(np.broadcast_to(able[:, None], shape))
         fits = _may_follow(self._into, self._out, place, at, kinds)
         fits[fits] = self.follows(place[fits], at[fits])
-        goes, comes = (
-            np.bincount(item[fits], minlength=size) for item, size in zip((place, at), shape, strict=True)
-        )
-        return goes > 0, comes > 0
+        return np.isin(np.arange(shape[0]), place[fits]), np.isin(np.arange(shape[1]), at[fits])
 
     def follows(self, place: NDArray[np.intp], at: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Tell for pairs of places, of which none is of a party where nothing follows."""
@@ -297,7 +280,7 @@ class _Parties:
             if int(pair[row]) not in self._known:
                 streams = self._into.streams[place[row]], self._out.streams[at[row]]
                 self._known[int(pair[row])] = self._follows(*streams)
-        return np.array([self._known[int(pair[row])] for row in first.tolist()], np.bool_)[which]
+        return np.array([self._known[item] for item in pair[first].tolist()], np.bool_)[which]
 
 
 def _scored(
@@ -315,7 +298,7 @@ def _scored(
     owner, values = out.different(kinds[1], comes)
     different = np.bincount(owner, minlength=len(out.streams))
     # Where too few differ to tell, nothing is alike; a robot gets no equal value by chance.
-    some = ((different >= _LEAST_DIFFERENT) | (out.last_hop != 0))[owner]
+    some = ((different >= _LEAST_DIFFERENT) | out.last_hop)[owner]
     seeker, sought = out.keys(owner[some], values[some], into=False)
     by_seeker = np.argsort(seeker, kind="stable")
     seeker, sought = seeker[by_seeker], sought[by_seeker]
@@ -333,7 +316,7 @@ def _scored(
         both = np.diff(np.append(begins, len(code)))
         at, place = np.divmod(code[begins], max(1, len(into.streams)))
         score = both / different[at]
-        late = (score < _ALIKE) & (out.last_hop[at] != 0) & (both >= _LEAST_DIFFERENT)
+        late = (score < _ALIKE) & out.last_hop[at] & (both >= _LEAST_DIFFERENT)
         fits = ((score >= _ALIKE) | late) & _may_follow(into, out, place, at, kinds)
         at, place, score = at[fits], place[fits], score[fits]
         there = party.follows(place, at)
@@ -352,8 +335,8 @@ def _may_follow(
     in_time = (out.span_ns[1, at] >= into.span_ns[0, place]) & (
         out.span_ns[0, at] <= into.span_ns[1, place] + _LONGEST_NS
     )
-    robot, same = out.last_hop[at] != 0, into.msg_id[place] == out.msg_id[at]
-    between = (into.peers[place] & out.peers[at]) != 0
+    robot, same = out.last_hop[at], into.msg_id[place] == out.msg_id[at]
+    between = into.peers[place] & out.peers[at]
     if kinds in _OF_PACKETS:
         one = into.instance[place], out.instance[at]
         # What is left of a packet differs with the headers before it; one cFS gives a count once.
@@ -362,8 +345,8 @@ def _may_follow(
         fits = same & ~robot & ~between & anyone & (cut == (kinds[0] == _COUNT))
         # SBN's pipes leave out what SBN itself has put on the bus.
         return np.asarray(in_time & fits & (into.same[place] != out.same[at]))
-    command = into.command[place] != 0
-    other = ~same & (command != (out.command[at] != 0)) & (~between | (into.end[place] == out.end[at]))
+    command = into.command[place]
+    other = ~same & (command != out.command[at]) & (~between | (into.end[place] == out.end[at]))
     fits = np.where(robot, command & (kinds in _TO_ROBOT), other & (kinds in _REWRITTEN))
     return np.asarray(in_time & fits)
 

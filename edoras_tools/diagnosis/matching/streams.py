@@ -179,10 +179,10 @@ def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:
         lost = np.flatnonzero(there & (out == NOBODY) & (rows.msg_id != NO_MSG_ID))
         timed = np.flatnonzero(there & (instances.of_row != NOBODY))
         key = [sender]
-        if there is output:
+        if there is output and len(lost):
             lost = _handed_on(rows, lost, out)
-            # Behind TO several instances share a MsgId; an SBN sender is one instance at a time.
-            key.append(rows.msg_id.astype(np.int64))
+        # Behind TO several instances share a MsgId; an SBN sender is one instance at a time.
+        key += [rows.msg_id.astype(np.int64)] * (there is output)
         both = np.concatenate((lost, timed))
         which = numbered(*(column[both] for column in key))[1]
         known = dict(by_value(which[len(lost) :]))

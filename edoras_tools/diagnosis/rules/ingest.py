@@ -17,6 +17,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
 from edoras_tools.model import Finding
+from edoras_tools.wire.arrays.order import groups
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -182,8 +183,7 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
     rows = case.rows
     cut = (rows.link == CI) & rows.has(Finding.OVER_CI_BUFFER)
     limit = case.profile.ci_buffer
-    for msg_id in np.unique(rows.msg_id[cut]).tolist():
-        members = np.flatnonzero(cut & (rows.msg_id == msg_id))
+    for msg_id, members in groups(rows.msg_id, np.flatnonzero(cut)):
         sizes = rows.length[members]
         of = int(((rows.link == CI) & (rows.msg_id == msg_id)).sum())
         packets = ", ".join(

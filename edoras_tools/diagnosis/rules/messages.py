@@ -16,6 +16,7 @@ from edoras_tools.links.to import TO
 from edoras_tools.model import Finding, Link
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
+from edoras_tools.wire.arrays.order import groups
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -115,8 +116,7 @@ def ground_bridge_buffer(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     over = (rows.link == TO) & rows.has(Finding.OVER_BRIDGE_BUFFER) & (rows.space > 0)
-    for msg_id in np.unique(rows.msg_id[over]).tolist():
-        members = np.flatnonzero(over & (rows.msg_id == msg_id))
+    for msg_id, members in groups(rows.msg_id, np.flatnonzero(over)):
         of = int(((rows.link == TO) & (rows.msg_id == msg_id)).sum())
         yield Verdict(
             Severity.ERROR,
@@ -142,8 +142,7 @@ def flight_bridge_length(case: Case) -> Iterator[Verdict]:
     rows = case.rows
     whole = (rows.link == SBN) & (rows.sbn_msg_type == sbn.MsgType.APP)
     dropped = whole & rows.has(Finding.BRIDGE_DROPS_LENGTH)
-    for msg_id in np.unique(rows.msg_id[dropped]).tolist():
-        members = np.flatnonzero(dropped & (rows.msg_id == msg_id))
+    for msg_id, members in groups(rows.msg_id, np.flatnonzero(dropped)):
         towards = int(rows.destination[members[0]])
         of = int((whole & (rows.msg_id == msg_id) & (rows.destination == towards)).sum())
         sizes = ", ".join(str(size) for size in np.unique(rows.length[members])[:4].tolist())
@@ -256,8 +255,7 @@ def stale_tail(case: Case) -> Iterator[Verdict]:
     rows = case.rows
     stale = rows.has(Finding.STALE_TAIL) & (rows.space > rows.cdr_length)
     for link in (CI, TO, SBN):
-        for msg_id in np.unique(rows.msg_id[stale & (rows.link == link)]).tolist():
-            members = np.flatnonzero(stale & (rows.link == link) & (rows.msg_id == msg_id))
+        for msg_id, members in groups(rows.msg_id, np.flatnonzero(stale & (rows.link == link))):
             of = int(((rows.link == link) & (rows.msg_id == msg_id)).sum())
             first = int(members[0])
             tail = int(rows.space[first] - rows.cdr_length[first])

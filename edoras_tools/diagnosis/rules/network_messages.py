@@ -13,7 +13,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, Finding, Peer
 from edoras_tools.units import SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import by_value, groups, numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -223,9 +223,7 @@ def wrong_protocol_version(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     wrong = (rows.link == SBN) & rows.has(Finding.SBN_VERSION_MISMATCH)
-    there = np.flatnonzero(wrong)
-    for source, at in by_value(rows.source[there]):
-        members = there[at]
+    for source, members in groups(rows.source, np.flatnonzero(wrong)):
         yield _refused(
             case,
             members,
@@ -264,9 +262,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             if craft or not foreign[near[same]].any():
                 foreign[near[same]] = True
     identity = rows.spacecraft_id.astype(np.uint64) << 32 | rows.processor_id
-    there = np.flatnonzero(foreign)
-    for who, at in by_value(identity[there]):
-        members = there[at]
+    for who, members in groups(identity, np.flatnonzero(foreign)):
         peer, start_ns = Peer(who >> 32, who & 0xFFFFFFFF), case.span(members)[0]
         carried = np.unique(rows.msg_id[members]).tolist()
         said = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
@@ -326,9 +322,9 @@ def proto_storm(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     protos = (rows.link == SBN) & (rows.sbn_msg_type == sbn.MsgType.PROTO)
-    there, every = np.flatnonzero(protos), np.bincount(rows.destination[rows.link == SBN])
-    for source, at in by_value(rows.source[there]):
-        sent, heard = there[at], int(every[source]) if source < len(every) else 0
+    every = np.bincount(rows.destination[rows.link == SBN], minlength=len(case.endpoints))
+    for source, sent in groups(rows.source, np.flatnonzero(protos)):
+        heard = int(every[source])
         if len(sent) < _LEAST or 2 * len(sent) < heard:
             continue
         yield Verdict(

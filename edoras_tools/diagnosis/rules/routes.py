@@ -16,7 +16,7 @@ from edoras_tools.model import NO_ROUTE, Finding, Link
 from edoras_tools.ros.cdr.plan import ROUNDING
 from edoras_tools.ros.fitting import types_that_fit, types_that_fit_each
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import groups
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -248,12 +248,11 @@ def not_configured(case: Case) -> Iterator[Verdict]:
     if not case.mission.routes:
         return
     loose = (rows.cdr_length > 0) & (rows.route == NO_ROUTE) & rows.has(Finding.UNKNOWN_MSG_ID)
-    there, types = np.flatnonzero(loose), case.context.types
-    groups = {msg_id: there[at] for msg_id, at in by_value(rows.msg_id[there])}
-    known = [case.samples.get((int(rows.link[at[0]]), msg_id), {}).values() for msg_id, at in groups.items()]
-    own = {route.type for route in case.mission.routes}
-    every = types_that_fit_each(types, known, own) if types is not None else [[]] * len(groups)
-    for (msg_id, members), fits in zip(groups.items(), every, strict=True):
+    types, own = case.context.types, {route.type for route in case.mission.routes}
+    every = dict(groups(rows.msg_id, np.flatnonzero(loose)))
+    known = [case.samples.get((int(rows.link[at[0]]), msg_id), {}).values() for msg_id, at in every.items()]
+    fitting_each = types_that_fit_each(types, known, own) if types is not None else [[]] * len(every)
+    for (msg_id, members), fits in zip(every.items(), fitting_each, strict=True):
         link = table.link(rows.link[members[0]])
         yield Verdict(
             Severity.NOTE,

@@ -12,7 +12,7 @@ from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.model import Finding, Peer
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import by_value, groups, numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -80,14 +80,12 @@ def identity_from_two_addresses(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     spoke = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(_UNSOUND_NETWORK))
-    identity = rows.spacecraft_id[spoke].astype(np.uint64) << 32 | rows.processor_id[spoke]
-    for who, at in by_value(identity):
-        members = spoke[at]
+    identity = rows.spacecraft_id.astype(np.uint64) << 32 | rows.processor_id
+    for who, members in groups(identity, spoke):
         first: dict[str, int] = {}
         count: dict[str, int] = {}
-        for source, of_source in by_value(rows.source[members]):
+        for source, own in groups(rows.source, members):
             address = case.endpoints[source].address
-            own = members[of_source]
             first[address] = min(int(own[0]), first.get(address, int(own[0])))
             count[address] = count.get(address, 0) + len(own)
         if len(first) < 2:

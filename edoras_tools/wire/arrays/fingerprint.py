@@ -12,7 +12,7 @@ from edoras_tools.wire.arrays.window import gather
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-LONGEST: Final = 4096
+HASHED_BYTES: Final = 4096
 """Bytes of a packet that are hashed; longer packets differ within these bytes."""
 MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 """An odd number without a pattern: multiplying by it spreads the bits of a word over the product."""
@@ -21,7 +21,7 @@ MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 def of_bytes(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[Any]) -> NDArray[np.uint64]:
     """Return the fingerprint of each range of bytes, u64 (n,); 0 for an empty one."""
     out = np.zeros(len(offset), np.uint64)
-    cut = np.minimum(length, LONGEST)
+    cut = np.minimum(length, HASHED_BYTES)
     for size, rows in by_value((cut + 7) >> 3):
         if size <= 0:
             continue
@@ -44,7 +44,7 @@ def finished(total: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return stirred(total) | np.uint64(1)
 
 
-WEIGHTS: Final = stirred(np.arange(1, LONGEST // 8 + 2, dtype=np.uint64) * MIX) | np.uint64(1)
+WEIGHTS: Final = stirred(np.arange(1, HASHED_BYTES // 8 + 2, dtype=np.uint64) * MIX) | np.uint64(1)
 """An odd factor for each word of a range."""
 _LAST_WORD: Final = np.array([[0xFF] * (size or 8) + [0] * (-size % 8) for size in range(8)], np.uint8).view(
     np.uint64

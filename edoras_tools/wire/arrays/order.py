@@ -104,6 +104,12 @@ def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
         yield int(values[order[first]]), order[first:end]
 
 
+def groups(values: NDArray[Any], rows: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Yield each distinct value of a column among some rows, with those of the rows that hold it."""
+    for value, at in by_value(values[rows]):
+        yield value, rows[at]
+
+
 def quantiles(values: NDArray[Any], *shares: float) -> list[float]:
     """Return ``numpy.quantile`` of at least one value, several times as fast while values are few."""
     ranked = np.sort(values)
