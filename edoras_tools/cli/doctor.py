@@ -17,6 +17,7 @@ from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
+from edoras_tools.cli.report import report
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.older import StrEnum
 
@@ -58,6 +59,7 @@ class TaskOptions(NamedTuple):
         "FORMAT",
         "Only list the messages that were lost, with time and values; table, csv or json.",
     ] = None
+    output: Annotated[Path | None, typer.Option(hidden=True), "--output -o FILE", "As report -o."] = None
 
 
 @grouped
@@ -81,7 +83,9 @@ def doctor(
 
     settings, scope, profile = decoding.settings(), part.scope(), profile_with(task.constant or ())
     _check_task(task, given, duration)
-    if task.predict:
+    if task.output is not None:
+        report.__wrapped__(given.files, task.output, printing=printing, part=part, decoding=decoding)  # type: ignore[attr-defined]
+    elif task.predict:
         _predict(settings, profile, scope, json=printing.json)
     elif task.list_lost is not None:
         _list_lost(settings, profile, scope, given, task.list_lost, printing, jobs or 0)

@@ -264,10 +264,14 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
 def with_command(words: list[str]) -> list[str]:
     """Return a command line with its command: ``doctor`` where a file stands in its place, or none does.
 
+    ``convert A B`` is ``record A -o B``. Commands are made one at a time, so their name must be known before.
+
     Args:
         words: what follows ``edoras``.
     """
     first = words[0] if words else ""
+    if first == "convert" and len(words) > 2:
+        return ["record", words[1], "-o", *words[2:]]
     if first in _OF_EDORAS or is_command(first):
         return words
     if first.startswith("-") and first != "-":

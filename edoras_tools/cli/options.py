@@ -57,6 +57,10 @@ def msg_id(text: str) -> int:
     """Read a MsgId: 16 bits, decimal or hex, or its name, e.g. ``TO_CMD``."""
     if text[:1].isalpha():
         return _named_msg_id(text)
+    if re.fullmatch(r"[01][89]\d\d", text):  # as cFS's MsgIds look in hex
+        raise typer.BadParameter(
+            f"{text} is decimal, 0x{int(text):04x}; did you mean 0x{text}? Write MsgIds in hex"
+        )
     value = number(text)
     if not 0 <= value <= 0xFFFF:
         raise typer.BadParameter(f"MsgId {text} does not fit 16 bits (0x0000 to 0xFFFF)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,9 +19,11 @@ from edoras_tools.cli.output import print_json
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES, WRITTEN, Format, written_as
 from edoras_tools.io.outputs import STDOUT
-from edoras_tools.words import plural
+from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.record import Target
     from edoras_tools.pipelines.capture.snapshot import SnapshotPlan
@@ -210,6 +213,7 @@ def record(
         raise ConfigError("--snapshot writes files, and --rosbag2 a directory: leave one of them out")
     if files.tf and target.format is not None and not target.format.messages:
         raise ConfigError(f"{target.path}: --tf writes a topic, and {target.format.name} has none: use .mcap")
+    _check_named_last(given.paths, files.output)
     check_output(target, given.paths, snapshots=plan is not None)
     written = None if target.stream else target.path
     source, bench = open_input(given, decoding.settings(), every_port=every, messages=True, output=written)
@@ -243,7 +247,30 @@ def record(
         from edoras_tools.render.capture.watch import recorded
 
         sys.stderr.write(recorded(report.summary(), report.outputs, report.keep) + "\n")
+        _tell_unnamed(report.summary()["routes"], report.outputs[0])
     finish(report, live=live)
+
+
+def _tell_unnamed(routes: Sequence[Mapping[str, Any]], output: Path) -> None:
+    """Say what to do where no message has a topic, because no mission names its MsgId."""
+    unnamed = [row["msg_id"] for row in routes if "unknown_msg_id" in row["findings"]]
+    if unnamed and not any(row["topic"] for row in routes):
+        tell(
+            f"no mission names {listed(unnamed)}: name its file with -c, or draft one: "
+            f"edoras mission draft {output} -o mission.yaml"
+        )
+
+
+def _check_named_last(inputs: Sequence[Path], output: Path | None) -> None:
+    """Refuse what is named as an input, and is to be written.
+
+    Raises:
+        ConfigError: it is.
+    """
+    *files, last = inputs or [Path()]
+    if files and output is None and not last.exists() and written_as(last) is not None:
+        line = shlex.join(["edoras", "record", *map(str, files), "-o", str(last)])
+        raise ConfigError(f"{last}: there is no such file; to write it: {line}")
 
 
 def _stream(files: TargetOptions, printing: options.PrintOptions) -> Format | None:

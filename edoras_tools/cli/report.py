@@ -21,9 +21,9 @@ from edoras_tools.words import plural
 
 @grouped
 def report(
-    *,
     inputs: FileOptions,
     output: Annotated[Path | None, "--output -o FILE", "Output file; default FILE.html."] = None,
+    *,
     force: recordings.Force = False,
     constant: options.Constants = None,
     printing: options.PrintOptions,

@@ -407,3 +407,33 @@ def test_a_terminal_gets_no_recording(call, captures, monkeypatch):
     result = call("record", captures("a_rover"), "-o", "-")
     assert (result.code, result.out) == (2, "")
     assert "this is a terminal" in result.err[0]
+
+
+def test_no_mission_names_what_was_recorded(call, captures, tmp_path):
+    done = call("record", captures("a_rover"), "-o", tmp_path / "a.mcap")
+    assert done.err[-1] == (
+        "edoras: no mission names 0x1827, 0x0827: name its file with -c, or draft one: "
+        f"edoras mission draft {tmp_path / 'a.mcap'} -o mission.yaml"
+    )
+
+
+def test_an_output_that_is_named_as_an_input_gets_the_line_that_writes_it(call, captures, tmp_path):
+    output = tmp_path / "b.pcapng"
+    done = call("record", captures("a_rover"), output)
+    line = f"edoras record {captures('a_rover')} -o {output}"
+    assert done.err == [f"edoras: {output}: there is no such file; to write it: {line}"]
+    assert done.code == 2
+
+
+def test_convert_is_record(call, captures, tmp_path, frames):
+    output = tmp_path / "b.pcap"
+    assert call("convert", captures("a_rover"), output, "-q").code == 0
+    assert frames(output) == frames(captures("a_rover"))
+
+
+def test_a_msg_id_in_decimal_that_looks_like_hex(call, captures):
+    for text, value in (("1827", "0x0723"), ("0827", "0x033b")):
+        done = call("sniff", captures("a_rover"), "--msg-id", text)
+        assert done.code == 2
+        assert f"{text} is decimal, {value}; did you mean 0x{text}?" in done.err[0]
+    assert call("sniff", captures("a_rover"), "--msg-id", "6183", "-n", 1).code == 0

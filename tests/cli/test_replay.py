@@ -269,6 +269,7 @@ def test_a_port_in_use(call, receiver, captures):
     done = call("replay", captures("a_rover"), "--to", "ci", "--listen", taken)
     assert (done.code, len(done.err)) == (1, 1)
     assert f"UDP {taken}: cannot be bound: another program has port" in done.err[0]
+    assert "--no-listen (edoras sim: --no-bridges)" in done.err[0]
 
 
 def test_a_peer_that_never_answers(call, captures, receiver):

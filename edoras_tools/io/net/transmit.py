@@ -46,6 +46,7 @@ _BUFFER_BYTES: Final = 4 << 20
 _MSG_PROBE: Final = 16
 """Linux: ``send`` does all but make the datagram."""
 _INSTEAD: Final = "choose another with --listen"
+_OR_NONE: Final = f"{_INSTEAD}, or receive no answers: --no-listen (edoras sim: --no-bridges)"
 
 
 @dataclass(slots=True)
@@ -193,7 +194,7 @@ class Listener(_Port):
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
-        super().__init__(open_bound(endpoint, f"UDP {endpoint}", _INSTEAD, buffer_bytes=_BUFFER_BYTES))
+        super().__init__(open_bound(endpoint, f"UDP {endpoint}", _OR_NONE, buffer_bytes=_BUFFER_BYTES))
 
     def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
         """Return the datagrams that have arrived, ``most`` at most, and their senders."""

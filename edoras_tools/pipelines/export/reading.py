@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -102,11 +103,17 @@ class TopicTable:
         return pandas.DataFrame(made)
 
 
+class NoTopicError(RouteError, KeyError):
+    """A recording has no such topic."""
+
+    __str__ = RouteError.__str__
+
+
 @dataclass(frozen=True)
-class RecordingTables:
+class RecordingTables(Mapping[str, TopicTable]):
     """The topics of files. A file is read again for each topic that is used for the first time.
 
-    A warning says what could not be read.
+    Its keys are the topics that have messages. A warning says what could not be read.
 
     Attributes:
         paths: the files.
@@ -127,18 +134,25 @@ class RecordingTables:
         """Return the messages of a topic, none where there are none; the leading slash may be left out.
 
         Raises:
-            RouteError: there is no such topic.
+            NoTopicError: there is no such topic, or several fit.
         """
         source = self._open()
         try:
-            found = chosen_topics(source, [topic], ())
-            if len(found) != 1:
-                raise RouteError(f"{topic!r} fits several topics: {', '.join(found)}; name one")
-            if found[0] not in self._tables:
-                self._tables[found[0]] = _read(source, found[0], self.form)
+            name = _find_topic(source, topic)
+            if name not in self._tables:
+                self._tables[name] = _read(source, name, self.form)
         finally:
             source.close()
-        return self._tables[found[0]]
+        return self._tables[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.topics)
+
+    def __len__(self) -> int:
+        return len(self.topics)
+
+    def __contains__(self, topic: object) -> bool:
+        return f"/{str(topic).removeprefix('/')}" in self.topics
 
     @cached_property
     def topics(self) -> dict[str, int]:
@@ -218,6 +232,16 @@ def _paths(given: Paths) -> tuple[Path, ...]:
     if isinstance(given, (str, os.PathLike)):
         return (Path(given),)
     return tuple(map(Path, given))
+
+
+def _find_topic(source: TopicSource, pattern: str) -> str:
+    try:
+        topics = chosen_topics(source, [pattern], ())
+    except RouteError as error:
+        raise NoTopicError(*error.args) from None
+    if len(topics) != 1:
+        raise NoTopicError(f"{pattern!r} fits several topics: {', '.join(topics)}; name one")
+    return topics[0]
 
 
 def _read(source: TopicSource, topic: str, form: TableForm) -> TopicTable:

@@ -218,7 +218,7 @@ class Sending:
         self._due = schedule.table.due_ns.data
         self._epoch_ns = wire.epoch_ns()
         self._round_ns = 0
-        self._refused = 0
+        self._refused = self._sent_before = self._undelivered = 0
 
     def stop(self) -> None:
         """End as soon as possible."""
@@ -248,10 +248,10 @@ class Sending:
                 self._wire.put(data)
         statistics = self._wire.statistics
         report.errors = dict(statistics.errors)
-        if refused := statistics.refused - self._refused:
-            report.errors["Connection refused"] = refused
-            # ICMP refused a datagram that had left. Some of these may have been the session's own datagrams.
-            report.sent = max(0, report.sent - refused)
+        self._count_refusals()
+        if self._undelivered:
+            report.errors["Connection refused"] = self._undelivered
+            report.sent = max(0, report.sent - self._undelivered)
         report.send_errors = sum(report.errors.values())
         return report
 
@@ -370,12 +370,26 @@ class Sending:
             self._wire.put(data)
 
     def _refusals(self, now: int) -> None:
-        refused = self._wire.statistics.refused > self._refused
-        if refused and self.report.first_ns and now - self.report.first_ns < _ABSENT_NS:
+        if not self.report.first_ns or not self._count_refusals():
+            return
+        if now - self.report.first_ns < _ABSENT_NS:
+            self._undelivered = max(self._undelivered, self.report.sent)  # nobody was there for any of them
             raise CaptureError(
                 f"{self._schedule.target} refuses: no program listens there (ICMP port unreachable); start "
                 "the receiver, or name its address with --target"
             )
+
+    def _count_refusals(self) -> bool:
+        """Count what left since the last count as not delivered if the target refused any of it.
+
+        ICMP refuses a datagram that has left, and the kernel keeps one refusal of many: what left with the
+        refused one was not received either. Some may be the session's own datagrams.
+        """
+        refused, sent = self._wire.statistics.refused - self._refused, self.report.sent - self._sent_before
+        self._refused += refused
+        self._sent_before += sent
+        self._undelivered += max(refused, sent) if refused else 0
+        return refused > 0
 
     def _act_on(self, key: str) -> None:
         if key == "q":

@@ -1,5 +1,7 @@
 """Recordings in a notebook."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 from places import CAPTURES, MISSIONS
@@ -35,6 +37,18 @@ def test_topics_have_counts(rover):
     assert rover.topics["/telemetry_pose"] == 63
     assert "/edoras/faults" not in rover.topics
     assert len(rover["/edoras/faults"]) == 0
+
+
+def test_it_is_a_mapping(rover):
+    assert isinstance(rover, Mapping)
+    assert list(rover) == list(rover.topics)
+    assert len(rover) == len(rover.topics)
+    assert "/cmd_vel" in rover
+    assert "cmd_vel" in rover
+    assert "/edoras/faults" not in rover
+    assert rover.get("/no_such") is None
+    with pytest.raises(KeyError, match=r"^no topic of .*a_rover.pcap matches '/no_such'"):
+        rover["/no_such"]
 
 
 def test_events(rover):

@@ -305,6 +305,22 @@ def test_a_target_that_refuses_at_the_start_is_not_there():
     assert 0 < report.send_errors < 10
 
 
+def test_nothing_arrived_where_the_kernel_kept_one_refusal_of_many():
+    class BurstWire(DeafWire):
+        """ICMP errors of datagrams that leave together overwrite each other."""
+
+        def send(self, out, first, last):
+            sent = super().send(out, first, last)
+            self.statistics.refused = 1
+            return sent
+
+    wire = BurstWire()
+    report = run(wire, plain(1000), pacing=Pacing(unpaced=True))
+    assert report.failure is not None
+    assert (report.sent, report.errors) == (0, {"Connection refused": len(wire.sent)})
+    assert len(wire.sent) > 1
+
+
 def test_what_is_refused_later_on_is_not_sent():
     class LeftWire(DeafWire):
         """Who receives goes after five seconds."""
