@@ -72,7 +72,7 @@ ADDONS: Final = (
                 before="structs",
             ),
             "xtce": ListedCommand(
-                "Connect", "Describe packets for ground systems, as XTCE or for COSMOS.", "cli.xtce:xtce"
+                "Connect", "Describe packets for ground systems: XTCE or COSMOS.", "cli.xtce:xtce"
             ),
         },
     ),
@@ -93,7 +93,7 @@ ADDONS: Final = (
             ),
             "sim": ListedCommand(
                 "Try",
-                "Run an emulated cFS on loopback, with the real one's limits.",
+                "Run an emulated cFS on loopback, with the real limits.",
                 "cli.sim:sim",
                 before="samples",
             ),

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from edoras_tools import doors
 from edoras_tools.cli import options
@@ -43,7 +43,7 @@ def middleware_name(text: str) -> str:
     """Read the name of a middleware."""
     known = names()
     if text not in known and doors.find("middleware", text) is None:
-        raise typer.BadParameter(f"{text!r} is not one of {', '.join(map(repr, known))}.")
+        raise BadParameter(f"{text!r} is not one of {', '.join(map(repr, known))}.")
     return text
 
 
@@ -53,9 +53,13 @@ class RosOptions(NamedTuple):
 
     ros: Annotated[
         str | None,
-        typer.Option(parser=middleware_name, autocompletion=_completed, show_default=False),
-        f"<{'|'.join(names())}>",
-        "How to connect to ROS 2; default: dds, or zenoh if RMW_IMPLEMENTATION says so.",
+        Option(
+            parser=middleware_name,
+            autocompletion=_completed,
+            show_default=False,
+            metavar=f"<{'|'.join(names())}>",
+            help="Default: dds, or by RMW_IMPLEMENTATION.",
+        ),
     ] = None
     domain: options.RosDomain = None
     ros_options: options.RosOption = None
@@ -66,14 +70,14 @@ class PacketOptions(NamedTuple):
 
     max_rate: Annotated[
         list[str] | None,
-        "[TOPIC=]HZ[,KEEP]",
-        "Messages per second to cFS for each topic, one topic, or all=HZ; KEEP: latest, first.",
+        Option(
+            metavar="[TOPIC=]HZ[,KEEP]",
+            help="Messages per second to cFS for each topic, one topic, or all=HZ; KEEP: latest, first.",
+        ),
     ] = None
-    checksum: Annotated[bool, "Send real checksums in commands, not 0."] = False
-    sequence: Annotated[bool, "Send real sequence counts, not 0."] = False
-    enable: Annotated[bool, "--enable/--no-enable", "Command Telemetry Output to send to this machine."] = (
-        True
-    )
+    checksum: Annotated[bool, Option("--checksum", help="Send real checksums in commands, not 0.")] = False
+    sequence: Annotated[bool, Option("--sequence", help="Send real sequence counts, not 0.")] = False
+    enable: Annotated[bool, Option(" /--no-enable", help="Do not command TO to send here.")] = True
 
 
 class RunOptions(NamedTuple):
@@ -81,17 +85,13 @@ class RunOptions(NamedTuple):
 
     duration: options.Duration = None
     yes: Yes = False
-    dry_run: Annotated[bool, "Print what would be bridged; open nothing."] = False
+    dry_run: Annotated[bool, Option("--dry-run", help="Print what would be bridged; open nothing.")] = False
 
 
 @grouped
 def bridge(
     *,
-    kind: Annotated[
-        BridgeKind | None,
-        typer.Argument(),
-        "Only the ground or only the flight bridges of the files; default: all.",
-    ] = None,
+    kind: Annotated[BridgeKind | None, Argument(help="Only these bridges of the files.")] = None,
     graph: RosOptions,
     packets: PacketOptions,
     outputs: RelayOutputOptions,
@@ -99,7 +99,7 @@ def bridge(
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Bridge ROS 2 and cFS with the files of EDORAS's own bridges.
+    """Bridge ROS 2 and cFS with the files of EDORAS's bridges.
 
     No installed ROS 2 is needed.
 
@@ -121,7 +121,7 @@ def bridge(
     settings = decoding.settings()
     domain = usual_domain() if graph.domain is None else graph.domain
     given = _options(way, graph.ros_options, outputs)
-    if decoding.types.distro is None and not running.dry_run:
+    if decoding.merged().distro is None and not running.dry_run:
         told = distro_of_peers(way, domain, given)
         if told not in {None, settings.distro}:
             _say(f"the nodes of domain {domain} are of ROS 2 {told}: --distro {told}")

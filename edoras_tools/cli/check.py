@@ -6,7 +6,7 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-import typer
+from typer import Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
@@ -24,11 +24,10 @@ if TYPE_CHECKING:
 class CheckOptions(NamedTuple):
     """What is done with the expectations."""
 
-    init: Annotated[bool, "Draft expectations from a good recording; EXPECT is not given."] = False
-    output: Annotated[Path | None, "--output -o FILE", "With --init: write the draft here."] = None
+    init: Annotated[bool, Option("--init", help="Draft expectations from a good recording.")] = False
+    output: Annotated[Path | None, Option("--output", "-o", help="With --init: write the draft here.")] = None
     force: recordings.Force = False
-    junit: Annotated[Path | None, "FILE", "Also write the results as JUnit XML."] = None
-    constant: options.Constants = None
+    junit: Annotated[Path | None, Option(help="Also write the results as JUnit XML.")] = None
 
 
 @grouped
@@ -54,7 +53,7 @@ def check(
     from edoras_tools.pipelines.check.run import check as run
     from edoras_tools.pipelines.doctor.doctor import Pace, profile_with
 
-    scope, profile = part.scope(), profile_with(task.constant or ())
+    scope, profile = part.scope(), profile_with(decoding.constants)
     if task.init:
         _draft(given, task, scope, printing, decoding)
         return
@@ -71,7 +70,9 @@ def check(
         check_new(task.junit, [*given.paths, path], force=task.force)
     expected, (json, quiet) = load_expectations(path), printing
     with file_progress(given.paths, quiet=quiet or json or live) as bar:
-        source, bench = open_input(given, decoding.settings(), aligned=True, messages=True, progress=bar)
+        source, bench = open_input(
+            given, decoding.settings(constants=True), aligned=True, messages=True, progress=bar
+        )
         pace = Pace(monotonic_ns, 0, duration or 0)
         report = run(source, bench, expected, profile=profile, scope=scope, pace=pace, progress=bar)
     _check_whole(report.findings)
@@ -85,7 +86,7 @@ def check(
         print_view(check_view(report.as_json()))
     _end(source, report.findings, live=live)
     if report.failed:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)
 
 
 def _expectations(given: InputOptions) -> tuple[InputOptions, Path]:
@@ -115,8 +116,10 @@ def _draft(
         raise ConfigError("--init drafts from a recording: edoras check --init FILE...")
     path = recordings.text_output(task.output, given.paths, force=task.force)
     with file_progress(given.paths, quiet=printing.quiet) as bar:
-        source, bench = open_input(given, decoding.settings(), aligned=True, messages=True, progress=bar)
-        profile = profile_with(task.constant or ())
+        source, bench = open_input(
+            given, decoding.settings(constants=True), aligned=True, messages=True, progress=bar
+        )
+        profile = profile_with(decoding.constants)
         made = draft(source, bench, profile=profile, scope=scope, progress=bar)
     _check_whole(made.findings)
     _end(source, made.findings, live=False)
@@ -127,7 +130,7 @@ def _draft(
     for item in unexamined:
         tell(str(item))
     if unexamined:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)
 
 
 def _check_whole(findings: Examined) -> None:

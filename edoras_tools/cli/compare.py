@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
@@ -16,17 +16,15 @@ from edoras_tools.cli.output import file_progress, print_json, print_view
 @grouped
 def compare(
     *,
-    good: Annotated[Path, typer.Argument(), "GOOD", "A good run."],
-    bad: Annotated[Path, typer.Argument(), "BAD", "The run to compare with it."],
-    tolerance: Annotated[
-        float, typer.Option(min=0), "PERCENT", "Differences of rates and latencies to accept."
-    ] = 10,
+    good: Annotated[Path, Argument(metavar="GOOD", help="A good run.")],
+    bad: Annotated[Path, Argument(metavar="BAD", help="The run to compare with it.")],
+    tolerance: Annotated[float, Option(min=0, help="Percent that rates and latencies may differ.")] = 10,
     json: options.Json = False,
     quiet: options.Quiet = False,
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Compare two runs, route by route: is the second one worse?
+    """Compare two runs by route: is the second one worse?
 
     Compared are rates, loss, latency, sizes, findings and verdicts.
 
@@ -50,4 +48,4 @@ def compare(
         for warning in run.info["warnings"]:
             tell(f"{run.info['source']}: {warning}")
     if found.worse:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
@@ -22,13 +22,14 @@ def decode(
     *,
     arguments: Annotated[
         list[str],
-        typer.Argument(),
-        "FILE... N",
-        f"{READ_PACKED}; - is stdin; several are merged. N is the packet's number in sniff, from 1.",
+        Argument(
+            metavar="FILE... N",
+            help=f"{READ_PACKED}; - is stdin; several are merged. N is the packet's number in sniff, from 1.",
+        ),
     ],
-    read: Annotated[list[Path] | None, "--read -r FILE", "Same as FILE without -r; repeatable."] = None,
-    layer: Annotated[str, "--layer -l NAME", "Highlight a layer, or LAYER.FIELD, in the bytes."] = "",
-    frame: Annotated[bool, "Dump the whole frame, not only the UDP payload."] = False,
+    read: Annotated[list[Path] | None, Option("--read", "-r", hidden=True)] = None,
+    layer: Annotated[str, Option("--layer", "-l", help="Highlight LAYER, or LAYER.FIELD, in bytes.")] = "",
+    frame: Annotated[bool, Option("--frame", help="Dump the whole frame, not only the UDP payload.")] = False,
     json: options.Json = False,
     decoding: options.DecodingOptions,
 ) -> None:
@@ -41,7 +42,7 @@ def decode(
     paths = [*(read or ()), *map(Path, files)]
     if not paths:
         raise ConfigError("name the file and the packet's number: edoras decode FILE N, or -r FILE N")
-    number = options.counted(last)
+    number = options.count(last)
     source, bench = open_input(InputOptions(FileOptions(paths)), decoding.settings(), messages=True)
     decoded = decode_packet(Followed(source, quiet=json), bench, number)
     for note in bench.columns.context.notes:

@@ -10,12 +10,13 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-import typer
+from typer import Exit, Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
+from edoras_tools.cli.options import share
 from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
 from edoras_tools.cli.report import report
 from edoras_tools.errors import CaptureError, ConfigError
@@ -41,25 +42,20 @@ class Listing(StrEnum):
 class TaskOptions(NamedTuple):
     """What to do; the default is a diagnosis."""
 
-    against: Annotated[
-        Path | None, "FILE", "Only report how this second capture of the same traffic differs."
-    ] = None
+    against: Annotated[Path | None, Option(help="Only compare with a second capture of it.")] = None
     bag: Annotated[
         list[Path] | None,
-        "FILE",
-        "Only report how a rosbag2 folder or MCAP of the ROS side differs from the capture, or from "
-        "the first of several bags; repeatable.",
+        Option(
+            help="Only report how a rosbag2 folder or MCAP of the ROS side differs from the capture, or from "
+            "the first of several bags."
+        ),
     ] = None
-    predict: Annotated[bool, "Only report how much each route of the mission can carry."] = False
-    constant: options.Constants = None
-    max_loss: Annotated[options.Share, "Succeed if each route lost at most this share, e.g. 1%."] = None
-    strict: Annotated[bool, "Judge what may be lost, too: exit code 3, and --max-loss."] = False
-    list_lost: Annotated[
-        Listing | None,
-        "FORMAT",
-        "Only list the messages that were lost, with time and values; table, csv or json.",
-    ] = None
-    output: Annotated[Path | None, typer.Option(hidden=True), "--output -o FILE", "As report -o."] = None
+    predict: Annotated[bool, Option("--predict", help="Only say what each route can carry.")] = False
+    max_loss: Annotated[float | None, Option(parser=share, help="Succeed up to this loss, e.g. 1%.")] = None
+    strict: Annotated[bool, Option("--strict", help="Judge what may be lost, too.")] = False
+    list_lost: Annotated[Listing | None, Option(help="Only list the lost messages.")] = None
+    output: Annotated[Path | None, Option("--output", "-o", hidden=True)] = None
+    force: Annotated[bool, Option("--force", hidden=True)] = False
 
 
 @grouped
@@ -70,7 +66,9 @@ def doctor(
     duration: options.Duration = None,
     jobs: options.Jobs = None,
     printing: options.PrintOptions,
-    verbose: Annotated[bool, "--verbose -v", f"{options.VERBOSE} All evidence, every hop and route."] = False,
+    verbose: Annotated[
+        bool, Option("--verbose", "-v", help=f"{options.VERBOSE} All evidence, every hop and route.")
+    ] = False,
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
@@ -81,10 +79,12 @@ def doctor(
     """
     from edoras_tools.pipelines.doctor.doctor import profile_with
 
-    settings, scope, profile = decoding.settings(), part.scope(), profile_with(task.constant or ())
-    _check_task(task, given, duration)
+    settings, scope = decoding.settings(constants=True), part.scope()
+    profile = profile_with(decoding.constants)
+    _check_task(task, given, duration, decoding.constants)
     if task.output is not None:
-        report.__wrapped__(given.files, task.output, printing=printing, part=part, decoding=decoding)  # type: ignore[attr-defined]
+        write = report.__wrapped__  # type: ignore[attr-defined]
+        write(given.files, task.output, force=task.force, printing=printing, part=part, decoding=decoding)
     elif task.predict:
         _predict(settings, profile, scope, json=printing.json)
     elif task.list_lost is not None:
@@ -99,10 +99,10 @@ def doctor(
         for reason in reasons:
             tell(reason)
         if reasons or (task.max_loss is None and (found.bad or (task.strict and found.uncertain))):
-            raise typer.Exit(LOST)
+            raise Exit(LOST)
 
 
-def _check_task(task: TaskOptions, given: InputOptions, duration: int | None) -> None:
+def _check_task(task: TaskOptions, given: InputOptions, duration: int | None, constants: list[str]) -> None:
     """Refuse options that have no effect with each other.
 
     Raises:
@@ -123,7 +123,7 @@ def _check_task(task: TaskOptions, given: InputOptions, duration: int | None) ->
         raise ConfigError(f"{asked[0]} has no effect on live traffic: name files")
     if task.predict and given.paths:
         raise ConfigError("--predict does not read a capture: leave the files out")
-    if task.constant and (task.against or task.bag):
+    if constants and (task.against or task.bag):
         raise ConfigError(f"--set has no effect with {asked[0]}: leave one out")
 
 
@@ -213,7 +213,7 @@ def _list_lost(
     if findings.failure is not None:
         raise findings.failure
     if findings.diagnosis.bad:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)
 
 
 def _predict(settings: Settings, profile: SimProfile, scope: Scope, *, json: bool) -> None:
@@ -264,7 +264,7 @@ def _compare(
             f"{names} and {against}: no datagram in common; name two captures of the same traffic"
         )
     if found.lost:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)
 
 
 def _compare_bags(
@@ -309,4 +309,4 @@ def _compare_bags(
         if item.left_out:
             tell(f"{item.bag}: {item.left_out:,} messages do not fit their type and are not compared")
     if lost:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)

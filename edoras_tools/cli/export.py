@@ -9,7 +9,7 @@ from shutil import copyfileobj
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from typer import BadParameter, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
@@ -28,23 +28,17 @@ _FORMATS = ", ".join(item.suffix[1:] for item in TABLE_FORMATS)
 def table_format(text: str) -> str:
     """Read the name of a table's format."""
     if written_as(Path(f"x.{text}"), table=True) is None:
-        raise typer.BadParameter(f"{text!r} is not a table format; use {_FORMATS}")
+        raise BadParameter(f"{text!r} is not a table format; use {_FORMATS}")
     return text
 
 
 class TableOptions(NamedTuple):
     """The content and form of the tables."""
 
-    fields: Annotated[
-        str | None, "A,B,C", "Only these fields, e.g. 'linear.*,angular.z'; time is always included."
-    ] = None
-    explode: Annotated[bool, "A row for each element of a list, a column for each of a fixed array."] = False
-    time: Annotated[
-        TimeForm, "FORM", "Times as utc timestamps, ns since 1970, or seconds since the input's start."
-    ] = TimeForm.UTC
-    layout: Annotated[
-        str | None, typer.Option(parser=table_format), "--format FORMAT", f"Files of a folder: {_FORMATS}."
-    ] = None
+    fields: Annotated[str | None, Option(metavar="A,B,C", help="Only e.g. 'linear.*,angular.z'.")] = None
+    explode: Annotated[bool, Option("--explode", help="A row for each element of a list.")] = False
+    time: Annotated[TimeForm, Option(help="utc, ns since 1970, or seconds since the start.")] = TimeForm.UTC
+    layout: Annotated[str | None, Option("--format", parser=table_format, help=f"{_FORMATS}.")] = None
     force: recordings.Force = False
 
 
@@ -53,7 +47,7 @@ def export(
     *,
     inputs: FileOptions,
     output: Annotated[
-        str, "--output -o FILE|DIR/", f"A file for one topic ({TABLES_WRITTEN}), a folder, or - for stdout."
+        str, Option("--output", "-o", metavar="FILE|DIR/", help=f"A file ({TABLES_WRITTEN}), a folder, or -.")
     ],
     table: TableOptions,
     jobs: options.Jobs = None,
@@ -61,7 +55,7 @@ def export(
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Export topics as tables: Parquet, Arrow, CSV or JSON Lines.
+    """Export topics as Parquet, Arrow, CSV or JSON Lines.
 
     The topics are those of a recording: of the mission, of C structs, and /edoras/events,
     /edoras/link_statistics and so on; in a folder each has its own file. Only with --topic:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Exit, Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
@@ -19,9 +19,7 @@ from edoras_tools.cli.output import file_progress, print_json
 def files(
     *,
     inputs: FileOptions,
-    output: Annotated[
-        Path | None, "--output -o DIR", "Write the files to DIR, a new or empty folder."
-    ] = None,
+    output: Annotated[Path | None, Option("--output", "-o", help="Write them to a new or empty DIR.")] = None,
     printing: options.PrintOptions,
     part: options.PartOptions,
     chosen: options.SelectionOptions,
@@ -49,5 +47,5 @@ def files(
     if report.failure is not None:
         raise report.failure
     if not all(item.good for item in report.files):
-        raise typer.Exit(LOST)
+        raise Exit(LOST)
     lost(source)

@@ -7,14 +7,16 @@ import re
 import shutil
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
+from typer import Argument, Option
 
 from edoras_tools import __version__
 from edoras_tools.cli import recordings
-from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.usage import command_help, first_line, sections
+from edoras_tools.cli.declare import grouped, parameters
+from edoras_tools.cli.options import DecodingOptions
+from edoras_tools.cli.usage import WHOLE, first_line, sections
 from edoras_tools.errors import ConfigError
 from edoras_tools.words import did_you_mean
 
@@ -59,7 +61,7 @@ def _lines(command: Any, ctx: Any) -> Iterator[str]:
         yield _text(" ".join(paragraph.split()))
     for heading, entries in sections(command, ctx).items():
         yield f".SH {_text(heading.upper())}"
-        yield from _listed({entry.names: entry.help for entry in entries})
+        yield from _listed(dict(entries))
     yield ".SH EXIT STATUS"
     yield from _listed(_EXIT_CODES)
     yield ".SH FILES AND VARIABLES"
@@ -99,11 +101,13 @@ def _named_commands(ctx: typer.Context, incomplete: str) -> list[str]:
 def help_(
     names: Annotated[
         list[str] | None,
-        typer.Argument(autocompletion=_named_commands),
-        "[COMMAND]...",
-        "A command, e.g. sniff, or wireshark run; all: what each command does.",
+        Argument(
+            autocompletion=_named_commands,
+            metavar="[COMMAND]...",
+            help="A command; or decoding: what --set can say.",
+        ),
     ] = None,
-    man: Annotated[Path | None, "DIR", "Write all manual pages to a folder, e.g. man1."] = None,
+    man: Annotated[Path | None, Option(help="Write the manual pages to a folder, e.g. man1.")] = None,
     force: recordings.Force = False,
 ) -> None:
     """Explain all options of a command, or write manual pages."""
@@ -114,6 +118,9 @@ def help_(
 
     root = typer.main.get_command(program())
     context = root.make_context("edoras", [], resilient_parsing=True)
+    if names == ["decoding"]:
+        typer.echo(_decoding(context), nl=False)
+        return
     if man is not None:
         _write_pages(root, context, man, force=force)
         return
@@ -125,7 +132,8 @@ def help_(
             raise ConfigError(f"{context.command_path} has no command {name!r}; {hint}")
         command = known[name]
         context = command.make_context(name, [], parent=context, resilient_parsing=True)
-    text = command_help(command, context, everything=True) + "\n"
+    context.meta[WHOLE] = True
+    text = command.get_help(context) + "\n"
     if sys.stdout.isatty() and text.count("\n") > shutil.get_terminal_size().lines:
         from pydoc import pager
 
@@ -133,6 +141,28 @@ def help_(
         pager(text)
     else:
         typer.echo(text, nl=False, color=True)
+
+
+def _decoding(context: Any) -> str:
+    """Return what ``--set`` and ``edoras.toml`` can say of how packets are decoded."""
+    import dataclasses
+
+    from edoras_tools.cfs.profile import SimProfile
+
+    formatter = context.make_formatter()
+    formatter.write_text(
+        "Captures say themselves how they are to be read, where they can. What they do not say, or wrongly, "
+        "--set NAME=VALUE adds in every command that decodes, and edoras.toml as NAME = VALUE."
+    )
+    fields = {item.name: get_args(item.annotation)[1].help for item in parameters(DecodingOptions)[2:]}
+    with formatter.section("Decoding"):
+        formatter.write_dl([(name.replace("_", "-"), text) for name, text in fields.items()])
+    with formatter.section("Constants of cFS, for doctor, report, check and sim"):
+        usual = SimProfile()
+        numbers = {item.name: getattr(usual, item.name) for item in dataclasses.fields(usual)}
+        whole = [f"{name}={value}" for name, value in numbers.items() if type(value) is int]
+        formatter.write_text(", ".join([*whole, "to_limits=FILE", "sbn_table=FILE"]))
+    return str(formatter.getvalue())
 
 
 def _write_pages(root: Any, context: Any, folder: Path, *, force: bool) -> None:

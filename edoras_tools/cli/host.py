@@ -16,7 +16,7 @@ from edoras_tools.cli.output import print_json
 
 @grouped
 def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> None:
-    """Show what this machine's kernel dropped, and what to change.
+    """Show what this machine's kernel dropped; what to change.
 
     Of the links' datagrams, by full sockets, lost fragments and interfaces.
 

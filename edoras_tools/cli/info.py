@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Exit, Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
@@ -21,7 +21,7 @@ from edoras_tools.errors import ConfigError
 def info(
     *,
     files: FileOptions,
-    verify: Annotated[bool, "Only check every checksum of the recordings."] = False,
+    verify: Annotated[bool, Option("--verify", help="Only check every checksum of the recordings.")] = False,
     jobs: options.Jobs = None,
     printing: options.PrintOptions,
     part: options.PartOptions,
@@ -89,4 +89,4 @@ def _verify(files: list[Path], printing: options.PrintOptions) -> None:
         else:
             sys.stdout.write(f"{path}: {report.text(written=False)}\n")
     if lost:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from edoras_tools.cli import options, sending
 from edoras_tools.cli.declare import grouped
@@ -20,41 +20,32 @@ def hexadecimal(text: str) -> bytes:
     try:
         return bytes.fromhex(text.removeprefix("0x").replace(":", " "))
     except ValueError:
-        raise typer.BadParameter(f"{text!r} is not bytes in hex; write '01 ff' or 01ff") from None
+        raise BadParameter(f"{text!r} is not bytes in hex; write '01 ff' or 01ff") from None
 
 
 class MessageOptions(NamedTuple):
     """What is sent."""
 
-    what: Annotated[str, typer.Argument(), "[WHAT]", "A topic, or a command: to-enable, to-add, noop ..."] = (
-        ""
-    )
-    values: Annotated[
-        str, typer.Argument(), "[MESSAGE]", "Its fields as YAML or JSON, or @FILE; or a command's argument."
-    ] = ""
-    to: Annotated[str, "TO", "Send to ci, sbn or ground; default: the link of its route."] = ""
-    command: Annotated[
-        tuple[str, str] | None, "MSGID CODE", "Send a command packet with this MsgId and code."
-    ] = None
+    what: Annotated[str, Argument(metavar="[WHAT]", help="A topic, or a command: to-enable, noop ...")] = ""
+    values: Annotated[str, Argument(metavar="[MESSAGE]", help="YAML, @FILE or random; or an argument.")] = ""
+    to: Annotated[str, Option(metavar="LINK", help="ci, sbn or ground; default: by its route.")] = ""
+    command: Annotated[tuple[str, str] | None, Option(metavar="MSGID CODE", help="Send a command.")] = None
     payload: Annotated[
-        Any, typer.Option(parser=hexadecimal), "--hex BYTES", "Bytes that follow the header of --command."
+        Any,
+        Option(
+            "--hex", parser=hexadecimal, metavar="BYTES", help="Bytes that follow the header of --command."
+        ),
     ] = None
-    code: Annotated[
-        int | None, typer.Option(parser=options.number), "N", "Function code of a message; default 1."
-    ] = None
-    rate: Annotated[sending.Positive, "--hz HZ", "Messages per second; default 1."] = None
+    code: Annotated[int | None, Option(parser=options.number, help="Function code of a message.")] = None
+    rate: Annotated[float | None, Option(parser=sending.factor, metavar="HZ", help="Messages a second.")] = (
+        None
+    )
     times: Annotated[
-        options.Count, "--count -n", "How often to send it; default: once, or without end with --hz."
-    ] = None
-    arbitrary: Annotated[
-        bool, "--every-field-random", "Random values in all fields, new ones for each message; see --seed."
-    ] = False
-    limit: Annotated[
         int | None,
-        typer.Option(min=1, max=255),
-        "N",
-        "to-add: messages of its MsgId that may wait; default 4.",
+        Option("--count", "-n", parser=options.count, help="So often; default: 1; with --rate: no end."),
     ] = None
+    arbitrary: Annotated[bool, Option("--every-field-random", hidden=True)] = False
+    limit: Annotated[int | None, Option(min=1, max=255, help="to-add: messages that may wait.")] = None
 
     def injection(self, seed: int) -> Injection:
         """Return these options in the form that pipelines take.
@@ -72,14 +63,15 @@ class MessageOptions(NamedTuple):
             raise ConfigError("name one thing: a topic, a command's name, or --command MSGID CODE")
         if self.payload is not None and not self.command:
             raise ConfigError("--hex gives the bytes after the header of --command; name --command too")
+        is_random = self.values == "random"
         return Injection(
             self.what,
-            self.values,
+            "" if is_random else self.values,
             (options.msg_id(self.command[0]), options.number(self.command[1])) if self.command else None,
             self.payload or b"",
             1 if self.code is None else self.code,
             self.times or (0 if self.rate else 1),
-            self.arbitrary,
+            self.arbitrary or is_random,
             seed,
             self.limit,
         )
@@ -94,7 +86,7 @@ def inject(
 ) -> None:
     """Send one ROS message or one command, once or at a rate.
 
-    For example: edoras inject /cmd_vel '{linear: {x: 0.5}}' -c rover.yaml --hz 10 -n 50
+    For example: edoras inject /cmd_vel '{linear: {x: 0.5}}' -c rover.yaml --rate 10 -n 50
     """
     from edoras_tools.pipelines.sending.inject import injection_receiver, make
     from edoras_tools.pipelines.sending.options import Receiver

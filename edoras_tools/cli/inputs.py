@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-import typer
+from typer import Argument, Option
 
 from edoras_tools.cli.declare import headed
 from edoras_tools.cli.endings import tell
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
 class LiveOptions(NamedTuple):
     """Live traffic: packets on an interface, or datagrams sent to a port."""
 
-    interface: Annotated[str | None, "--interface -i IFACE", "Capture live from an interface."] = None
+    interface: Annotated[str | None, Option("--interface", "-i", metavar="IFACE", help="Capture it.")] = None
     listen: Annotated[
         list[str] | None,
-        "[HOST:]PORT",
-        "Receive on a UDP port; loopback only unless HOST is given; needs no privilege; repeatable.",
+        Option(metavar="[HOST:]PORT", help="Receive on a UDP port; HOST: not only loopback."),
     ] = None
-    wait_interface: Annotated[bool, "Wait for an interface that does not exist yet, or is down."] = False
-    user: Annotated[str | None, "NAME", "Run as this user once the capture is open."] = None
+    wait_interface: Annotated[bool, Option("--wait-interface", help="Wait until it is up.")] = False
+    user: Annotated[str | None, Option(help="Run as this user once the capture is open.")] = None
 
 
 class FileOptions(NamedTuple):
     """Files to read, with or without ``-r``; several are merged in time order."""
 
     files: Annotated[
-        list[Path] | None, typer.Argument(), "[FILE]...", f"{READ_PACKED}; - is stdin; several are merged."
+        list[Path] | None,
+        Argument(metavar="[FILE]...", help=f"{READ_PACKED}; - is stdin; several are merged."),
     ] = None
-    read: Annotated[list[Path] | None, "--read -r FILE", "Same as FILE without -r; repeatable."] = None
+    read: Annotated[list[Path] | None, Option("--read", "-r", hidden=True)] = None
 
     @property
     def paths(self) -> list[Path]:

@@ -6,13 +6,14 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from shutil import get_terminal_size
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from typer import BadParameter, Option
 
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings, sending
@@ -42,20 +43,19 @@ _SHORTEST_TOKEN = 8
 
 def place(text: str) -> Endpoint:
     """Read ``[HOST:]PORT``; the default host is 127.0.0.1."""
-    return sending.endpoint(text if ":" in text else f"127.0.0.1:{text}")
+    return sending.address(text if ":" in text else f"127.0.0.1:{text}")
 
 
 Origins = Annotated[
     list[str] | None,
-    "--allow-origin ORIGIN",
-    "Foxglove: also allow web pages of this origin, e.g. https://viz.example.org; repeatable.",
+    Option("--allow-origin", metavar="ORIGIN", help="Foxglove: also web pages of this origin."),
 ]
 
 
 def token(text: str) -> str:
     """Read a token; a short one could be guessed."""
     if len(text) < _SHORTEST_TOKEN:
-        raise typer.BadParameter(
+        raise BadParameter(
             f"a token needs at least {_SHORTEST_TOKEN} characters; a shorter one is easy to guess"
         )
     return text
@@ -63,9 +63,7 @@ def token(text: str) -> str:
 
 Token = Annotated[
     Any,
-    typer.Option(envvar="EDORAS_TOKEN", parser=token),
-    "WORD",
-    "Foxglove: accept only clients that give this token, as in ws://HOST:PORT/?token=TOKEN.",
+    Option(envvar="EDORAS_TOKEN", parser=token, help="Foxglove: clients need it: ws://HOST:PORT/?token=..."),
 ]
 
 
@@ -75,12 +73,7 @@ class RelayOutputOptions(NamedTuple):
 
     output: recordings.Output = None
     force: recordings.Force = False
-    live: Annotated[
-        Any,
-        typer.Option(parser=place),
-        "[HOST:]PORT",
-        "Also show it in Foxglove, usually on port 8765; 0 for any free port.",
-    ] = None
+    live: Annotated[Any, Option(parser=place, metavar="[HOST:]PORT", help="In Foxglove, e.g. 8765.")] = None
     allow_origin: Origins = None
     token: Token = None
 
@@ -119,54 +112,55 @@ class SourceOptions(NamedTuple):
     """What is shown."""
 
     given: InputOptions = InputOptions()
-    sim: Annotated[options.Scenario | None, "An emulated cFS with its bridges and robots."] = None
+    sim: Annotated[options.Scenario | None, Option(help="An emulated cFS, its bridges and robots.")] = None
 
 
 class OutputOptions(NamedTuple):
     """Where it is shown and recorded."""
 
-    host: Annotated[str, "ADDRESS", "Address that Foxglove connects to; default: loopback."] = "127.0.0.1"
-    ws_port: Annotated[
-        int, typer.Option(min=0, max=65535), "PORT", "Port that Foxglove connects to; 0 for any free port."
-    ] = 8765
+    live: Annotated[Any, Option(parser=place, metavar="[HOST:]PORT", help="For Foxglove; 0: any.")] = "8765"
+    host: Annotated[str | None, Option(hidden=True)] = None
+    ws_port: Annotated[int | None, Option(min=0, max=65535, hidden=True)] = None
     allow_origin: Origins = None
     token: Token = None
     output: recordings.Output = None
     force: recordings.Force = False
+
+    def endpoint(self) -> Endpoint:
+        """Return where Foxglove connects to."""
+        named: Endpoint = self.live
+        port = named.port if self.ws_port is None else self.ws_port
+        return replace(named, address=self.host or named.address, port=port)
 
 
 @headed("Playback")
 class PlaybackOptions(NamedTuple):
     """How a recording is played back."""
 
-    speed: Annotated[sending.Positive, "Start at X times the recorded speed."] = None
-    paused: Annotated[bool, "Start paused; press play in Foxglove, or space here."] = False
-    loop: Annotated[bool, "Start again at the end."] = False
-    wait: Annotated[bool, "--wait/--no-wait", "Start when the first client has subscribed, or at once."] = (
-        True
-    )
+    speed: Annotated[float | None, Option(parser=sending.factor, help="Times the recorded speed.")] = None
+    paused: Annotated[bool, Option("--paused", help="Start paused; play in Foxglove, or space here.")] = False
+    loop: Annotated[bool, Option("--loop", help="Start again at the end.")] = False
+    wait: Annotated[bool, Option(" /--no-wait", help="Do not wait for the first client.")] = True
 
 
 @headed("Publishing")
 class PublishingOptions(NamedTuple):
     """What Foxglove may publish, and where it is sent."""
 
-    allow_publish: Annotated[
-        list[str] | None, "PATTERN", "Topics that Foxglove may publish into cFS; repeatable."
-    ] = None
-    target: Annotated[sending.Address, "Address of cFS; default: this machine."] = None
-    sender: Annotated[sending.Sender, "--as", "SBN: send as this peer."] = None
+    allow: Annotated[list[str] | None, Option(help="Topics that Foxglove may send.")] = None
+    target: Annotated[Any, Option(parser=sending.address, help="Where cFS is; default: this machine.")] = None
+    sender: Annotated[Any, Option("--as", parser=sending.peer, help="SBN: send as this peer.")] = None
     yes: sending.Yes = False
 
     def commands(self, bench: Workbench, outlets: Mapping[Receiver, Send]) -> CommandPublisher | None:
         """Return what sends Foxglove's messages, once the user confirmed the target; None if not allowed."""
-        if not self.allow_publish:
+        if not self.allow:
             return None
         from edoras_tools.pipelines.live.publish import CommandPublisher
         from edoras_tools.pipelines.sending.options import SendOptions
 
         where = SendOptions(target=self.target, sender=self.sender)
-        commands = CommandPublisher(bench, self.allow_publish, where, outlets=outlets)
+        commands = CommandPublisher(bench, self.allow, where, outlets=outlets)
         for send_options in commands.options.values():
             assert send_options.target is not None
             sending.confirm_targets(send_options.target, confirmed=self.yes)
@@ -195,7 +189,6 @@ def live(
 
     For example: edoras live -i lo -c rover.yaml; or edoras live --sim two-rovers
     """
-    from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.live.run import attach, attach_player
     from edoras_tools.render.bridge.foxglove import served
 
@@ -204,10 +197,8 @@ def live(
     (json, quiet), limits = printing, stop.limits.limits()
     if sum(map(bool, (files, given.interface, given.listen, sim))) != 1:
         raise ConfigError("name one source: FILE, -i IFACE, --listen PORT or --sim DEMO")
-    if files and (publishing.allow_publish or outputs.output or stop.every or stop.limits.datagrams):
-        raise ConfigError(
-            "--allow-publish, -o, -a and -n can only be used with live traffic, not with a recording"
-        )
+    if files and (publishing.allow or outputs.output or stop.every or stop.limits.datagrams):
+        raise ConfigError("--allow, -o, -a and -n can only be used with live traffic, not with a recording")
     if not files and playback != PlaybackOptions():
         raise ConfigError(
             "--speed, --paused, --loop and --no-wait can only be used with a recording, not with live traffic"
@@ -217,7 +208,7 @@ def live(
     goal = recordings.recording_target(outputs.output, force=outputs.force)
     settings, selection = decoding.settings(), chosen.selection()
     serving: dict[str, Any] = {
-        "listen": Endpoint(outputs.host, outputs.ws_port),
+        "listen": outputs.endpoint(),
         "origins": _origin_check(outputs.allow_origin),
         "token": outputs.token or "",
     }

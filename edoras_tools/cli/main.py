@@ -6,8 +6,10 @@ import errno
 import os
 import sys
 from contextlib import suppress
+from copy import copy
 from importlib import import_module
 from io import TextIOWrapper
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
@@ -17,8 +19,8 @@ import typer.core
 from edoras_tools import __version__, doors
 from edoras_tools.cli import settings
 from edoras_tools.cli.endings import INTERRUPTED, tell
-from edoras_tools.cli.options import VERBOSE
-from edoras_tools.cli.usage import command_help
+from edoras_tools.cli.options import OLD_NAMES, QUIET, VERBOSE
+from edoras_tools.cli.usage import write_options
 from edoras_tools.errors import ConfigError, EdorasError
 
 if TYPE_CHECKING:
@@ -103,14 +105,26 @@ class Command(typer.core.TyperCommand):
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
-        self.params.append(_colour_option())
+        self.params.append(_colour_option(hidden=True))
         self._own_verbose = any("-v" in item.opts for item in self.params)
         if not self._own_verbose:
-            self.params.append(_verbose_option())
+            self.params.append(_flag("--verbose", "-v", text=VERBOSE, hidden=True))
 
-    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002  an override
-        """Print the help text."""
-        typer.echo(command_help(self, ctx), nl=False, color=True)
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the options into the help text."""
+        write_options(self, ctx, formatter)
+
+    def make_parser(self, ctx: Any) -> Any:
+        """Return click's parser, which takes old names of options too."""
+        parser = super().make_parser(ctx)
+        there = {name for item in self.params for name in item.opts}
+        for item in self.params:
+            now = {*item.opts, *item.secondary_opts}
+            for old in [name for name in OLD_NAMES if OLD_NAMES[name] in now and name not in there]:
+                alias = copy(item)
+                alias.opts, alias.secondary_opts = [old], []
+                alias.add_to_parser(parser, ctx)
+        return parser
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments."""
@@ -120,13 +134,15 @@ class Command(typer.core.TyperCommand):
             tell(_harmless(f"{file.path} is not used: {file.left_out}"))
         elif file is not None:
             file.check(COMMANDS)
-            options = {
-                name.removeprefix("--"): item.multiple or item.nargs == -1
+            named = {
+                name.removeprefix("--"): item
                 for item in self.params
                 for name in item.opts
                 if name.startswith("--")
             }
-            ctx.default_map = file.defaults(_name(ctx), options)
+            options = {name: item.multiple or item.nargs == -1 for name, item in named.items()}
+            values = file.defaults(_name(ctx), options)
+            ctx.default_map = {named[name].name: value for name, value in values.items()}
         try:
             rest = super().parse_args(ctx, [_VALUE_LEFT_OUT.get(item, item) for item in args])
         except _USAGE as error:
@@ -143,9 +159,13 @@ class Command(typer.core.TyperCommand):
         return rest
 
 
-def _colour_option() -> Any:
-    told = "Use colours and styles: auto, always or never."
-    return _eager("--color", told, _set_colour, metavar="WHEN", rich_help_panel="Printing")
+def _colour_option(**keywords: Any) -> Any:
+    text = "Use colours and styles: auto, always or never."
+    return _eager("--color", text, _set_colour, metavar="WHEN", **keywords)
+
+
+def _flag(*names: str, text: str, **keywords: Any) -> Any:
+    return typer.core.TyperOption(param_decls=[*names], help=text, is_flag=True, default=False, **keywords)
 
 
 class _Absent(Command):
@@ -162,12 +182,6 @@ class Program(Command):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
         self.params.append(_version_option())
-
-
-def _verbose_option() -> Any:
-    return typer.core.TyperOption(
-        param_decls=["--verbose", "-v"], help=VERBOSE, is_flag=True, default=False, rich_help_panel="Printing"
-    )
 
 
 def _tell_setup(ctx: Any, file: settings.SettingsFile | None) -> None:
@@ -193,12 +207,14 @@ class Group(typer.core.TyperGroup):
         super().__init__(*arguments, **keywords)
         self.params.append(_colour_option())
 
-    format_help = Command.format_help
+    format_options = Command.format_options
 
 
 def command_group(name: str, text: str, kind: type[Group] = Group) -> typer.Typer:
     """Make a group of commands, which prints its help text when none is named."""
-    return typer.Typer(name=name, cls=kind, help=text, no_args_is_help=True, add_completion=False)
+    return typer.Typer(
+        name=name, cls=kind, help=text, no_args_is_help=True, add_completion=False, rich_markup_mode=None
+    )
 
 
 def _is_given(ctx: Any, option: str) -> bool:
@@ -221,6 +237,8 @@ class _Edoras(Group):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
         self.params.append(_version_option())
+        self.params.append(_flag("--quiet", "-q", text=QUIET, expose_value=False))
+        self.params.append(_flag("--verbose", "-v", text=VERBOSE, expose_value=False))
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; nothing may follow an option about completion, which would ignore it."""
@@ -241,10 +259,11 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
     made = typer.Typer(
         name="edoras",
         cls=_Edoras,
-        help="Capture, decode, record, replay and diagnose ROS 2 traffic through NASA's cFS.",
+        help="Capture, decode, record, replay and diagnose ROS 2 through NASA's cFS.",
         no_args_is_help=True,
         add_completion=completes or not names,
         pretty_exceptions_enable=False,
+        rich_markup_mode=None,
         context_settings=_SETTINGS,
         epilog="Start: edoras FILE, or edoras demo. All of a command: edoras help COMMAND",
     )
@@ -269,6 +288,9 @@ def with_command(words: list[str]) -> list[str]:
     Args:
         words: what follows ``edoras``.
     """
+    options = [*takewhile({"-q", "-v", "--quiet", "--verbose"}.__contains__, words)]
+    if options and is_command(command := "".join(words[len(options) :][:1])):
+        words = [command, *options, *words[len(options) + 1 :]]
     first = words[0] if words else ""
     if first == "convert" and len(words) > 2:
         return ["record", words[1], "-o", *words[2:]]
@@ -317,6 +339,7 @@ def alone(name: str) -> typer.Typer:
         name=f"edoras-{name}",
         add_completion=False,
         pretty_exceptions_enable=False,
+        rich_markup_mode=None,
         context_settings=_SETTINGS,
     )
     made.command(cls=Program)(_command(name))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from typer import Option
+
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell
@@ -25,7 +27,7 @@ def _mission() -> None:
 def draft(
     *,
     files: FileOptions,
-    output: Annotated[Path | None, "--output -o FILE", "Write it here; default: standard output."] = None,
+    output: Annotated[Path | None, Option("--output", "-o", help="Default: standard output.")] = None,
     force: recordings.Force = False,
     quiet: options.Quiet = False,
     decoding: options.DecodingOptions,

@@ -7,11 +7,12 @@ lets a command take such a group as one value; a method of the group makes the v
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
-import typer
+from typer import BadParameter, Context, Option
 
 from edoras_tools.cli.declare import headed
 from edoras_tools.errors import ConfigError
@@ -37,14 +38,14 @@ def number(text: str) -> int:
     try:
         return int(text, 0)
     except ValueError:
-        raise typer.BadParameter(f"{text!r} is not a whole number; write 42 or 0x2a") from None
+        raise BadParameter(f"{text!r} is not a whole number; write 42 or 0x2a") from None
 
 
-def counted(text: str) -> int:
+def count(text: str) -> int:
     """Read a count: 1 or more."""
     value = number(text)
     if value < 1:
-        raise typer.BadParameter(f"{text} is less than 1")
+        raise BadParameter(f"{text} is less than 1")
     return value
 
 
@@ -58,12 +59,10 @@ def msg_id(text: str) -> int:
     if text[:1].isalpha():
         return _named_msg_id(text)
     if re.fullmatch(r"[01][89]\d\d", text):  # as cFS's MsgIds look in hex
-        raise typer.BadParameter(
-            f"{text} is decimal, 0x{int(text):04x}; did you mean 0x{text}? Write MsgIds in hex"
-        )
+        raise BadParameter(f"{text} is decimal, 0x{int(text):04x}; did you mean 0x{text}?")
     value = number(text)
     if not 0 <= value <= 0xFFFF:
-        raise typer.BadParameter(f"MsgId {text} does not fit 16 bits (0x0000 to 0xFFFF)")
+        raise BadParameter(f"MsgId {text} does not fit 16 bits (0x0000 to 0xFFFF)")
     return value
 
 
@@ -75,7 +74,7 @@ def _named_msg_id(text: str) -> int:
     name = text.upper()
     if name not in ids:
         hint = did_you_mean(name, ids, 1) or "write 0x827, or a name, e.g. TO_CMD"
-        raise typer.BadParameter(f"no MsgId is named {text!r}; {hint}")
+        raise BadParameter(f"no MsgId is named {text!r}; {hint}")
     return ids[name]
 
 
@@ -90,7 +89,7 @@ def size(text: str) -> int:
     except ValueError:
         value = 0
     if not 1 <= value < 1 << 62:
-        raise typer.BadParameter(f"{text!r} is not a size; write 500000, 64k, 100M or 2G")
+        raise BadParameter(f"{text!r} is not a size; write 500000, 64k, 100M or 2G")
     return int(value)
 
 
@@ -105,14 +104,25 @@ def duration(text: str) -> int:
     except ValueError:
         value = 0
     if not 1 <= value < 1 << 62:
-        raise typer.BadParameter(f"{text!r} is not a duration; write 90, 1.5s, 10m or 250ms")
+        raise BadParameter(f"{text!r} is not a duration; write 90, 1.5s, 10m or 250ms")
     return int(value)
 
 
 _CLOCK = re.compile(
-    r"(?:(\d{4}-\d\d-\d\d)(?:[T ]|$))?(?:(\d\d?):(\d\d)(?::(\d\d)(\.\d{1,9})?)?)?(Z|[+-]\d\d:?\d\d)?"
+    r"(?:(\d{4}-\d\d-\d\d)(?:[T ]|$))?(?:(\d\d?):(\d\d)(?::(\d\d)(\.\d{1,9})?)?)?"
+    r"( ?[A-Za-z][\w/+-]*|[+-]\d\d:?\d\d)?"
 )
 """Groups: date, hour, minute, second, fraction, zone."""
+
+
+def amount(text: str) -> tuple[str, int]:
+    """Read a number, a time as ``10m`` or a size as ``500M``, with which of them it is."""
+    if text.isdecimal():
+        return "count", count(text)
+    for kind, read in (("time", duration), ("size", size)):
+        with suppress(BadParameter):
+            return kind, read(text)
+    raise BadParameter(f"{text!r} is no number, no time as 10m, and no size as 500M")
 
 
 def moment(text: str) -> tuple[str, int]:
@@ -122,15 +132,16 @@ def moment(text: str) -> tuple[str, int]:
         The text of a clock time, which ``at`` reads when its zone is known, else an empty one; and ns.
     """
     text = text.strip()
-    if _CLOCK.fullmatch(text) and not text.isdecimal():
+    match = _CLOCK.fullmatch(text)
+    if match and any(match.groups()[:2]) and not text.isdecimal():
         from edoras_tools.older import UTC
 
         at(text, UTC)
         return text, 0
     try:
         return "", duration(text)
-    except typer.BadParameter:
-        raise typer.BadParameter(
+    except BadParameter:
+        raise BadParameter(
             f"{text!r} is not a time; write 90, 1.5s or 10m after the capture's start, 12:03:05.5, or "
             "2026-07-23T12:03"
         ) from None
@@ -145,7 +156,6 @@ def at(text: str, zone: tzinfo | None) -> ClockTime:
     """
     from datetime import date, time, timedelta, timezone
 
-    from edoras_tools.older import UTC
     from edoras_tools.pipelines.selection import ClockTime
 
     match = _CLOCK.fullmatch(text)
@@ -155,18 +165,18 @@ def at(text: str, zone: tzinfo | None) -> ClockTime:
     try:
         time(clock[0], clock[1], clock[2])
         date_ = date.fromisoformat(day) if day else None
-        if own == "Z":
-            zone = UTC
+        if own and own[0] not in "+-":
+            (zone,) = time_zone(own.strip())
         elif own:
             minutes = int(own[1:3]) * 60 + int(own[-2:])
             zone = timezone(timedelta(minutes=-minutes if own[0] == "-" else minutes))
     except ValueError:
-        raise typer.BadParameter(f"{text!r} is not a time of the clock or a date") from None
+        raise BadParameter(f"{text!r} is not a time of the clock or a date") from None
     seconds = (clock[0] * 60 + clock[1]) * 60 + clock[2]
     return ClockTime(text, seconds * 10**9 + int((fraction or ".")[1:].ljust(9, "0")), date_, zone)
 
 
-def zone(text: str) -> tuple[tzinfo | None]:
+def time_zone(text: str) -> tuple[tzinfo | None]:
     """Read the name of a time zone, in a tuple: ``local`` is this machine's, None, as no option is."""
     if text.lower() == "local":
         return (None,)
@@ -183,7 +193,7 @@ def zone(text: str) -> tuple[tzinfo | None]:
 
         there = zoneinfo.available_timezones()
         hint = did_you_mean(text, there, 1) if there else "this machine knows none: pip install tzdata"
-        raise typer.BadParameter(
+        raise BadParameter(
             f"no time zone is named {text!r}; {hint or 'write UTC, local, or e.g. Europe/Berlin'}"
         ) from None
 
@@ -195,7 +205,7 @@ def share(text: str) -> float:
     try:
         return probability(text)
     except ValueError:
-        raise typer.BadParameter(f"{text!r} is not a share; write 1% or 0.01") from None
+        raise BadParameter(f"{text!r} is not a share; write 1% or 0.01") from None
 
 
 def link(text: str) -> Link:
@@ -205,7 +215,7 @@ def link(text: str) -> Link:
     try:
         return named(text)
     except ConfigError as error:
-        raise typer.BadParameter(str(error)) from None
+        raise BadParameter(str(error)) from None
 
 
 def where(text: str) -> str:
@@ -222,7 +232,7 @@ def link_port(text: str) -> tuple[Link, int]:
     if port == "any" and len(getattr(link(name), "magic", b"")) == 4:  # the kernel's filter compares as many
         return link(name), 0
     if not port.isdecimal() or not 0 < int(port) < 65536 or name == "other":
-        raise typer.BadParameter(f"{text!r} is not LINK:PORT; write ci:5010, to:5011 or sbn:5012")
+        raise BadParameter(f"{text!r} is not LINK:PORT; write ci:5010, to:5011 or sbn:5012")
     return link(name), int(port)
 
 
@@ -230,7 +240,7 @@ def name_value(text: str) -> tuple[str, str]:
     """Read ``NAME=VALUE``."""
     name, equals, value = text.partition("=")
     if not name or not equals:
-        raise typer.BadParameter(f"{text!r} is not NAME=VALUE")
+        raise BadParameter(f"{text!r} is not NAME=VALUE")
     return name, value
 
 
@@ -244,7 +254,7 @@ def _named_messages(incomplete: str) -> list[str]:
     return sorted(name for name in MSG_ID_NAMES.values() if name.startswith(incomplete))
 
 
-def _named_topics(ctx: typer.Context, incomplete: str) -> list[str]:
+def _named_topics(ctx: Context, incomplete: str) -> list[str]:
     """Return the topics of the missions on the command line, or in ``edoras.toml``."""
     from edoras_tools.cli.settings import in_effect
     from edoras_tools.mission import load
@@ -259,40 +269,41 @@ def _named_topics(ctx: typer.Context, incomplete: str) -> list[str]:
         return []
 
 
-Time = Annotated[int | None, typer.Option(metavar="TIME", parser=duration)]
-Size = Annotated[int | None, typer.Option(metavar="SIZE", parser=size)]
-Count = Annotated[int | None, typer.Option(metavar="N", parser=counted)]
-Share = Annotated[float | None, typer.Option(metavar="SHARE", parser=share)]
-MsgId = Annotated[Any, typer.Option(metavar="ID", parser=msg_id)]
-Moment = Annotated[Any, typer.Option(metavar="TIME", parser=moment)]
-Zone = Annotated[Any, typer.Option(metavar="ZONE", parser=zone)]
-"""Kinds of options, as ``declare`` reads them; None where an option is not given."""
-
-Config = Annotated[
-    list[Path] | None, "--config -c FILE", "EDORAS bridge YAML, or a folder of it; repeatable."
-]
-Duration = Annotated[Time, "Stop after this time, e.g. 30 or 10m."]
-Unproved = Annotated[bool, "Also keep readable messages of damaged chunks that no checksum covers."]
-Jobs = Annotated[
-    Count, "Processes that share the work on a large file; by default one a free core, at most 3."
-]
-EveryPort = Annotated[bool, "--all -a", "Live: also UDP that belongs to no link."]
-Constants = Annotated[
-    list[str] | None, "--set NAME=VALUE", "A constant of your cFS, e.g. app_msg_limit=8; repeatable."
-]
-RosDomain = Annotated[
-    int | None, typer.Option(min=0, max=MOST_DOMAIN), "N", "ROS 2 domain; default: ROS_DOMAIN_ID, or 0."
-]
+Config = Annotated[list[Path] | None, Option("--config", "-c", help="EDORAS bridge YAML, or a folder.")]
+Duration = Annotated[int | None, Option(parser=duration, help="Stop after this time, e.g. 30 or 10m.")]
+Unproved = Annotated[bool, Option("--unproved", help="Also keep what no checksum covers.")]
+Jobs = Annotated[int | None, Option(parser=count, help="Processes; default: free cores, up to 3.")]
+EveryPort = Annotated[bool, Option("--all", "-a", help="Live: also UDP that belongs to no link.")]
+RosDomain = Annotated[int | None, Option(min=0, max=MOST_DOMAIN, help="Default: ROS_DOMAIN_ID, or 0.")]
 RosOption = Annotated[
-    list[Any] | None,
-    typer.Option(parser=name_value),
-    "--ros-option NAME=VALUE",
-    "Option of the middleware; repeatable.",
+    list[Any] | None, Option("--ros-option", parser=name_value, metavar="NAME=VALUE", help="An option of it.")
 ]
-Json = Annotated[bool, "Print JSON."]
-Quiet = Annotated[bool, "--quiet -q", "No progress, no summary."]
+Json = Annotated[bool, Option("--json", help="Print JSON.")]
+QUIET: Final = "No progress, no summary."
+Quiet = Annotated[bool, Option("--quiet", "-q", help=QUIET, hidden=True)]
 VERBOSE: Final = "Also print versions, settings file and missions, on stderr."
-Verbose = Annotated[bool, "--verbose -v", f"{VERBOSE} Also list harmless notes."]
+Verbose = Annotated[bool, Option("--verbose", "-v", help=f"{VERBOSE} Also list harmless notes.")]
+
+
+SET: Final = "How packets are decoded, or a constant of your cFS: edoras help decoding."
+OLD_NAMES: Final[Mapping[str, str]] = {
+    "--hz": "--rate",
+    "--limit": "--max-rate",
+    "--since": "--start",
+    "--until": "--end",
+    "--over": "--max-loss",
+    "--command-mid": "--generator",
+    "--sequence": "--diagram",
+    "--seconds": "--duration",
+    "--step": "--paused",
+    "--allow-publish": "--allow",
+    "--idle": "--timeout",
+    "--host": "--bind",
+    "--wait": "--no-wait",
+    "--enable": "--no-enable",
+    "--bridges": "--no-bridges",
+}
+"""Names that options had, and what they are called now; of a switch for no, its yes."""
 
 
 class Scenario(StrEnum):
@@ -326,70 +337,119 @@ DISTRO: Final = "jazzy"
 """``ros.store.USUAL_DISTRO``, said again: importing that would import numpy."""
 
 
-@headed("Decoding")
-class TypeOptions(NamedTuple):
-    """Where the definitions of ROS messages come from."""
+def switch(text: str) -> bool:
+    """Read ``yes`` or ``no``."""
+    if text.lower() not in {"yes", "true", "on", "1", "no", "false", "off", "0"}:
+        raise BadParameter(f"{text!r} is neither yes nor no")
+    return text.lower() in {"yes", "true", "on", "1"}
 
-    distro: Annotated[
-        str | None,
-        typer.Option(envvar="ROS_DISTRO"),
-        "NAME",
-        f"ROS 2 distribution whose message definitions are used; default: {DISTRO}.",
-    ] = None
-    msg_path: Annotated[list[Path] | None, "DIR", "Folder with more .msg or .idl files; repeatable."] = None
+
+SETTINGS: Final[Mapping[str, Callable[[str], Any]]] = {
+    "distro": str,
+    "msg_path": Path,
+    "structs": Path,
+    "port": link_port,
+    "envelope": str,
+    "extended_header": switch,
+    "telemetry_header": number,
+    "msg_id_version": number,
+}
+"""What ``--set`` and ``edoras.toml`` say of how packets are decoded, with the readers of values."""
+
+
+def _named_settings(incomplete: str) -> list[str]:
+    names = (name.replace("_", "-") for name in SETTINGS)
+    return [f"{name}=" for name in names if name.startswith(incomplete)]
 
 
 @headed("Decoding")
 class DecodingOptions(NamedTuple):
-    """Missions, types, and how packets are decoded."""
+    """Missions, types, and how packets are decoded.
+
+    Each of ``SETTINGS`` is an option too, as it was before there was ``--set``.
+    """
 
     config: Config = None
-    types: TypeOptions = TypeOptions()
-    port: Annotated[
-        list[Any] | None,  # pairs of Link and port; the real type would need the import of numpy
-        typer.Option(parser=link_port),
-        "LINK:PORT",
-        f"Another port of {', '.join(ROWS)} or an installed link; rtps:any: DDS, live; repeatable.",
+    set_values: Annotated[
+        list[Any] | None,
+        Option("--set", parser=name_value, metavar="NAME=VALUE", autocompletion=_named_settings, help=SET),
     ] = None
-    envelope: Annotated[
-        str | None, "FORMAT", "EDORAS envelope: 8/8, 4/4, 1/1, with le or be; or auto. Default: detected."
-    ] = None
+    distro: Annotated[str | None, Option(envvar="ROS_DISTRO", hidden=True, help=f"Usual: {DISTRO}.")] = None
+    msg_path: Annotated[list[Path] | None, Option(hidden=True, help="Folder of .msg or .idl files.")] = None
+    structs: Annotated[list[Path] | None, Option(hidden=True, help="C structs, F Prime dictionary.")] = None
+    port: Annotated[list[Any] | None, Option(parser=link_port, hidden=True, help="ci:5010, rtps:any.")] = None
+    envelope: Annotated[str | None, Option(hidden=True, help="8/8, 4/4, 1/1, with le or be; or auto.")] = None
     extended_header: Annotated[
-        bool | None,
-        "--extended-header/--no-extended-header",
-        "Whether packets have cFE's extended header. Default: detected.",
+        bool | None, Option("--extended-header/--no-extended-header", hidden=True, help="yes or no.")
     ] = None
-    telemetry_header: Annotated[
-        int | None, "BYTES", "cFE telemetry header: 16, or 12 in older builds. Default: detected."
-    ] = None
-    msg_id_version: Annotated[
-        int | None, "N", "How cFE builds MsgIds: 1, or 2, with the extended header alone. Default: 1."
-    ] = None
-    structs: Annotated[
-        list[Path] | None,
-        "FILE",
-        "Layout of C structs, written by 'edoras structs', or F Prime dictionary; repeatable.",
-    ] = None
+    telemetry_header: Annotated[int | None, Option(hidden=True, help="Bytes: 16, or 12 in older cFE.")] = None
+    msg_id_version: Annotated[int | None, Option(hidden=True, help="1, or 2 of extended headers.")] = None
 
-    def settings(self) -> Settings:
-        """Return these options in the form that pipelines take."""
+    @property
+    def constants(self) -> list[str]:
+        """What ``--set`` says of the constants of cFS, ``NAME=VALUE`` each."""
+        return [
+            f"{name}={text}" for name, text in self.set_values or () if name.replace("-", "_") not in SETTINGS
+        ]
+
+    def merged(self) -> DecodingOptions:
+        """Return these options with what ``--set`` says of them."""
+        changes: dict[str, Any] = {}
+        for option, text in self.set_values or ():
+            name = option.replace("-", "_")
+            if name in SETTINGS:
+                value = SETTINGS[name](text)
+                many = name in {"msg_path", "structs", "port"}
+                changes[name] = [*changes.get(name, getattr(self, name) or ()), value] if many else value
+        return self._replace(**changes)
+
+    def settings(self, *, constants: bool = False) -> Settings:
+        """Return these options in the form that pipelines take.
+
+        Args:
+            constants: the command uses constants of cFS too.
+
+        Raises:
+            ConfigError: ``--set`` names nothing that there is, or that has an effect.
+            typer.BadParameter: its value cannot be read.
+        """
         from edoras_tools.decode import Options
         from edoras_tools.pipelines.workbench import Settings
 
+        if not constants:
+            _refuse_constants(self.constants)
+        now = self.merged()
         options = Options(
-            extended_header=self.extended_header,
-            telemetry_header=self.telemetry_header,
-            msg_id_version=self.msg_id_version,
-            envelope=self.envelope,
-            ports=tuple(self.port or ()),
+            extended_header=now.extended_header,
+            telemetry_header=now.telemetry_header,
+            msg_id_version=now.msg_id_version,
+            envelope=now.envelope,
+            ports=tuple(now.port or ()),
         )
         return Settings(
-            tuple(self.config or ()),
-            self.types.distro or DISTRO,
-            tuple(self.types.msg_path or ()),
+            tuple(now.config or ()),
+            now.distro or DISTRO,
+            tuple(now.msg_path or ()),
             options,
-            tuple(self.structs or ()),
+            tuple(now.structs or ()),
         )
+
+
+def _refuse_constants(constants: Sequence[str]) -> None:
+    """Refuse constants that the command line gives to a command that uses none; a settings file may."""
+    from edoras_tools.cli.settings import in_effect
+    from edoras_tools.words import did_you_mean
+
+    file = in_effect() if constants else None
+    allowed = file.values.get("set", ()) if file else ()
+    for text in constants:
+        if text not in allowed:
+            name = text.partition("=")[0]
+            hint = did_you_mean(name, [item.replace("_", "-") for item in SETTINGS], 1)
+            raise ConfigError(
+                f"--set {text}: {name} says nothing of how packets are decoded; "
+                f"{hint or 'constants of cFS are for doctor, report, check and sim'}"
+            )
 
 
 @headed("Selection")
@@ -397,28 +457,24 @@ class SelectionOptions(NamedTuple):
     """Which datagrams to select."""
 
     link: Annotated[
-        list[Any] | None,  # of Link; the real type would need the import of numpy
-        typer.Option(parser=link, autocompletion=_named_links),
-        "LINK",
-        f"Only {', '.join(LINKS)} or an installed link; repeatable.",
+        list[Any] | None, Option(parser=link, autocompletion=_named_links, help=f"Only {', '.join(LINKS)}.")
     ] = None
     msg_id: Annotated[
         list[Any] | None,
-        typer.Option(parser=packets, autocompletion=_named_messages),
-        "ID",
-        "Only this MsgId, or a name that tables show, e.g. 0x827 or TO_CMD; repeatable.",
+        Option(
+            parser=packets,
+            autocompletion=_named_messages,
+            metavar="ID",
+            help="Only this MsgId, or a name that tables show: 0x827, TO_CMD.",
+        ),
     ] = None
     topic: Annotated[
         list[str] | None,
-        typer.Option(autocompletion=_named_topics),
-        "PATTERN",
-        "Only topics, or names that tables show, that match, e.g. '/robot_*'; repeatable.",
+        Option(autocompletion=_named_topics, help="Only topics or names that match, e.g. '/robot_*'."),
     ] = None
     where: Annotated[
         str | None,
-        typer.Option(parser=where),
-        "EXPR",
-        "Only packets that pass a filter, e.g. 'msg_id == 0x827 and pose.position.x > 1'.",
+        Option(parser=where, help="Only what passes, e.g. 'msg_id == 0x827 and pose.position.x > 1'."),
     ] = None
 
     def selection(self) -> Selection:
@@ -445,12 +501,11 @@ class TimeOptions(NamedTuple):
     """Which time of the input is used."""
 
     start: Annotated[
-        Moment, "Leave out what is before: 10m after the capture's start, 12:03, or 2026-07-23T12:03:05.5."
+        Any,
+        Option(parser=moment, metavar="TIME", help="From 10m, 12:03, 12:03 local or 2026-07-23T12:03 on."),
     ] = None
-    end: Annotated[Moment, "Leave out what is from then on."] = None
-    tz: Annotated[
-        Zone, "Zone of clock times: UTC, as they are shown (default), local, or e.g. Europe/Berlin."
-    ] = None
+    end: Annotated[Any, Option(parser=moment, metavar="TIME", help="Leave out what is from then on.")] = None
+    tz: Annotated[Any, Option(parser=time_zone, hidden=True)] = None
 
     def period(self) -> Period:
         """Return these options in the form that pipelines take.
@@ -466,8 +521,8 @@ class TimeOptions(NamedTuple):
             raise ConfigError(
                 "--tz is the zone of clock times: it has no effect without, e.g., --start 12:03"
             )
-        zone = self.tz[0] if self.tz else UTC
-        first, last = (at(text, zone) if text else None for text, _ in (start, end))
+        usual = self.tz[0] if self.tz else UTC
+        first, last = (at(text, usual) if text else None for text, _ in (start, end))
         if self.end == ("", 0):
             raise ConfigError("--end 0 is the capture's start: nothing is left")
         return Period(start[1], end[1], first, last)
@@ -494,7 +549,7 @@ class ScopeOptions(NamedTuple):
 class PartOptions(NamedTuple):
     """Which part of the input is read."""
 
-    datagrams: Annotated[Count, "--count -n", "Stop after N datagrams."] = None
+    datagrams: Annotated[int | None, Option("--count", "-n", parser=count, help="Stop after so many.")] = None
     duration: Duration = None
     times: TimeOptions = TimeOptions()
 
@@ -525,19 +580,10 @@ class PrintOptions(NamedTuple):
 class FaultOptions(NamedTuple):
     """Faults that are injected on purpose."""
 
-    fault: Annotated[
-        list[str] | None,
-        "RULE",
-        "Make a fault, e.g. drop:0.1, delay:200ms,msg_id=0x1827 or corrupt:1%,from=10s; repeatable.",
-    ] = None
-    profile: Annotated[str | None, "NAME", "Simulate a link of this kind: leo, geo, lunar or mars."] = None
-    scenario: Annotated[Path | None, "FILE", "Read faults and their times from a YAML file."] = None
-    seed: Annotated[
-        int | None,
-        typer.Option(parser=number),
-        "N",
-        "Seed of the random numbers: the same seed gives the same faults; default 0.",
-    ] = None
+    fault: Annotated[list[str] | None, Option(help="drop:0.1, delay:200ms,msg_id=0x1827, leo, x.yaml")] = None
+    profile: Annotated[str | None, Option(hidden=True)] = None
+    scenario: Annotated[Path | None, Option(hidden=True)] = None
+    seed: Annotated[int | None, Option(parser=number, help="The same makes the same faults; usual 0.")] = None
 
     def plan(self) -> FaultPlan:
         """Return these options in the form that pipelines take."""

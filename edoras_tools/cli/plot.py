@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
@@ -35,24 +35,26 @@ def plot(
     *,
     arguments: Annotated[
         list[str] | None,
-        typer.Argument(),
-        "FILE... FIELD...",
-        f"{READ_PACKED}; fields such as /cmd_vel.linear.x, rate:/cmd_vel, loss:/cmd_vel.",
+        Argument(metavar="FILE... FIELD...", help=f"{READ_PACKED}; /cmd_vel.linear.x, rate:/cmd_vel."),
     ] = None,
-    read: Annotated[list[Path] | None, "--read -r FILE", "Same as FILE without -r; repeatable."] = None,
+    read: Annotated[list[Path] | None, Option("--read", "-r", hidden=True)] = None,
     output: Annotated[
         Path | None,
-        typer.Option(parser=recordings.recording_path),
-        "--output -o FILE",
-        "Write a picture (.svg, .png) or a page with zoom (.html); default: in the terminal.",
+        Option(
+            "--output",
+            "-o",
+            parser=recordings.recording_path,
+            metavar="FILE",
+            help="A picture (.svg, .png) or a page (.html).",
+        ),
     ] = None,
     force: recordings.Force = False,
-    bare: Annotated[bool, "Without rates, losses and events beneath the fields."] = False,
+    bare: Annotated[bool, Option("--bare", help="No rates, losses and events beneath the fields.")] = False,
     printing: options.PrintOptions,
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Plot fields over time, with rates, losses and events beneath.
+    """Plot fields over time, with rates, losses and events.
 
     A FIELD is /cmd_vel.linear.x, '/cmd_vel.linear.*' or /imu.covariance[4]; each has its own panel; with a
     comma, two share one. Without FIELD: the rates of all topics. Several files are laid over each other.

@@ -7,15 +7,15 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from typer import Argument, Option
 
-from edoras_tools.cli import options
+from edoras_tools.cli import options, sending
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import say, tell_reach
 from edoras_tools.cli.live import RelayOutputOptions
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.cli.relays import finish_relay, run_relay
-from edoras_tools.cli.sending import Address, DryRun, Yes, confirm_targets, endpoint
+from edoras_tools.cli.sending import DryRun, Yes, address, confirm_targets
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -30,37 +30,48 @@ _NEVER_NS = 1 << 62
 class RelayOptions(NamedTuple):
     """What is relayed, from where to where, and at which rates."""
 
-    link: Annotated[options.RelayName, typer.Argument(), "The link to relay."]
+    link: Annotated[options.RelayName, Argument(help="The link to relay.")]
     listen: Annotated[
-        Address,
-        "[HOST:]PORT",
-        "Where clients send to; for to: where cFS sends to. On loopback only unless HOST is given.",
+        Any,
+        Option(
+            parser=sending.address,
+            metavar="[HOST:]PORT",
+            help="Where clients send to; of to: where cFS does.",
+        ),
     ]
-    target: Annotated[Address, "Where to send everything."]
+    target: Annotated[Any, Option(parser=sending.address, help="Where to send everything.")]
     further: Annotated[
         list[Any] | None,
-        typer.Option(parser=endpoint),
-        "--to HOST:PORT",
-        "Another target, e.g. a second ground station; repeatable.",
+        Option(
+            "--to", parser=address, metavar="HOST:PORT", help="Another target, e.g. a second ground station."
+        ),
     ] = None
     bind: Annotated[
-        Address, "[HOST:]PORT", "Where the target sends to, e.g. an SBN peer's port in cFS's table."
+        Any,
+        Option(
+            parser=sending.address,
+            metavar="[HOST:]PORT",
+            help="Where the target sends to, e.g. an SBN peer's port in cFS's table.",
+        ),
     ] = None
-    client: Annotated[Address, "With --bind: the client to use until one has sent something."] = None
+    client: Annotated[Any, Option(parser=sending.address, help="With --bind: until one sends.")] = None
     limit: Annotated[
         list[str] | None,
-        "[ROUTE=]HZ[,latest]",
-        "Messages per second: for each MsgId, for one topic or MsgId, or for all=HZ; repeatable.",
+        Option(
+            "--max-rate",
+            metavar="[ROUTE=]HZ[,latest]",
+            help="Messages per second: for each MsgId, for one topic or MsgId, or for all=HZ.",
+        ),
     ] = None
-    tcp: Annotated[bool, "Relay TCP connections, not datagrams."] = False
-    cut: Annotated[options.Time, "With --tcp: cut each connection after this time."] = None
+    tcp: Annotated[bool, Option("--tcp", help="Relay TCP connections, not datagrams.")] = False
+    cut: Annotated[int | None, Option(parser=options.duration, help="Of TCP: cut connections then.")] = None
 
 
 class TimeOptions(NamedTuple):
     """How long clients are remembered, and how long the proxy runs."""
 
-    idle: Annotated[
-        options.Time, "Forget clients that send nothing for this time; default 60s; 0: never."
+    timeout: Annotated[
+        int | None, Option(parser=options.duration, help="Forget silent clients; default 60s; 0: never.")
     ] = None
     duration: options.Duration = None
 
@@ -77,7 +88,7 @@ def proxy(
     faults: options.FaultOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Relay a link: recorded, with limited rates, or with faults.
+    """Relay a link: recorded, at limited rates, or with faults.
 
     Several stations can be served at once.
 
@@ -103,7 +114,7 @@ def proxy(
         client=relayed.client,
         faults=replace(injected, rules=(*injected.rules, *limits)),
         headers=bench.columns.context.headers,
-        idle_ns=_IDLE_NS if times.idle is None else times.idle or _NEVER_NS,
+        idle_ns=_IDLE_NS if times.timeout is None else times.timeout or _NEVER_NS,
     )
     streams = relayed.tcp or not link.transport.udp
     if relayed.cut and not streams:
@@ -146,7 +157,7 @@ def _relay_streams(
     if not plan.link.transport.tcp:
         raise ConfigError(f"{plan.link.label} is not a link over TCP: leave --tcp out")
     if len(plan.targets) > 1 or plan.bind or relayed.limit:
-        raise ConfigError("--to, --bind and --limit are for datagrams: a TCP connection has one target")
+        raise ConfigError("--to, --bind and --max-rate are for datagrams: a TCP connection has one target")
     if outputs.output or outputs.live is not None:
         raise ConfigError(
             "a relay of TCP does not record: use edoras record -i beside it, on the interface of the target"

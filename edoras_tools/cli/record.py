@@ -9,12 +9,13 @@ from pathlib import Path
 from time import strftime
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from typer import BadParameter, Option, echo
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import finish, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
+from edoras_tools.cli.options import amount, size
 from edoras_tools.cli.output import print_json
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES, WRITTEN, Format, written_as
@@ -45,7 +46,7 @@ def trigger(text: str) -> tuple[str, str]:
     if kind not in _KINDS or (colon and not rest) or (kind == "where" and not rest):
         hint = "" if kind in _KINDS else did_you_mean(kind, _KINDS, 1)
         forms = "write finding, finding:NAME, rule, rule:ID or 'where:EXPR'"
-        raise typer.BadParameter(f"{text!r} is not a trigger; {hint or forms}")
+        raise BadParameter(f"{text!r} is not a trigger; {hint or forms}")
     known: list[str] = []
     if kind == "where":
         options.where(rest)
@@ -59,29 +60,33 @@ def trigger(text: str) -> tuple[str, str]:
         known = [item.label for item in Finding]
     if rest and known and rest not in known:
         hint = did_you_mean(rest, known, 1) or f"there are {', '.join(known)}"
-        raise typer.BadParameter(f"no {kind} is named {rest!r}; {hint}")
+        raise BadParameter(f"no {kind} is named {rest!r}; {hint}")
     return kind, rest
+
+
+def span(text: str) -> tuple[str, int]:
+    """Read a time or a size, as ``amount`` does."""
+    return amount(f"{text}s" if text.isdecimal() else text)
 
 
 @headed("Snapshots")
 class SnapshotOptions(NamedTuple):
     """Whether only what is around a trigger is written."""
 
-    snapshot: Annotated[bool, "Keep the last seconds in memory; write them when a trigger fires."] = False
-    before: Annotated[options.Time, "Time before a trigger; default 30s."] = None
-    after: Annotated[options.Time, "Time after it; default 10s."] = None
-    before_size: Annotated[
-        options.Size, "Most memory for what is kept; the oldest is dropped first; default 512M."
-    ] = None
+    snapshot: Annotated[bool, Option("--snapshot", help="Write only what is around a trigger.")] = False
+    before: Annotated[list[Any] | None, Option(parser=span, help="Kept before a trigger: 30s, 512M.")] = None
+    after: Annotated[int | None, Option(parser=options.duration, help="Time after it; default 10s.")] = None
+    before_size: Annotated[int | None, Option(parser=size, hidden=True)] = None
     trigger: Annotated[
         list[Any] | None,
-        typer.Option(parser=trigger),
-        "WHAT",
-        "What fires, beside t, Enter and signal USR1: finding[:NAME], rule[:ID] of the doctor, or "
-        "'where:EXPR'; repeatable.",
+        Option(
+            parser=trigger,
+            help="What fires, beside t, Enter and signal USR1: finding[:NAME], rule[:ID] of the doctor, or "
+            "'where:EXPR'.",
+        ),
     ] = None
-    socket: Annotated[Path | None, "PATH", "Also fire when asked on this Unix socket."] = None
-    fire: Annotated[Path | None, "PATH", "Only ask the recorder at this socket for a snapshot."] = None
+    socket: Annotated[Path | None, Option(help="Also fire when asked on this Unix socket.")] = None
+    fire: Annotated[Path | None, Option(help="Only ask the recorder at this socket.")] = None
 
     def check(self, *, splits: bool) -> None:
         """Refuse options that have no effect with each other.
@@ -95,8 +100,8 @@ class SnapshotOptions(NamedTuple):
             raise ConfigError(f"{needs[0]} is an option of --snapshot: add --snapshot, or leave it out")
         if self.snapshot and splits:
             raise ConfigError("--snapshot writes a file for each trigger: leave the --split options out")
-        if self.before_size is not None and self.before_size < _LEAST_BYTES:
-            raise ConfigError("--before-size is less than 1M: a batch of datagrams would not fit")
+        if (self.before_size or dict(self.before or ()).get("size", _LEAST_BYTES)) < _LEAST_BYTES:
+            raise ConfigError("--before is less than 1M: a batch of datagrams would not fit")
 
     def plan(self) -> SnapshotPlan | None:
         """Return these options in the form that pipelines take; None without --snapshot."""
@@ -106,7 +111,7 @@ class SnapshotOptions(NamedTuple):
         from edoras_tools.pipelines.capture.snapshot import SnapshotPlan
         from edoras_tools.render.severity import NOTABLE
 
-        given = self.trigger or []
+        given, before = self.trigger or [], dict(self.before or ())
         labels = {item.label: int(item) for item in Finding}
         usual = SnapshotPlan()
         findings = 0
@@ -114,9 +119,9 @@ class SnapshotOptions(NamedTuple):
             if kind == "finding":
                 findings |= labels[rest] if rest else int(NOTABLE)
         return SnapshotPlan(
-            usual.before_ns if self.before is None else self.before,
+            before.get("time", usual.before_ns),
             usual.after_ns if self.after is None else self.after,
-            self.before_size or usual.before_bytes,
+            self.before_size or before.get("size", usual.before_bytes),
             findings,
             tuple(rest for kind, rest in given if kind == "where"),
             frozenset(rest for kind, rest in given if kind == "rule" and rest),
@@ -142,8 +147,8 @@ _FORMATS = ", ".join(suffix[1:] for suffix in FILE_SUFFIXES)
 
 def stream_format(text: str) -> str:
     """Read the name of a recording's format."""
-    if written_as(Path(f"x.{text}")) is None:
-        raise typer.BadParameter(f"{text!r} is not a format of recordings; use {_FORMATS}")
+    if text != "rosbag2" and written_as(Path(f"x.{text}")) is None:
+        raise BadParameter(f"{text!r} is not a format of recordings; use {_FORMATS}")
     return text
 
 
@@ -152,32 +157,52 @@ class TargetOptions(NamedTuple):
 
     output: Annotated[
         Path | None,
-        typer.Option(parser=recordings.recording_path),
-        "--output -o FILE",
-        f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time; "
-        "- is stdout.",
+        Option(
+            "--output",
+            "-o",
+            parser=recordings.recording_path,
+            metavar="FILE",
+            help=f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time; "
+            "- is stdout.",
+        ),
     ] = None
     force: recordings.Force = False
     stream: Annotated[
-        str | None,
-        typer.Option(parser=stream_format),
-        "--format FORMAT",
-        f"Of -o -, standard output: {_FORMATS}.",
+        str | None, Option("--format", parser=stream_format, help=f"rosbag2; of -o -: {_FORMATS}.")
     ] = None
-    rosbag2: Annotated[bool, "Write a rosbag2 directory."] = False
-    tf: Annotated[bool, "Also write /tf, made of the poses, for 3D views."] = False
-    split_size: Annotated[options.Size, "Start a new file at this size, e.g. 500M."] = None
-    split_time: Annotated[options.Time, "Start a new file after this time, e.g. 10m."] = None
-    split_count: Annotated[options.Count, "Start a new file after N datagrams."] = None
-    keep: Annotated[options.Count, "Of a split recording, keep only the newest N files."] = None
-    keep_size: Annotated[options.Size, "Delete the oldest files while all are larger, e.g. 20G."] = None
+    rosbag2: Annotated[bool, Option("--rosbag2", hidden=True)] = False
+    tf: Annotated[bool, Option("--tf", help="Also write /tf, made of the poses, for 3D views.")] = False
+    split: Annotated[
+        list[Any] | None, Option(parser=amount, help="Start a file each 500M, 10m or 1000 datagrams.")
+    ] = None
+    split_size: Annotated[int | None, Option(parser=size, hidden=True)] = None
+    split_time: Annotated[int | None, Option(parser=options.duration, hidden=True)] = None
+    split_count: Annotated[int | None, Option(parser=options.count, hidden=True)] = None
+    keep: Annotated[list[Any] | None, Option(parser=amount, help="Keep the newest 5 files or 20G.")] = None
+    keep_size: Annotated[int | None, Option(parser=size, hidden=True)] = None
     jobs: options.Jobs = None
     sync: Annotated[
         int | None,
-        typer.Option(parser=options.duration),
-        "[=TIME]",
-        "Flush to the disk at this interval, to survive a power cut; 1s if no TIME is given.",
+        Option(parser=options.duration, metavar="[=TIME]", help="Flush to the disk each 1s, or TIME."),
     ] = None
+
+    def merged(self) -> TargetOptions:
+        """Return these options as their older names say them.
+
+        Raises:
+            ConfigError: --keep has a time.
+        """
+        split, keep = dict(self.split or ()), dict(self.keep or ())
+        if "time" in keep:
+            raise ConfigError("--keep takes a number of files or a size: 5 or 20G")
+        return self._replace(
+            rosbag2=self.rosbag2 or self.stream == "rosbag2",
+            stream=None if self.stream == "rosbag2" else self.stream,
+            split_size=self.split_size or split.get("size"),
+            split_time=self.split_time or split.get("time"),
+            split_count=self.split_count or split.get("count"),
+            keep_size=self.keep_size or keep.get("size"),
+        )
 
 
 @grouped
@@ -192,7 +217,7 @@ def record(
     decoding: options.DecodingOptions,
     snapshots: SnapshotOptions,
 ) -> None:
-    """Record every datagram, and every ROS message on its topic.
+    """Record all datagrams, and ROS messages on their topics.
 
     Several inputs become one recording in time order. It can be converted back: record -r a.mcap -o b.pcap.
     """
@@ -206,6 +231,7 @@ def record(
     live, limits = not given.paths, stop.limits(given.paths)
     if every and not given.live.interface:
         raise ConfigError("--all chooses what -i IFACE captures; files and --listen are recorded whole")
+    files = files.merged()
     snapshots.check(splits=bool(files.split_size or files.split_time or files.split_count))
     plan = snapshots.plan()
     target = _target(files, printing, "snapshot" if plan else strftime("edoras_%Y%m%d_%H%M%S"))
@@ -293,7 +319,7 @@ def _stream(files: TargetOptions, printing: options.PrintOptions) -> Format | No
 def _fire(path: Path) -> None:
     from edoras_tools.pipelines.capture.triggers import ask
 
-    typer.echo(ask(path))
+    echo(ask(path))
 
 
 def _record_snapshots(
@@ -352,7 +378,7 @@ def _target(files: TargetOptions, printing: options.PrintOptions, usual: str) ->
         split_bytes=files.split_size or 0,
         split_ns=files.split_time or 0,
         split_count=files.split_count or 0,
-        keep_files=files.keep or 0,
+        keep_files=dict(files.keep or ()).get("count", 0),
         keep_bytes=files.keep_size or 0,
         sync_ns=files.sync or 0,
         replace=files.force,

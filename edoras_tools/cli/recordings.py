@@ -6,7 +6,7 @@ from pathlib import Path
 from time import strftime
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Option, echo
 
 from edoras_tools.cli.endings import tell
 from edoras_tools.io.formats.table import WRITTEN
@@ -25,11 +25,15 @@ def recording_path(text: str) -> Path:
 
 Output = Annotated[
     Path | None,
-    typer.Option(parser=recording_path),
-    "--output -o FILE",
-    f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time.",
+    Option(
+        "--output",
+        "-o",
+        parser=recording_path,
+        metavar="FILE",
+        help=f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time.",
+    ),
 ]
-Force = Annotated[bool, "Overwrite an existing output."]
+Force = Annotated[bool, Option("--force", help="Overwrite an existing output.")]
 
 
 def recording_target(output: Path | None, *, force: bool, inputs: Sequence[Path] = ()) -> Target | None:
@@ -62,7 +66,7 @@ def text_output(output: Path | None, inputs: Sequence[Path] = (), *, force: bool
 def put_text(text: str, output: Path | None) -> None:
     """Write a text where ``text_output`` says."""
     if output is None:
-        typer.echo(text, nl=False)
+        echo(text, nl=False)
     else:
         write_page(text, output)
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
@@ -18,8 +18,8 @@ from edoras_tools.io.outputs import in_the_way, refuse_existing
 
 @grouped
 def recover(
-    file: Annotated[Path, typer.Argument(), "FILE", "A damaged or cut-off MCAP recording."],
-    output: Annotated[Path | None, "--output -o FILE", "Output file; default FILE.recovered.mcap."] = None,
+    file: Annotated[Path, Argument(metavar="FILE", help="A damaged or cut-off MCAP recording.")],
+    output: Annotated[Path | None, Option("--output", "-o", help="Default: FILE.recovered.mcap.")] = None,
     force: recordings.Force = False,
     unproved: options.Unproved = False,
     json: options.Json = False,
@@ -42,4 +42,4 @@ def recover(
     else:
         sys.stdout.write(f"{report.text(written=True)}\n")
     if report.lost:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)

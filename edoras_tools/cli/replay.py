@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from edoras_tools.cli import options, sending
 from edoras_tools.cli.declare import grouped, headed
@@ -22,44 +23,43 @@ def pair(text: str) -> tuple[str, str]:
     """Read ``A:=B``."""
     old, sign, new = text.partition(":=")
     if not (old and sign and new):
-        raise typer.BadParameter(f"{text!r} is not A:=B; write 0x1827:=0x1828 or /cmd_vel:=/robot_1/cmd_vel")
+        raise BadParameter(f"{text!r} is not A:=B; write 0x1827:=0x1828 or /cmd_vel:=/robot_1/cmd_vel")
     return old, new
 
 
-@headed("Selection")
+def speed(text: str) -> float:
+    """Read a speed: times the recorded one, or ``max``, which is infinite."""
+    return inf if text == "max" else sending.factor(text)
+
+
 class SourceOptions(NamedTuple):
     """What is sent, and where."""
 
-    file: Annotated[Path, typer.Argument(), "FILE", f"{READ}; with --from-topics also rosbag2."]
-    to: Annotated[str, "TO", "ci, sbn (as an SBN peer) or ground (the ground bridge)."]
-    from_topics: Annotated[bool, "Make packets from recorded ROS messages of any tool."] = False
+    file: Annotated[Path, Argument(metavar="FILE", help=f"{READ}; with --from-topics also rosbag2.")]
+    to: Annotated[str, Option(metavar="LINK", help="ci, sbn (as an SBN peer) or ground (the ground bridge).")]
+    from_topics: Annotated[bool, Option("--from-topics", help="Make packets of ROS messages.")] = False
 
 
 class PaceOptions(NamedTuple):
     """How fast it is sent, and how often."""
 
-    speed: Annotated[sending.Positive, "Send at X times the recorded speed."] = None
+    speed: Annotated[float | None, Option(parser=speed, help="Times the recorded; max: no pauses.")] = None
     rate: Annotated[
         list[Any] | None,
-        typer.Option(parser=sending.rate),
-        "[ROUTE=]HZ",
-        "Send at even intervals, everything or one route, e.g. /cmd_vel=30; repeatable.",
+        Option(parser=sending.rate, metavar="[ROUTE=]HZ", help="At even intervals, e.g. /cmd_vel=30."),
     ] = None
-    fastest: Annotated[bool, "--max", "Send as fast as possible."] = False
-    loop: Annotated[
-        int | None, typer.Option(parser=sending.loops), "N", "Send it N times; 0: without end."
-    ] = None
+    fastest: Annotated[bool, Option("--max", hidden=True)] = False
+    loop: Annotated[int | None, Option(parser=sending.loops, help="So many times; 0: no end.")] = None
 
 
+@headed("Selection")
 class PartOptions(NamedTuple):
     """Which part of the recording is sent."""
 
     times: options.TimeOptions = options.TimeOptions()
-    duration: Annotated[options.Time, "Send this much time from --start on."] = None
-    first: Annotated[options.Count, "--count -n", "Send the first N datagrams."] = None
-    route: Annotated[
-        list[str] | None, "PATTERN", "Only MsgIds, topics or keys that match, e.g. '0x18*'; repeatable."
-    ] = None
+    duration: Annotated[int | None, Option(parser=options.duration, help="So much from --start on.")] = None
+    first: Annotated[int | None, Option("--count", "-n", parser=options.count, help="Send so many.")] = None
+    route: Annotated[list[str] | None, Option(help="Only MsgIds, topics or keys, e.g. '0x18*'.")] = None
 
     def choice(self, selection: Selection) -> ReplaySelection:
         """Return these options and the selection in the form that pipelines take.
@@ -80,13 +80,11 @@ class PartOptions(NamedTuple):
 class ChangeOptions(NamedTuple):
     """What is changed in the packets."""
 
-    write_headers: Annotated[
-        str | None, "BUILD", "Send packets with the headers of another cFE: 16, 12, extended or extended-v2."
-    ] = None
+    write_headers: Annotated[str | None, Option(help="Of another cFE: 16, 12, extended, extended-v2.")] = None
     remap: Annotated[
-        list[Any] | None, typer.Option(parser=pair), "A:=B", "Send MsgId, topic or key A as B; repeatable."
+        list[Any] | None, Option(parser=pair, metavar="A:=B", help="Send MsgId, topic or key A as B.")
     ] = None
-    restamp: Annotated[bool, "Set header stamps to the time of sending."] = False
+    restamp: Annotated[bool, Option("--restamp", help="Set header stamps to the time of sending.")] = False
 
 
 @grouped
@@ -102,8 +100,6 @@ def replay(
 ) -> None:
     """Send a recording again: unchanged, faster, or changed.
 
-    It is sent to CI, as an SBN peer, or to a ground bridge.
-
     Bytes stay as captured unless an option changes them. In a terminal: space pauses, n sends the
     next datagram, q quits.
     """
@@ -118,9 +114,9 @@ def replay(
     send_options = replace(
         send_options,
         to=sending.one_of(Receiver, source.to, "--to"),
-        speed=pace.speed or 1.0,
+        speed=1.0 if pace.speed in {None, inf} else pace.speed,
         rates=tuple(pace.rate or ()),
-        unpaced=pace.fastest,
+        unpaced=pace.fastest or pace.speed == inf,
         passes=1 if pace.loop is None else pace.loop,
     )
     pairs = list(change.remap or ())

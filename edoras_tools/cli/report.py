@@ -8,7 +8,7 @@ from pathlib import Path
 from time import time_ns
 from typing import Annotated
 
-import typer
+from typer import Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
@@ -22,10 +22,9 @@ from edoras_tools.words import plural
 @grouped
 def report(
     inputs: FileOptions,
-    output: Annotated[Path | None, "--output -o FILE", "Output file; default FILE.html."] = None,
+    output: Annotated[Path | None, Option("--output", "-o", help="Output file; default FILE.html.")] = None,
     *,
     force: recordings.Force = False,
-    constant: options.Constants = None,
     printing: options.PrintOptions,
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
@@ -39,11 +38,13 @@ def report(
     from edoras_tools.render.doctor.report import Made, page
 
     files, scope, (json, quiet) = inputs.named(), part.scope(), printing
-    profile = profile_with(constant or ())
+    profile = profile_with(decoding.constants)
     path = output or Path(f"{files[0].name if str(files[0]) != '-' else 'report'}.html")
     check_new(path, files, force=force)
     with file_progress(files, quiet=quiet or json) as bar:
-        source, bench = open_input(InputOptions(inputs), decoding.settings(), aligned=True, progress=bar)
+        source, bench = open_input(
+            InputOptions(inputs), decoding.settings(constants=True), aligned=True, progress=bar
+        )
         findings = examine(source, bench, profile=profile, scope=scope, progress=bar)
     if findings.failure is None:
         no_datagrams(source)
@@ -67,4 +68,4 @@ def report(
     if findings.failure is not None:
         raise findings.failure
     if findings.diagnosis.bad:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, echo
 
 from edoras_tools.cli import recordings
 from edoras_tools.cli.declare import grouped
@@ -14,10 +14,10 @@ from edoras_tools.errors import CaptureError, ConfigError
 
 @grouped
 def samples(
-    folder: Annotated[Path, typer.Argument(), "DIR", "A new folder for them."],
+    folder: Annotated[Path, Argument(metavar="DIR", help="A new folder for them.")],
     force: recordings.Force = False,
 ) -> None:
-    """Copy the samples to a folder: captures, missions, scenarios."""
+    """Copy captures, missions and scenarios to a folder."""
     from importlib.resources import as_file, files
     from shutil import rmtree
 
@@ -42,4 +42,4 @@ def samples(
         raise
     count = sum(path.is_file() for path in folder.rglob("*"))
     command = f"edoras info {folder}/captures/a_rover.pcap -c {folder}/missions/rover_ground.yaml"
-    typer.echo(f"{folder}: {count} files; start with: {command}")
+    echo(f"{folder}: {count} files; start with: {command}")

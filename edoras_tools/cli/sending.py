@@ -7,11 +7,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from typer import BadParameter, Exit, Option, confirm
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import headed
 from edoras_tools.cli.endings import INTERRUPTED, LOST, lost_outputs, tell, tell_reach
+from edoras_tools.cli.options import duration, share
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.errors import ConfigError, EdorasError
 
@@ -25,14 +26,14 @@ if TYPE_CHECKING:
 _TIMEOUT_NS = 10_000_000_000
 
 
-def endpoint(text: str) -> Endpoint:
+def address(text: str) -> Endpoint:
     """Read ``HOST:PORT``."""
     from edoras_tools.io.net.address import parse_endpoint
 
     try:
         return parse_endpoint(text)
     except EdorasError as error:
-        raise typer.BadParameter(str(error)) from None
+        raise BadParameter(str(error)) from None
 
 
 def peer(text: str) -> Peer:
@@ -45,7 +46,7 @@ def peer(text: str) -> Peer:
     except ValueError:
         found = Peer(-1, -1)
     if not all(0 <= number < 1 << 32 for number in found):
-        raise typer.BadParameter(f"{text!r} is not SC:CPU; write 66:3 or 0x42:3")
+        raise BadParameter(f"{text!r} is not SC:CPU; write 66:3 or 0x42:3")
     return found
 
 
@@ -57,40 +58,48 @@ def rate(text: str) -> tuple[str, float]:
     except ValueError:
         value = 0
     if not 0 < value < float("inf"):
-        raise typer.BadParameter(f"{text!r} is not a rate; write 30, or ROUTE=30, in messages per second")
+        raise BadParameter(f"{text!r} is not a rate; write 30, or ROUTE=30, in messages per second")
     return pattern or "*", value
 
 
-def positive(text: str) -> float:
+def factor(text: str) -> float:
     """Read a number above 0."""
     try:
         value = float(text)
     except ValueError:
         value = 0
     if not 0 < value < float("inf"):
-        raise typer.BadParameter(f"{text!r} is not a number above 0")
+        raise BadParameter(f"{text!r} is not a number above 0")
     return value
+
+
+def limit(text: str) -> float:
+    """Read a limit of a rate; 0 for none."""
+    return 0.0 if text == "0" else factor(text)
 
 
 def loops(text: str) -> int:
     """Read a number of passes: 1 or more, or 0 for no end."""
     value = options.number(text)
     if value < 0:
-        raise typer.BadParameter(f"{text} is less than 0; write 0 for no end")
+        raise BadParameter(f"{text} is less than 0; write 0 for no end")
     return value
 
 
-Address = Annotated[Any, typer.Option(metavar="HOST:PORT", parser=endpoint)]
-Positive = Annotated[float | None, typer.Option(metavar="X", parser=positive)]
-Sender = Annotated[Any, typer.Option(metavar="SC:CPU", parser=peer)]
-Target = Annotated[Address, "Where to send; default: this machine."]
-As = Annotated[Sender, "--as", "SBN: send as this peer, e.g. 66:3."]
-Listen = Annotated[Address, "[HOST:]PORT", "Where answers are received; SBN: also the port to send from."]
-Timeout = Annotated[options.Time, "Maximum time for --wait-for; default 10s."]
-Allow = Annotated[list[str] | None, "ROUTE", "Send only these, e.g. 0x1827 or '0x18*'; repeatable."]
-Unlimited = Annotated[bool, "Do not limit the rate."]
-Yes = Annotated[bool, "--yes -y", "Send to another machine without asking."]
-DryRun = Annotated[bool, "Print what would be sent; send nothing."]
+Target = Annotated[Any, Option(parser=address, help="Where to send; default: this machine.")]
+As = Annotated[Any, Option("--as", parser=peer, help="SBN: send as this peer, e.g. 66:3.")]
+Listen = Annotated[
+    Any,
+    Option(
+        parser=address,
+        metavar="[HOST:]PORT",
+        help="Where answers are received; SBN: also the port to send from.",
+    ),
+]
+Timeout = Annotated[int | None, Option(parser=duration, help="For --wait-for, --expect; default 10s.")]
+Allow = Annotated[list[str] | None, Option(help="Send only these, e.g. '0x18*'.")]
+Yes = Annotated[bool, Option("--yes", "-y", help="Send to another machine without asking.")]
+DryRun = Annotated[bool, Option("--dry-run", help="Print what would be sent; send nothing.")]
 
 
 @headed("Sending")
@@ -100,36 +109,31 @@ class SendingOptions(NamedTuple):
     faults: options.FaultOptions
     target: Target = None
     sender: As = None
-    role: Annotated[
-        str,
-        "ROLE",
-        "SBN: behave as a stock peer, as the bridge, or as captured (send only the captured datagrams).",
-    ] = "stock"
+    role: Annotated[str, Option(help="SBN: stock, bridge, or captured: nothing else.")] = "stock"
     listen: Listen = None
-    no_listen: Annotated[bool, "Do not bind the telemetry port."] = False
-    wait_for: Annotated[
-        list[str] | None,
-        "WHAT",
-        "First wait for peer, to-enabled (asks for it), event:TEXT or nothing; repeatable.",
-    ] = None
+    no_listen: Annotated[bool, Option("--no-listen", help="Do not bind the telemetry port.")] = False
+    wait_for: Annotated[list[str] | None, Option(help="First: peer, to-enabled, event:TEXT, nothing.")] = None
     timeout: Timeout = None
-    linger: Annotated[options.Time, "Listen for this time after the last datagram."] = None
+    linger: Annotated[int | None, Option(parser=duration, help="Listen so long after the last one.")] = None
     expect: Annotated[
         list[str] | None,
-        "WHAT",
-        "Exit code 3 if this does not come back: event:TEXT, counter:TO_HK.command_counter[+N], a "
-        "topic or a name; repeatable.",
+        Option(
+            help="Exit code 3 if this does not come back: event:TEXT, counter:TO_HK.command_counter[+N], a "
+            "topic or a name.",
+        ),
     ] = None
-    expect_within: Annotated[options.Time, "Wait this long for it after sending; default 10s."] = None
-    max_loss: Annotated[options.Share, "Exit code 0 if no more than this is lost, e.g. 1%."] = None
+    expect_within: Annotated[int | None, Option(parser=duration, hidden=True)] = None
+    max_loss: Annotated[float | None, Option(parser=share, help="Succeed up to this loss, e.g. 1%.")] = None
     allow: Allow = None
-    max_rate: Annotated[Positive, "HZ", "Limit of the rate; default to other machines: 1000."] = None
-    unlimited: Unlimited = False
+    max_rate: Annotated[
+        float | None, Option(parser=limit, metavar="HZ", help="0: no limit; usual to others: 1000.")
+    ] = None
+    unlimited: Annotated[bool, Option("--unlimited", hidden=True)] = False
     yes: Yes = False
-    sequence: Annotated[str, "RULE", "Sequence counts: keep, count or zero."] = "keep"
-    checksum: Annotated[str, "RULE", "Checksums: keep, fix, zero or wrong."] = "keep"
-    tcp: Annotated[bool, "SBN: on a TCP connection to the target."] = False
-    step: Annotated[bool, "One by one: n sends the next, space runs, q quits."] = False
+    sequence: Annotated[str, Option(help="Sequence counts: keep, count or zero.")] = "keep"
+    checksum: Annotated[str, Option(help="Checksums: keep, fix, zero or wrong.")] = "keep"
+    tcp: Annotated[bool, Option("--tcp", help="SBN: on a TCP connection to the target.")] = False
+    paused: Annotated[bool, Option("--paused", help="One by one: n: next, space: all, q: quit.")] = False
 
     def send_options(self) -> SendOptions:
         """Return these options in the form that pipelines take.
@@ -140,6 +144,7 @@ class SendingOptions(NamedTuple):
         from edoras_tools.pipelines.sending.options import Role, SendOptions
         from edoras_tools.sessions.outgoing import ChecksumRule, SequenceRule
 
+        wait_ns = _TIMEOUT_NS if self.timeout is None else self.timeout
         return SendOptions(
             target=self.target,
             sender=self.sender,
@@ -147,18 +152,18 @@ class SendingOptions(NamedTuple):
             listen=self.listen,
             no_listen=self.no_listen,
             wait_for=tuple(self.wait_for or ()),
-            timeout_ns=_TIMEOUT_NS if self.timeout is None else self.timeout,
+            timeout_ns=wait_ns,
             linger_ns=self.linger,
             expect=tuple(self.expect or ()),
-            expect_ns=_TIMEOUT_NS if self.expect_within is None else self.expect_within,
+            expect_ns=wait_ns if self.expect_within is None else self.expect_within,
             max_loss=self.max_loss,
             allow=tuple(self.allow or ()),
             max_rate_hz=self.max_rate or 0.0,
-            unlimited=self.unlimited,
+            unlimited=self.unlimited or self.max_rate == 0,
             confirmed=self.yes,
             sequence=one_of(SequenceRule, self.sequence, "--sequence"),
             checksum=one_of(ChecksumRule, self.checksum, "--checksum"),
-            step=self.step,
+            step=self.paused,
             tcp=self.tcp,
         )
 
@@ -177,7 +182,7 @@ def one_of(kind: Any, text: str, option: str) -> Any:
     try:
         return kind(text.lower())
     except ValueError:
-        raise typer.BadParameter(f"{option}: {text!r} is not one of {', '.join(kind)}") from None
+        raise BadParameter(f"{option}: {text!r} is not one of {', '.join(kind)}") from None
 
 
 def carry_out(
@@ -202,7 +207,7 @@ def carry_out(
     from edoras_tools.render.sending.status import send_status
 
     send_options, (json, quiet) = transmission.options, ending.printing
-    if send_options.expect_ns != _TIMEOUT_NS and not send_options.expect:
+    if send_options.expect_ns != send_options.timeout_ns and not send_options.expect:
         raise ConfigError("--expect-within is how long --expect waits: name what is expected")
     expected = AwaitedResults.of(send_options.expect, send_options.expect_ns, bench.columns.context)
     machine = None
@@ -250,9 +255,9 @@ def carry_out(
     for reason in reasons:
         tell(reason)
     if reasons or (send_options.max_loss is None and report.lost):
-        raise typer.Exit(LOST)
+        raise Exit(LOST)
     if report.signalled and transmission.total:
-        raise typer.Exit(INTERRUPTED)
+        raise Exit(INTERRUPTED)
 
 
 def _print(summary: dict[str, Any], target: str = "") -> None:
@@ -276,5 +281,5 @@ def confirm_targets(*targets: Endpoint, confirmed: bool) -> bool:
 
     asks = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
     for target in targets:
-        check_target(target, confirmed=confirmed, confirm=partial(typer.confirm, err=True) if asks else None)
+        check_target(target, confirmed=confirmed, confirm=partial(confirm, err=True) if asks else None)
     return asks

@@ -84,7 +84,7 @@ class SettingsFile:
             raise ConfigError(*mistakes)
 
     def defaults(self, command: str, options: Mapping[str, bool]) -> dict[str, Any]:
-        """Return the values for a command, with keys and values as click's ``default_map`` has them.
+        """Return the values for a command, by option name, with values as click's ``default_map`` has them.
 
         Args:
             options: the names of its options, and whether they take several values.
@@ -94,7 +94,7 @@ class SettingsFile:
         """
         given = {**self.values, **self.values.get(command, {})}
         return {
-            name.replace("-", "_"): self._value(name, given[name], many=options[name])
+            name: self._value(name, given[name], many=options[name])
             for name in SETTABLE
             if name in options and name in given
         }

@@ -6,6 +6,8 @@ import sys
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
+from typer import Option
+
 from edoras_tools import doors
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
@@ -55,26 +57,18 @@ class Statistic(StrEnum):
 class ViewOptions(NamedTuple):
     """How packets are shown."""
 
-    tree: Annotated[bool, "-V --tree", "All layers and fields of each packet."] = False
-    hexdump: Annotated[bool, "-x --hex", "The bytes of each packet."] = False
-    json: Annotated[bool, "One JSON object per line."] = False
-    tui: Annotated[bool, "Packet list, layers and bytes in three panes; ? shows the keys."] = False
-    time: Annotated[TimeFormat | None, "--time -t", "Format of the list's time; default relative."] = None
-    findings: Annotated[bool, "Only packets with a warning or an error."] = False
+    tree: Annotated[bool, Option("-V", "--tree", help="All layers and fields of each packet.")] = False
+    hexdump: Annotated[bool, Option("-x", "--hex", help="The bytes of each packet.")] = False
+    json: Annotated[bool, Option("--json", help="One JSON object per line.")] = False
+    tui: Annotated[bool, Option("--tui", help="Packets, layers and bytes in three panes.")] = False
+    time: Annotated[TimeFormat | None, Option("--time", "-t", help="How times are shown.")] = None
+    findings: Annotated[bool, Option("--findings", help="Only packets with a warning or an error.")] = False
     fields: Annotated[
-        str | None, "A,B,C", "Only these fields, one row per packet, e.g. 'time,msg_id,pose.position.x'."
+        str | None, Option(metavar="A,B,C", help="Only these, a row a packet: 'time,pose.position.x'.")
     ] = None
-    layout: Annotated[
-        FieldFormat | None, "--format FORMAT", "Format of --fields: table (default), csv or tsv."
-    ] = None
-    sequence: Annotated[
-        Diagram | None,
-        "FORMAT",
-        "A sequence diagram, with repeated packets on one line: mermaid or plantuml.",
-    ] = None
-    stat: Annotated[
-        list[Statistic] | None, "KIND", "Only a table: routes, sbn, sizes or findings; repeatable."
-    ] = None
+    layout: Annotated[FieldFormat | None, Option("--format", help="The form of --fields.")] = None
+    sequence: Annotated[Diagram | None, Option("--diagram", help="A sequence diagram.")] = None
+    stat: Annotated[list[Statistic] | None, Option(metavar="KIND", help="Only a table of them.")] = None
 
     @property
     def time_format(self) -> TimeFormat:
@@ -92,7 +86,7 @@ class ViewOptions(NamedTuple):
         """
         wanted = {
             "--fields": self.fields,
-            "--sequence": self.sequence,
+            "--diagram": self.sequence,
             "--stat": self.stat,
             "--json": self.json and not self.stat,
             "-V": self.tree,
@@ -120,7 +114,7 @@ class ViewOptions(NamedTuple):
         """
         given = {
             "--tui": self.tui,
-            "--sequence": self.sequence,
+            "--diagram": self.sequence,
             "--stat sbn": Statistic.SBN in (self.stat or ()),
             "-a": every,
         }
@@ -132,7 +126,7 @@ class ViewOptions(NamedTuple):
 
 _NEED_DATAGRAMS: Final = {
     "--tui": "the panes show",
-    "--sequence": "a sequence diagram shows who sends",
+    "--diagram": "a sequence diagram shows who sends",
     "--stat sbn": "SBN is in",
     "-a": "-a also shows",
 }
@@ -272,7 +266,7 @@ def sniff(
     *,
     given: InputOptions,
     view: ViewOptions,
-    every: Annotated[bool, "--all -a", "Also UDP that belongs to no link."] = False,
+    every: Annotated[bool, Option("--all", "-a", help="Also UDP that belongs to no link.")] = False,
     stop: options.PartOptions,
     verbose: options.Verbose = False,
     chosen: options.SelectionOptions,

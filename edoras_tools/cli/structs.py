@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, BadParameter, Option
 
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell
@@ -22,42 +22,35 @@ def binding(text: str) -> tuple[Key, str]:
 
     key, equals, name = text.partition("=")
     if not equals or not name:
-        raise typer.BadParameter(f"{text!r} is not MSGID=STRUCT; write 0x0890=ROVER_HkTlm_t")
+        raise BadParameter(f"{text!r} is not MSGID=STRUCT; write 0x0890=ROVER_HkTlm_t")
     try:
         return parse_key(key), name
     except ConfigError as error:
-        raise typer.BadParameter(str(error)) from None
+        raise BadParameter(str(error)) from None
 
 
 @grouped
 def structs(
     file: Annotated[
-        Path | None,
-        typer.Argument(),
-        "FILE",
-        "ELF file (.o, .so, program), C header, or layout; default: the built-in layouts.",
+        Path | None, Argument(metavar="FILE", help="ELF file, C header, or layout; default: built in.")
     ] = None,
-    names: Annotated[
-        list[str] | None, typer.Argument(), "NAME...", "Structs; default: a list of all."
-    ] = None,
-    output: Annotated[Path | None, "--output -o DIR", "Write .msg files and structs.yaml there."] = None,
+    names: Annotated[list[str] | None, Argument(metavar="NAME...", help="Default: list all.")] = None,
+    output: Annotated[Path | None, Option("--output", "-o", help="For .msg files and structs.yaml.")] = None,
     bind: Annotated[
         list[Any] | None,
-        typer.Option(parser=binding),
-        "--bind -b ID=NAME",
-        "The struct of a MsgId, e.g. 0x0890=ROVER_HkTlm_t, 0x1890/2=X for a function code, or "
-        "udp:8585=X for what is sent to a robot's port; repeatable.",
+        Option(
+            "--bind",
+            "-b",
+            parser=binding,
+            metavar="ID=NAME",
+            help="The struct of a MsgId, e.g. 0x0890=ROVER_HkTlm_t, 0x1890/2=X for a function code, or "
+            "udp:8585=X for what is sent to a robot's port.",
+        ),
     ] = None,
-    package: Annotated[str | None, "NAME", "ROS package of the messages; default: cfs_msgs."] = None,
-    include: Annotated[
-        list[Path] | None,
-        "--include -I DIR",
-        "Folder with the headers that the C header includes; repeatable.",
-    ] = None,
-    cflag: Annotated[
-        list[str] | None, "FLAG", "Compiler option for a C header, e.g. -m32 or -DX=1; repeatable."
-    ] = None,
-    force: Annotated[bool, "Overwrite existing files."] = False,
+    package: Annotated[str | None, Option(help="ROS package of the messages; default: cfs_msgs.")] = None,
+    include: Annotated[list[Path] | None, Option("--include", "-I", hidden=True)] = None,
+    cflag: Annotated[list[str] | None, Option(help="Compiler option, e.g. -IDIR, -m32 or -DX=1.")] = None,
+    force: Annotated[bool, Option("--force", help="Overwrite existing files.")] = False,
 ) -> None:
     """Turn C structs of flight software into ROS messages.
 

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
@@ -14,9 +14,9 @@ from edoras_tools.cli.endings import tell
 from edoras_tools.cli.main import Command, command_group
 from edoras_tools.io.formats.table import READ
 
-To = Annotated[Path | None, "--to DIR", "A folder other than Wireshark's own."]
+To = Annotated[Path | None, Option("--to", help="A folder other than Wireshark's own.")]
 
-wireshark = command_group("wireshark", "Decode the links in Wireshark and tshark, down to ROS fields.")
+wireshark = command_group("wireshark", "Decode the links in Wireshark and tshark, to ROS fields.")
 extcap = command_group("extcap", "EDORAS CI, TO and SBN as capture interfaces of Wireshark.")
 wireshark.add_typer(extcap)
 
@@ -58,11 +58,9 @@ def path() -> None:
 @grouped
 def run(
     *,
-    read: Annotated[Path | None, "--read -r FILE", f"{READ}; - is stdin."] = None,
-    gui: Annotated[bool, "Run Wireshark instead of tshark."] = False,
-    arguments: Annotated[
-        list[str] | None, typer.Argument(), "-- ARGUMENTS", "For tshark or Wireshark."
-    ] = None,
+    read: Annotated[Path | None, Option("--read", "-r", help=f"{READ}; - is stdin.")] = None,
+    gui: Annotated[bool, Option("--gui", help="Run Wireshark instead of tshark.")] = False,
+    arguments: Annotated[list[str] | None, Argument(metavar="-- ARGUMENTS", help="For Wireshark.")] = None,
     decoding: options.DecodingOptions,
 ) -> None:
     """Run tshark, or Wireshark, with the dissector.
@@ -73,7 +71,7 @@ def run(
 
     code = wireshark_program.run_program(_dissector(decoding), read, arguments or [], graphical=gui)
     if code:
-        raise typer.Exit(code)
+        raise Exit(code)
 
 
 @extcap.command("install")

@@ -18,6 +18,7 @@ All errors of a file are reported at once, with file, line and key.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -36,13 +37,12 @@ from edoras_tools.mission.tree import (
     read_document,
 )
 from edoras_tools.model import Datagram, Endpoint, Link
-from edoras_tools.sessions.faults.kinds import FAULT_KINDS
+from edoras_tools.sessions.faults.kinds import FAULT_KINDS, PROFILES
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import Rule, make_rule, parse_profile, parse_rule
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-    from pathlib import Path
 
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.faults.scopes import Predicate
@@ -62,7 +62,7 @@ def fault_plan(
     """Make a plan from all sources of faults.
 
     Args:
-        faults: rules, e.g. ``drop:0.1``.
+        faults: rules, e.g. ``drop:0.1``; names of links; files that end in ``.yaml``.
         profile: a named link; its rules come first.
         scenario: a YAML file; its rules come last.
         seed: replaces the scenario's; 0 if neither is given.
@@ -72,21 +72,30 @@ def fault_plan(
     """
     rules: list[Rule] = []
     mistakes: list[str] = []
-    plan = FaultPlan()
-    for read, texts in ((parse_profile, [profile] if profile else []), (_one, faults)):
-        for text in texts:
+    usual, links, singles, files = 0, [profile], list[str](), [scenario]
+    for text in faults:
+        if text in PROFILES:
+            links.append(text)
+        elif text.endswith((".yaml", ".yml")):
+            files.append(Path(text))
+        else:
+            singles.append(text)
+    for read, texts in ((parse_profile, links), (_one, singles)):
+        for text in filter(None, texts):
             try:
                 rules += read(text)
             except ConfigError as error:
                 mistakes += error.mistakes
-    if scenario is not None:
+    for path in filter(None, files):
         try:
-            plan = load_scenario(scenario)
+            plan = load_scenario(path)
         except ConfigError as error:
             mistakes += error.mistakes
+        else:
+            rules, usual = [*rules, *plan.rules], plan.seed
     if mistakes:
         raise ConfigError(*mistakes)
-    return FaultPlan((*rules, *plan.rules), plan.seed if seed is None else seed)
+    return FaultPlan(tuple(rules), usual if seed is None else seed)
 
 
 def load_scenario(path: Path) -> FaultPlan:

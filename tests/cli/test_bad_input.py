@@ -256,7 +256,7 @@ USAGE = [
     ("recover empty", 1, "empty: is not an MCAP file"),
     ("recover absurd.mcap", 1, "absurd.mcap: it contains nothing to recover"),
     ("sim nothing", 2, "'nothing' is not one of 'rover'"),
-    ("sim --hz 0", 2, "--hz"),
+    ("sim --hz 0", 2, "--rate"),
     ("sim --host 192.0.2.1 --duration 1", 1, "192.0.2.1"),
     (
         "demo -o ok.pcap/x --duration 1",

@@ -1,37 +1,47 @@
-"""An option's annotation and what typer makes of it."""
+"""A command takes options in groups, and Typer sees an option for each field."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
-import pytest
 import typer
+from typer import Option
 
-from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.options import Count, Time
-
-CASES = {
-    "its own name": (Annotated[Time, "Text."], None, ["--given-x"], "TIME"),
-    "another value": (Annotated[Count, "[=N]", "Text."], None, ["--given-x"], "[=N]"),
-    "other names": (Annotated[Count, "--count -n", "Text."], None, ["--count", "-n"], "N"),
-    "names and value": (Annotated[str, "--code -c FROM TO", "Text."], "", ["--code", "-c"], "FROM TO"),
-    "a switch": (Annotated[bool, "Text."], False, ["--given-x"], None),
-    "on and off": (Annotated[bool, "--on/--no-on", "Text."], False, ["--on"], None),
-    "an argument": (Annotated[str, typer.Argument(), "-- REST", "Text."], "", ["given_x"], "-- REST"),
-}
+from edoras_tools.cli.declare import grouped, headed
+from edoras_tools.cli.options import duration
 
 
-@pytest.mark.parametrize(("annotation", "default", "names", "value"), CASES.values(), ids=CASES)
-def test_an_annotation_becomes_an_option(annotation, default, names, value):
-    def command(given_x=default):
-        told.append(given_x)
+class Inner(NamedTuple):
+    after: Annotated[int | None, Option(parser=duration, help="How long.")] = None
 
-    told = []
-    command.__annotations__ = {"given_x": annotation}
-    program = typer.Typer()
+
+@headed("Times")
+class Outer(NamedTuple):
+    inner: Inner
+    name: Annotated[str, Option("--called", "-c", metavar="WHO", help="Whose.")] = "me"
+
+
+def made(command):
+    program = typer.Typer(add_completion=False)
     program.command()(grouped(command))
-    made = typer.main.get_command(program)
-    shown = next(item for item in made.params if item.name == "given_x")
-    assert (shown.opts, shown.metavar, shown.help) == (names, value, "Text.")
-    made([], standalone_mode=False)
-    assert told == [default]
+    return typer.main.get_command(program)
+
+
+def test_each_field_of_a_group_is_an_option_under_its_heading():
+    calls = []
+
+    def command(group: Outer, plain: Annotated[bool, Option("--plain", help="Or not.")] = False):
+        calls.append((group, plain))
+
+    program = made(command)
+    shown = {item.name: item for item in program.params}
+    assert {name: item.opts for name, item in shown.items()} == {
+        "after": ["--after"],
+        "name": ["--called", "-c"],
+        "plain": ["--plain"],
+    }
+    assert [item.rich_help_panel for item in shown.values()] == ["Times", "Times", None]
+    assert (shown["name"].metavar, shown["name"].help) == ("WHO", "Whose.")
+    program(["--after", "2s", "-c", "you", "--plain"], standalone_mode=False)
+    program([], standalone_mode=False)
+    assert calls == [(Outer(Inner(2_000_000_000), "you"), True), (Outer(Inner(None), "me"), False)]

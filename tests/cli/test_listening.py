@@ -231,7 +231,7 @@ WRITTEN = {
     "sim": (
         ["sim", "--host", "0.0.0.0"],
         {("udp", 1234), ("udp", 2234)},
-        "0.0.0.0:1234 is open: every machine that reaches it may command the emulated cFS; leave --host",
+        "0.0.0.0:1234 is open: every machine that reaches it may command the emulated cFS; leave --bind",
     ),
 }
 

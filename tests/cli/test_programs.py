@@ -112,7 +112,8 @@ MISSION = str(ROOT / "samples/missions/rover_ground.yaml")
     ("line", "told"),
     [
         ("edoras sn", {"sniff"}),
-        ("edoras sniff --tel", {"--telemetry-header"}),
+        ("edoras sniff --dur", {"--duration"}),
+        ("edoras sniff --set tel", {"telemetry-header="}),
         ("edoras wireshark pa", {"path"}),
         ("edoras mission ", {"draft"}),
         ("edoras help doc", {"doctor"}),

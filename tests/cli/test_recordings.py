@@ -29,6 +29,7 @@ WRITERS = {
     "record -o pcap": ("old.pcap", ["record", "-q", "-r", CAPTURE]),
     "record -o pcapng": ("old.pcapng", ["record", "-q", "-r", CAPTURE]),
     "record -o live": ("old.mcap", ["record", "-q", "--listen", f"{HOST}:0"]),
+    "doctor -o": ("old.html", ["doctor", CAPTURE, "-c", ROVER]),
     "replay -o": ("old.mcap", ["replay", CAPTURE, "--to", "ci", "--target", f"{HOST}:9", "--no-listen"]),
     "inject -o": (
         "old.mcap",
@@ -54,6 +55,7 @@ WRITERS = {
     "xtce -o": ("old.xml", ["xtce", "-c", ROVER]),
     "report -o": ("old.html", ["report", CAPTURE, "-c", ROVER]),
     "archive report -o": ("old.html", ["archive", "report", "--index", "x.duckdb"]),
+    "sweep -o": ("old.svg", SWEEP),
     "sweep --svg": ("old.svg", SWEEP),
     "sweep --png": ("old.png", SWEEP),
 }

@@ -11,6 +11,7 @@ from places import ROOT
 
 from edoras_tools import __version__
 from edoras_tools.cli import main, settings
+from edoras_tools.cli.options import OLD_NAMES
 
 CAPTURE = ROOT / "samples/captures/a_rover.pcap"
 MISSION = ROOT / "samples/missions/rover_ground.yaml"
@@ -45,7 +46,7 @@ def test_every_option_that_can_be_set_is_an_option_of_a_command():
 
     every = options(typer.main.get_command(main.program()))
     named = {f"--{name}" for name in (*settings.SETTABLE, *settings.COMMAND_LINE_ONLY)}
-    assert named <= every
+    assert named <= {*every, *OLD_NAMES}
     assert set(settings.SETTABLE).isdisjoint(settings.COMMAND_LINE_ONLY)
 
 

@@ -85,7 +85,7 @@ def test_ctrl_c_before_the_time_after_is_over(command, tmp_path):
         ("--trigger finding", "--trigger is an option of --snapshot"),
         ("--snapshot --split-time 5", "leave the --split options out"),
         ("--snapshot --rosbag2", "leave one of them out"),
-        ("--snapshot --before-size 10k", "--before-size is less than 1M"),
+        ("--snapshot --before-size 10k", "--before is less than 1M"),
         ("--snapshot --trigger findings", "did you mean finding?"),
         ("--snapshot --trigger finding:truncatd", "did you mean truncated?"),
         ("--snapshot --trigger rule:sbn_timeouts", "did you mean sbn_timeout?"),

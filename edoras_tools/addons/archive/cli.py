@@ -9,7 +9,7 @@ from pathlib import Path
 from time import time_ns
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped, headed
@@ -17,6 +17,7 @@ from edoras_tools.cli.endings import INTERRUPTED, LOST, tell
 from edoras_tools.cli.main import Command, Group, command_group
 from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
 from edoras_tools.errors import ConfigError
+from edoras_tools.older import StrEnum
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -52,33 +53,47 @@ archive = command_group(
     "archive", "Index many recordings, and ask the index. 'archive DIR' is 'archive index DIR'.", _Archive
 )
 
-Index = Annotated[Path, typer.Option(envvar="EDORAS_ARCHIVE"), "FILE", "The index, a DuckDB file."]
+Index = Annotated[Path, Option(envvar="EDORAS_ARCHIVE", help="The index, a DuckDB file.")]
 _INDEX = Path("archive.duckdb")
 _MOST_TOLD = 50
 """Captures that are not whole, of which an update tells; the index has all."""
-Csv = Annotated[bool, "Print CSV."]
+
+
+class RowFormat(StrEnum):
+    """How rows are printed."""
+
+    TABLE = "table"
+    CSV = "csv"
+
+
+@headed("Printing")
+class RowOptions(NamedTuple):
+    """How rows are printed."""
+
+    json: options.Json = False
+    layout: Annotated[RowFormat, Option("--format", help="For people, or CSV.")] = RowFormat.TABLE
+    older: Annotated[bool, Option("--csv", hidden=True)] = False
+
+    @property
+    def csv(self) -> bool:
+        """Whether rows are printed as CSV."""
+        return self.older or self.layout is RowFormat.CSV
 
 
 class WorkerOptions(NamedTuple):
     """Who reads the captures."""
 
-    jobs: Annotated[
-        options.Count, "Worker processes on this machine; default: one for each processor core."
-    ] = None
-    scheduler: Annotated[
-        str | None,
-        "ADDRESS",
-        "Use the workers of a dask scheduler, e.g. tcp://10.0.0.5:8786, that see the same files.",
-    ] = None
+    jobs: Annotated[int | None, Option(parser=options.count, help="Processes; default: one a core.")] = None
+    scheduler: Annotated[str | None, Option(help="Use dask's workers, e.g. tcp://10.0.0.5:8786.")] = None
 
 
 @headed("Selection")
 class SpanOptions(NamedTuple):
     """Which captures, by their time."""
 
-    since: Annotated[options.Moment, "DATE", "Only captures that end at this time or later."] = None
-    until: Annotated[options.Moment, "DATE", "Only captures that begin before."] = None
-    tz: Annotated[options.Zone, "Zone of these times: UTC (default), local, or a name."] = None
+    start: Annotated[Any, Option(parser=options.moment, metavar="DATE", help="That end later.")] = None
+    end: Annotated[Any, Option(parser=options.moment, metavar="DATE", help="That begin before.")] = None
+    tz: Annotated[Any, Option(parser=options.time_zone, hidden=True)] = None
 
     def span(self) -> ArchiveSpan:
         """Return these options in the form that pipelines take.
@@ -90,7 +105,7 @@ class SpanOptions(NamedTuple):
         from edoras_tools.older import UTC
 
         found: list[int | None] = []
-        for name, value in (("--since", self.since), ("--until", self.until)):
+        for name, value in (("--start", self.start), ("--end", self.end)):
             if value is None:
                 found.append(None)
                 continue
@@ -105,15 +120,10 @@ class SpanOptions(NamedTuple):
 @grouped
 def index_captures(
     *,
-    places: Annotated[
-        list[str],
-        typer.Argument(),
-        "DIR|URL...",
-        "Folders, with all below them, and files; also s3: and http:.",
-    ],
+    places: Annotated[list[str], Argument(metavar="DIR|URL...", help="Folders, files; s3: and http:.")],
     index: Index = _INDEX,
-    again: Annotated[bool, "Read every capture, not only new and changed ones."] = False,
-    forget: Annotated[bool, "Delete what the index has of captures that are no longer there."] = False,
+    again: Annotated[bool, Option("--again", help="Read all captures, not only new or changed.")] = False,
+    forget: Annotated[bool, Option("--forget", help="Delete captures that are no longer there.")] = False,
     work: WorkerOptions,
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
@@ -155,23 +165,21 @@ def index_captures(
             tell(f"and {rest:,} more that are not whole; 'edoras archive list' has them all")
     if report.interrupted:
         tell(f"interrupted: {report.left:,} captures are not read yet; run the same again to go on")
-        raise typer.Exit(INTERRUPTED)
+        raise Exit(INTERRUPTED)
     if report.bad:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)
 
 
 @archive.command("list", cls=_ArchiveCommand)
 @grouped
-def list_(
-    *, index: Index = _INDEX, csv: Csv = False, json: options.Json = False, chosen: SpanOptions
-) -> None:
+def list_(*, index: Index = _INDEX, printing: RowOptions, chosen: SpanOptions) -> None:
     """List the captures of the index: when, how many datagrams, what was lost, which are not whole."""
     from edoras_tools.addons.archive.index import open_index
     from edoras_tools.addons.archive.questions import list_captures
 
     with open_index(index) as opened:
         rows = list_captures(opened, chosen.span())
-    _print_rows("captures", rows, csv=csv, json=json)
+    _print_rows("captures", rows, printing)
 
 
 @archive.command(cls=_ArchiveCommand)
@@ -179,12 +187,11 @@ def list_(
 def losses(
     *,
     index: Index = _INDEX,
-    topic: Annotated[
-        list[str] | None, "PATTERN", "Only topics, names or MsgIds that match, e.g. '/robot_*'; repeatable."
+    topic: Annotated[list[str] | None, Option(help="Only topics, names or MsgIds, e.g. '/robot_*'.")] = None,
+    max_loss: Annotated[
+        float | None, Option(parser=options.share, help="Only where more is missing, e.g. 1%.")
     ] = None,
-    over: Annotated[options.Share, "Only where more than this share is missing, e.g. 1%."] = None,
-    csv: Csv = False,
-    json: options.Json = False,
+    printing: RowOptions,
     chosen: SpanOptions,
 ) -> None:
     """List what was lost or is unaccounted for, by capture and topic.
@@ -196,21 +203,23 @@ def losses(
 
     with open_index(index) as opened:
         span, topics = chosen.span(), tuple(topic or ())
-        rows = list_losses(opened, span, topics, over=over or 0.0)
+        rows = list_losses(opened, span, topics, over=max_loss or 0.0)
         examined = 0 if rows else count_examined(opened, span, topics)
-    if not (rows or csv or json):
-        sys.stdout.write(f"No loss{' over this share' if over else ''} in {plural(examined, 'capture')}.\n")
+    if not (rows or printing.csv or printing.json):
+        sys.stdout.write(
+            f"No loss{' over this share' if max_loss else ''} in {plural(examined, 'capture')}.\n"
+        )
         return
-    _print_rows("losses", rows, csv=csv, json=json)
+    _print_rows("losses", rows, printing)
     if rows:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)
 
 
-def _print_rows(what: str, rows: list[dict[str, Any]], *, csv: bool, json: bool) -> None:
+def _print_rows(what: str, rows: list[dict[str, Any]], printing: RowOptions) -> None:
     """Print captures, or losses, in one of their forms."""
-    if json:
+    if printing.json:
         print_json({what: rows})
-    elif csv:
+    elif printing.csv:
         print_csv(rows)
     else:
         from edoras_tools.addons.archive.views import ROW_TABLES
@@ -222,21 +231,20 @@ def _print_rows(what: str, rows: list[dict[str, Any]], *, csv: bool, json: bool)
 @grouped
 def query(
     *,
-    sql: Annotated[str, typer.Argument(), "SQL", "A query; - reads it from standard input."],
+    sql: Annotated[str, Argument(metavar="SQL", help="A query; - reads it from standard input.")],
     index: Index = _INDEX,
-    csv: Csv = False,
-    json: options.Json = False,
+    printing: RowOptions,
 ) -> None:
     """Ask the index in SQL; 'edoras help archive' and docs/archive.md name its tables."""
     from edoras_tools.addons.archive.index import open_index
 
     with open_index(index) as opened:
         names, rows = opened.answer(sys.stdin.read() if sql == "-" else sql)
-        if json:
+        if printing.json:
             from edoras_tools.addons.archive.views import json_rows
 
             print_json({"columns": names, "rows": json_rows(rows)})
-        elif csv:
+        elif printing.csv:
             from edoras_tools.cli.output import write_csv
 
             write_csv(names, rows)
@@ -251,7 +259,7 @@ def query(
 def report(
     *,
     index: Index = _INDEX,
-    output: Annotated[Path, "--output -o FILE", "Output file."] = Path("archive.html"),
+    output: Annotated[Path, Option("--output", "-o", help="Output file.")] = Path("archive.html"),
     force: recordings.Force = False,
     quiet: options.Quiet = False,
     chosen: SpanOptions,
@@ -276,9 +284,9 @@ def report(
 @grouped
 def export(
     *,
-    output: Annotated[Path, "--output -o DIR", "A new or empty folder."],
+    output: Annotated[Path, Option("--output", "-o", help="A new or empty folder.")],
     index: Index = _INDEX,
-    force: Annotated[bool, "Replace an earlier export."] = False,
+    force: Annotated[bool, Option("--force", help="Replace an earlier export.")] = False,
     printing: options.PrintOptions,
 ) -> None:
     """Write the index as Parquet: a folder for each table, partitioned by date, link and topic."""

@@ -222,8 +222,8 @@ def test_export_is_read_by_others(call, index, tmp_path, monkeypatch):
         (["query", "SELEC 1"], "edoras: Parser Error: syntax error at or near"),
         (["query", "DELETE FROM captures"], "edoras: Invalid Input Error: Cannot execute statement of type"),
         (["query", "SELECT 1", "--index", "nowhere"], "edoras: nowhere: there is no such index; make it: "),
-        (["list", "--since", "3h"], "edoras: --since needs a date: write 2026-05-01 or 2026-05-01T12:00"),
-        (["list", "--since", "12:00"], "edoras: --since needs a date: "),
+        (["list", "--since", "3h"], "edoras: --start needs a date: write 2026-05-01 or 2026-05-01T12:00"),
+        (["list", "--since", "12:00"], "edoras: --start needs a date: "),
         (
             [".", "--jobs", "0"],
             "edoras: Invalid value for '--jobs': 0 is less than 1; see edoras archive index -h",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-import typer
+from typer import Argument, Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
@@ -15,10 +15,8 @@ from edoras_tools.cli.declare import grouped
 class FolderOptions(NamedTuple):
     """Where the files go."""
 
-    output: Annotated[
-        Path | None, "--output -o DIR", "Folder for the files; default: edoras_msgs, or edoras_gen."
-    ] = None
-    force: Annotated[bool, "Overwrite what an earlier run generated, and remove the rest of it."] = False
+    output: Annotated[Path | None, Option("--output", "-o", help="Default: edoras_msgs, edoras_gen.")] = None
+    force: Annotated[bool, Option("--force", help="Replace what an earlier run generated.")] = False
 
 
 class BoundOptions(NamedTuple):
@@ -26,24 +24,21 @@ class BoundOptions(NamedTuple):
 
     bound: Annotated[
         list[str] | None,
-        "TYPE.FIELD=N",
-        "Maximum elements of a sequence, or characters of a string; TYPE.FIELD[]=N for each "
-        "string in a sequence; repeatable.",
+        Option(
+            metavar="TYPE.FIELD=N",
+            help="Maximum elements of a sequence, or characters of a string; TYPE.FIELD[]=N for each "
+            "string in a sequence; strings=64 and sequences=32 of all others.",
+        ),
     ] = None
-    strings: Annotated[int, typer.Option(min=1), "N", "Maximum characters of other strings."] = 64
-    sequences: Annotated[int, typer.Option(min=1), "N", "Maximum elements of other sequences."] = 32
+    strings: Annotated[int, Option(min=1, hidden=True)] = 64
+    sequences: Annotated[int, Option(min=1, hidden=True)] = 32
 
 
 class CoreOptions(NamedTuple):
     """How the functions of edoras_core behave."""
 
-    pool: Annotated[
-        int, typer.Option(min=1), "N", "Messages of one type that can be in use at the same time."
-    ] = 4
-    envelope: Annotated[str, "FORMAT", "EDORAS envelope: 8/8, 4/4 or 1/1, with le or be."] = "8/8 le"
-    keep_values: Annotated[
-        bool, "A get_ function that fails leaves the app's variable as it was; by default it writes 0."
-    ] = False
+    pool: Annotated[int, Option(min=1, help="Messages of one type that can be in use at the same time.")] = 4
+    keep_values: Annotated[bool, Option("--keep-values", help="A get_ that fails changes nothing.")] = False
 
 
 @grouped
@@ -51,18 +46,18 @@ def codegen(
     *,
     types: Annotated[
         list[str] | None,
-        typer.Argument(),
-        "[TYPE]...",
-        "Message types, e.g. geometry_msgs/msg/Twist; a package name stands for all its types. "
-        "Or generator: a cFS app that publishes on command, for edoras sweep.",
+        Argument(
+            metavar="[TYPE]...",
+            help="Message types, e.g. geometry_msgs/msg/Twist; a package name stands for all its types. "
+            "Or generator: a cFS app that publishes on command, for edoras sweep.",
+        ),
     ] = None,
     folder: FolderOptions,
-    config: options.Config = None,
     bounds: BoundOptions,
     core: CoreOptions,
-    definitions: options.TypeOptions,
-    command_mid: Annotated[options.MsgId, "generator: MsgId of its command; default 0x18F0."] = None,
+    generator: Annotated[Any, Option(parser=options.msg_id, help="MsgId of its command; 0x18F0.")] = None,
     quiet: options.Quiet = False,
+    decoding: options.DecodingOptions,
 ) -> None:
     """Write messages in C for flight software: no ROS, no heap.
 
@@ -79,25 +74,29 @@ def codegen(
     from edoras_tools.ros import TypeStore
     from edoras_tools.wire.envelope import EnvelopeFormat
 
-    if types == ["generator"] and not config:
+    if types == ["generator"] and not decoding.config:
         output = folder.output or Path("edoras_gen")
-        made_app = generator_app(GENERATOR_MSG_ID if command_mid is None else command_mid)
+        made_app = generator_app(GENERATOR_MSG_ID if generator is None else generator)
         removed = write_folder(output, made_app, force=folder.force)
         if not quiet:
             sys.stdout.write("".join(f"{line}\n" for line in app_summary(made_app, output)))
         return
-    if command_mid is not None:
-        raise ConfigError("--command-mid is an option of 'edoras codegen generator'")
+    if generator is not None:
+        raise ConfigError("--generator is an option of 'edoras codegen generator'")
     output = folder.output or Path("edoras_msgs")
-    store = TypeStore(definitions.distro or options.DISTRO, definitions.msg_path or ())
-    mission = load(config or (), check_type=store.check)
-    rules = tuple(BoundRule.read(text) for text in bounds.bound or ())
+    settings = decoding.settings()
+    store = TypeStore(settings.distro, settings.msg_paths)
+    mission = load(settings.configs, check_type=store.check)
+    usual = {"strings": bounds.strings, "sequences": bounds.sequences}
+    named = dict(text.split("=", 1) for text in bounds.bound or () if text.partition("=")[0] in usual)
+    usual |= {name: options.count(text) for name, text in named.items()}
+    rules = tuple(BoundRule.read(text) for text in bounds.bound or () if text.partition("=")[0] not in usual)
     order = LibraryOrder(
         tuple(types or ()),
-        Bounds(bounds.strings, bounds.sequences, rules),
+        Bounds(usual["strings"], usual["sequences"], rules),
         mission,
         core.pool,
-        EnvelopeFormat.named(core.envelope),
+        EnvelopeFormat.named(settings.options.envelope or "8/8 le"),
         keep_values=core.keep_values,
     )
     made = generate(store, order)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from typer import Option
+
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell
@@ -21,14 +23,14 @@ class GroundForm(StrEnum):
 @grouped
 def xtce(
     *,
-    output: Annotated[Path | None, "--output -o FILE", "Write it here; default: standard output."] = None,
-    form: Annotated[GroundForm, "--format FORM", "xtce, or cosmos: a file for cmd_tlm/."] = GroundForm.XTCE,
-    system: Annotated[str, "NAME", "Name of the space system, or the target."] = "edoras",
+    output: Annotated[Path | None, Option("--output", "-o", help="Default: standard output.")] = None,
+    form: Annotated[GroundForm, Option("--format", help="cosmos: a file for cmd_tlm/.")] = GroundForm.XTCE,
+    system: Annotated[str, Option(help="Name of the space system, or the target.")] = "edoras",
     force: recordings.Force = False,
     quiet: options.Quiet = False,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Describe packets for ground systems, as XTCE or for COSMOS.
+    """Describe packets for ground systems: XTCE or COSMOS.
 
     Of the missions that -c names and the C structs of --structs: telemetry of Telemetry Output and of cFE
     itself, field by field; commands to Command Ingest of fixed size.

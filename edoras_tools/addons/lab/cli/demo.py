@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
-import typer
+from typer import Argument, Exit, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped, headed
@@ -42,34 +42,24 @@ class Ros(StrEnum):
 class DemoOptions(NamedTuple):
     """Options of the demos of the paper; the tour does not have them."""
 
-    ros: Annotated[Ros, "Middleware of the robots and the ground station; local: inside this process."] = (
-        Ros.LOCAL
-    )
+    ros: Annotated[Ros, Option(help="Middleware; local: inside this process.")] = Ros.LOCAL
     rate: Annotated[
-        float, typer.Option(min=0, max=1000), "HZ", "Commands per second for each robot; 0: none."
+        float, Option(min=0, max=1000, metavar="HZ", help="Commands per second to a robot; 0: none.")
     ] = 10.0
     state_rate: Annotated[
         float | None,
-        typer.Option(min=0, max=2000, show_default=False),
-        "HZ",
-        "States per second that each of two robots publishes; default: 250, like Gazebo.",
+        Option(
+            min=0,
+            max=2000,
+            show_default=False,
+            metavar="HZ",
+            help="States that each of two robots sends; default 250.",
+        ),
     ] = None
-    max_rate: Annotated[
-        float, typer.Option(min=0), "HZ", "States per second that the flight bridge forwards; 0: all."
-    ] = 30.0
-    live: Annotated[bool, "Show it in Foxglove, and drive the robots from there."] = False
-    ws_port: Annotated[
-        int | None,
-        typer.Option(min=0, max=65535, show_default=False),
-        "PORT",
-        "Port for Foxglove; default: 8765, or a free port if that is in use.",
-    ] = None
-    distro: Annotated[
-        str,
-        typer.Option(envvar="ROS_DISTRO"),
-        "NAME",
-        "ROS 2 distribution; Zenoh connects only nodes of the same one.",
-    ] = options.DISTRO
+    max_rate: Annotated[float, Option(min=0, metavar="HZ", help="States that are forwarded; 0: all.")] = 30.0
+    live: Annotated[bool, Option("--live", help="Show it in Foxglove, and drive the robots there.")] = False
+    ws_port: Annotated[int | None, Option(min=0, max=65535, hidden=True)] = None
+    distro: Annotated[str, Option(envvar="ROS_DISTRO", hidden=True)] = options.DISTRO
     domain: options.RosDomain = None
     ros_options: options.RosOption = None
 
@@ -96,20 +86,16 @@ class DemoOptions(NamedTuple):
 @grouped
 def demo(
     *,
-    scenario: Annotated[
-        Scenario | None, typer.Argument(), "A demo of the EDORAS paper; default: the tour."
-    ] = None,
+    scenario: Annotated[Scenario | None, Argument(help="A demo of the paper; default: the tour.")] = None,
     output: Annotated[
         Path | None,
-        typer.Option(parser=recordings.recording_path),
-        "--output -o PATH",
-        "The recording; for the tour, the folder for its files.",
+        Option(
+            "--output", "-o", parser=recordings.recording_path, help="The recording, or the tour's folder."
+        ),
     ] = None,
     force: recordings.Force = False,
     duration: Annotated[
-        options.Time,
-        "--duration --seconds",
-        "How long it runs, e.g. 30 or 10m; default: 6 s for the tour, 20 s for a demo.",
+        int | None, Option("--duration", parser=options.duration, help="Default: 6s for the tour, 20s.")
     ] = None,
     demos: DemoOptions,
     printing: options.PrintOptions,
@@ -164,7 +150,7 @@ def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> N
     if failure is not None:
         raise failure
     if summary["lost"]:
-        raise typer.Exit(LOST)
+        raise Exit(LOST)
 
 
 def _begin(running: Demo, *, quiet: bool) -> None:

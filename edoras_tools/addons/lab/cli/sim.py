@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from time import time_ns
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-import typer
+from typer import Argument, Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
@@ -18,38 +18,36 @@ from edoras_tools.cli.options import Scenario
 class FlightOptions(NamedTuple):
     """How the emulated cFS is configured."""
 
-    limit: Annotated[
-        int, typer.Option(min=1, max=255), "N", "Telemetry Output: messages of one MsgId that may wait."
-    ] = 4
-    msg_max: Annotated[
-        int,
-        typer.Option(min=0),
-        "N",
-        "The host's fs.mqueue.msg_max, which cuts every pipe; 10 where nobody raised it, 0: no cut.",
-    ] = 0
+    limit: Annotated[int, Option(min=1, max=255, help="Telemetry Output: messages of a MsgId that wait.")] = 4
+    msg_max: Annotated[int, Option(min=0, hidden=True)] = 0
     generator: Annotated[
-        options.MsgId, "MsgId of the commands of the telemetry generator, default 0x18F0; 0: there is none."
+        Any, Option(parser=options.msg_id, help="MsgId of the generator's commands; default 0x18F0.")
     ] = None
-    extended_header: Annotated[bool, "A cFE built with the extended header."] = False
-    msg_id_version: Annotated[
-        int, typer.Option(min=1, max=2), "N", "How it builds MsgIds; 2 has the extended header."
-    ] = 1
+    extended_header: Annotated[bool, Option("--extended-header", hidden=True)] = False
+    msg_id_version: Annotated[int, Option(min=1, max=2, hidden=True)] = 1
+    set_values: Annotated[
+        list[Any] | None,
+        Option(
+            "--set",
+            parser=options.name_value,
+            metavar="NAME=VALUE",
+            help="A constant: msg_max=10, extended-header=yes.",
+        ),
+    ] = None
 
 
 @grouped
 def sim(
     *,
-    scenario: Annotated[Scenario, typer.Argument(), "The EDORAS demo to emulate."] = Scenario.ROVER,
-    bridges: Annotated[
-        bool, "--bridges/--no-bridges", "Also emulate the operator, the bridges and the robots."
-    ] = True,
-    rate: Annotated[float, typer.Option(min=0.01, max=1000), "--hz HZ", "Commands per second."] = 5.0,
+    scenario: Annotated[Scenario, Argument(help="The EDORAS demo to emulate.")] = Scenario.ROVER,
+    bridges: Annotated[bool, Option(" /--no-bridges", help="cFS alone, without bridges and robots.")] = True,
+    rate: Annotated[float, Option(min=0.01, max=1000, metavar="HZ", help="Commands per second.")] = 5.0,
     flight: FlightOptions,
-    host: Annotated[str, "ADDRESS", "Address to bind."] = "127.0.0.1",
+    host: Annotated[str, Option("--bind", help="Address to bind.")] = "127.0.0.1",
     duration: options.Duration = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Run an emulated cFS on loopback, with the real one's limits.
+    """Run an emulated cFS on loopback, with the real limits.
 
     Its console is printed on stdout. Watch it from another terminal: edoras sniff -i lo
     """
@@ -57,13 +55,15 @@ def sim(
 
     from edoras_tools.addons.lab.emulator import Simulation, serve
     from edoras_tools.addons.lab.emulator.messages import bus_id
-    from edoras_tools.cfs.profile import TO_TABLE, SimProfile
+    from edoras_tools.cfs.profile import TO_TABLE
     from edoras_tools.model import Endpoint
+    from edoras_tools.pipelines.doctor.doctor import profile_with
     from edoras_tools.pipelines.interrupt import on_interrupt
 
     # When bound to every address, the parts still use loopback among themselves.
     address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  the user asked for it
-    profile = SimProfile()
+    built = options.DecodingOptions(set_values=flight.set_values).merged()
+    profile = profile_with(built.constants)
     limit = flight.limit
     peers = tuple(replace(peer, address=address) for peer in profile.sbn_peers)
     limits = {
@@ -73,9 +73,9 @@ def sim(
         profile,
         to_default_limit=limit,
         to_limits=limits,
-        msg_max=flight.msg_max,
-        extended_header=flight.extended_header,
-        msg_id_version=flight.msg_id_version,
+        msg_max=flight.msg_max or profile.msg_max,
+        extended_header=flight.extended_header or bool(built.extended_header),
+        msg_id_version=built.msg_id_version or flight.msg_id_version,
         address=address,
         sbn_peers=peers,
         sbn_says_start=True,
@@ -91,7 +91,7 @@ def sim(
     ends = ", ".join(f"{item.port}" for item in bound)
 
     def ready() -> None:
-        tell_reach(Endpoint(host, profile.ci_port), "command the emulated cFS", instead="leave --host out")
+        tell_reach(Endpoint(host, profile.ci_port), "command the emulated cFS", instead="leave --bind out")
         sys.stderr.write(f"emulated cFS ({scenario.value}) on {host}, UDP {ends}; Ctrl-C ends\n")
 
     def line(time_ns: int, text: str) -> None:

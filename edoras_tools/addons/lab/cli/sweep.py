@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import typer
+from typer import Argument, BadParameter, Exit, Option
 
 from edoras_tools.cli import options, recordings, sending
 from edoras_tools.cli.declare import grouped, headed
@@ -33,40 +33,24 @@ def span(text: str) -> tuple[int, int]:
     except ValueError:
         found = 0, 0
     if not 1 <= found[0] <= found[1] <= 65535:
-        raise typer.BadParameter(f"{text!r} is not FROM..TO; write 1..1000, in whole numbers from 1 to 65535")
+        raise BadParameter(f"{text!r} is not FROM..TO; write 1..1000, in whole numbers from 1 to 65535")
     return found
 
 
 class StepOptions(NamedTuple):
     """What to try, for how long, and where."""
 
-    rate: Annotated[
-        Any,
-        typer.Option(parser=span),
-        "FROM..TO",
-        "Messages per second, rising; default 1..1000. With a range of sizes: one rate; default 2.",
-    ] = None
+    rate: Annotated[Any, Option(parser=span, metavar="FROM..TO", help="Messages a second, or one.")] = None
     size: Annotated[
-        Any,
-        typer.Option(parser=span),
-        "FROM..TO",
-        "Bytes of the space packet, rising; or one size. Default: the size of the message.",
+        Any, Option(parser=span, metavar="FROM..TO", help="Bytes of the packet, rising; or one size.")
     ] = None
-    step_time: Annotated[options.Time, "Duration of a step; default 8s."] = None
-    sim: Annotated[Scenario | None, "SCENARIO", "Use an emulated cFS in simulated time: takes a second."] = (
-        None
-    )
-    limit: Annotated[
-        int | None,
-        typer.Option(min=1, max=255),
-        "N",
-        "With --sim: messages of the route that may wait in its pipe.",
-    ] = None
+    step_time: Annotated[int | None, Option(parser=options.duration, help="Of a step; default 8s.")] = None
+    sim: Annotated[Scenario | None, Option(help="Use an emulated cFS: takes a second.")] = None
+    limit: Annotated[int | None, Option(min=1, max=255, help="With --sim: messages that may wait.")] = None
     generator: Annotated[
-        options.MsgId,
-        "MsgId of the commands of the app that 'edoras codegen generator' writes; default 0x18F0.",
+        Any, Option(parser=options.msg_id, help="MsgId of the generator's commands; default 0x18F0.")
     ] = None
-    watch: Annotated[bool, "Publish nothing; only measure what arrives."] = False
+    watch: Annotated[bool, Option("--watch", help="Publish nothing; only measure what arrives.")] = False
     duration: options.Duration = None
 
     @property
@@ -121,7 +105,8 @@ class SendingOptions(NamedTuple):
     sender: sending.As = None
     timeout: sending.Timeout = None
     allow: sending.Allow = None
-    unlimited: sending.Unlimited = False
+    max_rate: Annotated[float | None, Option(parser=sending.limit, metavar="HZ", help="0: no limit.")] = None
+    unlimited: Annotated[bool, Option("--unlimited", hidden=True)] = False
     yes: sending.Yes = False
 
     def send_options(self, link: Link, headers: Headers | None) -> SendOptions:
@@ -143,25 +128,44 @@ class SendingOptions(NamedTuple):
             wait_for=("peer" if link.peers else "to-enabled",),
             timeout_ns=10 * SECOND if self.timeout is None else self.timeout,
             allow=tuple(self.allow or ()),
-            unlimited=self.unlimited,
+            max_rate_hz=self.max_rate or 0.0,
+            unlimited=self.unlimited or self.max_rate == 0,
             confirmed=self.yes,
             headers=headers or STANDARD,
         )
 
 
+@headed("Outputs")
 class ChartOptions(NamedTuple):
     """Files for the chart."""
 
-    svg: Annotated[Path | None, "FILE", "Write the chart as SVG."] = None
-    png: Annotated[Path | None, "FILE", "Write the chart as PNG; needs resvg."] = None
+    output: Annotated[Path | None, Option("--output", "-o", help="Write the chart: .svg or .png.")] = None
+    svg: Annotated[Path | None, Option(hidden=True)] = None
+    png: Annotated[Path | None, Option(hidden=True)] = None
     force: recordings.Force = False
+
+    def merged(self) -> ChartOptions:
+        """Return these options with the output as that of its form.
+
+        Raises:
+            ConfigError: its suffix is of neither.
+        """
+        if self.output is None:
+            return self
+        if self.output.suffix not in {".svg", ".png"}:
+            raise ConfigError(f"{self.output}: a chart is a .svg or a .png file")
+        return (
+            self._replace(svg=self.output) if self.output.suffix == ".svg" else self._replace(png=self.output)
+        )
 
 
 @grouped
 def sweep(
     *,
-    route: Annotated[str, typer.Argument(), "ROUTE", "A topic or a key of the mission, or a MsgId."],
-    to: Annotated[options.LinkName | None, "LINK", "ci for commands, to for telemetry, sbn for both."] = None,
+    route: Annotated[str, Argument(metavar="ROUTE", help="A topic or a key of the mission, or a MsgId.")],
+    to: Annotated[
+        options.LinkName | None, Option(metavar="LINK", help="Commands by ci, telemetry by to, both by sbn.")
+    ] = None,
     steps: StepOptions,
     how: SendingOptions,
     charts: ChartOptions,
@@ -184,6 +188,7 @@ def sweep(
 
     json, quiet = printing
     steps.check(how.target)
+    charts = charts.merged()
     for path in (charts.svg, charts.png):
         if path is not None:
             check_new(path, force=charts.force)
@@ -219,7 +224,7 @@ def sweep(
     if found.failure is not None:
         raise found.failure
     if found.interrupted:
-        raise typer.Exit(INTERRUPTED)
+        raise Exit(INTERRUPTED)
 
 
 def _draw(summary: dict[str, Any], charts: ChartOptions) -> None:

@@ -162,7 +162,7 @@ class SweepPlan:
         if not free and self.rates[1] > CAP_HZ:
             raise ConfigError(
                 f"{self.rates[1]:,} Hz exceeds the limit of {CAP_HZ:,.0f} Hz to other machines; end the "
-                "range earlier, or remove the limit with --unlimited"
+                "range earlier, or remove the limit with --max-rate 0"
             )
         packets = [Packet(item) for item in self.packets(bench)]
         check_allowed(
