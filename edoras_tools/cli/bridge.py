@@ -77,7 +77,7 @@ class PacketOptions(NamedTuple):
     ] = None
     checksum: Annotated[bool, Option("--checksum", help="Send real checksums in commands, not 0.")] = False
     sequence: Annotated[bool, Option("--sequence", help="Send real sequence counts, not 0.")] = False
-    enable: Annotated[bool, Option(" /--no-enable", help="Do not command TO to send here.")] = True
+    enable: Annotated[bool, Option(" /--no-enable", help="Do not command Telemetry Output.")] = True
 
 
 class RunOptions(NamedTuple):
@@ -91,7 +91,7 @@ class RunOptions(NamedTuple):
 @grouped
 def bridge(
     *,
-    kind: Annotated[BridgeKind | None, Argument(help="Only these bridges of the files.")] = None,
+    kind: Annotated[BridgeKind | None, Argument(help="Only the ground or flight bridges.")] = None,
     graph: RosOptions,
     packets: PacketOptions,
     outputs: RelayOutputOptions,

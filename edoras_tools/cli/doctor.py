@@ -42,7 +42,7 @@ class Listing(StrEnum):
 class TaskOptions(NamedTuple):
     """What to do; the default is a diagnosis."""
 
-    against: Annotated[Path | None, Option(help="Only compare with a second capture of it.")] = None
+    against: Annotated[Path | None, Option(help="Only compare with this second capture of it.")] = None
     bag: Annotated[
         list[Path] | None,
         Option(
@@ -50,10 +50,10 @@ class TaskOptions(NamedTuple):
             "the first of several bags."
         ),
     ] = None
-    predict: Annotated[bool, Option("--predict", help="Only say what each route can carry.")] = False
-    max_loss: Annotated[float | None, Option(parser=share, help="Succeed up to this loss, e.g. 1%.")] = None
-    strict: Annotated[bool, Option("--strict", help="Judge what may be lost, too.")] = False
-    list_lost: Annotated[Listing | None, Option(help="Only list the lost messages.")] = None
+    predict: Annotated[bool, Option("--predict", help="Only say how much each route can carry.")] = False
+    max_loss: Annotated[float | None, Option(parser=share, help="Share that may be lost, e.g. 1%.")] = None
+    strict: Annotated[bool, Option("--strict", help="Judge what may be lost, too: exit code 3.")] = False
+    list_lost: Annotated[Listing | None, Option(help="Only list the messages that were lost.")] = None
     output: Annotated[Path | None, Option("--output", "-o", hidden=True)] = None
     force: Annotated[bool, Option("--force", hidden=True)] = False
 

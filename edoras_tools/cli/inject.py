@@ -28,7 +28,7 @@ class MessageOptions(NamedTuple):
 
     what: Annotated[str, Argument(metavar="[WHAT]", help="A topic, or a command: to-enable, noop ...")] = ""
     values: Annotated[str, Argument(metavar="[MESSAGE]", help="YAML, @FILE or random; or an argument.")] = ""
-    to: Annotated[str, Option(metavar="LINK", help="ci, sbn or ground; default: by its route.")] = ""
+    to: Annotated[str, Option(metavar="LINK", help="ci, sbn or ground; default: the route's link.")] = ""
     command: Annotated[tuple[str, str] | None, Option(metavar="MSGID CODE", help="Send a command.")] = None
     payload: Annotated[
         Any,
@@ -45,7 +45,7 @@ class MessageOptions(NamedTuple):
         Option("--count", "-n", parser=options.count, help="So often; default: 1; with --rate: no end."),
     ] = None
     arbitrary: Annotated[bool, Option("--every-field-random", hidden=True)] = False
-    limit: Annotated[int | None, Option(min=1, max=255, help="to-add: messages that may wait.")] = None
+    limit: Annotated[int | None, Option(min=1, max=255, help="to-add: how many may wait.")] = None
 
     def injection(self, seed: int) -> Injection:
         """Return these options in the form that pipelines take.

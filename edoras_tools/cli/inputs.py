@@ -29,9 +29,9 @@ class LiveOptions(NamedTuple):
     interface: Annotated[str | None, Option("--interface", "-i", metavar="IFACE", help="Capture it.")] = None
     listen: Annotated[
         list[str] | None,
-        Option(metavar="[HOST:]PORT", help="Receive on a UDP port; HOST: not only loopback."),
+        Option(metavar="[HOST:]PORT", help="Receive on a UDP port; of loopback unless HOST is given."),
     ] = None
-    wait_interface: Annotated[bool, Option("--wait-interface", help="Wait until it is up.")] = False
+    wait_interface: Annotated[bool, Option("--wait-interface", help="Wait until IFACE is up.")] = False
     user: Annotated[str | None, Option(help="Run as this user once the capture is open.")] = None
 
 

@@ -48,7 +48,7 @@ def place(text: str) -> Endpoint:
 
 Origins = Annotated[
     list[str] | None,
-    Option("--allow-origin", metavar="ORIGIN", help="Foxglove: also web pages of this origin."),
+    Option("--allow-origin", metavar="ORIGIN", help="Foxglove: also allow pages of this origin."),
 ]
 
 
@@ -73,7 +73,7 @@ class RelayOutputOptions(NamedTuple):
 
     output: recordings.Output = None
     force: recordings.Force = False
-    live: Annotated[Any, Option(parser=place, metavar="[HOST:]PORT", help="In Foxglove, e.g. 8765.")] = None
+    live: Annotated[Any, Option(parser=place, metavar="[HOST:]PORT", help="For Foxglove, e.g. 8765.")] = None
     allow_origin: Origins = None
     token: Token = None
 
@@ -147,7 +147,7 @@ class PlaybackOptions(NamedTuple):
 class PublishingOptions(NamedTuple):
     """What Foxglove may publish, and where it is sent."""
 
-    allow: Annotated[list[str] | None, Option(help="Topics that Foxglove may send.")] = None
+    allow: Annotated[list[str] | None, Option(help="Topics that Foxglove may send to cFS.")] = None
     target: Annotated[Any, Option(parser=sending.address, help="Where cFS is; default: this machine.")] = None
     sender: Annotated[Any, Option("--as", parser=sending.peer, help="SBN: send as this peer.")] = None
     yes: sending.Yes = False

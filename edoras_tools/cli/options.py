@@ -269,12 +269,12 @@ def _named_topics(ctx: Context, incomplete: str) -> list[str]:
         return []
 
 
-Config = Annotated[list[Path] | None, Option("--config", "-c", help="EDORAS bridge YAML, or a folder.")]
+Config = Annotated[list[Path] | None, Option("--config", "-c", help="EDORAS bridge YAML, or its folder.")]
 Duration = Annotated[int | None, Option(parser=duration, help="Stop after this time, e.g. 30 or 10m.")]
-Unproved = Annotated[bool, Option("--unproved", help="Also keep what no checksum covers.")]
-Jobs = Annotated[int | None, Option(parser=count, help="Processes; default: free cores, up to 3.")]
+Unproved = Annotated[bool, Option("--unproved", help="Also keep messages that no checksum covers.")]
+Jobs = Annotated[int | None, Option(parser=count, help="Processes to use; default: free cores, up to 3.")]
 EveryPort = Annotated[bool, Option("--all", "-a", help="Live: also UDP that belongs to no link.")]
-RosDomain = Annotated[int | None, Option(min=0, max=MOST_DOMAIN, help="Default: ROS_DOMAIN_ID, or 0.")]
+RosDomain = Annotated[int | None, Option(min=0, max=MOST_DOMAIN, help="ROS_DOMAIN_ID is the usual.")]
 RosOption = Annotated[
     list[Any] | None, Option("--ros-option", parser=name_value, metavar="NAME=VALUE", help="An option of it.")
 ]
@@ -374,13 +374,13 @@ class DecodingOptions(NamedTuple):
         list[Any] | None,
         Option("--set", parser=name_value, metavar="NAME=VALUE", autocompletion=_named_settings, help=SET),
     ] = None
-    distro: Annotated[str | None, Option(envvar="ROS_DISTRO", hidden=True, help=f"Usual: {DISTRO}.")] = None
+    distro: Annotated[str | None, Option(envvar="ROS_DISTRO", hidden=True, help=f"ROS 2; {DISTRO}.")] = None
     msg_path: Annotated[list[Path] | None, Option(hidden=True, help="Folder of .msg or .idl files.")] = None
     structs: Annotated[list[Path] | None, Option(hidden=True, help="C structs, F Prime dictionary.")] = None
     port: Annotated[list[Any] | None, Option(parser=link_port, hidden=True, help="ci:5010, rtps:any.")] = None
     envelope: Annotated[str | None, Option(hidden=True, help="8/8, 4/4, 1/1, with le or be; or auto.")] = None
     extended_header: Annotated[
-        bool | None, Option("--extended-header/--no-extended-header", hidden=True, help="yes or no.")
+        bool | None, Option("--extended-header/--no-extended-header", hidden=True, help="Of cFE: yes or no.")
     ] = None
     telemetry_header: Annotated[int | None, Option(hidden=True, help="Bytes: 16, or 12 in older cFE.")] = None
     msg_id_version: Annotated[int | None, Option(hidden=True, help="1, or 2 of extended headers.")] = None
@@ -583,7 +583,7 @@ class FaultOptions(NamedTuple):
     fault: Annotated[list[str] | None, Option(help="drop:0.1, delay:200ms,msg_id=0x1827, leo, x.yaml")] = None
     profile: Annotated[str | None, Option(hidden=True)] = None
     scenario: Annotated[Path | None, Option(hidden=True)] = None
-    seed: Annotated[int | None, Option(parser=number, help="The same makes the same faults; usual 0.")] = None
+    seed: Annotated[int | None, Option(parser=number, help="Of random numbers; the same again; 0.")] = None
 
     def plan(self) -> FaultPlan:
         """Return these options in the form that pipelines take."""

@@ -54,7 +54,7 @@ class RelayOptions(NamedTuple):
             help="Where the target sends to, e.g. an SBN peer's port in cFS's table.",
         ),
     ] = None
-    client: Annotated[Any, Option(parser=sending.address, help="With --bind: until one sends.")] = None
+    client: Annotated[Any, Option(parser=sending.address, help="With --bind: the usual client.")] = None
     limit: Annotated[
         list[str] | None,
         Option(
@@ -64,7 +64,7 @@ class RelayOptions(NamedTuple):
         ),
     ] = None
     tcp: Annotated[bool, Option("--tcp", help="Relay TCP connections, not datagrams.")] = False
-    cut: Annotated[int | None, Option(parser=options.duration, help="Of TCP: cut connections then.")] = None
+    cut: Annotated[int | None, Option(parser=options.duration, help="TCP: cut connections after.")] = None
 
 
 class TimeOptions(NamedTuple):

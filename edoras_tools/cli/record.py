@@ -86,7 +86,7 @@ class SnapshotOptions(NamedTuple):
         ),
     ] = None
     socket: Annotated[Path | None, Option(help="Also fire when asked on this Unix socket.")] = None
-    fire: Annotated[Path | None, Option(help="Only ask the recorder at this socket.")] = None
+    fire: Annotated[Path | None, Option(help="Only ask the recorder at this socket for one.")] = None
 
     def check(self, *, splits: bool) -> None:
         """Refuse options that have no effect with each other.
@@ -173,17 +173,17 @@ class TargetOptions(NamedTuple):
     rosbag2: Annotated[bool, Option("--rosbag2", hidden=True)] = False
     tf: Annotated[bool, Option("--tf", help="Also write /tf, made of the poses, for 3D views.")] = False
     split: Annotated[
-        list[Any] | None, Option(parser=amount, help="Start a file each 500M, 10m or 1000 datagrams.")
+        list[Any] | None, Option(parser=amount, help="Start a new file after 500M, 10m or 1000 packets.")
     ] = None
     split_size: Annotated[int | None, Option(parser=size, hidden=True)] = None
     split_time: Annotated[int | None, Option(parser=options.duration, hidden=True)] = None
     split_count: Annotated[int | None, Option(parser=options.count, hidden=True)] = None
-    keep: Annotated[list[Any] | None, Option(parser=amount, help="Keep the newest 5 files or 20G.")] = None
+    keep: Annotated[list[Any] | None, Option(parser=amount, help="Keep only the newest 5 or 20G.")] = None
     keep_size: Annotated[int | None, Option(parser=size, hidden=True)] = None
     jobs: options.Jobs = None
     sync: Annotated[
         int | None,
-        Option(parser=options.duration, metavar="[=TIME]", help="Flush to the disk each 1s, or TIME."),
+        Option(parser=options.duration, metavar="[=TIME]", help="Flush to the disk each second, or TIME."),
     ] = None
 
     def merged(self) -> TargetOptions:

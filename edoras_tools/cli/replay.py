@@ -43,13 +43,13 @@ class SourceOptions(NamedTuple):
 class PaceOptions(NamedTuple):
     """How fast it is sent, and how often."""
 
-    speed: Annotated[float | None, Option(parser=speed, help="Times the recorded; max: no pauses.")] = None
+    speed: Annotated[float | None, Option(parser=speed, help="Times the recorded, or max: at once.")] = None
     rate: Annotated[
         list[Any] | None,
-        Option(parser=sending.rate, metavar="[ROUTE=]HZ", help="At even intervals, e.g. /cmd_vel=30."),
+        Option(parser=sending.rate, metavar="[ROUTE=]HZ", help="Send at even intervals, /cmd_vel=30."),
     ] = None
     fastest: Annotated[bool, Option("--max", hidden=True)] = False
-    loop: Annotated[int | None, Option(parser=sending.loops, help="So many times; 0: no end.")] = None
+    loop: Annotated[int | None, Option(parser=sending.loops, help="Send it so often; 0: no end.")] = None
 
 
 @headed("Selection")

@@ -96,8 +96,8 @@ Listen = Annotated[
         help="Where answers are received; SBN: also the port to send from.",
     ),
 ]
-Timeout = Annotated[int | None, Option(parser=duration, help="For --wait-for, --expect; default 10s.")]
-Allow = Annotated[list[str] | None, Option(help="Send only these, e.g. '0x18*'.")]
+Timeout = Annotated[int | None, Option(parser=duration, help="Of --wait-for and --expect; default 10s.")]
+Allow = Annotated[list[str] | None, Option(help="Send only these routes, e.g. 0x1827 or '0x18*'.")]
 Yes = Annotated[bool, Option("--yes", "-y", help="Send to another machine without asking.")]
 DryRun = Annotated[bool, Option("--dry-run", help="Print what would be sent; send nothing.")]
 
@@ -109,7 +109,7 @@ class SendingOptions(NamedTuple):
     faults: options.FaultOptions
     target: Target = None
     sender: As = None
-    role: Annotated[str, Option(help="SBN: stock, bridge, or captured: nothing else.")] = "stock"
+    role: Annotated[str, Option(help="SBN: behave as stock, bridge, or as captured.")] = "stock"
     listen: Listen = None
     no_listen: Annotated[bool, Option("--no-listen", help="Do not bind the telemetry port.")] = False
     wait_for: Annotated[list[str] | None, Option(help="First: peer, to-enabled, event:TEXT, nothing.")] = None
@@ -123,17 +123,17 @@ class SendingOptions(NamedTuple):
         ),
     ] = None
     expect_within: Annotated[int | None, Option(parser=duration, hidden=True)] = None
-    max_loss: Annotated[float | None, Option(parser=share, help="Succeed up to this loss, e.g. 1%.")] = None
+    max_loss: Annotated[float | None, Option(parser=share, help="Share that may be lost, e.g. 1%.")] = None
     allow: Allow = None
     max_rate: Annotated[
-        float | None, Option(parser=limit, metavar="HZ", help="0: no limit; usual to others: 1000.")
+        float | None, Option(parser=limit, metavar="HZ", help="0: no limit; to other machines 1000.")
     ] = None
     unlimited: Annotated[bool, Option("--unlimited", hidden=True)] = False
     yes: Yes = False
     sequence: Annotated[str, Option(help="Sequence counts: keep, count or zero.")] = "keep"
     checksum: Annotated[str, Option(help="Checksums: keep, fix, zero or wrong.")] = "keep"
     tcp: Annotated[bool, Option("--tcp", help="SBN: on a TCP connection to the target.")] = False
-    paused: Annotated[bool, Option("--paused", help="One by one: n: next, space: all, q: quit.")] = False
+    paused: Annotated[bool, Option("--paused", help="One by one: n next, space runs, q quits.")] = False
 
     def send_options(self) -> SendOptions:
         """Return these options in the form that pipelines take.

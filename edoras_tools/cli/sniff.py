@@ -61,14 +61,14 @@ class ViewOptions(NamedTuple):
     hexdump: Annotated[bool, Option("-x", "--hex", help="The bytes of each packet.")] = False
     json: Annotated[bool, Option("--json", help="One JSON object per line.")] = False
     tui: Annotated[bool, Option("--tui", help="Packets, layers and bytes in three panes.")] = False
-    time: Annotated[TimeFormat | None, Option("--time", "-t", help="How times are shown.")] = None
+    time: Annotated[TimeFormat | None, Option("--time", "-t", help="Form of the list's times.")] = None
     findings: Annotated[bool, Option("--findings", help="Only packets with a warning or an error.")] = False
     fields: Annotated[
         str | None, Option(metavar="A,B,C", help="Only these, a row a packet: 'time,pose.position.x'.")
     ] = None
     layout: Annotated[FieldFormat | None, Option("--format", help="The form of --fields.")] = None
-    sequence: Annotated[Diagram | None, Option("--diagram", help="A sequence diagram.")] = None
-    stat: Annotated[list[Statistic] | None, Option(metavar="KIND", help="Only a table of them.")] = None
+    sequence: Annotated[Diagram | None, Option("--diagram", help="Print a sequence diagram.")] = None
+    stat: Annotated[list[Statistic] | None, Option(metavar="KIND", help="Only tables of counts.")] = None
 
     @property
     def time_format(self) -> TimeFormat:

@@ -34,7 +34,7 @@ def structs(
     file: Annotated[
         Path | None, Argument(metavar="FILE", help="ELF file, C header, or layout; default: built in.")
     ] = None,
-    names: Annotated[list[str] | None, Argument(metavar="NAME...", help="Default: list all.")] = None,
+    names: Annotated[list[str] | None, Argument(metavar="NAME...", help="Default: list them all.")] = None,
     output: Annotated[Path | None, Option("--output", "-o", help="For .msg files and structs.yaml.")] = None,
     bind: Annotated[
         list[Any] | None,

@@ -91,8 +91,8 @@ class WorkerOptions(NamedTuple):
 class SpanOptions(NamedTuple):
     """Which captures, by their time."""
 
-    start: Annotated[Any, Option(parser=options.moment, metavar="DATE", help="That end later.")] = None
-    end: Annotated[Any, Option(parser=options.moment, metavar="DATE", help="That begin before.")] = None
+    start: Annotated[Any, Option(parser=options.moment, metavar="DATE", help="Which end later.")] = None
+    end: Annotated[Any, Option(parser=options.moment, metavar="DATE", help="Which begin before.")] = None
     tz: Annotated[Any, Option(parser=options.time_zone, hidden=True)] = None
 
     def span(self) -> ArchiveSpan:

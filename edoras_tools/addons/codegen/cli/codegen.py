@@ -55,7 +55,7 @@ def codegen(
     folder: FolderOptions,
     bounds: BoundOptions,
     core: CoreOptions,
-    generator: Annotated[Any, Option(parser=options.msg_id, help="MsgId of its command; 0x18F0.")] = None,
+    generator: Annotated[Any, Option(parser=options.msg_id, help="Its command's MsgId; 0x18F0.")] = None,
     quiet: options.Quiet = False,
     decoding: options.DecodingOptions,
 ) -> None:

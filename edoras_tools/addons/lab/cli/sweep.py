@@ -44,7 +44,7 @@ class StepOptions(NamedTuple):
     size: Annotated[
         Any, Option(parser=span, metavar="FROM..TO", help="Bytes of the packet, rising; or one size.")
     ] = None
-    step_time: Annotated[int | None, Option(parser=options.duration, help="Of a step; default 8s.")] = None
+    step_time: Annotated[int | None, Option(parser=options.duration, help="Of one step; usual 8s.")] = None
     sim: Annotated[Scenario | None, Option(help="Use an emulated cFS: takes a second.")] = None
     limit: Annotated[int | None, Option(min=1, max=255, help="With --sim: messages that may wait.")] = None
     generator: Annotated[
