@@ -3,6 +3,7 @@
 import ast
 
 import pytest
+from effort import LONG
 from places import ROOT
 
 from edoras_tools.older import Flags, StrEnum
@@ -31,11 +32,11 @@ def newer(source):
 def test_every_file_can_be_read_by_python_3_10():
     files = [
         path
-        for folder in ("edoras_tools", "dissectors", "samples", "tests", "docs", ".ci")
+        for folder in ("edoras_tools", "dissectors", "samples", *(("tests", "docs", ".ci") if LONG else ()))
         for path in (ROOT / folder).rglob("*.py")
         if path.name != "older.py"
     ]
-    assert len(files) > 1000
+    assert len(files) > (1000 if LONG else 500)
     found = {str(path.relative_to(ROOT)): [*newer(path.read_text(encoding="utf-8"))] for path in files}
     assert {path: lines for path, lines in found.items() if lines} == {}
 

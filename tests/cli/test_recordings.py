@@ -233,7 +233,7 @@ def test_what_is_no_archive_stays_as_it_is(call, folder):
 FULL = {name: WRITERS[name] for name in ("record -o", "record -o pcap", "export -o csv", "check --junit")}
 
 
-@pytest.mark.quick("record -o", "export -o csv")
+@pytest.mark.quick("record -o")
 @pytest.mark.parametrize("writer", FULL)
 def test_a_disk_that_fills_leaves_the_older_file(edoras, folder, writer):
     """With --force, too: the system allows files of one byte here."""

@@ -97,6 +97,7 @@ PIPED = {
 }
 
 
+@pytest.mark.quick("info*", "export*", "sniff*")
 @pytest.mark.parametrize(("command", "words"), PIPED.items())
 def test_through_a_pipe(command, words, bag, database, call, monkeypatch):
     for file in (storage(bag), storage(database)):

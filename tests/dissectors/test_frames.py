@@ -42,6 +42,7 @@ def test_frames_of_f_prime_that_are_not_right(agreed, tmp_path):
     assert {"checksum_bad", "length_mismatch", "truncated", "struct_length", "unknown_msg_id"} <= found
 
 
+@pytest.mark.long
 @settings(max_examples=examples(20, 20, 1), phases=[Phase.explicit, Phase.generate])
 @given(st.lists(any_frames(), min_size=60, max_size=90))
 def test_any_frames_of_f_prime(agreed, tmp_path_factory, frames):
@@ -231,6 +232,7 @@ def test_frames_that_the_capture_cut(agreed, write_pcap, tmp_path):
     agreed(path, mission(tmp_path), MISSION, structs=(DICTIONARY,))
 
 
+@pytest.mark.long
 def test_a_port_alone_makes_no_frames(tshark, write_pcap, tmp_path):
     """What frames are like is for a mission to say: with a port they stay data; no preference names one."""
     frames = [frame for frame, _ in replace(FORMATS[0]).carry(TELEMETRY[:3])]

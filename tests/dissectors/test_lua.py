@@ -168,6 +168,7 @@ def test_preferences_add_ports_and_headers(tshark, write_pcap, tmp_path):
     assert decoded_as[1].fields["edoras.link"][0][0] == "ci"
 
 
+@pytest.mark.long
 def test_what_is_of_the_robot_is_told_by_its_doubles(tshark, write_pcap, tmp_path):
     numbers = (0.5, 0, -0.0, 3e-322, 1e19, 1.9e19, -1e20, 1e-77, 8e-78, 1e-100, math.nan, math.inf)
     payloads = [

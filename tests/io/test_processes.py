@@ -164,6 +164,7 @@ def test_a_process_that_was_killed(started, early):
             workers.take()
 
 
+@pytest.mark.long
 @settings(max_examples=15)
 @given(
     count=st.integers(1, 2),

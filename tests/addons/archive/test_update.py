@@ -430,6 +430,7 @@ def web(folder):
     server.server_close()
 
 
+@pytest.mark.long
 def test_captures_at_a_url_are_indexed_as_local_ones(folder, updated, web):
     local = updated(folder / "x.duckdb", folder)
     remote = updated(folder / "y.duckdb", f"{web}/")

@@ -193,6 +193,7 @@ STREAMS = {
 }
 
 
+@pytest.mark.quick("sbn", "fprime", "tm")
 @pytest.mark.parametrize("name", STREAMS)
 @given(data=st.data())
 @settings(max_examples=examples(100))

@@ -38,6 +38,7 @@ def one(checked, topic, text):
     return item.passed, item.found
 
 
+@pytest.mark.long("cmd_vel-*", "0x1827-*", "*at most 16%*", "*at most 91*", "SBN_HK-{count*", "*70..75*")
 @pytest.mark.parametrize(
     ("topic", "text", "passed", "found"),
     [

@@ -188,6 +188,7 @@ def test_entries_in_a_circle(tmp_path):
             take(DebugInfo(broken), ["Hk"], {}, None)
 
 
+@pytest.mark.quick("flags1")
 @pytest.mark.parametrize("flags", [["-gdwarf-2"], ["-gdwarf-5"], ["-gz=zlib"]])
 def test_of_damaged_files_one_line_is_said(flags, tmp_path):
     """Cut short, or with bits turned over: it is read, or the file is named and what is wrong with it."""

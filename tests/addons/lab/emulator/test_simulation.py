@@ -87,6 +87,7 @@ def test_commands_end_after_their_count():
     assert (simulation.ground.sent, simulation.apps.edoras.robot_commands) == (7, 7)
 
 
+@pytest.mark.long
 def test_ten_minutes_of_one_rover():
     simulation = Simulation(scenario="rover", command_rate_hz=2)
     seen = Counter(routes(simulation.run(600 * SECOND)))

@@ -80,6 +80,7 @@ def counts(summary):
 # The figures of WIRE.md and of the marks of c1_tlm_rate_limit4, a_rover
 
 
+@pytest.mark.long
 def test_telemetry_with_a_limit_of_4_ends_between_8_and_9_hz_as_captured(bench):
     summary = run(bench(*TWO), "/robot_1/ground/pose", "two-rovers")
     assert (summary["threshold_hz"], summary["first_loss_hz"]) == (8, 9)
@@ -197,6 +198,7 @@ def test_cfs_is_left_as_it_was_found(bench, monkeypatch):
 # Ends
 
 
+@pytest.mark.long
 def test_two_runs_are_the_same(bench):
     one, two = (run(bench(*TWO), "/robot_1/cmd_vel", "two-rovers", rates=(30, 50)) for _ in range(2))
     assert one == two
