@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 from fprime_session import space
 from icmp_errors import datagram, error_about, frame
-from mutations import Frame
+from mutations import Frame, frames
 from mutations import write as write_frames
 from pdus import eof, finished, metadata, nak, pdu, piece, with_crc
 from places import CAPTURES, ROOT
@@ -116,14 +116,13 @@ def stream_gap(lab, tmp_path, msg_id):
 
 def _answered(tmp_path, lab, code, reporter):
     """Return the diagnosis of a rover to whom, from 20 to 40 s, errors come back about all telemetry."""
-    out = []
-    for item in datagrams(CAPTURES / "a_rover.pcap"):
-        packet = datagram(
-            item.payload, item.source, item.destination, id=item.identification, ttl=item.time_to_live
-        )
-        sent = frame(packet)
-        out.append(Frame(item.time_ns, sent, len(sent)))
+    path, out = ROOT / "tests/captures/a_rover.pcap.zst", []
+    for item, sent in zip(datagrams(path), frames(path), strict=True):
+        out.append(sent)
         if item.destination[1] == 1235 and 20 < (item.time_ns - out[0].time_ns) / 10**9 < 40:
+            packet = datagram(
+                item.payload, item.source, item.destination, id=item.identification, ttl=item.time_to_live
+            )
             error = frame(error_about(packet, code=code, reporter=reporter))
             out.append(Frame(item.time_ns + 10_000, error, len(error)))
     return lab.read(write_frames(tmp_path / "x.pcap", out), lab.missions("rover"))
