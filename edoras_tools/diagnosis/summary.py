@@ -38,6 +38,7 @@ CAUSES: Final = {
     "restart": "while CI was restarted",
     "ci_stopped": "while CI was stopped",
     "stopped": "while the application was stopped",
+    "restart_failed": "after the application was started again: nothing came out of it any more",
     "away": "while the SBN peer was away",
     "unsubscribed": "to an SBN peer that did not subscribe",
     PEER_RESTARTED: "sent to an SBN peer that restarted",

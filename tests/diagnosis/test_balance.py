@@ -32,7 +32,7 @@ TRUTH = {
     "n3_cfs_restart": {"down": 38},
     # And one wake-up of CI while it was restarted, which an event names, and 21 at the pipe of a Telemetry
     # Output that had stopped.
-    "n5_app_restarts": {"restart": 28, "stopped": 108, "limit": 22},
+    "n5_app_restarts": {"restart": 28, "stopped": 60, "restart_failed": 48, "limit": 22},
     "n10_uplink_loss": {"network": 34},
     "n12_two_hosts_flight": {"after": 83},
     "n12_two_hosts_ground": {"after": 83},

@@ -80,8 +80,14 @@ def test_a_restart_in_frames_that_were_cut_is_told_though_nothing_names_its_cfs(
 
 def test_what_is_sent_to_a_ci_that_was_stopped_is_lost_there():
     diagnosis = examined("apps_stopped")
-    lost = {item.hop: (item.lost, item.of) for item in found(diagnosis, "app_outage") if item.lost}
-    assert lost == {"EDORAS_APP": (143, 143), "CI_LAB_APP": (36, 36)}
+    lost = {
+        (item.hop, item.cause): (item.lost, item.of) for item in found(diagnosis, "app_outage") if item.lost
+    }
+    assert lost == {
+        ("EDORAS_APP", "stopped"): (49, 49),
+        ("EDORAS_APP", "restart_failed"): (94, 94),
+        ("CI_LAB_APP", "ci_stopped"): (36, 36),
+    }
     hops = chain(diagnosis, "0x1827")
     assert (hops["CI"]["lost"], hops["application to robot"]["out"]) == (36, 31)
     assert hops["application to robot"]["waiting"] == 0

@@ -47,6 +47,7 @@ LossKind = (
         "restart",
         "ci_stopped",
         "stopped",
+        "restart_failed",
         "away",
         "unsubscribed",
         "sbn_socket",
@@ -55,8 +56,9 @@ LossKind = (
     ]
 )
 """Over a limit or out of a full pipe; behind cFS; on the way to CI; in CI's socket; while cFS or CI was down;
-while the application was; while an SBN peer was away, or had not subscribed to it; unknown: nothing tells
-where, or of which MsgId; fragments: only the first fragments of it came; port_closed: nobody listened."""
+while the application was, or after it was started again and passed nothing on; while an SBN peer was away, or
+had not subscribed to it; unknown: nothing tells where, or of which MsgId; fragments: only the first fragments
+of it came; port_closed: nobody listened."""
 
 LEAD_NS: Final = 700 * MILLISECOND
 """A loss may be counted so long before the next message of the stream is seen."""

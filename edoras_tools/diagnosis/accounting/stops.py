@@ -108,6 +108,10 @@ def outages(timeline: Timeline, begin_ns: int) -> list[Outage]:
     return sorted(found, key=lambda item: item.start_ns)
 
 
+_STOPPED: Final[LossKind] = "stopped"
+_RESTART_FAILED: Final[LossKind] = "restart_failed"
+
+
 class _Cause(NamedTuple):
     """Why nothing got through for a time."""
 
@@ -162,13 +166,13 @@ class Stops:
         # What arrived last was taken before it stopped.
         last = times[fate.arrived & (times <= item.start_ns + WAITS_NS)]
         inside &= times > (int(last[-1]) if len(last) else 0)
-        if not inside.any():
-            return
-        evidence = [item.witness]
+        again = np.zeros(len(times), bool)
         if item.end_ns is not None and (until_ns is None or until_ns > item.end_ns + TAIL_NS):
-            evidence.append("it was started again, and nothing came out of it after that")
-        fate.stop[inside] = len(self._causes)
-        self._causes.append(_Cause("stopped", item.app, tuple(evidence)))
+            again = times > item.end_ns  # it runs, and passes nothing on
+        for rows, kind in ((inside & ~again, _STOPPED), (inside & again, _RESTART_FAILED)):
+            if rows.any():
+                fate.stop[rows] = len(self._causes)
+                self._causes.append(_Cause(kind, item.app, (item.witness,)))
 
     def _mark_closed(self, fate: Fate) -> None:
         """Mark the messages that came over SBN, or were to leave over it, when that was closed (rule 4)."""

@@ -211,7 +211,12 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
         )
 
 
-_KINDS: Final = {"restart": "restarted", "ci_stopped": "stopped", "stopped": "stopped"}
+_KINDS: Final = {
+    "restart": "restarted",
+    "ci_stopped": "stopped",
+    "stopped": "stopped",
+    "restart_failed": "started again, and nothing came out of it after that",
+}
 
 
 def app_outage(case: Case) -> Iterator[Verdict]:
@@ -229,7 +234,7 @@ def app_outage(case: Case) -> Iterator[Verdict]:
                 loss,
                 f"{lost_at(case, loss, noun)}: {loss.hop} was {_KINDS[loss.kind]}",
                 link="ci" if loss.stream is None else loss.stream.link.label,
-                remedy=_remedy(case, case.called(loss.hop)),
+                remedy=_REVIVE if loss.kind == "restart_failed" else _remedy(case, case.called(loss.hop)),
             )
     for item in case.outages:
         start_ns = max(item.start_ns, case.start_ns)
@@ -252,6 +257,12 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             if item.app.startswith("TO_")
             else _remedy(case, item.app),
         )
+
+
+_REVIVE: Final = (
+    "start cFS again, not that application alone: its console says what failed, often a socket that is still "
+    "in use"
+)
 
 
 def _remedy(case: Case, app: str) -> str:
