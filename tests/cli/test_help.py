@@ -10,7 +10,7 @@ from edoras_tools.cli.help import page
 
 def test_help_of_a_command_is_all_of_it(call):
     short, whole = call("record", "--help").out, call("help", "record").out
-    assert "Keep the newest 5 files" in whole
+    assert "Keep only the newest 5 or 20G" in whole
     assert "Only packets that" not in short
     assert set(short.splitlines()[: short.splitlines().index("Options:")]) <= set(whole.splitlines())
     assert call("help").out == call("help", "all").out

@@ -139,7 +139,8 @@ def test_its_command_counts_who_heard_the_modem(edoras, capture):
     assert edoras("radio", capture) == (
         "station 7  2 datagrams  -90 to -90 dBm\nstation 9  1 datagrams  -90 to -90 dBm\n"
     )
-    assert "Show which ground stations heard the modem, and how well." in edoras("--help")
+    listed = " ".join(edoras("--help").split())
+    assert "Show which ground stations heard the modem, and how well." in listed
     assert "FILE" in edoras("help", "radio")
 
 
