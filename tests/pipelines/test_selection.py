@@ -8,7 +8,7 @@ import typer
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.cli.options import TimeOptions, at, moment, zone
+from edoras_tools.cli.options import TimeOptions, at, moment, time_zone
 from edoras_tools.errors import ConfigError
 from edoras_tools.older import UTC
 from edoras_tools.pipelines.selection import Period
@@ -20,7 +20,7 @@ BERLIN = ZoneInfo("Europe/Berlin")
 
 def period(start=None, end=None, tz=None):
     words = [None if text is None else moment(text) for text in (start, end)]
-    return TimeOptions(*words, None if tz is None else zone(tz)).period()
+    return TimeOptions(*words, None if tz is None else time_zone(tz)).period()
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_a_zone_needs_a_clock_time():
 )
 def test_unknown_zones(text, words):
     with pytest.raises(typer.BadParameter, match=words):
-        zone(text)
+        time_zone(text)
 
 
 @pytest.mark.parametrize(
