@@ -179,6 +179,7 @@ def test_what_exists_is_refused(call, folder, writer):
     assert contents(folder) == before
 
 
+@pytest.mark.long("archive*")
 @pytest.mark.parametrize("writer", FOLDERS)
 def test_a_folder_with_something_in_it_is_refused(call, folder, writer):
     place, _, words = FOLDERS[writer]
@@ -190,6 +191,7 @@ def test_a_folder_with_something_in_it_is_refused(call, folder, writer):
     assert contents(folder) == before
 
 
+@pytest.mark.long("archive*")
 @pytest.mark.parametrize("writer", [name for name in FOLDERS if name not in {"files -o", "record --rosbag2"}])
 def test_a_second_run_changes_no_byte_of_a_first(call, folder, writer):
     """The same again is refused, or finds all as it is."""
@@ -205,6 +207,7 @@ OPENED_FIRST = [name for name in WRITERS if name.split()[0] not in {"recover", "
 """Bridges take ports that another program may have; a sweep runs first."""
 
 
+@pytest.mark.long("archive*")
 @pytest.mark.parametrize("writer", OPENED_FIRST)
 def test_where_no_file_can_be_is_one_line(call, folder, writer):
     """A file is in the place of the folder: this is as if nobody might write there."""
@@ -255,6 +258,7 @@ def test_force_replaces(call, folder):
     assert call("info", "old.mcap").code == 0
 
 
+@pytest.mark.long("archive*")
 @pytest.mark.parametrize(
     ("name", "words"),
     [

@@ -113,7 +113,6 @@ def test_the_captures_are_there():
 
 
 FITTING = {
-    "a_rover": "rover",
     "b_arm_single": "arm",
     "e_ci_errors": "rover",
     "f_sbn_disconnect": "two rovers",

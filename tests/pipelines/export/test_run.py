@@ -99,7 +99,7 @@ def of_duckdb(path):
 READERS = {"pandas": of_pandas, "polars": of_polars, "duckdb": of_duckdb}
 
 
-@pytest.mark.quick("b_arm_single", "f_sbn_disconnect")
+@pytest.mark.quick("f_sbn_disconnect")
 @pytest.mark.parametrize("name", long_but(SMALL_SAMPLES, SAMPLE_MISSIONS))
 def test_parquet_holds_what_rosbags_reads(name, tmp_path):
     pytest.importorskip("pyarrow")

@@ -47,7 +47,7 @@ def parsed(definition, packet):
         return dict(definition.parse_bytes(packet, root_container_name="CCSDSPacket").items())
 
 
-@pytest.mark.quick("b_arm_single", "e_ci_errors")
+@pytest.mark.quick("b_arm_single")
 @pytest.mark.parametrize("name", GROUND_SAMPLES)
 def test_the_independent_reader_reads_the_values_that_we_do(name, definition):
     bench = sample_bench(name)

@@ -47,7 +47,7 @@ def same(theirs, ours):
     return theirs == (str(ours) if isinstance(theirs, str) else ours)
 
 
-@pytest.mark.quick("b_arm_single", "f_sbn_disconnect")
+@pytest.mark.quick("b_arm_single")
 @pytest.mark.skipif(not (NPM / "node_modules/@mcap/core").exists(), reason=WHY)
 @pytest.mark.parametrize("sample", long_but(SMALL_SAMPLES, SAMPLE_MISSIONS))
 def test_every_message_is_the_same_to_foxglove_and_to_rosbags(sample, tmp_path):
