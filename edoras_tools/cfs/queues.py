@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final, Generic, TypeVar
 import numpy as np
 
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -232,8 +233,8 @@ def pass_queue(
         rounds = -(-min(count, queue.depth) // reads)
         wakes_ns = queue.wakes(int(time_ns[0]), int(time_ns[-1]) + rounds * queue.round_ns)
         wake = np.searchsorted(wakes_ns, time_ns)
-    ids, kind = np.unique(msg_id, return_inverse=True)
-    limit = np.array([queue.limit(int(item)) for item in ids], np.int64)[kind]
+    first_of, kind = numbered(msg_id)
+    limit = np.array([queue.limit(int(item)) for item in msg_id[first_of]], np.int64)[kind]
     messages = _Messages(queue, time_ns, kind, limit, np.full(count, -1, np.int64))
     outcome = np.full(count, QueueEnd.WAITING, np.uint8)
     left_ns = np.full(count, -1, np.int64)
@@ -307,7 +308,7 @@ class _Messages:
             batch: (rows,), ascending, between which wake-ups; the queue is empty before each.
         """
         limit = self.limit[rows]
-        group = np.unique(batch * (len(rows) + len(self.kind)) + self.kind[rows], return_inverse=True)[1]
+        group = numbered(batch, self.kind[rows])[1]
         below = _rank(group) < limit
         entered = below & (_rank(batch, below) < self.queue.depth)
         inside = np.bincount(group, entered)[group] if len(rows) else limit
@@ -340,7 +341,8 @@ class _Messages:
 
 def _rank(group: NDArray[np.int64], among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
     """Return how many elements of the same group stand before each one; only those ``among`` count."""
-    order = np.argsort(group, kind="stable")
+    # 16 bits sort by radix, several times as fast.
+    order = np.argsort(group.astype(np.uint16) if group.max(initial=0) <= 0xFFFF else group, kind="stable")
     ones = np.ones(len(group), np.int64) if among is None else among[order].astype(np.int64)
     before = np.cumsum(ones) - ones
     ordered = group[order]

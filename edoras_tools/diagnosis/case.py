@@ -452,9 +452,7 @@ class Case:
     def _doubled(self) -> Counter[tuple[int, int, int]]:
         """Link, receiver and MsgId of each."""
         rows = self.prepared.doubled
-        return Counter(
-            zip(*(item.tolist() for item in (rows.link, rows.destination, rows.msg_id)), strict=True)
-        )
+        return Counter(zip(rows.link.tolist(), rows.destination.tolist(), rows.msg_id.tolist(), strict=True))
 
     def route(self, msg_id: int, link: Link | None = None) -> Route | None:
         """Return the configured route of a MsgId, on a link or on any."""

@@ -110,7 +110,7 @@ def _track(samples: Samples, chosen: NDArray[np.intp], instances: Instances) -> 
     made_ns = instances.made_ns[samples["row"][chosen]]
     order = np.argsort(made_ns, kind="stable")
     # Of one time there is one sample: what comes again is the same.
-    order = order[np.diff(made_ns[order], prepend=-1) > 0]
+    order = order[np.diff(made_ns[order], prepend=made_ns[order[:1]] - 1) > 0]
     return Track.of(made_ns[order], {name: samples[name][chosen[order]] for name in _WIDTHS})
 
 

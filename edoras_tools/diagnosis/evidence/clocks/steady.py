@@ -39,6 +39,8 @@ _SURE: Final = 4
 _ALIKE_NS: Final = 20 * MILLISECOND
 """Delays of one round differ by less; behind a peer that hands packets on, or a slow network, by more."""
 _MODULUS: Final = 1 << 14
+_FURTHEST_NS: Final = 1 << 62
+"""No clock of 32 bits of seconds can be set by more: the times are garbled."""
 _NEXT: Final = 16
 _MOST_GO_ON: Final = 0.6
 
@@ -64,7 +66,7 @@ def steadied(
     """Return the rows as if no clock had been set, every jump that was taken out, and who made the rows."""
     rows, jumps = _forward_only(rows)
     instances = Instances(rows, events, endpoints)
-    while len(jumps) < _MOST and (parted := _parted(rows, instances)) is not None:
+    while len(jumps) < _MOST and (parted := _parted(rows, instances)) and abs(parted[0].by_ns) < _FURTHEST_NS:
         jump, before = parted
         rows = _without(rows, jump, instances.of_row == before)
         jumps.append(jump)
