@@ -71,7 +71,7 @@ _BY_BUS: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost",
 _BEFORE_CI: Final = frozenset({"network", "socket", "down", "restart", "ci_stopped", PORT_CLOSED})
 _NOT_READ: Final = frozenset({"sbn_socket", "down", PORT_CLOSED})
 _ON_BUS: Final = frozenset({*COUNTERS, "unknown"})
-_BEHIND_BUS: Final = frozenset({"stopped", "restart_failed", "away", "unsubscribed"})
+_BEHIND_BUS: Final = frozenset({"stopped", "restart_failed", "away", "unsubscribed", "disabled"})
 _AT_PIPE: Final = frozenset({*COUNTERS, "stopped", "away"})
 _BEHIND_PIPE: Final = frozenset({"after", "unknown", "fragments"})
 _TEXTS: Final[Mapping[LossKind, str]] = {
@@ -88,6 +88,7 @@ _TEXTS: Final[Mapping[LossKind, str]] = {
     "ci_stopped": "{hop} was stopped",
     "away": "the SBN peer was away",
     "unsubscribed": "the SBN peer had not subscribed to it",
+    "disabled": "Telemetry Output was not to send it",
     "sbn_socket": "SBN's socket was full",
     "fragments": "its later fragments never came",
     "port_closed": "nobody listened on the port of {hop}",

@@ -41,6 +41,7 @@ CAUSES: Final = {
     "restart_failed": "after the application was started again: nothing came out of it any more",
     "away": "while the SBN peer was away",
     "unsubscribed": "to an SBN peer that did not subscribe",
+    "disabled": "while Telemetry Output was not to send them",
     PEER_RESTARTED: "sent to an SBN peer that restarted",
     UNHEARD: "sent to a silent SBN peer",
     "sbn_socket": "at SBN's full socket",

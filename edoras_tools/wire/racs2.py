@@ -22,8 +22,6 @@ SUBPROTOCOL: Final = "example-protocol"
 BRIDGE_HEADER: Final = 32
 LARGEST_BODY: Final = 128
 """Bytes that the cFS side has room for; it copies longer ones over what follows its buffer."""
-BODY_MODULUS: Final = 256
-"""The cFS side keeps the length of a body in one byte."""
 TO_ROS: Final = Layout(
     "racs2_topic",
     "RACS2 to ROS 2",

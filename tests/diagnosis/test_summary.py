@@ -16,7 +16,7 @@ FIRST = {
     "b_arm_single": "No loss found: all 688 messages arrived.",
     "c4_cmd_rate": "Over half of the commands never arrived: 1,793 of 3,080 0x1827 were lost.",
     "e2_ci_nosubs": "32 commands were lost: 22 of 40 0x1827, 10 of 10 0x18ee.",
-    "n11_jointstate_sizes": "Nearly half of the messages never arrived whole: 32 of 76 0x0828 were lost.",
+    "n11_jointstate_sizes": "44 messages were lost: 32 of 76 0x0828, 12 of 12 0x182a.",
     "n8_time_jumps": "No loss found, but 1 warning:",
     "q07_uplink_dup_loss_reorder_ground": "281 datagrams were not examined. "
     "In the rest: 37 messages were lost: 0x1827.",

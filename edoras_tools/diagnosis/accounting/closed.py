@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import telemetry_output
+from edoras_tools.cfs import sbn, telemetry_output
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import SECOND
@@ -48,10 +50,14 @@ def closed_at(known: Known, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.
                 out |= (starts - _STOPS_NS < when) & (when < ends)
         return out
     connection = known.network.crossing(stream.sender, stream.receiver)
+    owner = known.owner(stream)
+    system = known.instances.systems[owner] if owner != NOBODY else 0
+    stopped = known.timeline.spans(StateOwner("app", sbn.NAME), "stopped", system)
     for index, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
         out[index] = bool(
             (connection and connection.broken_within(start, end))
             or known.network.unsubscribed_within(stream.msg_id, start - _STOPS_NS, end)
+            or any(span.overlaps(start, end) for span in stopped)
         )
     return out
 
@@ -109,7 +115,12 @@ def silences_of(known: Known, sender: int) -> list[tuple[int, int]]:
         for item in known.payloads.output
         if item.function_code == telemetry_output.ENABLE
     ]
-    return silences(_sent_by(known, sender), enabled, known.profile.to_wake_ns)
+    sent_ns = _sent_by(known, sender)
+    owner = known.instances.owner(sender, int(sent_ns[0]))
+    if owner != NOBODY:  # since it began, or the capture did
+        boot_ns = known.instances.items[owner].offset_ns + known.profile.boot_time_s * SECOND
+        sent_ns = np.append(max(boot_ns, int(rows.time_ns[0])), sent_ns)
+    return silences(sent_ns, enabled, known.profile.to_wake_ns)
 
 
 def silences(sent_ns: NDArray[np.int64], enabled_ns: Sequence[int], wake_ns: int) -> list[tuple[int, int]]:

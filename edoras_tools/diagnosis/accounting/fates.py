@@ -33,7 +33,7 @@ class Fate:
         stream: the stream.
         hops: where its messages come out; none where that cannot be seen.
         arrived: bool (rows,), it came out.
-        newer: bool (rows,), it did not, and a newer one of its round did.
+        newer: bool (rows,), it did not, and a newer one that may have been taken together with it did.
         spans: its messages in time.
         open: bool (rows,), nothing has told yet what became of it.
         waits: bool (rows,), it may yet come out.
@@ -125,15 +125,16 @@ def follow(known: Known, stream: Stream) -> Fate:
     """Follow a stream to where it comes out, if that can be seen."""
     hops = [hop for hop in known.hops if hop.into is stream]
     size = len(stream)
-    arrived, newer, followed = np.zeros(size, bool), np.zeros(size, bool), np.zeros(size, bool)
+    arrived, followed = np.zeros(size, bool), np.zeros(size, bool)
     for hop in hops:
         arrived |= hop.arrived
-        newer |= hop.newer
         followed |= hop.known
     times = known.captured(stream)
     open_ = followed & ~arrived
     delay = max((int(np.quantile(hop.delays_ns, 0.99)) for hop in hops if len(hop.delays_ns)), default=0)
-    waiting = open_ & (times > known.end_ns - delay - WAITS_NS) & ~known.closed[stream.rows]
+    last_ns = times[arrived][-1] if arrived.any() else 0
+    since_ns = max(known.end_ns - delay - WAITS_NS, last_ns - 2 * WAITS_NS)
+    waiting = open_ & (times > since_ns) & ~known.closed[stream.rows]
     if not hops:
         open_ = np.ones(size, bool)
         waiting = np.zeros(size, bool)
@@ -145,7 +146,7 @@ def follow(known: Known, stream: Stream) -> Fate:
         stream=stream,
         hops=hops,
         arrived=arrived,
-        newer=newer & ~arrived,
+        newer=_newer(known, hops, open_, times),
         spans=known.spans(stream),
         open=open_ & ~waiting,
         waits=waiting,
@@ -153,6 +154,29 @@ def follow(known: Known, stream: Stream) -> Fate:
         unseen=unseen,
         doubled=sum(hop.doubled for hop in hops),
     )
+
+
+def _newer(
+    known: Known, hops: list[Hop], absent: NDArray[np.bool_], times: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Tell which messages may have given way to one that was sent some time later.
+
+    An application that keeps the newest for SBN takes together what waited before it: for a few rounds where
+    CI has more than it reads, and for all of a time in which cFS stood still.
+    """
+    out = np.zeros(len(times), bool)
+    if not any(hop.rewritten and hop.out.link.peers for hop in hops):
+        return out
+    came = np.flatnonzero(~absent)
+    behind = np.searchsorted(came, np.flatnonzero(absent))
+    rows, behind = np.flatnonzero(absent)[behind < len(came)], behind[behind < len(came)]
+    first = np.where(behind > 0, came[behind - 1] + 1, 0)
+    next_ns = times[came[behind]]
+    out[rows] = next_ns - times[first] <= 2 * WAITS_NS
+    for system, owner in known.timeline.subjects:
+        for span in known.timeline.spans(owner, "stalled", system):
+            out[rows] |= (times[rows] > span.start_lo - SECOND) & (next_ns <= span.end_hi + SECOND)
+    return out
 
 
 def loss_of(

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 LATE_NS: Final = 2 * SECOND
 """A count is seen within so long of what it counts."""
-_RANKS: Final = (ABSENT, POSSIBLE + 1, POSSIBLE + 3, POSSIBLE + 2, INTO_STOP)
+_RANKS: Final = (ABSENT, POSSIBLE + 1, POSSIBLE + 3, POSSIBLE + 2, INTO_STOP, POSSIBLE + 2)
 """Ranks of the claims of ``_standing`` messages."""
 _MAY_WAIT: Final = 2
 _BLIND: Final = 3
@@ -58,11 +58,11 @@ _FULL: Final = 0.3
 
 
 def _standing(fate: Fate) -> tuple[NDArray[np.bool_], ...]:
-    """Return which messages lack, may have gone on, may yet come, nobody sees, and were sent to nobody."""
+    """Return which messages lack, may have gone on, may yet come, nobody sees, were sent to nobody, end."""
     into_stop = fate.open & (fate.stop >= 0)
     others = fate.open & ~into_stop
-    sure = others & ~fate.newer & ~fate.passed & ~fate.edge
-    return sure, others & ~sure, fate.waits, fate.blind, into_stop
+    sure = others & ~fate.newer & ~fate.passed & ~fate.edge & fate.seen
+    return sure, others & ~sure & ~fate.edge, fate.waits, fate.blind, into_stop, others & fate.edge
 
 
 @dataclass(slots=True)
@@ -98,14 +98,15 @@ class Pipes:
         group = [
             instance
             for instance in self._counts
-            if fate.seen and self._known.goes_to(stream, instance) and self._leaves(fate, instance)
+            if self._known.goes_to(stream, instance) and self._leaves(fate, instance)
         ]
-        if not group:
-            return
         kinds = [
             kind for kind in COUNTERS if any(self._named(stream, kind, instance)[0] for instance in group)
         ]
         named = bool(kinds)
+        # Of traffic that nobody can follow events tell that it has a part in what others' counts may be.
+        if not group or not (fate.seen or (named and self._known.hops)):
+            return
         kinds += [kind for kind in COUNTERS if kind not in kinds]
         low_ns, high_ns = self._times(fate)
         which = np.searchsorted([item.first for item in fate.spans], np.arange(len(stream)), "right") - 1

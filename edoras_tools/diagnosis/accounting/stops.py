@@ -13,6 +13,8 @@ Rules:
    So it is after a command that stops one, where no event that answers it can be read.
 4. What came over SBN, or was to leave over it, is lost while SBN was stopped, and while the peer that it was
    for was away or had not subscribed to it: the timeline says when.
+5. What an application was to send on by Telemetry Output is lost while that sent nothing until it was
+   enabled, or had no entry for it: it did not come out, and could not.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services, names, sbn, telemetry_output
+from edoras_tools.diagnosis.accounting.closed import silences_of
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, loss_of
 from edoras_tools.diagnosis.accounting.losses import TAIL_NS, Known, Loss, LossKind
 from edoras_tools.diagnosis.evidence.timeline.reasons import Way, reasons_for
@@ -143,6 +146,7 @@ class Stops:
                 self._mark(fate, item)
             if fate.seen:
                 self._mark_closed(fate)
+                self._mark_unsent(fate)
             own = [
                 item
                 for item in self._gone
@@ -206,6 +210,31 @@ class Stops:
                     self._causes.append(cause)
                 if inside.any():
                     fate.stop[inside] = self._causes.index(cause)
+
+    def _mark_unsent(self, fate: Fate) -> None:
+        """Mark the messages that Telemetry Output was not to send (rule 5)."""
+        known, outs = self._known, [hop.out for hop in fate.hops]
+        if not all(out.link.only_from_cfs for out in outs):
+            return
+        spans = {
+            (*item, f"Telemetry Output sent nothing until it was enabled, {known.at(item[1])}")
+            for out in outs
+            for item in silences_of(known, out.sender)
+        }
+        stopped = []
+        for out in outs:
+            way = Way(out.msg_id, out.link, known.system(fate.stream))
+            for span, text in reasons_for(known.timeline, way, 0, NEVER, known.at):
+                if span.change.subject.kind == "entry" or (span.change.state == "stopped" and not span.end):
+                    spans.add((span.start_lo, span.end_lo, text))
+                elif span.change.state == "stopped":
+                    stopped.append(span)  # what is missing from counts tells of that
+        times = known.captured(fate.stream)
+        for start_ns, end_ns, text in sorted(spans):
+            inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
+            if inside.any() and not any(span.overlaps(start_ns, end_ns) for span in stopped):
+                fate.stop[inside] = len(self._causes)
+                self._causes.append(_Cause("disabled", telemetry_output.NAME, (text,)))
 
     def tell(self) -> None:
         """Make losses of what was marked and no counter counted."""

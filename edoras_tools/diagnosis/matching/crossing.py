@@ -29,12 +29,8 @@ if TYPE_CHECKING:
 
 _LONGEST_NS: Final = 120 * SECOND
 """No message is under way for longer: a full socket at CI is read within a minute and a half."""
-_NEWER_NS: Final = 550 * MILLISECOND
-"""Messages that go in further apart are taken in two rounds of CI."""
-_ROUND_NS: Final = 500 * MILLISECOND
-_OFTENER: Final = 2
-_BURST_NS: Final = 20 * MILLISECOND
-_FEW_TOGETHER: Final = 0.1
+_EARLY_NS: Final = 20 * MILLISECOND
+"""By so much a message may come out before it went in: times of two interfaces, or of a busy host."""
 _ALIKE: Final = 0.5
 _LEAST_DIFFERENT: Final = 3
 _NEARLY_ALL: Final = 0.9
@@ -77,7 +73,6 @@ class Hop:
         rewritten: an application read them and wrote them anew; else they are the same packets.
         known: bool, a row of ``into`` each: it has a fingerprint, so it can be found again.
         arrived: bool, likewise: it came out.
-        newer: bool, likewise: it did not, and a newer one of the same round did, where only the newest does.
         single: bool, one for each that is ``known``: no other of them has its fingerprint.
         origin: i64, a row of ``out`` each: the place in ``into`` that it came from, -1 where there is none.
         sole: bool, likewise: its fingerprint occurs once coming out, and not twice going in.
@@ -96,7 +91,6 @@ class Hop:
     rewritten: bool
     known: NDArray[np.bool_]
     arrived: NDArray[np.bool_]
-    newer: NDArray[np.bool_]
     single: NDArray[np.bool_]
     origin: NDArray[np.intp]
     sole: NDArray[np.bool_]
@@ -367,25 +361,15 @@ def _likely(came: NDArray[np.uint64], went: NDArray[np.uint64]) -> bool:
 def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went: NDArray[np.uint64]) -> Hop:
     """Give every message that came out the latest equal one that had gone in and not come out yet."""
     in_ns, out_ns = rows.time_ns[into.rows], rows.time_ns[out.rows]
-    from_ = paired(came, in_ns, went, out_ns)
+    from_ = paired(came, in_ns - _EARLY_NS, went, out_ns)
     from_[out_ns - in_ns[from_] > _LONGEST_NS] = -1
     goes_row = np.flatnonzero(from_ >= 0)
     from_row = from_[goes_row]
-    delay = out_ns[goes_row] - in_ns[from_row]
+    delay = np.maximum(0, out_ns[goes_row] - in_ns[from_row])
 
     arrived = np.zeros(len(came), bool)
     arrived[from_row] = True
     rewritten = out.link.last_hop or into.msg_id != out.msg_id
-    newer = np.zeros(len(came), bool)
-    if rewritten and _newest_only(out_ns[goes_row]):
-        # Taken in one round: not before the one that came out last, and close to the one that does.
-        never = np.iinfo(np.int64).max
-        next_ns = np.minimum.accumulate(np.where(arrived, in_ns, never)[::-1])[::-1]
-        newer = ~arrived & (next_ns < never) & (came != 0)
-        newer[newer] = next_ns[newer] - in_ns[newer] <= _NEWER_NS
-        # Of two that are half a round apart every other pair is taken in one; where more lack, they are lost.
-        together = np.clip(1 - np.diff(in_ns) / _ROUND_NS, 0, None).sum()
-        newer &= bool(newer.sum() <= _OFTENER * together + _LEAST_DIFFERENT)
     often, out_often = _occurrences(came), _occurrences(went)
     single = often[from_row] == 1
     by_time = np.argsort(out_ns[goes_row][single], kind="stable")
@@ -395,7 +379,6 @@ def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went
         rewritten=rewritten,
         known=came != 0,
         arrived=arrived,
-        newer=newer,
         single=often[came != 0] == 1,
         origin=from_,
         sole=(went != 0) & (out_often == 1) & ~np.isin(went, came[often > 1]),
@@ -414,13 +397,6 @@ def _occurrences(values: NDArray[np.uint64]) -> NDArray[np.intp]:
     """Return how often each value occurs."""
     _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
     return np.asarray(counts[which])
-
-
-def _newest_only(out_ns: NDArray[np.int64]) -> bool:
-    """Tell whether messages come out one by one, as those of an application that keeps the newest do."""
-    if len(out_ns) < _LEAST_DIFFERENT:
-        return False
-    return float((np.diff(np.sort(out_ns)) < _BURST_NS).mean()) < _FEW_TOGETHER
 
 
 def latency_of(delay_ns: NDArray[np.int64]) -> Latency | None:

@@ -6,24 +6,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.cfs import sbn, telemetry_output
+from edoras_tools.cfs import sbn
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.cfs.software_bus import NAME
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.closed import one_sided
-from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_ROUTE
-from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.accounting.losses import Loss
@@ -36,32 +32,29 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
 
     Say what is not accounted for, and what had nowhere to go.
     """
+    reasons = {
+        "away": (
+            "the peer that they go to was away",
+            "restart the peer; it is connected again with its first SUB or PROTO",
+        ),
+        "unsubscribed": (
+            "the peer that they go to had not subscribed to them",
+            "let the peer subscribe to that MsgId again: compare what it is configured to receive",
+        ),
+        "disabled": (
+            "Telemetry Output was not to send them",
+            f"enable Telemetry Output as soon as it runs: {case.inject(ENABLE_OUTPUT)}",
+        ),
+        "sbn_socket": (
+            "more came at once than SBN reads",
+            f"send at most {sbn.DATAGRAMS_PER_WAKE} datagrams in {case.profile.sbn_wake_ns // 10**6} ms",
+        ),
+    }
     for loss in case.losses:
-        if loss.kind == "away":
-            yield loss_verdict(
-                case,
-                loss,
-                f"{lost_at(case, loss)}: the peer that they go to was away",
-                link=loss.stream.link.label if loss.stream else None,
-                remedy="restart the peer; it is connected again with its first SUB or PROTO",
-            )
-        elif loss.kind == "unsubscribed":
-            yield loss_verdict(
-                case,
-                loss,
-                f"{lost_at(case, loss)}: the peer that they go to had not subscribed to them",
-                link=loss.stream.link.label if loss.stream else None,
-                remedy="let the peer subscribe to that MsgId again: compare what it is configured to receive",
-            )
-        elif loss.kind == "sbn_socket":
-            yield loss_verdict(
-                case,
-                loss,
-                f"{lost_at(case, loss)}: more came at once than SBN reads",
-                link=loss.stream.link.label if loss.stream else None,
-                remedy=f"send at most {sbn.DATAGRAMS_PER_WAKE} datagrams in "
-                f"{case.profile.sbn_wake_ns // 1_000_000} ms",
-            )
+        if loss.kind in reasons:
+            why, remedy = reasons[loss.kind]
+            link = loss.stream.link.label if loss.stream else None
+            yield loss_verdict(case, loss, f"{lost_at(case, loss)}: {why}", link=link, remedy=remedy)
     for fate in case.commands.fates.values():
         if fate.unaccounted or fate.beyond:
             yield _lost_crossing(case, fate) if fate.seen else _unfollowed(case, fate)
@@ -69,7 +62,6 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
 
 def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     stream = fate.stream
-    into = case.name(stream.msg_id)
     ways = dict.fromkeys(
         "to the robot" if hop.out.link == ROBOT else f"as {case.name(hop.out.msg_id)}" for hop in fate.hops
     )
@@ -90,56 +82,25 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
             f"{behind:,} of them were sent after the last count of CI here, at {case.at(last_ns)}: whether "
             "CI, cFS or the application was away then, nothing tells"
         )
-    unsent = _before_enabled(case, fate, missing)
-    if unsent:
-        evidence.append(
-            f"{unsent:,} of them went in before Telemetry Output was enabled after its cFS had started: what "
-            "they became is not seen"
-        )
     if fate.doubled and (extra := sum(item.not_captured for item in accounts)):
-        evidence.append(
-            f"{fate.doubled:,} came out more than once, and CI counted {extra:,} more than were sent here: "
-            "the network may have lost these before CI, and doubled those"
-        )
-    closed = unsent == len(missing)
-    why = "Telemetry Output was not enabled yet" if closed else "the capture cannot show why"
-    number, proven = fate.unaccounted, "are not accounted for"
-    if not number:
-        number, proven = fate.beyond, "may be lost"
+        more = f"and CI counted {extra:,} more than were sent here: the network may have lost these before it"
+        evidence.append(f"{fate.doubled:,} came out more than once, {more}")
+    went_in = f"{fate.unaccounted or fate.beyond:,} of {len(stream):,} messages that went into cFS"
+    proven = "are not accounted for" if fate.unaccounted else "may be lost"
     return Verdict(
-        Severity.WARNING if closed or not fate.unaccounted else Severity.ERROR,
-        f"{number:,} of {len(stream):,} messages that went into cFS on {into} {proven}: they never came out "
-        f"{' or '.join(ways)}, and {why}",
+        Severity.ERROR if fate.unaccounted else Severity.WARNING,
+        f"{went_in} on {case.name(stream.msg_id)} {proven}: they never came out {' or '.join(ways)}, and the "
+        "capture cannot show why",
         msg_id=stream.msg_id,
         link=stream.link.label,
         hop="application",
         of=len(stream),
         span=(int(missing[0]), int(missing[-1])),
         evidence=(*evidence, *case.drops_text()),
-        remedy=f"enable Telemetry Output as soon as cFS runs: {case.inject(ENABLE_OUTPUT)}"
-        if closed
-        else "look at the application's own counters and console; a capture on the cFS host, from before the "
-        "traffic, shows which of them arrive there",
+        remedy="look at the application's own counters and console; a capture on the cFS host, from before "
+        "the traffic, shows which of them arrive there",
         confidence="medium" if visible else "low",
     )
-
-
-def _before_enabled(case: Case, fate: Fate, missing: NDArray[np.int64]) -> int:
-    """Return how many went into a cFS that had booted and whose telemetry was enabled only later."""
-    found, times = np.zeros(len(missing), bool), case.rows.time_ns
-    enabled = [
-        int(times[item.row]) for item in case.payloads.output if item.function_code == telemetry_output.ENABLE
-    ]
-    for out in {hop.out.instance for hop in fate.hops if hop.out.link.only_from_cfs} - {NOBODY}:
-        boot_ns = case.instances.items[out].offset_ns + case.profile.boot_time_s * SECOND
-        first_ns = min(
-            int(times[item.rows[0]])
-            for item in case.streams
-            if item.link.only_from_cfs and item.instance == out
-        )
-        if any(first_ns - SECOND <= when <= first_ns for when in enabled):
-            found |= (missing > boot_ns) & (missing < first_ns)
-    return int(found.sum())
 
 
 def _unfollowed(case: Case, fate: Fate) -> Verdict:

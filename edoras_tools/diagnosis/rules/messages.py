@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain, combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,7 @@ from edoras_tools.links.to import TO
 from edoras_tools.model import Finding, Link
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import groups
+from edoras_tools.wire.arrays.order import by_value, groups
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -165,6 +166,8 @@ def flight_bridge_length(case: Case) -> Iterator[Verdict]:
 _COUNTED_NS = 2200 * MILLISECOND
 """From a datagram to the 0x803 that counts it, at most."""
 _FEW = 8
+_UNKNOWN = (1, 2, 3)
+"""So many MsgIds that nobody takes are looked for."""
 
 
 def no_subscriber(case: Case) -> Iterator[Verdict]:
@@ -188,15 +191,17 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
     counted = _counted(case)
     for (instance, msg_id), members in counted.items():
         if (instance, msg_id) not in told and instance not in own:
-            text = (
-                "0x803: NoSubscribers grew right after, and nothing else was sent (the event stops after 4)"
-            )
+            text = "0x803: NoSubscribers grew by these, and nothing else fits it (the event stops after 4)"
             yield _not_taken(case, msg_id, table.link(case.rows.link[members[0]]), members, (text,))
 
 
 def _counted(case: Case) -> dict[tuple[int, int], list[int]]:
-    """Find growth of the counter that one command alone can have caused."""
-    rows = case.rows
+    """Find the MsgIds whose messages alone can be what the counter counted.
+
+    Of those that are not seen to be taken, and in the fewest of them that fit: at each count it has what was
+    sent before it, but for what may still be on its way.
+    """
+    rows, times = case.rows, case.rows.time_ns
     if case.known.peers_unseen:
         return {}  # what one cFS sends another comes in unseen
     arriving = np.flatnonzero(
@@ -204,24 +209,33 @@ def _counted(case: Case) -> dict[tuple[int, int], list[int]]:
         & (rows.function_code >= 0)
         & ~rows.has(Finding.INVALID_MSG_ID | Finding.OVER_SOFTWARE_BUS)
     )
-    arriving = arriving[~np.isin(rows.msg_id[arriving], list(MSG_ID_NAMES))]
-    times = rows.time_ns[arriving]
+    taken = {hop.into.msg_id for hop in case.hops} | {
+        item.msg_id for item in case.reported_losses if item.kind != "no_subscriber"
+    }
+    arriving = arriving[~np.isin(rows.msg_id[arriving], [*MSG_ID_NAMES, *taken])]
     found: dict[tuple[int, int], list[int]] = {}
     for instance, track in case.tracks.items():
-        totals = track.totals["no_subscribers"]
-        for at in range(1, len(totals)):
-            if totals[at] - totals[at - 1] != 1:
-                continue
-            low, high = np.searchsorted(times, (track.times[at] - _COUNTED_NS, track.times[at]))
-            if high - low == 1:
-                row = int(arriving[low])
-                found.setdefault((instance, int(rows.msg_id[row])), []).append(row)
-    # A MsgId that is taken at other times was not what the counter counted.
-    return {
-        key: members
-        for key, members in found.items()
-        if len(members) * 2 > int((rows.msg_id[arriving] == key[1]).sum())
-    }
+        counts = np.array(track.totals["no_subscribers"]) - track.totals["no_subscribers"][0]
+        seen_ns = np.array(track.times)
+        inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
+        own = dict(by_value(rows.msg_id[inside])) if counts[-1] else {}
+        every = chain.from_iterable(combinations(own, size) for size in _UNKNOWN)
+        fits = [
+            chosen
+            for chosen in every
+            if _may_be(times[inside[np.concatenate([own[at] for at in chosen])]], seen_ns, counts)
+        ]
+        if fits and len(fits[0]) not in map(len, fits[1:]):
+            found |= {(instance, msg_id): inside[own[msg_id]].tolist() for msg_id in fits[0]}
+    return found
+
+
+def _may_be(sent_ns: NDArray[np.int64], seen_ns: NDArray[np.int64], counts: NDArray[np.int64]) -> bool:
+    """Tell whether a counter has all that was sent until each of its samples, and nothing else."""
+    sent_ns = np.sort(sent_ns)
+    least, most = (np.searchsorted(sent_ns, seen_ns - lag_ns) for lag_ns in (_COUNTED_NS, 0))
+    first = int(least[0])  # what was sent before it was counted in it, or after
+    return bool((counts >= least - int(most[0])).all() and (counts <= most - first).all())
 
 
 def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], evidence: tuple[str, ...]) -> Verdict:

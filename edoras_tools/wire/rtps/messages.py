@@ -39,8 +39,6 @@ _SENTINEL: Final = 1
 _PREFIX_AT: Final = RTPS_HEADER.by_name["guid_prefix"].start
 _SOURCE_AT: Final = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_SRC].little.by_name["guid_prefix"].start
 _DESTINATION_AT: Final = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_DST].little.by_name["guid_prefix"].start
-SEQUENCE_UNKNOWN: Final = -(1 << 32)
-"""The sequence number that stands for none (9.3.2)."""
 
 
 class Submessages(NamedTuple):

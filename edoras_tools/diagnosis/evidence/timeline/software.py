@@ -171,19 +171,18 @@ class SoftwareChanges:
             witness += "; it sent nothing more"
         yield Change(system, StateOwner("app", app), state, sent_ns, by_ns, witness, rows, sure=sure)
         if state == "restarting":
+            low = sent_ns if sure else by_ns
             yield Change(
-                system,
-                StateOwner("app", app),
-                "running",
-                sent_ns,
-                sent_ns + _ENDS_NS,
-                witness,
-                rows,
-                sure=False,
+                system, StateOwner("app", app), "running", low, sent_ns + _ENDS_NS, witness, rows, sure=False
             )
         if app in telemetry_output.NAMES:
             yield Change(system, _OUTPUT, "disabled", sent_ns, by_ns, witness, rows, sure=sure)
             yield Change(system, _ALL_ENTRIES, "as at the start", sent_ns, by_ns, witness, rows, sure=sure)
+
+    def _asked_ns(self, app: str, ended_ns: int) -> int:
+        """Return when an application that ended by a time was told to, or what comes behind the command."""
+        asked = [int(self._rows.time_ns[item.row]) for item in self._payloads.executive if item.app == app]
+        return max([ended_ns - _ENDS_NS, *(when + 1 for when in asked if when < ended_ns)])
 
     def _last_sent(self, system: int, told_ns: int) -> int | None:
         """Return when Telemetry Output, told to end, sent last before it fell silent; None if it did not."""
@@ -226,12 +225,12 @@ class SoftwareChanges:
         if event.app == executive_services.NAME:
             for ids, state, pattern in _APP_EVENTS:
                 if event.event_id in ids and (named := pattern.search(event.message)):
+                    done = change(StateOwner("app", named[1]), state)
                     if event.event_id != executive_services.STARTED and state == "running":
-                        yield replace(
-                            change(StateOwner("app", named[1]), "restarting"),
-                            not_before_ns=made_ns - _ENDS_NS,
-                        )
-                    yield change(StateOwner("app", named[1]), state)
+                        asked_ns = self._asked_ns(named[1], made_ns)
+                        yield replace(done, state="restarting", not_before_ns=asked_ns)
+                        done = replace(done, not_before_ns=max(done.not_before_ns, asked_ns))
+                    yield done
         elif event.app in telemetry_output.NAMES:
             if enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
                 yield change(_OUTPUT, "enabled", enabled["address"])

@@ -2,7 +2,7 @@
 
 1. A change has an interval [not before, not after] of capture time: a command takes effect between its
    sending and the next round of who takes it, an event is said some time before it is captured.
-2. Every state has a witness. What nothing shows is no state: :meth:`Timeline.state` is None there.
+2. Every state has a witness. What nothing shows is no state.
 3. A subject is in one state at a time. Changes are put in order; one that repeats the state confirms it, and
    makes its interval no wider. So the spans of a subject never overlap.
 4. What a boot ends, it ends for all subjects of its cFS; who makes the changes says so (``software``).
@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
@@ -19,9 +18,7 @@ import numpy as np
 from edoras_tools.model import NO_MSG_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Iterable, Sequence
 
 Kind = Literal[
     "cfs",
@@ -110,10 +107,6 @@ class StateSpan(NamedTuple):
         """Tell whether it may hold some of a time."""
         return self.start_lo < end_ns and start_ns < self.end_hi
 
-    def covers(self, time_ns: int) -> bool:
-        """Tell whether the subject surely was in the state at a time."""
-        return self.start_hi <= time_ns <= self.end_lo
-
 
 class Timeline:
     """All changes of a capture, in order.
@@ -122,11 +115,7 @@ class Timeline:
         changes: in any order; of one subject they are put into one.
 
     Attributes:
-        changes: them, by the earliest time of each.
         subjects: whose they are: system and subject.
-        not_before_ns: i64 (changes,).
-        not_after_ns: i64 (changes,).
-        subject: i32 (changes,), place in ``subjects``.
     """
 
     def __init__(self, changes: Iterable[Change]) -> None:
@@ -135,30 +124,10 @@ class Timeline:
             _follow(found.setdefault((change.system, change.subject), []), change)
         self._of = found
         self.subjects: Sequence[tuple[int, StateOwner]] = list(found)
-        place = {key: at for at, key in enumerate(self.subjects)}
-        every = [item for members in found.values() for item in members]
-        self.changes: Sequence[Change] = sorted(
-            every, key=lambda item: (item.not_before_ns, item.not_after_ns)
-        )
-        self.not_before_ns: NDArray[np.int64] = _column([item.not_before_ns for item in self.changes])
-        self.not_after_ns: NDArray[np.int64] = _column([item.not_after_ns for item in self.changes])
-        self.subject = np.array([place[item.system, item.subject] for item in self.changes], np.int32)
 
     def of(self, subject: StateOwner, system: int = 0) -> Sequence[Change]:
         """Return the changes of a subject, in order."""
         return self._of.get((system, subject), ())
-
-    def of_kind(self, kind: Kind, system: int | None = None) -> Iterator[StateOwner]:
-        """Yield the subjects of a kind, of one system or of all."""
-        for other, subject in self.subjects:
-            if subject.kind == kind and system in {None, other}:
-                yield subject
-
-    def state(self, subject: StateOwner, time_ns: int, system: int = 0) -> Change | None:
-        """Return the change whose state a subject surely is in at a time; None where nothing shows it."""
-        own = self.of(subject, system)
-        at = bisect_right(own, time_ns, key=lambda item: item.not_before_ns) - 1
-        return own[at] if at >= 0 and own[at].not_after_ns <= time_ns else None
 
     def spans(self, subject: StateOwner, state: str, system: int = 0) -> list[StateSpan]:
         """Return the times in which a subject was in a state."""
@@ -170,10 +139,6 @@ class Timeline:
                 ends = (end.not_before_ns, end.not_after_ns) if end else (NEVER, NEVER)
                 found.append(StateSpan(item.not_before_ns, item.not_after_ns, *ends, item, end))
         return found
-
-    def unsure(self, subject: StateOwner, system: int = 0) -> list[tuple[int, int]]:
-        """Return when it is between two states: from the earliest to the latest time of each change."""
-        return [(item.not_before_ns, item.not_after_ns) for item in self.of(subject, system)]
 
 
 def _follow(before: list[Change], change: Change) -> None:
@@ -218,7 +183,3 @@ def _behind(last: Change, change: Change) -> Change:
     """Return a change that neither begins nor ends before the one before it."""
     low = max(last.not_before_ns, change.not_before_ns)
     return replace(change, not_before_ns=low, not_after_ns=max(low, last.not_after_ns, change.not_after_ns))
-
-
-def _column(values: list[int]) -> NDArray[np.int64]:
-    return np.array(values, np.int64)
