@@ -55,6 +55,6 @@ def decode(
 
     terminal = look(sys.stdout)
     lines = packet.packet_lines(
-        decoded, terminal.width, colour=terminal.colour, chosen=layer, base="frame" if frame else "payload"
+        decoded, terminal.width, colour=terminal.colour, highlight=layer, base="frame" if frame else "payload"
     )
     sys.stdout.write("\n".join(lines) + "\n")

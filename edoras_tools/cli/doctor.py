@@ -291,7 +291,7 @@ def _compare_bags(
         raise ConfigError("--start, --end and what selects packets have no effect on bags alone")
     else:
         found = against_bag(bags[0], bags[1:], settings.workbench().types)
-    lost = sum(item.found.lost for item in found)
+    lost = sum(item.comparison.lost for item in found)
     if printing.json:
         told = [item.as_json() for item in found]
         print_json({"lost": lost, "bags": told, "chains": [item.as_json() for item in ways]})
@@ -302,7 +302,7 @@ def _compare_bags(
         first = ", ".join(map(str, files or bags[:1]))
         for item in found:
             print_view(f"first: {first}, second: {item.bag}")
-            print_view(partial(comparison_table, item.found))
+            print_view(partial(comparison_table, item.comparison))
         if ways:
             print_view(lambda width: chain_table(ways, width))
     for item in found:

@@ -191,7 +191,7 @@ def _opened(given: LiveOptions, bench: Workbench, *, every_port: bool) -> Source
         begins = () if every_port else context.capture_begins()
         streams = context.framings
         return open_live(
-            interface, ports, streams=streams, begins=begins, ready=ready, told=_tell, wait=waits
+            interface, ports, streams=streams, begins=begins, ready=ready, on_outage=_tell, wait=waits
         )
     from edoras_tools.cli.endings import tell_reach
     from edoras_tools.io.net.address import parse_endpoint

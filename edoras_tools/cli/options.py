@@ -210,10 +210,10 @@ def share(text: str) -> float:
 
 def link(text: str) -> Link:
     """Read a link's name."""
-    from edoras_tools.links.table import named
+    from edoras_tools.links.table import link_of_label
 
     try:
-        return named(text)
+        return link_of_label(text)
     except ConfigError as error:
         raise BadParameter(str(error)) from None
 

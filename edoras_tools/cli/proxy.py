@@ -94,7 +94,7 @@ def proxy(
 
     Programs send to the proxy instead of the target. Keys 1 to 9 switch faults on and off, q quits.
     """
-    from edoras_tools.links.table import named
+    from edoras_tools.links.table import link_of_label
     from edoras_tools.pipelines.faults import compiler
     from edoras_tools.pipelines.proxy.plan import ProxyPlan, as_relayed, limit_rule
     from edoras_tools.pipelines.proxy.run import Proxy
@@ -103,7 +103,7 @@ def proxy(
 
     settings, injected = decoding.settings(), faults.plan()
     (json, quiet), output = printing, outputs.output
-    link, target = named(relayed.link.value), relayed.target
+    link, target = link_of_label(relayed.link.value), relayed.target
     bench = as_relayed(settings, link, target).workbench()
     limits = tuple(limit_rule(text, bench.mission) for text in relayed.limit or ())
     plan = ProxyPlan(

@@ -384,5 +384,5 @@ def _target(files: TargetOptions, printing: options.PrintOptions, usual: str) ->
         replace=files.force,
         transforms=files.tf,
         jobs=files.jobs or 0,
-        told=tell,
+        on_warning=tell,
     )

@@ -46,7 +46,7 @@ def recording_target(output: Path | None, *, force: bool, inputs: Sequence[Path]
         return None
     from edoras_tools.pipelines.capture.record import Target, check_output
 
-    target = Target(output, replace=force, told=tell)
+    target = Target(output, replace=force, on_warning=tell)
     check_output(target, inputs)
     return target
 

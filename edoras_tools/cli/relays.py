@@ -95,7 +95,7 @@ def finish_relay(
     from edoras_tools.render.terminal.text import clean
 
     summary, recorder, (json, quiet) = relay.summary(), relay.recorder, printing
-    shown = recorder.recorded.shown if recorder else None
+    shown = recorder.recorded.display if recorder else None
     if json:
         print_json({**summary, "foxglove": shown})
     elif not quiet:

@@ -280,7 +280,7 @@ def sniff(
     from edoras_tools.links import table
     from edoras_tools.pipelines.capture.sniff import AT_ONCE
     from edoras_tools.pipelines.capture.sniff import sniff as sniffed
-    from edoras_tools.pipelines.reading import chosen as chosen_rows
+    from edoras_tools.pipelines.reading import selected_rows
     from edoras_tools.render.capture.packet_list import COLUMNS, LEAST_WITH_TYPE, MESSAGE_COLUMNS, PacketList
     from edoras_tools.render.capture.watch import Followed
     from edoras_tools.render.severity import NOTABLE
@@ -317,11 +317,11 @@ def sniff(
             nothing_shown(source, shown, bench.columns.context, live=live, every=not selection.links)
 
     if view.fields:
-        rows = read.printed(chosen_rows(read, bench, selection, limits))
+        rows = read.printed(selected_rows(read, bench, selection, limits))
         ended(print_fields(rows, bench, view.fields, view.layout or FieldFormat.TABLE, flush=waits))
         return
     if counts:
-        ended(_print_counts(chosen_rows(read, bench, selection, limits), bench, view))
+        ended(_print_counts(selected_rows(read, bench, selection, limits), bench, view))
         return
     typed = recorded and terminal.width >= LEAST_WITH_TYPE
     packet_list = PacketList(
@@ -330,7 +330,7 @@ def sniff(
         time_format=view.time_format,
         names=MSG_ID_NAMES,
         verbose=verbose,
-        shown=MESSAGE_COLUMNS if recorded else COLUMNS,
+        columns=MESSAGE_COLUMNS if recorded else COLUMNS,
         added=[(f"{'Type':<12}", False)] if typed else (),
     )
     taken = read, bench, selection, limits, packet_list.count_from
@@ -340,10 +340,10 @@ def sniff(
     elif view.json:
         from edoras_tools.pipelines.capture.packet_json import PacketTexts
 
-        blocks = map(PacketTexts(bench.columns.context).of, chosen_rows(*taken, most=AT_ONCE))
+        blocks = map(PacketTexts(bench.columns.context).of, selected_rows(*taken, most=AT_ONCE))
     else:
         header = packet_list.header()
-        blocks = _listed(chosen_rows(*taken, most=AT_ONCE), bench.columns.context, packet_list, typed=typed)
+        blocks = _listed(selected_rows(*taken, most=AT_ONCE), bench.columns.context, packet_list, typed=typed)
     ended(print_packets(read.printed(blocks), header, flush=waits))
 
 

@@ -59,7 +59,7 @@ class Fitting:
         command = VERSION_1.is_command(self._msg_id)
         out = np.zeros(len(command), bool)
         rows = np.flatnonzero(command & (self._length >= headers.command_bytes))
-        out[rows] = self._payload_fits(rows, headers.command_bytes) | self._taken(rows, headers)
+        out[rows] = self._payload_fits(rows, headers.command_bytes) | self._accepted(rows, headers)
         rows = np.flatnonzero(~command & (self._length >= headers.telemetry_bytes))
         if len(rows):
             out[rows] = self._telemetry_fits(rows, headers)
@@ -73,7 +73,7 @@ class Fitting:
         out[rows] = ~unknown & ~misfit
         return out
 
-    def _taken(self, rows: NDArray[np.intp], headers: cfe.Headers) -> NDArray[np.bool_]:
+    def _accepted(self, rows: NDArray[np.intp], headers: cfe.Headers) -> NDArray[np.bool_]:
         """Tell which commands are known and have the length that their app accepts."""
         return self._commands.fits(*self._command(rows, headers))
 
@@ -127,33 +127,33 @@ class Builds:
 
     def __init__(self, structs: Structs, commands: CommandTable, usual: cfe.Headers) -> None:
         self._known = structs, commands
-        self._found = np.zeros(PLACES, np.uint8)
+        self._headers = np.zeros(PLACES, np.uint8)
         self.usual = cfe.HEADERS.index(usual)
         self.several = False
 
-    def settle(self, usual: cfe.Headers, places: NDArray[np.intp], found: NDArray[np.uint8]) -> None:
+    def settle(self, usual: cfe.Headers, places: NDArray[np.intp], headers: NDArray[np.uint8]) -> None:
         """Take what was found.
 
         Args:
             usual: the headers of the source as a whole.
             places: of conversations, see ``conversations``.
-            found: u8, the headers of each, a bit for each of ``cfe.TOLD``; 0 where none was found.
+            headers: u8, the headers of each, a bit for each of ``cfe.TOLD``; 0 where none was found.
         """
         self.usual = cfe.HEADERS.index(usual)
-        self._found[places] = found
-        self.several = bool(((self._found != 0) & (self._found != 1 << self.usual)).any())
+        self._headers[places] = headers
+        self.several = bool(((self._headers != 0) & (self._headers != 1 << self.usual)).any())
 
     @property
-    def told(self) -> tuple[int, bytes]:
+    def state(self) -> tuple[int, bytes]:
         """What was found, for ``take_over``."""
-        return self.usual, self._found.tobytes() if self.several else b""
+        return self.usual, self._headers.tobytes() if self.several else b""
 
-    def take_over(self, told: tuple[int, bytes]) -> None:
+    def take_over(self, state: tuple[int, bytes]) -> None:
         """Take what another value of this kind was told."""
-        self.usual, found = told
-        self.several = bool(found)
-        if found:
-            self._found = np.frombuffer(found, np.uint8).copy()
+        self.usual, headers = state
+        self.several = bool(headers)
+        if headers:
+            self._headers = np.frombuffer(headers, np.uint8).copy()
 
     def of_batch(self, batch: PacketBatch, offset: NDArray[np.int64], length: NDArray[np.int32]) -> Any:
         """Return the headers of each space packet of a batch, u8; one number where all have the same.
@@ -164,32 +164,34 @@ class Builds:
         """
         if not self.several:
             return np.uint8(self.usual)
-        found = self._found[conversations(batch)]
-        out = np.array([self.usual, 0, 1, 0, 2, 0, 1, 0], np.uint8)[found]
-        mixed = np.flatnonzero(np.array([False, False, False, True, False, True, True, True])[found])
+        headers = self._headers[conversations(batch)]
+        out = np.array([self.usual, 0, 1, 0, 2, 0, 1, 0], np.uint8)[headers]
+        mixed = np.flatnonzero(np.array([False, False, False, True, False, True, True, True])[headers])
         if len(mixed):
             head = gather(batch.data, offset[mixed], LOOKED_AT)
-            out[mixed] = self._each(head, length[mixed].astype(np.int64), found[mixed])
+            out[mixed] = self._each(head, length[mixed].astype(np.int64), headers[mixed])
         return out
 
     def of_packet(self, datagram: Datagram, packet: bytes) -> cfe.Headers:
         """Return the headers of the space packet in a datagram."""
         if not self.several:
             return cfe.HEADERS[self.usual]
-        found = int(self._found[_conversation(datagram)])
-        if found & (found - 1):
+        headers = int(self._headers[_conversation(datagram)])
+        if headers & (headers - 1):
             head = np.frombuffer(packet[:LOOKED_AT].ljust(LOOKED_AT, b"\0"), np.uint8)[None]
-            return cfe.HEADERS[int(self._each(head, np.array([len(packet)]), np.array([found], np.uint8))[0])]
-        return cfe.HEADERS[found >> 1 if found else self.usual]
+            return cfe.HEADERS[
+                int(self._each(head, np.array([len(packet)]), np.array([headers], np.uint8))[0])
+            ]
+        return cfe.HEADERS[headers >> 1 if headers else self.usual]
 
     def _each(
-        self, head: NDArray[np.uint8], length: NDArray[np.int64], found: NDArray[np.uint8]
+        self, head: NDArray[np.uint8], length: NDArray[np.int64], allowed: NDArray[np.uint8]
     ) -> NDArray[np.uint8]:
         """Return the first of the headers of each packet's conversation that explains it, else allows it."""
-        out, fitting = np.full(len(found), self.usual, np.uint8), Fitting(*self._known, head, length)
+        out, fitting = np.full(len(allowed), self.usual, np.uint8), Fitting(*self._known, head, length)
         for fits in (fitting.allowed, fitting.by):
             for number, headers in reversed(list(enumerate(cfe.TOLD))):
-                out[fits(headers) & ((found >> number & 1) != 0)] = number
+                out[fits(headers) & ((allowed >> number & 1) != 0)] = number
         return out
 
 

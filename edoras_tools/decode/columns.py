@@ -130,9 +130,9 @@ class ColumnDecoder:
         read.out["findings"] = part.capture_findings.copy()
         return Begun(link, read.begin(), read.out, part)
 
-    def finish(self, batch: PacketBatch, begun: Begun) -> Columns:
+    def finish(self, batch: PacketBatch, detected: Begun) -> Columns:
         """Read the rest; a batch that another process began needs what was ``detected`` there by then."""
-        link, start, out, part = begun
+        link, start, out, part = detected
         rows = np.flatnonzero(link)
         if len(rows) == len(batch):
             return _Pass(self.context, batch, out).finish(start)
@@ -197,15 +197,15 @@ class _Pass:
             self.out["findings"][cut] &= np.uint32(~UNKNOWABLE & 0xFFFFFFFF)
         return Columns(**self.out)
 
-    def flag(self, finding: Finding, rows: NDArray[np.intp], chosen: NDArray[np.bool_]) -> None:
+    def flag(self, finding: Finding, rows: NDArray[np.intp], mask: NDArray[np.bool_]) -> None:
         """Set a finding's bit in those of ``rows`` that are chosen."""
-        if np.count_nonzero(chosen):  # a third of the time of ``any``
-            self.out["findings"][rows[chosen]] |= np.uint32(finding)
+        if np.count_nonzero(mask):  # a third of the time of ``any``
+            self.out["findings"][rows[mask]] |= np.uint32(finding)
 
-    def mark(self, finding: Finding, chosen: NDArray[np.bool_]) -> None:
+    def mark(self, finding: Finding, mask: NDArray[np.bool_]) -> None:
         """Set a finding's bit in the rows of a mask over the whole batch."""
-        if np.count_nonzero(chosen):
-            self.out["findings"] |= chosen * np.uint32(finding)
+        if np.count_nonzero(mask):
+            self.out["findings"] |= mask * np.uint32(finding)
 
     def locate(self) -> NDArray[np.int32]:
         """Read the links' own headers; return where each space packet starts, -1 where none does."""
@@ -214,10 +214,10 @@ class _Pass:
             if int(link) not in self.present:
                 continue
             rows = np.flatnonzero(self.out["link"] == link)
-            found = link.locate(self.batch, rows, self.context)
-            start[rows] = found.start
-            self.out["findings"][rows] |= found.findings
-            for name, values in found.columns.items():
+            located = link.locate(self.batch, rows, self.context)
+            start[rows] = located.start
+            self.out["findings"][rows] |= located.findings
+            for name, values in located.columns.items():
                 self.out[name][rows] = values
             if link.samples:
                 self._samples(rows)
@@ -336,12 +336,12 @@ class _Pass:
     def _structs(self) -> None:
         """Judge whether packets are as long as the C structs they should hold."""
         structs = self.context.structs
-        found = payloads(structs, self.out.__getitem__, partial(getattr, self.batch), self.batch.data)
-        for _, members, fits in structs.split(found):
+        samples = payloads(structs, self.out.__getitem__, partial(getattr, self.batch), self.batch.data)
+        for _, members, fits in structs.split(samples):
             self.flag(Finding.STRUCT_LENGTH, members.row, ~fits)
         if structs.dictionary is not None:
-            self.flag(Finding.UNKNOWN_MSG_ID, found.row, found.key == structs.dictionary.unknown)
-            self.flag(Finding.LENGTH_MISMATCH, found.row, found.key == structs.dictionary.odd)
+            self.flag(Finding.UNKNOWN_MSG_ID, samples.row, samples.key == structs.dictionary.unknown)
+            self.flag(Finding.LENGTH_MISMATCH, samples.row, samples.key == structs.dictionary.odd)
 
     def _envelopes(self, packet: NDArray[np.bool_]) -> None:
         """Read the envelopes of the routes' packets, a route at a time."""
@@ -361,19 +361,19 @@ class _Pass:
             self._envelope(index, rows[picked])
 
     def _envelope(self, route: int, rows: NDArray[np.intp]) -> None:
-        chosen = self.context.envelopes[route]
+        envelope = self.context.envelopes[route]
         offset = self.out["packet_offset"][rows] + self.out["header_length"][rows]
         have = self.out["packet_length"][rows] - self.out["header_length"][rows]
         head = gather(self.batch.data, offset, DEFAULT.size + 4)
-        if chosen is not None:
-            self._bodies(route, rows, offset, have, head, chosen)
+        if envelope is not None:
+            self._bodies(route, rows, offset, have, head, envelope)
             return
-        left = np.ones(len(rows), bool)
+        rest = np.ones(len(rows), bool)
         for item in ENVELOPE_FORMATS:
-            fits = left & holds(head, have, item)
+            fits = rest & holds(head, have, item)
             self._bodies(route, rows[fits], offset[fits], have[fits], head[fits], item)
-            left &= ~fits
-        self._bodies(route, rows[left], offset[left], have[left], head[left], DEFAULT)
+            rest &= ~fits
+        self._bodies(route, rows[rest], offset[rest], have[rest], head[rest], DEFAULT)
 
     def _bodies(
         self,
@@ -410,17 +410,17 @@ class _Pass:
         length, space = claimed.astype(np.int32), space.astype(np.int32)
         self.out["cdr_offset"][rows] = offset
         self.out["cdr_length"][rows] = length
-        known = (head[:, size] == 0) & (head[:, size + 1] <= 1)
-        valid = known
+        plain = (head[:, size] == 0) & (head[:, size + 1] <= 1)
+        valid = plain
         types, name = self.context.types, self.context.mission.routes[route].type
         if types is not None and types.has(name):
-            left = types.trailing(name, self.batch.data, offset, length)
-            valid = known & (left >= 0)
-            if (more := left > ROUNDED).any():
-                over = left > types.most_trailing(name)
+            trailing = types.trailing(name, self.batch.data, offset, length)
+            valid = plain & (trailing >= 0)
+            if (more := trailing > ROUNDED).any():
+                over = trailing > types.most_trailing(name)
                 self.flag(Finding.CDR_TRAILING, rows, more & ~over)
                 self.flag(Finding.CDR_TOO_LONG, rows, over)
         self.flag(Finding.CDR_INVALID, rows, ~valid)
-        self.flag(Finding.CDR_BIG_ENDIAN, rows, known & (head[:, size + 1] == 0))
+        self.flag(Finding.CDR_BIG_ENDIAN, rows, plain & (head[:, size + 1] == 0))
         stale = any_nonzero(self.batch.data, offset + length, space - length)
         self.flag(Finding.STALE_TAIL, rows, stale)

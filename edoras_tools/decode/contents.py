@@ -72,10 +72,10 @@ class Contents(Generic[Content]):
     def of(self, rows: ColumnRows) -> list[Content]:
         """Return what is said of each row."""
         few = len(rows) < _FEW * max(4, len(set(rows.column("msg_id").tolist())))
-        known = [None] * len(rows) if few else self._of_columns(rows)
+        contents = [None] * len(rows) if few else self._of_columns(rows)
         return [
             self._dissected(rows, place) if content is None else content
-            for place, content in zip(rows.indices().tolist(), known, strict=True)
+            for place, content in zip(rows.indices().tolist(), contents, strict=True)
         ]
 
     def _dissected(self, rows: ColumnRows, place: int) -> Content:

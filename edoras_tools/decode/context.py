@@ -70,7 +70,7 @@ class Options:
                 f"telemetry header of {self.telemetry_header} bytes is not known; there are 12 and 16"
             )
         if self.envelope not in {None, "auto"}:
-            EnvelopeFormat.named(str(self.envelope))
+            EnvelopeFormat.of_name(str(self.envelope))
 
     @property
     def headers(self) -> cfe.Headers | None:
@@ -90,14 +90,14 @@ class Options:
 
     def described(self) -> dict[str, str]:
         """Return what was named, in the words of a recording; :meth:`over` reads them."""
-        said = {} if self.headers is None else {"headers": self.headers.name}
+        words = {} if self.headers is None else {"headers": self.headers.name}
         if self.envelope is not None:
-            said["envelope"] = self.envelope
+            words["envelope"] = self.envelope
         if self.ports:
-            said["ports"] = " ".join(f"{link.label}:{port}" for link, port in self.ports)
+            words["ports"] = " ".join(f"{link.label}:{port}" for link, port in self.ports)
         if self.listened:
-            said["listened"] = " ".join(map(str, self.listened))
-        return said
+            words["listened"] = " ".join(map(str, self.listened))
+        return words
 
     def with_headers(self, headers: cfe.Headers) -> Options:
         """Return these options with the headers of a build."""
@@ -112,18 +112,18 @@ class Options:
         """Return these options, and where they name nothing those that a recording was made with."""
         kinds = {item.name: item for item in cfe.HEADERS}
         headers = kinds.get(recorded.get("headers", "")) if self.headers is None else None
-        chosen = self
+        options = self
         if headers is not None:
-            chosen = chosen.with_headers(headers)
+            options = options.with_headers(headers)
         if self.envelope is None and recorded.get("envelope"):
-            chosen = replace(chosen, envelope=recorded["envelope"])
+            options = replace(options, envelope=recorded["envelope"])
         links = {link.label: link for link in table.links()}
         pairs = [item.partition(":") for item in recorded.get("ports", "").split()]
-        known = [(links[name], int(port)) for name, _, port in pairs if name in links and port.isdecimal()]
+        ports = [(links[name], int(port)) for name, _, port in pairs if name in links and port.isdecimal()]
         listened = [int(item) for item in recorded.get("listened", "").split() if item.isdecimal()]
         return replace(
-            chosen,
-            ports=tuple(dict.fromkeys((*self.ports, *known))),
+            options,
+            ports=tuple(dict.fromkeys((*self.ports, *ports))),
             listened=tuple(dict.fromkeys((*self.listened, *listened))),
         )
 
@@ -209,9 +209,9 @@ class Context:
         self.unnamed = 0
         self.described = self.options.described()
         apps = map(self.msg_ids.of_known, names.COMMANDS)
-        named = {*apps, *(route.msg_id for route in self.mission.routes)}
+        listed = {*apps, *(route.msg_id for route in self.mission.routes)}
         self.command_table = CommandTable(
-            {msg_id: commands for msg_id in named if (commands := self.commands(msg_id)) is not None}
+            {msg_id: commands for msg_id in listed if (commands := self.commands(msg_id)) is not None}
         )
         self.builds = Builds(self.structs, self.command_table, self.headers)
 
@@ -252,9 +252,9 @@ class Context:
         self.known[self.pdu_msg_ids] = True
         self.route_of[:, self.pdu_msg_ids] = self.any_route_of[self.pdu_msg_ids] = NO_ROUTE
         usual = "" if self.options.envelope == "auto" else self.options.envelope
-        self.unrouted = [EnvelopeFormat.named(usual) if usual else DEFAULT] * 2
-        chosen = [route.envelope or self.options.envelope or str(DEFAULT) for route in self.mission.routes]
-        self.envelopes = [None if text == "auto" else EnvelopeFormat.named(text) for text in chosen]
+        self.unrouted = [EnvelopeFormat.of_name(usual) if usual else DEFAULT] * 2
+        envelopes = [route.envelope or self.options.envelope or str(DEFAULT) for route in self.mission.routes]
+        self.envelopes = [None if text == "auto" else EnvelopeFormat.of_name(text) for text in envelopes]
 
     def routes_on(self, link: Link) -> NDArray[np.int16]:
         """Return the route of each MsgId on a link, i16 (65536,); ``NO_ROUTE`` where there is none."""
@@ -265,7 +265,7 @@ class Context:
     def detected(self) -> tuple[Any, ...]:
         """What was detected from the bytes and decides how packets are read, for ``take_over``."""
         place = cfe.HEADERS.index(self.headers)
-        return place, tuple(self.envelopes), tuple(self.unrouted), self.builds.told
+        return place, tuple(self.envelopes), tuple(self.unrouted), self.builds.state
 
     def announced_topics(self) -> dict[str, str]:
         """Return the type of each topic of DDS that the input announces anywhere, if it can be read twice."""
@@ -276,15 +276,15 @@ class Context:
     @property
     def awaits_samples(self) -> bool:
         """Whether topics of DDS may be announced while the input is read, and cannot be known before."""
-        named = any(link in self.by_magic for link, _ in self.options.ports)
-        return named and self.look_ahead is None and self._announced is None
+        has_port = any(link in self.by_magic for link, _ in self.options.ports)
+        return has_port and self.look_ahead is None and self._announced is None
 
     def take_over(self, detected: tuple[Any, ...]) -> None:
         """Read packets as another context does, in another process."""
-        place, envelopes, unrouted, told = detected
+        place, envelopes, unrouted, builds = detected
         self.headers = cfe.HEADERS[place]
         self.envelopes, self.unrouted = [*envelopes], [*unrouted]
-        self.builds.take_over(told)
+        self.builds.take_over(builds)
 
     def capture_ports(self) -> tuple[int, ...]:
         """Return every UDP port that belongs to a link, for a filter in the kernel; not 0, that of files."""
@@ -305,13 +305,13 @@ class Context:
         route = int(self.any_route_of[msg_id])
         topic = self.mission.routes[route].topic if route != NO_ROUTE else ""
         pdu = PDU_NAME if msg_id in self.pdu_msg_ids else ""
-        return names.message_name(self.msg_ids.known(msg_id)) or topic or pdu or self.structs.name(msg_id)
+        return names.message_name(self.msg_ids.standard(msg_id)) or topic or pdu or self.structs.name(msg_id)
 
     def commands(self, msg_id: int) -> Mapping[int, names.Command] | None:
         """Return the function codes a command MsgId's app takes, or None where that is not known."""
-        known = self.msg_ids.known(msg_id)
-        if known in names.COMMANDS:
-            return names.COMMANDS[known]
+        plain = self.msg_ids.standard(msg_id)
+        if plain in names.COMMANDS:
+            return names.COMMANDS[plain]
         if self.any_route_of[msg_id] != NO_ROUTE and self.msg_ids.is_command(msg_id):
             return names.ROUTE_COMMANDS
         return None
@@ -327,11 +327,11 @@ class Context:
             for bridge in self.mission.links:
                 if bridge.kind == link.bridge:
                     claimed[[getattr(bridge, name) for name in link.bridge_ports]] = True
-        named = np.any(list(ports.values()), axis=0)
+        listed = np.any(list(ports.values()), axis=0)
         for link in self.links:
             if link.transport.udp:
                 # A link that is told by its content leaves its usual ports to one that they were named for.
-                usual = [port for port in link.transport.ports if link.port_decides or not named[port]]
+                usual = [port for port in link.transport.ports if link.port_decides or not listed[port]]
                 ports[link][usual] = True
         for framed in self.mission.frames:  # no other link's packets are in the frames
             for link, claimed in ports.items():

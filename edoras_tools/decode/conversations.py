@@ -163,8 +163,8 @@ class Conversations:
         rows, which, flows = self._last
         self.judge()
         out = [flow is not None and flow.kind in LEFT_OUT for flow in flows]
-        chosen: NDArray[np.intp] = rows[np.array(out, bool)[which]]
-        return chosen
+        members: NDArray[np.intp] = rows[np.array(out, bool)[which]]
+        return members
 
     def judge(self) -> list[Flow]:
         """Return all flows, each with its kind."""
@@ -186,11 +186,11 @@ class Conversations:
                 flow.kind = ConversationKind.FOREIGN
         return flows
 
-    def notes(self, *, shown: bool = False) -> list[str]:
-        """Return what is to be said of them, a line each; ``shown``: nothing on a link's port is left out."""
+    def notes(self, *, keep_all: bool = False) -> list[str]:
+        """Return what is to be said of them, a line each; ``keep_all``: of a link too."""
         lines = foreign(self.judge())
-        told = [line.removesuffix(", left out") for line in lines] if shown else lines
-        return [*map(str, unnamed(self.judge())), *told]
+        notes = [line.removesuffix(", left out") for line in lines] if keep_all else lines
+        return [*map(str, unnamed(self.judge())), *notes]
 
     def recorded(self) -> list[str]:
         """Return a line for each port that looks like a link's, of which no messages were recorded."""
@@ -199,8 +199,8 @@ class Conversations:
     @property
     def unnamed(self) -> int:
         """Datagrams that look like a link's, on ports that no option names and no recorder listened on."""
-        asked = self.context.options.listened
-        return sum(item.datagrams for item in unnamed(self.judge()) if item.port not in asked)
+        listened = self.context.options.listened
+        return sum(item.datagrams for item in unnamed(self.judge()) if item.port not in listened)
 
     def _flow(self, batch: PacketBatch, row: int, link: Link, *, make: bool) -> Flow | None:
         addresses = int(batch.source_address[row]), int(batch.destination_address[row])
@@ -233,13 +233,13 @@ class Unnamed(NamedTuple):
     remedy: str
 
     @property
-    def told(self) -> str:
+    def advice(self) -> str:
         """What it is, and that it was not examined."""
         return f"{self.looks} and were left out"
 
     def __str__(self) -> str:
         """Return it in one line."""
-        return f"{self.told}: {self.remedy}"
+        return f"{self.advice}: {self.remedy}"
 
 
 def unnamed(flows: Iterable[Flow]) -> list[Unnamed]:
@@ -282,14 +282,14 @@ def _spans(
 
 
 def _marks(
-    batch: PacketBatch, columns: Columns, rows: NDArray[np.intp], known: NDArray[np.bool_]
+    batch: PacketBatch, columns: Columns, rows: NDArray[np.intp], described: NDArray[np.bool_]
 ) -> dict[str, NDArray[np.bool_]]:
     """Return what each of some datagrams looks like, by the names of ``Flow``."""
     msg_id, findings = columns.msg_id[rows], columns.findings[rows]
     first = cfe.known_ids(msg_id, columns.headers[rows])
     begins = (msg_id >= 0) & ((first & _BEGINNING[0]) == _BEGINNING[1])
     mismatched = (findings & np.uint32(Finding.LENGTH_MISMATCH)) != 0
-    sound = begins & (~mismatched | known[msg_id])
+    sound = begins & (~mismatched | described[msg_id])
     peer = columns.sbn_msg_type[rows] >= 0
     begins |= peer & ((findings & np.uint32(Finding.SBN_UNKNOWN_TYPE)) == 0)
     sound |= peer & ((findings & np.uint32(_NO_MESSAGE)) == 0)

@@ -113,7 +113,7 @@ class PacketLines:
     def of(self, rows: ColumnRows) -> Iterator[PacketLine]:
         """Yield the line of each row, in order."""
         links = links_of(rows)
-        found = {bits: Finding(bits) for bits in set(rows.column("findings").tolist())}
+        flags = {bits: Finding(bits) for bits in set(rows.column("findings").tolist())}
         pairs, which = endpoints(rows)
         columns = zip(
             rows.datagram("number").tolist(),
@@ -137,7 +137,7 @@ class PacketLines:
                 content.msg_id,
                 content.name,
                 length,
-                found[findings],
+                flags[findings],
                 content.text,
                 content.type,
             )
@@ -148,8 +148,8 @@ def _content(decoded: Decoded) -> _Content:
     if (peer := decoded.layer("sbn")) and "msg_type" in (values := peer.values()):
         kind = _peer_kind(values["msg_type"])
     if (packet := decoded.layer("ccsds")) and "packet_type" in (values := packet.values()):
-        shown = packet.fields[0]  # the dissection puts the MsgId in front
-        msg_id, name = shown.value, shown.text.partition(" ")[2]
+        first = packet.fields[0]  # the dissection puts the MsgId in front
+        msg_id, name = first.value, first.text.partition(" ")[2]
         kind = kind or ("cmd" if values["packet_type"] else "tlm")
     if decoded.datagram.topic != NO_ROUTE:
         name, type_ = recorded_topic(decoded)
@@ -173,9 +173,9 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
             for row, text in zip(owner.tolist(), texts, strict=True):
                 out[row] = _Content("", NO_MSG_ID, topic, text, kind) if easy[row] else None
         return out
-    told: dict[int, tuple[str, str]] = {}
+    contents: dict[int, tuple[str, str]] = {}
     for owner, topic, _, texts in _messages(rows, easy):
-        told.update(zip(owner.tolist(), ((topic, text) for text in texts), strict=True))
+        contents.update(zip(owner.tolist(), ((topic, text) for text in texts), strict=True))
     kinds, codes = _kinds(rows), rows.column("function_code").tolist()
     ids, lengths = msg_id.tolist(), rows.datagram("length").tolist()
     header = rows.column("header_length").tolist()
@@ -184,19 +184,19 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
     for row in np.flatnonzero(easy).tolist():
         value = ids[row]
         name = names_of[value]
-        if row in told:
-            topic, text = told[row]
+        if row in contents:
+            topic, text = contents[row]
             if routed[row] or not name:
                 name = topic
         else:
             code = codes[row] if context.msg_ids.is_command(value) else None
-            text = packet_text(context.msg_ids.known(value), code)
+            text = packet_text(context.msg_ids.standard(value), code)
         out[row] = _Content(kinds[row], value, name, text)
     for row in np.flatnonzero(_without_message(rows)).tolist():
         value = ids[row]
         command = context.msg_ids.is_command(value)
         headless = header[row] == ccsds.PRIMARY.size
-        text = packet_text(context.msg_ids.known(value), codes[row] if command and not headless else None)
+        text = packet_text(context.msg_ids.standard(value), codes[row] if command and not headless else None)
         text = text or (_cut_header(rows, row, command=command) if headless else "")
         if text:  # else it is what ended the decoding
             out[row] = _Content(kinds[row], value, context.name(value), text)
@@ -254,7 +254,7 @@ def _messages(
     """
     routes = rows.routes()
     for owner, topic, kind, messages, plan, bound in message_rows(rows, easy.copy()):
-        layer = _LAYERS.get(rows.context.msg_ids.known(bound.key.msg_id)) if bound else None
+        layer = _LAYERS.get(rows.context.msg_ids.standard(bound.key.msg_id)) if bound else None
         plain = messages.valid
         if bound:
             plain = plain & (routes[owner] == NO_ROUTE)

@@ -70,11 +70,11 @@ class _Rows:
         return self._context.structs.on_ports(self.destination_port, self.length)
 
     def _is_cfs(self, address: NDArray[np.uint32]) -> NDArray[np.bool_]:
-        found = np.zeros(len(address), bool)
-        for known in self._context.cfs_addresses:
-            found |= address == known
-        found &= self._batch.ip_version[self._rows] == 4
-        return found
+        matches = np.zeros(len(address), bool)
+        for cfs in self._context.cfs_addresses:
+            matches |= address == cfs
+        matches &= self._batch.ip_version[self._rows] == 4
+        return matches
 
     def field(self, layout: Layout, name: str, at: int = 0) -> Any:
         """Return a number of a header at byte ``at`` of each payload; -1 where it is not there."""
@@ -103,18 +103,18 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
     for index, members in by_value(claim[undecided]):
         if context.claimants[index]:
             rows = undecided[members]
-            seen, best = _Rows(batch, rows, context), np.zeros(len(rows), np.int8)
+            facts, best = _Rows(batch, rows, context), np.zeros(len(rows), np.int8)
             for item in context.claimants[index]:
-                sure = np.asarray(item.recognise(seen))
+                sure = np.asarray(item.recognise(facts))
                 better = (sure > 0) & (sure >= best)
                 link[rows[better]] = item
                 best[better] = sure[better]
     if context.frames:
-        taken = np.flatnonzero((batch.original_length < 0) & (link == 0))
-        link[taken] = context.framed_links[batch.source_port[taken]]
+        framed = np.flatnonzero((batch.original_length < 0) & (link == 0))
+        link[framed] = context.framed_links[batch.source_port[framed]]
     if context.by_sender.any():
-        left = np.flatnonzero(link == 0)
-        link[left] = context.by_sender[context.claim[batch.source_port[left]]]
+        unlinked = np.flatnonzero(link == 0)
+        link[unlinked] = context.by_sender[context.claim[batch.source_port[unlinked]]]
     for item in context.by_magic:
         link[beginning(batch, np.flatnonzero(link == OTHER), item.magic)] = item
     if batch.streams is not None:
@@ -169,9 +169,9 @@ def link_of(datagram: Datagram, context: Context) -> Link:
     claim = context.claim[datagram.destination.port]
     link, best = table.link(context.decided[claim]), 0
     if link is OTHER and context.claimants[claim]:
-        seen = _Datagram(datagram, context)
+        facts = _Datagram(datagram, context)
         for item in context.claimants[claim]:
-            sure = int(item.recognise(seen))
+            sure = int(item.recognise(facts))
             if sure and sure >= best:
                 link, best = item, sure
     if link is OTHER and datagram.original_length < 0:

@@ -38,24 +38,24 @@ RECORDED_LAYER: Final = "recorded"
 """The layer that says what the recording says of a message."""
 
 
-def recorded_columns(batch: PacketBatch, made: dict[str, NDArray[Any]], context: Context) -> Columns:
+def recorded_columns(batch: PacketBatch, columns: dict[str, NDArray[Any]], context: Context) -> Columns:
     """Return the columns of messages.
 
     Args:
-        made: columns of which each holds its "none".
+        columns: columns of which each holds its "none".
     """
     assert batch.recorded is not None, "they are messages"
-    made["route"] = batch.recorded["topic"].astype(np.int16)
-    made["sequence_count"] = batch.recorded["sequence"].astype(np.uint16)
-    made["cdr_offset"], made["cdr_length"] = batch.offset.copy(), batch.length.copy()
-    for place, rows in by_value(made["route"]):
+    columns["route"] = batch.recorded["topic"].astype(np.int16)
+    columns["sequence_count"] = batch.recorded["sequence"].astype(np.uint16)
+    columns["cdr_offset"], columns["cdr_length"] = batch.offset.copy(), batch.length.copy()
+    for place, rows in by_value(columns["route"]):
         topic = context.mission.recorded[place]
         if topic.unread or context.types is None:
-            made["cdr_offset"][rows], made["cdr_length"][rows] = -1, 0
+            columns["cdr_offset"][rows], columns["cdr_length"][rows] = -1, 0
             continue
         valid = context.types.valid(topic.type, batch.data, batch.offset[rows], batch.length[rows])
-        made["findings"][rows[~valid]] |= np.uint32(Finding.CDR_INVALID)
-    return Columns(**made)
+        columns["findings"][rows[~valid]] |= np.uint32(Finding.CDR_INVALID)
+    return Columns(**columns)
 
 
 def dissect_recorded(datagram: Datagram, context: Context, *, detail: bool) -> Decoded:
@@ -63,8 +63,8 @@ def dissect_recorded(datagram: Datagram, context: Context, *, detail: bool) -> D
     topic, route = context.mission.recorded[datagram.topic], context.mission.routes[datagram.topic]
     data, findings = datagram.payload, NO_FINDINGS
     about = {"topic": route.topic, "type": topic.type, "encoding": topic.encoding}
-    named = tuple(LayerField(name, text, 0, 0) for name, text in about.items())
-    layers: tuple[Layer, ...] = (Layer(RECORDED_LAYER, "Recorded message", 0, len(data), named),)
+    fields = tuple(LayerField(name, text, 0, 0) for name, text in about.items())
+    layers: tuple[Layer, ...] = (Layer(RECORDED_LAYER, "Recorded message", 0, len(data), fields),)
     message: RosMessage | None = None
     stop: EdorasError | None = None
     if topic.encoding == JSON_ENCODING:

@@ -63,19 +63,19 @@ def known_samples(
     """
     if types is None or not len(rows):
         return
-    writers, found = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
+    writers, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
     groups: dict[tuple[str, str], list[int]] = {}
     for index, guid in enumerate(writers):
         announced = endpoints.find(guid)
         if announced is not None and announced.topic and types.has(announced.ros_type):
             groups.setdefault((announced.ros_topic, announced.ros_type), []).append(index)
-    known = batch.number[rows[found.row]] >= endpoints.since(writers)[found.writer]
-    plain = _is_plain(batch.data, found) & known
+    after = batch.number[rows[samples.row]] >= endpoints.since(writers)[samples.writer]
+    plain = _is_plain(batch.data, samples) & after
     for (topic, type_name), members in groups.items():
-        chosen = np.flatnonzero(plain & np.isin(found.writer, members))
-        if not len(chosen):
+        members_rows = np.flatnonzero(plain & np.isin(samples.writer, members))
+        if not len(members_rows):
             continue
-        one = TopicSamples(*(column[chosen] for column in found))
+        one = TopicSamples(*(column[members_rows] for column in samples))
         length = (one.end - one.start).astype(np.int32)
         valid = types.valid(type_name, batch.data, one.start, length)
         yield KnownSamples(
@@ -92,10 +92,10 @@ def known_samples(
         )
 
 
-def _is_plain(data: NDArray[np.uint8], found: TopicSamples) -> NDArray[np.bool_]:
+def _is_plain(data: NDArray[np.uint8], samples: TopicSamples) -> NDArray[np.bool_]:
     """Tell which samples are plain CDR, as ROS messages are."""
-    whole = found.end - found.start >= ENCAPSULATION.size
-    head = gather(data, np.where(whole, found.start, 0), ENCAPSULATION.size)
+    whole = samples.end - samples.start >= ENCAPSULATION.size
+    head = gather(data, np.where(whole, samples.start, 0), ENCAPSULATION.size)
     return whole & (ENCAPSULATION.column("representation", head) <= CDR_LE)
 
 
@@ -113,21 +113,21 @@ class LeftSamples:
             rows: those that hold RTPS.
             endpoints: what was announced so far.
         """
-        writers, found = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
-        early = batch.number[rows[found.row]] < endpoints.since(writers)[found.writer]
-        for counter, which in ((self._early, found.writer[early]), (self._all, found.writer)):
+        writers, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
+        early = batch.number[rows[samples.row]] < endpoints.since(writers)[samples.writer]
+        for counter, which in ((self._early, samples.writer[early]), (self._all, samples.writer)):
             for writer, number in enumerate(np.bincount(which, minlength=len(writers)).tolist()):
                 if number and (writers[writer] in counter or len(counter) < MOST_ENDPOINTS):
                     counter[writers[writer]] += number
 
     def notes(self, types: TypeStore | None, endpoints: Endpoints) -> list[str]:
         """Return how many there were, and why, a line each, for users."""
-        told = {guid: endpoints.find(guid) for guid in self._all}
-        named = {guid: item for guid, item in told.items() if item is not None and item.topic}
-        early = sum(number for guid, number in self._early.items() if guid in named)
-        never = {guid: number for guid, number in self._early.items() if guid not in named}
+        endpoint_of = {guid: endpoints.find(guid) for guid in self._all}
+        announced = {guid: item for guid, item in endpoint_of.items() if item is not None and item.topic}
+        early = sum(number for guid, number in self._early.items() if guid in announced)
+        never = {guid: number for guid, number in self._early.items() if guid not in announced}
         unread = Counter[str]()
-        for guid, item in named.items():
+        for guid, item in announced.items():
             if item.ros_topic.startswith("/") and types is not None and not types.has(item.ros_type):
                 unread[item.ros_type] += self._all[guid] - self._early[guid]
         notes = []

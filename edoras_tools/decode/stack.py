@@ -208,11 +208,11 @@ class _Dissection(Reading):
         exact = int(self.context.routes_on(self.link)[msg_id])
         route = exact if exact != NO_ROUTE else int(self.context.any_route_of[msg_id])
         if route == NO_ROUTE:
-            for known, layout in (
+            for standard, layout in (
                 (cfe.EVENT_MSG_ID, cfe.EVENT),
                 (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING),
             ):
-                if self.context.msg_ids.known(msg_id) == known and len(self.data) - at >= layout.size:
+                if self.context.msg_ids.standard(msg_id) == standard and len(self.data) - at >= layout.size:
                     self.read(layout, at)
             self._packet_struct(msg_id, start, header, code)
             return
@@ -243,8 +243,8 @@ class _Dissection(Reading):
         cdr = bound.encode_one(self.data[at:], origin)
         values = self.context.structs.types.decode(bound.type, cdr)
         self.message = RosMessage(bound.type, bound.topic, values, cdr)
-        shown = bound.shipped and any(layer.name in OWN_LAYERS for layer in self.layers)
-        if self.detail and not shown:
+        dissected = bound.shipped and any(layer.name in OWN_LAYERS for layer in self.layers)
+        if self.detail and not dissected:
             fields = tuple(
                 LayerField(
                     path,
@@ -265,9 +265,9 @@ class _Dissection(Reading):
         if table is None or kind not in ENTRY_HEADERS:
             return False
         header = ENTRY_HEADERS[PacketType(kind)]
-        found = table.in_packet(self.data, kind, at, end)
+        entries = table.in_packet(self.data, kind, at, end)
         for key, start, length in zip(
-            found.key.tolist(), found.offset.tolist(), found.length.tolist(), strict=True
+            entries.key.tolist(), entries.offset.tolist(), entries.length.tolist(), strict=True
         ):
             if key == table.odd:
                 self.findings |= Finding.LENGTH_MISMATCH
@@ -281,7 +281,7 @@ class _Dissection(Reading):
                 self.findings |= Finding.STRUCT_LENGTH
             else:
                 self._entry(table[key], start, start + length)
-        return bool(len(found.key))
+        return bool(len(entries.key))
 
     def sample(self, topic: str, type_name: str, at: int, end: int) -> None:
         """Read a sample of DDS as a message; see :meth:`Reading.sample`."""
@@ -325,7 +325,7 @@ class _Dissection(Reading):
                 for (path, value, _, _, member), (low, high) in spans
                 if not bound.is_time(path)
             )
-        self.layers.append(Layer("cfs", bound.told(values), at + bound.time_bytes, end, fields))
+        self.layers.append(Layer("cfs", bound.line(values), at + bound.time_bytes, end, fields))
 
     def _envelope(self, route: int, at: int) -> None:
         envelope = self.context.envelopes[route] or detect(self.data, at) or DEFAULT
@@ -364,10 +364,10 @@ class _Dissection(Reading):
             return
         cdr = self.data[start:end]
         self.message = RosMessage(name, topic, types.decode(name, cdr), cdr)
-        left = len(cdr) - types.extent(name, cdr)
-        if left > types.most_trailing(name):
+        trailing = len(cdr) - types.extent(name, cdr)
+        if trailing > types.most_trailing(name):
             self.findings |= Finding.CDR_TOO_LONG
-        elif left > ROUNDED:
+        elif trailing > ROUNDED:
             self.findings |= Finding.CDR_TRAILING
         if self.detail:
             fields = tuple(

@@ -71,8 +71,8 @@ def _text(decoded: Decoded, msg_ids: MsgIds) -> str:
         return text or (str(decoded.stop) if decoded.stop else f"{len(decoded.datagram.payload)} bytes")
     if command is not None and not packet.values()["packet_type"]:
         return "header only"
-    known = msg_ids.known(packet.values()["msg_id"])
-    return packet_text(known, command.values()["function_code"] if command else None)
+    standard = msg_ids.standard(packet.values()["msg_id"])
+    return packet_text(standard, command.values()["function_code"] if command else None)
 
 
 def packet_text(msg_id: int, function_code: int | None) -> str:
@@ -97,12 +97,12 @@ def message_texts(messages: MessageColumns, plan: CdrPlan, *, leave_out: str = "
     columns = grouped_columns(messages, plan)
     if columns is None:
         return []
-    shown = {
+    columns_shown = {
         name: column
         for name, column in columns.items()
         if not name.startswith(leave_out) and not name.endswith(PLACEHOLDER)
     }
-    return _words(shown, len(messages))
+    return _words(columns_shown, len(messages))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ def _words(columns: Mapping[str, Column], count: int) -> list[str]:
         for row, text in zip(rows.tolist(), _texts(column, rows), strict=True):
             words[row].append(f"{name}={text}")
     more = (number > _MOST_FIELDS).tolist()
-    return [" ".join(some) + " ..." * left or "all zero" for some, left in zip(words, more, strict=True)]
+    return [" ".join(some) + " ..." * cut or "all zero" for some, cut in zip(words, more, strict=True)]
 
 
 def _say_something(column: Column) -> NDArray[np.bool_]:

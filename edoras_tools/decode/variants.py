@@ -92,7 +92,7 @@ class Variants:
         seek = context.options.envelope is None
         self._seek_envelopes = {at for at, route in enumerate(routes) if seek and not route.envelope}
         none = np.zeros(0, np.int64)
-        self._kept = _Kept(np.zeros((0, LOOKED_AT), np.uint8), none, none, none)
+        self._sample = _Kept(np.zeros((0, LOOKED_AT), np.uint8), none, none, none)
         self._told_at = 0
         self._left = np.full(PLACES, _FIRST * _UNSOUND, np.int64)
         self._passed = self._since = 0
@@ -105,9 +105,9 @@ class Variants:
         """Look at a batch that is about to be decoded; ``link`` has a link a row."""
         rows = np.flatnonzero(self._packets[link])
         if not self._all_seen:
-            kept = self._sound(batch, rows[:_MOST], link)
-            self._kept = self._kept.and_(kept)
-            count = len(self._kept.length)
+            sample = self._sound(batch, rows[:_MOST], link)
+            self._sample = self._sample.and_(sample)
+            count = len(self._sample.length)
             # Live batches are small: the result is computed again each time the number has doubled.
             if count >= min(2 * self._told_at, _ENOUGH) and count > self._told_at:
                 self._told_at = count
@@ -133,31 +133,31 @@ class Variants:
     def _tell(self) -> None:
         context = self._context
         if self._seek_headers:
-            votes = [int(part.sum()) for part in self._explained(self._kept)]
+            votes = [int(part.sum()) for part in self._explained(self._sample)]
             best = int(np.argmax(votes))
-            found = cfe.TOLD[best] if votes[best] >= _LEAST else cfe.STANDARD
-            if found is not context.headers:
-                context.headers = found
-                context.described["headers"] = found.name
+            headers = cfe.TOLD[best] if votes[best] >= _LEAST else cfe.STANDARD
+            if headers is not context.headers:
+                context.headers = headers
+                context.described["headers"] = headers.name
                 context.notes.append(
-                    f"read with cFE's {found.name}, as the packets' bytes show; "
+                    f"read with cFE's {headers.name}, as the packets' bytes show; "
                     "--telemetry-header 16 reads them with the usual one"
                 )
             self._settle()
         if context.options.envelope is None:
             self._tell_envelopes()
 
-    def _fitting(self, kept: _Kept) -> Fitting:
-        return Fitting(self._context.structs, self._context.command_table, kept.head, kept.length)
+    def _fitting(self, sample: _Kept) -> Fitting:
+        return Fitting(self._context.structs, self._context.command_table, sample.head, sample.length)
 
-    def _explained(self, kept: _Kept) -> list[NDArray[np.bool_]]:
+    def _explained(self, sample: _Kept) -> list[NDArray[np.bool_]]:
         """Return for each kind of headers which packets it explains; an extended header's clock goes on."""
-        told = self._fitting(kept)
-        found = [told.by(headers) for headers in cfe.TOLD]
-        timed = np.flatnonzero(found[_EXTENDED] & ~_commands(kept))
+        fitting = self._fitting(sample)
+        explained = [fitting.by(headers) for headers in cfe.TOLD]
+        timed = np.flatnonzero(explained[_EXTENDED] & ~_commands(sample))
         if len(timed):
-            found[_EXTENDED][timed] = _goes_on(kept.take(timed))
-        return found
+            explained[_EXTENDED][timed] = _goes_on(sample.take(timed))
+        return explained
 
     def _look_at_conversations(
         self, batch: PacketBatch, rows: NDArray[np.intp], link: NDArray[np.uint8]
@@ -174,42 +174,42 @@ class Variants:
         if not len(fresh) and self._since < max(_SAMPLE, rare):
             return
         self._since = 0
-        chosen = np.zeros(len(rows), bool)
-        chosen[fresh] = chosen[:: max(1, len(rows) // _SAMPLE)] = True
-        kept = self._sound(batch, rows[chosen], link)
-        own = place[np.searchsorted(rows, kept.row)]
-        first = self._first(kept, own)
+        picked = np.zeros(len(rows), bool)
+        picked[fresh] = picked[:: max(1, len(rows) // _SAMPLE)] = True
+        sample = self._sound(batch, rows[picked], link)
+        own = place[np.searchsorted(rows, sample.row)]
+        first = self._first(sample, own)
         touched, members = np.unique(own, return_index=True)
-        before = [self._found(value) for value in touched.tolist()]
-        np.subtract.at(self._left, place[chosen], 1)
+        before = [self._kinds_of(value) for value in touched.tolist()]
+        np.subtract.at(self._left, place[picked], 1)
         np.subtract.at(self._left, own, _UNSOUND - 1)
         np.add.at(self._votes, (first, own), 1)
         changed = False
         for value, member, known in zip(touched.tolist(), members.tolist(), before, strict=True):
-            if self._found(value) != known:
-                self._names[value] = _named(batch, int(kept.row[member]))
+            if self._kinds_of(value) != known:
+                self._names[value] = _endpoint_names(batch, int(sample.row[member]))
                 changed = True
         if changed:
             if not self._all_seen:
-                self._told_at = len(self._kept.length)
+                self._told_at = len(self._sample.length)
                 self._tell()
             self._settle()
 
-    def _first(self, kept: _Kept, conversation: NDArray[np.intp]) -> NDArray[np.intp]:
+    def _first(self, sample: _Kept, conversation: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the first kind that explains each packet; what a plain command shows; ``_NOTHING``."""
-        first = np.full(len(kept.length), _NOTHING)
+        first = np.full(len(sample.length), _NOTHING)
         for number, headers in enumerate(cfe.TOLD):
             open_ = np.flatnonzero(first == _NOTHING)
-            rest = kept.take(open_)
+            rest = sample.take(open_)
             fits = open_[self._fitting(rest).by(headers)]
             first[fits] = number
-        timed = np.flatnonzero((first == _EXTENDED) & ~_commands(kept))
+        timed = np.flatnonzero((first == _EXTENDED) & ~_commands(sample))
         for _, members in by_value(conversation[timed]):
-            first[timed[members[~_goes_on(kept.take(timed[members]))]]] = _NOTHING
-        first[(first == 0) & _commands(kept)] = _PLAIN
+            first[timed[members[~_goes_on(sample.take(timed[members]))]]] = _NOTHING
+        first[(first == 0) & _commands(sample)] = _PLAIN
         return first
 
-    def _found(self, place: int) -> int:
+    def _kinds_of(self, place: int) -> int:
         """Return the headers of a conversation, a bit each."""
         usual = self._context.headers
         plain = cfe.HEADERS.index(cfe.STANDARD if usual.extended else usual)
@@ -221,13 +221,13 @@ class Variants:
     def _settle(self) -> None:
         """Let packets be read with what was found, and say so where that is not the usual."""
         context, usual = self._context, 1 << cfe.HEADERS.index(self._context.headers)
-        found = {place: self._found(place) for place in self._names}
+        kinds_of = {place: self._kinds_of(place) for place in self._names}
         context.builds.settle(
-            context.headers, np.array(list(found), np.intp), np.array(list(found.values()), np.uint8)
+            context.headers, np.array(list(kinds_of), np.intp), np.array(list(kinds_of.values()), np.uint8)
         )
         if self._note in context.notes:
             context.notes.remove(self._note)
-        others = {place: bits for place, bits in found.items() if bits not in {0, usual}}
+        others = {place: bits for place, bits in kinds_of.items() if bits not in {0, usual}}
         if others:
             context.described.pop("headers", None)
             names = [self._names[place] for place in others]
@@ -248,21 +248,21 @@ class Variants:
         """Give each route the format that most of its packets carry."""
         context = self._context
         msg_ids = context.msg_ids
-        msg_id = msg_ids.column(self._kept.head, self._kept.length)
+        msg_id = msg_ids.column(self._sample.head, self._sample.length)
         for index, members in by_value(context.any_route_of[msg_id]):
             if index != NO_ROUTE and index not in self._seek_envelopes:
                 continue
             for command in (False, True):
                 rows = members[msg_ids.is_command(msg_id[members]) == command]
-                found = self._format(rows, command=command)
-                if found is None:
+                envelope = self._format(rows, command=command)
+                if envelope is None:
                     continue
                 if index == NO_ROUTE:
-                    context.unrouted[command] = found
-                elif found != context.envelopes[index]:
-                    context.envelopes[index] = found
+                    context.unrouted[command] = envelope
+                elif envelope != context.envelopes[index]:
+                    context.envelopes[index] = envelope
                     context.notes.append(
-                        f"{context.mission.routes[index].topic} is read with the {found} envelope, as its "
+                        f"{context.mission.routes[index].topic} is read with the {envelope} envelope, as its "
                         "bytes show; --envelope names another"
                     )
 
@@ -270,25 +270,25 @@ class Variants:
         """Return the format that fits most of some packets; None where none fits two."""
         headers = self._context.headers
         at = headers.command_bytes if command else headers.telemetry_bytes
-        body, have = self._kept.head[rows, at : at + DEFAULT.size + 4], self._kept.length[rows] - at
+        body, have = self._sample.head[rows, at : at + DEFAULT.size + 4], self._sample.length[rows] - at
         votes = [int(holds(body, have, item).sum()) for item in ENVELOPE_FORMATS]
         best = int(np.argmax(votes))
         return ENVELOPE_FORMATS[best] if votes[best] >= _LEAST else None
 
 
-def _commands(kept: _Kept) -> NDArray[np.bool_]:
-    return np.asarray(VERSION_1.is_command(VERSION_1.column(kept.head, kept.length)))
+def _commands(sample: _Kept) -> NDArray[np.bool_]:
+    return np.asarray(VERSION_1.is_command(VERSION_1.column(sample.head, sample.length)))
 
 
-def _goes_on(kept: _Kept) -> NDArray[np.bool_]:
+def _goes_on(sample: _Kept) -> NDArray[np.bool_]:
     """Tell in which telemetry the extended header's clock counts seconds as the capture's does."""
     extended = cfe.WITH_EXTENDED
-    seconds = extended.telemetry.column("seconds", kept.head, extended.start).astype(np.int64)
-    ahead = seconds - kept.time_s
+    seconds = extended.telemetry.column("seconds", sample.head, extended.start).astype(np.int64)
+    ahead = seconds - sample.time_s
     return np.asarray(np.abs(ahead - np.median(ahead)) <= _GOES_ON_S)
 
 
-def _named(batch: PacketBatch, row: int) -> str:
+def _endpoint_names(batch: PacketBatch, row: int) -> str:
     """Return how people are told of a row's conversation."""
     source = Endpoint(batch.address(int(batch.source_address[row]), row), int(batch.source_port[row]))
     target = Endpoint(

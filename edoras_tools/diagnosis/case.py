@@ -474,7 +474,7 @@ class Case:
 
     def packet_name(self, msg_id: int) -> str:
         """Return cFE's name for a MsgId, or an empty string."""
-        return message_name(self.mission.msg_ids.known(msg_id))
+        return message_name(self.mission.msg_ids.standard(msg_id))
 
     def of_known(self, msg_id: int) -> int:
         """Return what a MsgId of version 1 that facts of cFS name is here."""

@@ -377,12 +377,12 @@ class Examination:
             corrupt_pdus=files.corrupt,
             corrupt_ns=files.corrupt_ns,
             ground=tuple(self._ground.streams),
-            samples=self._samples.named(self.context.endpoints),
+            samples=self._samples.topic_writers(self.context.endpoints),
         )
         followed = files.pdus - files.packets + self._ground.datagrams + self._samples.datagrams
         frames = sum(item.frames for item in capture.frames.channels) if capture.frames else 0
         last = self._judged(whole, self.faults, last=True)()
-        left_out = last.left_out + capture.cut - followed - frames - self._samples.made
+        left_out = last.left_out + capture.cut - followed - frames - self._samples.joined
         last = replace(last, datagrams=last.datagrams + followed, left_out=left_out)
         found = _joined([*(part() for part in self._before), last], capture) if self._before else last
         if self._scattered:

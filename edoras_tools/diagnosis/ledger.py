@@ -577,7 +577,7 @@ def _of_no_stream(case: Case, item: Refused, number: int) -> LedgerWay:
     rows = case.rows
     mask = (rows.time_ns >= item.start_ns) & (rows.time_ns <= item.end_ns)
     if item.link:
-        mask &= rows.link == table.named(item.link).code
+        mask &= rows.link == table.link_of_label(item.link).code
     if item.msg_id is not None:
         mask &= rows.msg_id == item.msg_id
     way = LedgerWay(LedgerTraffic(link=item.link or "", msg_id=item.msg_id), max(number, item.of or 0))

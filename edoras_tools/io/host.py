@@ -75,8 +75,8 @@ def _number(path: str) -> int | None:
 
 
 def _sum(*values: str | None) -> int | None:
-    known = [int(item) for item in values if item is not None]
-    return sum(known) if known else None
+    numbers = [int(item) for item in values if item is not None]
+    return sum(numbers) if numbers else None
 
 
 def _pairs(text: str) -> dict[str, str]:

@@ -80,16 +80,16 @@ class NewFile:
     def __init__(self, path: Path) -> None:
         check_links(path)
         self._path = path.resolve() if path.is_symlink() else path
-        there = self._path.stat() if self._path.exists() else None
+        existing = self._path.stat() if self._path.exists() else None
         name = os.fsdecode(os.fsencode(self._path.name)[:_LONGEST])
         part = self._path.with_name(f".{name}.{os.getpid()}.part")
-        self._part = None if there and not stat.S_ISREG(there.st_mode) else part
+        self._part = None if existing and not stat.S_ISREG(existing.st_mode) else part
         if self._part:
             self._part.unlink(missing_ok=True)  # of a process that was killed and had the same number
         mode = "xb" if self._part else "wb"
         self.file: IO[bytes] = open(self._part or path, mode, opener=opener)  # noqa: SIM115  closed below
-        if there and self._part:
-            _take_after(self.file.fileno(), there)
+        if existing and self._part:
+            _take_after(self.file.fileno(), existing)
 
     def __enter__(self) -> IO[bytes]:
         return self.file
@@ -149,12 +149,12 @@ def to_write(files: Mapping[Path, bytes], *, force: bool) -> list[Path]:
     """
     try:
         others = [path for path, data in files.items() if not (path.is_file() and path.read_bytes() == data)]
-        there = [path for path in others if path.exists()]
+        existing = [path for path in others if path.exists()]
     except OSError as error:
         raise CaptureError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
-    if there and not force:
+    if existing and not force:
         raise ConfigError(
-            f"{there[0]}: exists and differs, the first of {len(there)}; overwrite with --force"
+            f"{existing[0]}: exists and differs, the first of {len(existing)}; overwrite with --force"
         )
     return others
 
@@ -189,9 +189,9 @@ def in_the_way(path: Path, *, split: bool = False) -> Path | None:
         split: ``NAME_0.mcap``, ``NAME_1.mcap`` and so on will be written, so parts of another run count.
     """
     parts = [item for item in path.parent.glob(f"{escape(path.stem)}_*{escape(path.suffix)}") if split]
-    for there in (path, *sorted(item for item in parts if item.stem[len(path.stem) + 1 :].isdigit())):
-        if there.is_file() and there.stat().st_size:
-            return there
+    for file in (path, *sorted(item for item in parts if item.stem[len(path.stem) + 1 :].isdigit())):
+        if file.is_file() and file.stat().st_size:
+            return file
     return None
 
 
@@ -206,14 +206,14 @@ def refuse_input(path: Path, inputs: Iterable[Path]) -> None:
             raise ConfigError(f"{path}: would overwrite its own input; name another output")
 
 
-def refuse_existing(there: Path | None) -> None:
+def refuse_existing(existing: Path | None) -> None:
     """Refuse to replace what is there, if anything.
 
     Raises:
         ConfigError: something is.
     """
-    if there is not None:
-        raise ConfigError(f"{there} exists; name another output, or replace it with --force")
+    if existing is not None:
+        raise ConfigError(f"{existing} exists; name another output, or replace it with --force")
 
 
 def check_new(path: Path, inputs: Iterable[Path] = (), *, force: bool) -> None:
@@ -306,15 +306,15 @@ class OutputFile:
         if self._is_cut():
             return
         rest = [memoryview(piece) for piece in pieces]
-        done = 0
-        while done < len(rest):
-            count = os.writev(self._fileno, rest[done : done + _PIECES])
+        complete = 0
+        while complete < len(rest):
+            count = os.writev(self._fileno, rest[complete : complete + _PIECES])
             self.size += count
-            while done < len(rest) and count >= len(rest[done]):
-                count -= len(rest[done])
-                done += 1
+            while complete < len(rest) and count >= len(rest[complete]):
+                count -= len(rest[complete])
+                complete += 1
             if count:
-                rest[done] = rest[done][count:]
+                rest[complete] = rest[complete][count:]
 
     def fate(self) -> str:
         """Return what another program did to the file, e.g. ``was deleted``; an empty text if nothing.
@@ -327,16 +327,16 @@ class OutputFile:
         if not closed and self._is_cut():
             return "was truncated"
         try:
-            there = self.path.stat()
+            status = self.path.stat()
         except OSError:
             if closed:
                 return "was deleted or moved"
             if now := self.place:
                 return f"was moved to {now}"
             return "was moved to where this program cannot see it" if self.linked else "was deleted"
-        if (there.st_dev, there.st_ino) != self._inode:
+        if (status.st_dev, status.st_ino) != self._inode:
             return "was replaced by another file"
-        return "was truncated" if there.st_size < self.size else ""
+        return "was truncated" if status.st_size < self.size else ""
 
     @property
     def place(self) -> Path | None:
@@ -383,15 +383,15 @@ class OutputFile:
         A service that is started again and again while the disk is full would leave one each time.
         """
         fileno, self._fileno = self._fileno, -1
-        held, self._held = self._held, -1
-        if held >= 0:
-            os.close(held)
+        lock, self._held = self._held, -1
+        if lock >= 0:
+            os.close(lock)
         if fileno < 0:
             return
         if self._own and not self.size:
             with suppress(OSError):
-                there = self.path.lstat()
-                if (there.st_dev, there.st_ino) == self._inode and not there.st_size:
+                status = self.path.lstat()
+                if (status.st_dev, status.st_ino) == self._inode and not status.st_size:
                     self.path.unlink()
         os.close(fileno)
 

@@ -112,18 +112,18 @@ _LOOK_S: Final = 0.002
 """Something short may run just when it is looked."""
 
 
-def jobs_for(source: Source, asked: int, *, fixed: bool = True) -> int:
+def jobs_for(source: Source, number: int, *, fixed: bool = True) -> int:
     """Return how many processes share the work on a source.
 
     Args:
         source: what is read; one that is live, from a pipe or small is one process's.
-        asked: as many; 0: as many as there are processor cores, at most three.
+        number: as many; 0: as many as there are processor cores, at most three.
         fixed: the number stays, so that with 0 only those cores count that are free now.
     """
     if source.statistics.total_bytes < _LARGE:
         return 1
-    if asked:
-        return asked
+    if number:
+        return number
     cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else 1
     others = min(_MOST_JOBS, cores) - 1
     return 1 + (_spare(others) if fixed else others)

@@ -52,23 +52,23 @@ class FileDeliveryLink(LinkProtocol):
     wireshark = "cfdp"
     port_decides = False
 
-    def recognise(self, seen: Seen) -> Any:
+    def recognise(self, facts: Seen) -> Any:
         """Recognise a header of a known version whose lengths add up to the datagram's."""
         number = {
-            slot.field.name: seen.field(cfdp.PDU_HEADER, slot.field.name) for slot in cfdp.PDU_HEADER.slots
+            slot.field.name: facts.field(cfdp.PDU_HEADER, slot.field.name) for slot in cfdp.PDU_HEADER.slots
         }
         header = 2 * number["entity_id_length"] + number["sequence_number_length"] + cfdp.PDU_HEADER.size + 3
-        known = (number["version"] < cfdp.NEWEST_VERSION + 1) & (number["pdu_data_field_length"] > 0)
-        return BY_CONTENT * (known & (header + number["pdu_data_field_length"] == seen.length))
+        plausible = (number["version"] < cfdp.NEWEST_VERSION + 1) & (number["pdu_data_field_length"] > 0)
+        return BY_CONTENT * (plausible & (header + number["pdu_data_field_length"] == facts.length))
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
         """Judge whether PDUs are whole; see :meth:`LinkProtocol.locate`."""
         del site
-        found = Located(len(rows))
+        located = Located(len(rows))
         pdus = cfdp.read_pdus(batch.data, batch.offset[rows], batch.length[rows])
         for name, finding in PDU_FINDINGS.items():
-            found.flag(finding, getattr(pdus, name))
-        return found
+            located.flag(finding, getattr(pdus, name))
+        return located
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read one PDU."""
@@ -82,16 +82,16 @@ class FileDeliveryLink(LinkProtocol):
         del field
         owner, offset, length = _pdu_places(rows, self)
         if layout is cfdp.PDU_HEADER:
-            there = length >= layout.size
-            return owner[there], offset[there]
+            present = length >= layout.size
+            return owner[present], offset[present]
         pdus = cfdp.read_pdus(rows.batch.data, offset, length)
         if layout is cfdp.DIRECTIVE:
             return owner[pdus.directive], pdus.code[pdus.directive]
-        there = np.zeros(len(owner), bool)
+        present = np.zeros(len(owner), bool)
         for large, layouts in enumerate(cfdp.PDU_LAYOUTS):
             for kind, item in layouts.items():
-                there |= (item is layout) & (pdus.kind == kind) & (pdus.large == large)
-        return owner[there], pdus.start[there]
+                present |= (item is layout) & (pdus.kind == kind) & (pdus.large == large)
+        return owner[present], pdus.start[present]
 
     def summary(self, decoded: Decoded) -> str:
         """Return what the PDU says, and of which transaction."""
@@ -129,9 +129,9 @@ def holds_pdu(column: Callable[[str], NDArray[Any]], msg_ids: NDArray[np.int32])
         column: gives one of ``Columns``.
         msg_ids: of such packets.
     """
-    there: NDArray[np.bool_] = np.isin(column("msg_id"), msg_ids)
-    there &= (column("header_length") > ccsds.PRIMARY.size) & ((column("findings") & _NO_PDU) == 0)
-    return there
+    present: NDArray[np.bool_] = np.isin(column("msg_id"), msg_ids)
+    present &= (column("header_length") > ccsds.PRIMARY.size) & ((column("findings") & _NO_PDU) == 0)
+    return present
 
 
 def read_pdu(reading: Reading, at: int) -> None:
@@ -181,7 +181,7 @@ def pdu_text(decoded: Decoded) -> str:
         return ""
     last, ids = decoded.layers[-1], head.values()
     values = last.values()
-    told = f"{last.title.removeprefix('CFDP ')} of {ids[_SOURCE]}:{ids[_SEQUENCE]}"
-    told += "".join(form.format(values[name], **values) for name, form in _TOLD.items() if name in values)
+    text = f"{last.title.removeprefix('CFDP ')} of {ids[_SOURCE]}:{ids[_SEQUENCE]}"
+    text += "".join(form.format(values[name], **values) for name, form in _TOLD.items() if name in values)
     condition = values.get("condition_code")
-    return f"{told}, {cfdp.CONDITION_NAMES.get(condition, condition)}" if condition else told
+    return f"{text}, {cfdp.CONDITION_NAMES.get(condition, condition)}" if condition else text

@@ -48,11 +48,11 @@ class GroundDataFraming(Framing):
     ) -> NDArray[np.bool_]:
         """Ask for a frame that is whole, and whose check is right."""
         size = self.lengths(data, at, end)
-        found = (size > 0) & (at + size <= end)
-        rows = np.flatnonzero(found & (size != len(fprime.KEEP_ALIVE)))
+        likely = (size > 0) & (at + size <= end)
+        rows = np.flatnonzero(likely & (size != len(fprime.KEEP_ALIVE)))
         frames = fprime.read_ground_frames(data, at[rows], size[rows].astype(np.int32))
-        found[rows] = ~frames.corrupt & ~frames.cut
-        return found
+        likely[rows] = ~frames.corrupt & ~frames.cut
+        return likely
 
 
 class GroundDataLink(LinkProtocol):
@@ -75,19 +75,19 @@ class GroundDataLink(LinkProtocol):
     dictionary = True
     several = True
 
-    def recognise(self, seen: Seen) -> Any:
+    def recognise(self, facts: Seen) -> Any:
         """Recognise a start word, or the header of a TC or TM frame that fits the datagram."""
-        own, space, command, telemetry = fprime.frame_shapes_of(seen.field, seen.length)
+        own, space, command, telemetry = fprime.frame_shapes_of(facts.field, facts.length)
         return BY_CONTENT * (own | space | command | telemetry)
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
         """Judge frames; see :meth:`LinkProtocol.locate`."""
         del site
-        found = Located(len(rows))
+        located = Located(len(rows))
         frames = fprime.read_ground_frames(batch.data, batch.offset[rows], batch.length[rows])
         for name, finding in _VERDICTS.items():
-            found.flag(finding, getattr(frames, name))
-        return found
+            located.flag(finding, getattr(frames, name))
+        return located
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read one frame, and the packets in it."""
@@ -121,32 +121,32 @@ class GroundDataLink(LinkProtocol):
         frames = fprime.read_ground_frames(rows.batch.data, offset, length)
         kinds = [item.header for item in fprime.FRAME_SHAPES]
         if layout in kinds and layout is not fprime.SPACE_PACKET:
-            there = (frames.shape == kinds.index(layout)) & (length >= layout.size)
-            return owner[there], offset[there]
+            present = (frames.shape == kinds.index(layout)) & (length >= layout.size)
+            return owner[present], offset[present]
         packets = frames.packets
         if layout is fprime.SPACE_PACKET:
-            chosen = (packets.space >= 0) & (packets.start - packets.space >= layout.size)
+            members = (packets.space >= 0) & (packets.start - packets.space >= layout.size)
             start = packets.space
         elif layout is fprime.PACKET:
-            chosen, start = packets.kind >= 0, packets.start
+            members, start = packets.kind >= 0, packets.start
         else:
             kind = next(kind for kind, item in fprime.ENTRY_HEADERS.items() if item is layout)
-            chosen, start = (packets.kind == kind) & packets.whole, packets.start + fprime.PACKET.size
-        row, first = np.unique(packets.row[chosen], return_index=True)
-        return owner[row], start[chosen][first]
+            members, start = (packets.kind == kind) & packets.whole, packets.start + fprime.PACKET.size
+        row, first = np.unique(packets.row[members], return_index=True)
+        return owner[row], start[members][first]
 
     def summary(self, decoded: Decoded) -> str:
         """Return what the packets hold, by number where no dictionary names it."""
-        told: list[str] = []
+        texts: list[str] = []
         ids = [layout.name for layout in fprime.ENTRY_HEADERS.values()]
         for layer, after in pairwise((*decoded.layers, None)):
             assert layer is not None, "only the last one is"
             header = after is not None and after.name in ids
             if layer.name == _VALUES or (layer.name == fprime.PACKET.name and not header):
-                told.append(layer.title if layer.name == _VALUES else layer.fields[0].text)
+                texts.append(layer.title if layer.name == _VALUES else layer.fields[0].text)
             elif layer.name in ids and not (after is not None and after.name == _VALUES):
-                told.append(f"{layer.title.removeprefix('F Prime ').lower()} {layer.fields[0].text}")
-        return "; ".join(told) or ("" if decoded.stop else "no packet")
+                texts.append(f"{layer.title.removeprefix('F Prime ').lower()} {layer.fields[0].text}")
+        return "; ".join(texts) or ("" if decoded.stop else "no packet")
 
 
 FPRIME: Final = GroundDataLink()

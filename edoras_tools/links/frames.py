@@ -65,15 +65,15 @@ class TransferFraming(Framing):
     ) -> NDArray[np.bool_]:
         """Ask for a whole frame: with a right CRC, or the last, or with a count that goes on behind."""
         size = self.lengths(data, at, end)
-        found = (size > 0) & (at + size <= end)
-        rows = np.flatnonzero(found)
+        likely = (size > 0) & (at + size <= end)
+        rows = np.flatnonzero(likely)
         if self.form.fecf:
-            found[rows] = crc16_rows(data, at[rows], size[rows].astype(np.int32)) == 0
+            likely[rows] = crc16_rows(data, at[rows], size[rows].astype(np.int32)) == 0
         else:
-            found[rows] = self._goes_on(
+            likely[rows] = self._goes_on(
                 data, at[rows], at[rows] + size[rows], np.broadcast_to(end, len(at))[rows]
             )
-        return found
+        return likely
 
     def _goes_on(
         self,
@@ -84,19 +84,19 @@ class TransferFraming(Framing):
     ) -> NDArray[np.bool_]:
         """Tell where the next of its spacecraft, or the end, follows a frame; of AOS, another channel may."""
         layout, count = self.form.layout, _COUNTS[self.form.kind]
-        there = behind + layout.size <= end
+        followed = behind + layout.size <= end
         one, other = (
-            layout.columns(gather(data, place, layout.size)) for place in (at, np.where(there, behind, at))
+            layout.columns(gather(data, place, layout.size)) for place in (at, np.where(followed, behind, at))
         )
         step = (other[count].astype(np.int64) - one[count]) & layout.by_name[count].mask
         same = other["virtual_channel_id"] == one["virtual_channel_id"]
         goes_on = (step == 1) | ~(same | (self.form.kind != "aos"))
-        found: NDArray[np.bool_] = goes_on & (other["spacecraft_id"] == one["spacecraft_id"])
+        agree: NDArray[np.bool_] = goes_on & (other["spacecraft_id"] == one["spacecraft_id"])
         version = "transfer_frame_version_number"
-        found &= other[version] == one[version]
-        found &= there
-        found[behind == end] = True
-        return found
+        agree &= other[version] == one[version]
+        agree &= followed
+        agree[behind == end] = True
+        return agree
 
 
 class TransferFramesLink(LinkProtocol):
@@ -120,9 +120,9 @@ class TransferFramesLink(LinkProtocol):
     )
     port_decides = False
 
-    def recognise(self, seen: Seen) -> Any:
+    def recognise(self, facts: Seen) -> Any:
         """Recognise nothing by the datagram alone: a mission has to say what it is."""
-        return 0 * seen.length
+        return 0 * facts.length
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read the headers of one frame."""
@@ -141,7 +141,7 @@ class TransferFramesLink(LinkProtocol):
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Find one of the headers; which ones there are depends on the kind of frame."""
         del field
-        found = np.full(len(rows.column("link")), NO_FIRST, np.int64)
+        places = np.full(len(rows.column("link")), NO_FIRST, np.int64)
         owner = np.flatnonzero(rows.column("link") == self)
         to_port, from_port = (rows.datagram(f"{end}_port")[owner] for end in ("destination", "source"))
         streams = rows.batch.streams is not None and rows.datagram("streams")[owner]
@@ -151,13 +151,13 @@ class TransferFramesLink(LinkProtocol):
             second = headers.TM.column(
                 "secondary_header_flag", gather(rows.batch.data, offset, headers.TM.size)
             )
-            for known, start in _headers(form, second=True):
-                if known is layout:
-                    there = end >= start + layout.size
-                    there &= (layout is not headers.TM_SECONDARY) | (second == 1)
-                    found[at[there]] = offset[there] + start
-        some = np.flatnonzero(found != NO_FIRST)
-        return some, found[some]
+            for header, start in _headers(form, second=True):
+                if header is layout:
+                    whole = end >= start + layout.size
+                    whole &= (layout is not headers.TM_SECONDARY) | (second == 1)
+                    places[at[whole]] = offset[whole] + start
+        some = np.flatnonzero(places != NO_FIRST)
+        return some, places[some]
 
     def summary(self, decoded: Decoded) -> str:
         """Return the channel, the count, and where the first packet starts."""
@@ -223,17 +223,17 @@ def _framed_ports(
     datagrams = np.isin(destination, [port for port in formats if port not in of_streams]) & np.logical_not(
         streams
     )
-    found = np.where(datagrams, destination, 0)
+    ports = np.where(datagrams, destination, 0)
     for end in (source, destination) if of_streams else ():
-        found = np.where(np.isin(end, of_streams) & streams, end, found)
-    return found.astype(np.uint16)
+        ports = np.where(np.isin(end, of_streams) & streams, end, ports)
+    return ports.astype(np.uint16)
 
 
 def format_of(datagram: Datagram, formats: Mapping[int, FrameFormat]) -> FrameFormat | None:
     """Return the format of the frames that a datagram may be one of: by the same port as ``framed_ports``."""
     ends = (datagram.destination, datagram.source) if datagram.stream else (datagram.destination,)
-    found = (formats.get(end.port) for end in ends)
-    return next((form for form in found if form is not None and form.stream == datagram.stream), None)
+    candidates = (formats.get(end.port) for end in ends)
+    return next((form for form in candidates if form is not None and form.stream == datagram.stream), None)
 
 
 def _stated_length(form: FrameFormat, head: NDArray[np.uint8]) -> Any:

@@ -38,10 +38,10 @@ class IcmpLink(LinkProtocol):
     port_decides = False
     quotes = True
 
-    def recognise(self, seen: Seen) -> Any:
+    def recognise(self, facts: Seen) -> Any:
         """Return how sure it is: certain where the message quotes a UDP datagram."""
-        fits: Any = sum(form.fits(seen.field) for form in FORMS)
-        return CERTAIN * fits * (seen.destination_port == 0)
+        fits: Any = sum(form.fits(facts.field) for form in FORMS)
+        return CERTAIN * fits * (facts.destination_port == 0)
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read the error, and the headers that it quotes."""
@@ -63,8 +63,8 @@ class IcmpLink(LinkProtocol):
         for form in FORMS:
             if layout in form.headers:
                 shift[kind == form.constants[0]["type"]] = form.start(layout)
-        there = shift >= 0
-        return owner[there], at[there] + shift[there]
+        present = shift >= 0
+        return owner[present], at[present] + shift[present]
 
     def quoted(self, datagram: Datagram) -> Datagram:
         """Return the datagram that an error quotes, as far as it does; see :meth:`LinkProtocol.quoted`."""
@@ -123,8 +123,8 @@ def quoted_rows(batch: PacketBatch, rows: NDArray[np.intp]) -> QuotedRows:
     address = {name: np.zeros(len(rows), np.uint32) for name in ADDRESSED}
     port = {name: np.zeros(len(rows), np.uint16) for name in ADDRESSED}
     identification, closed = np.zeros(len(rows), np.uint16), np.zeros(len(rows), bool)
-    known = np.frombuffer(b"".join(own.ipv6), np.uint8).reshape(-1, 16)
-    table = known[:0]
+    addresses = np.frombuffer(b"".join(own.ipv6), np.uint8).reshape(-1, 16)
+    table = addresses[:0]
     for form in FORMS:
         at = np.flatnonzero(own.ip_version == form.version)
         error, header, udp = form.headers
@@ -139,7 +139,7 @@ def quoted_rows(batch: PacketBatch, rows: NDArray[np.intp]) -> QuotedRows:
             reporter = own.source_address[at].astype(">u4").view(np.uint8).reshape(-1, 4)
             numbers = {name: octets.view(">u4")[:, 0] for name, octets in raw.items()}
         else:
-            reporter = known[own.source_address[at]]
+            reporter = addresses[own.source_address[at]]
             table, which = np.unique(np.concatenate(list(raw.values())), axis=0, return_inverse=True)
             numbers = dict(zip(ADDRESSED, np.split(which.reshape(-1), len(ADDRESSED)), strict=True))
         for name in ADDRESSED:

@@ -118,7 +118,7 @@ class Peers:
         """
         return self._first.setdefault(endpoint, (identity, number))[0]
 
-    def known(self, endpoint: tuple[str, int], number: int) -> tuple[int, int] | None:
+    def identity(self, endpoint: tuple[str, int], number: int) -> tuple[int, int] | None:
         """Return the identity an endpoint was known by when a datagram came, or None.
 
         Messages of one TCP segment have one number: ask for the number before it, so that what is beside the
@@ -152,11 +152,11 @@ class Endpoints:
 
     def learn(self, announcement: Announcement, number: int) -> None:
         """Take an announcement of a datagram."""
-        known = self.announced.get(announcement.guid)
-        if known is None and len(self.announced) < MOST_ENDPOINTS:
+        entry = self.announced.get(announcement.guid)
+        if entry is None and len(self.announced) < MOST_ENDPOINTS:
             self.announced[announcement.guid] = announcement, number
-        elif known is not None and number < known[1]:
-            self.announced[announcement.guid] = known[0], number
+        elif entry is not None and number < entry[1]:
+            self.announced[announcement.guid] = entry[0], number
 
     def topics(self) -> dict[str, str]:
         """Return the ROS names of all topics that were announced, each with its type."""
@@ -164,14 +164,14 @@ class Endpoints:
 
     def find(self, guid: bytes, number: int | None = None) -> Announcement | None:
         """Return what an endpoint announced before a datagram came, or at any time; None: nothing."""
-        found = self.announced.get(guid)
-        return found[0] if found and (number is None or found[1] <= number) else None
+        entry = self.announced.get(guid)
+        return entry[0] if entry and (number is None or entry[1] <= number) else None
 
     def since(self, guids: Sequence[bytes]) -> NDArray[np.int64]:
         """Return from which datagram on the topic of each endpoint is known, i64; the largest where never."""
         never = np.iinfo(np.int64).max
-        told = [self.announced.get(guid) for guid in guids]
-        return np.array([item[1] if item and item[0].topic else never for item in told], np.int64)
+        entries = [self.announced.get(guid) for guid in guids]
+        return np.array([item[1] if item and item[0].topic else never for item in entries], np.int64)
 
 
 class Site(Protocol):
@@ -219,10 +219,10 @@ class Located:
         self.findings = np.zeros(count, np.uint32)
         self.columns: dict[str, NDArray[Any]] = {}
 
-    def flag(self, finding: Finding, chosen: NDArray[np.bool_], rows: NDArray[np.intp] | None = None) -> None:
-        """Set a finding's bit where ``chosen`` says so, of all datagrams or of some ``rows`` of them."""
-        if chosen.any():
-            at = np.flatnonzero(chosen) if rows is None else rows[chosen]
+    def flag(self, finding: Finding, mask: NDArray[np.bool_], rows: NDArray[np.intp] | None = None) -> None:
+        """Set a finding's bit where ``mask`` says so, of all datagrams or of some ``rows`` of them."""
+        if mask.any():
+            at = np.flatnonzero(mask) if rows is None else rows[mask]
             self.findings[at] |= np.uint32(finding)
 
 
@@ -276,31 +276,31 @@ class LinkProtocol(Link):
         """Whether its port is enough where no other link claims that port."""
         return not self.forms and not self.constants
 
-    def recognise(self, seen: Seen) -> Any:
+    def recognise(self, facts: Seen) -> Any:
         """Return how sure it is that a datagram to one of its ports is its own: a sum of the constants above.
 
         A link with one direction prefers datagrams that go that way by address, then packets of that type. A
         datagram without a packet is for cFS: Telemetry Output never sends one.
         """
         if self.forms:
-            return BY_CONTENT * self._has_form(seen)
-        sure: Any = self.port_sure * (seen.length >= 0)
+            return BY_CONTENT * self._has_form(facts)
+        sure: Any = self.port_sure * (facts.length >= 0)
         if self.constants:
-            sure = BY_CONTENT * (seen.length >= self.layouts[0].size)
+            sure = BY_CONTENT * (facts.length >= self.layouts[0].size)
             for name, value in self.constants.items():
-                sure = sure * (seen.field(self.layouts[0], name) == value)
+                sure = sure * (facts.field(self.layouts[0], name) == value)
         if self.to_cfs == self.from_cfs:
             return sure
-        command = seen.field(ccsds.PRIMARY, "packet_type", self.header_bytes) != ccsds.TELEMETRY_TYPE
-        this_way = seen.to_cfs > seen.from_cfs if self.to_cfs else seen.from_cfs > seen.to_cfs
+        command = facts.field(ccsds.PRIMARY, "packet_type", self.header_bytes) != ccsds.TELEMETRY_TYPE
+        this_way = facts.to_cfs > facts.from_cfs if self.to_cfs else facts.from_cfs > facts.to_cfs
         return sure + (sure > 0) * ((command == self.to_cfs) + BY_ADDRESS * this_way)
 
-    def _has_form(self, seen: Seen) -> Any:
-        usual = sum((seen.destination_port == form.port) for form in self.forms.values() if form.port)
+    def _has_form(self, facts: Seen) -> Any:
+        usual = sum((facts.destination_port == form.port) for form in self.forms.values() if form.port)
         return sum(
-            (seen.length == length)
-            & ((usual == 0) | (seen.destination_port == form.port) | (form.port == 0))
-            & _likely_doubles(seen, form.doubles)
+            (facts.length == length)
+            & ((usual == 0) | (facts.destination_port == form.port) | (form.port == 0))
+            & _likely_doubles(facts, form.doubles)
             for length, form in self.forms.items()
         )
 
@@ -311,12 +311,12 @@ class LinkProtocol(Link):
             rows: those of this link, in the order they were captured.
         """
         del site  # the default readers do not need it
-        found = Located(len(rows))
+        located = Located(len(rows))
         if self.packets:
             whole = batch.length[rows] >= self.header_bytes
-            found.start[whole] = self.header_bytes
-            found.flag(Finding.TRUNCATED, ~whole)
-        return found
+            located.start[whole] = self.header_bytes
+            located.flag(Finding.TRUNCATED, ~whole)
+        return located
 
     def dissect(self, reading: Reading, site: Site) -> int | None:
         """Read the headers of one datagram; return where its space packet starts, None where there is none.
@@ -346,21 +346,21 @@ class LinkProtocol(Link):
         """
         del field
         length = rows.datagram("length")
-        there, at = rows.column("link") == self, 0
+        present, at = rows.column("link") == self, 0
         if self.forms:
-            there &= np.isin(length, [size for size, form in self.forms.items() if layout in form.headers])
+            present &= np.isin(length, [size for size, form in self.forms.items() if layout in form.headers])
             (headers,) = {form.headers for form in self.forms.values() if layout in form.headers}
         else:
             headers = self.layouts
         at = sum(item.size for item in headers[: headers.index(layout)])
-        owner = np.flatnonzero(there & (length >= at + layout.size))
+        owner = np.flatnonzero(present & (length >= at + layout.size))
         return owner, rows.datagram("offset")[owner] + at
 
     def kinds(self, length: NDArray[np.int32]) -> NDArray[np.int16]:
         """Return the place in ``forms`` of datagrams of these lengths, i16 (n,); -1 for none."""
         kinds = np.full(len(length), -1, np.int16)
-        for index, known in enumerate(self.forms):
-            kinds[length == known] = index
+        for index, size in enumerate(self.forms):
+            kinds[length == size] = index
         return kinds
 
     def message_name(self, kind: int) -> str:
@@ -384,13 +384,13 @@ class LinkProtocol(Link):
         return decoded.layers[-1].title if decoded.layers and not self.packets else ""
 
 
-def _likely_doubles(seen: Seen, count: int) -> Any:
+def _likely_doubles(facts: Seen, count: int) -> Any:
     """Tell whether the first doubles are likely values in one byte order; so is what was cut off."""
     likely: Any = count == 0
     for layout in _DOUBLES if count else ():
         fits: Any = True
         for index in range(count):
-            top = seen.field(layout, "top", index * layout.size)
+            top = facts.field(layout, "top", index * layout.size)
             exponent = top & _EXPONENT
             within = (exponent >= SMALLEST_DOUBLE << 4) & (exponent <= LARGEST_DOUBLE << 4)
             fits = fits & ((top < 0) | (exponent == 0) | within)

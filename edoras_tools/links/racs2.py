@@ -85,18 +85,20 @@ class RacsBridgeLink(LinkProtocol):
     layouts = (racs2.TO_ROS, racs2.TO_CFS)
     port_decides = False
 
-    def recognise(self, seen: Seen) -> Any:
+    def recognise(self, facts: Seen) -> Any:
         """Recognise the 32 bytes of a header; pings and handshakes are not of the link."""
-        first, second = (seen.field(_WORDS, item) for item in ("first", "second"))
+        first, second = (facts.field(_WORDS, item) for item in ("first", "second"))
         letter = first >> 8
         to_cfs = (first > 0) & (first < cfe.HIGHEST_MSG_ID + 1) & (second == 0)
-        named = (letter == ord("/")) | (letter == ord("~")) | ((letter > ord("@")) & (letter < ord("{")))
-        name = named & ((first | second) & 0x8080 == 0)
+        starts_name = (
+            (letter == ord("/")) | (letter == ord("~")) | ((letter > ord("@")) & (letter < ord("{")))
+        )
+        name = starts_name & ((first | second) & 0x8080 == 0)
         for item in _REST:
-            word = seen.field(_WORDS, item)
+            word = facts.field(_WORDS, item)
             to_cfs = to_cfs & (word == 0)
             name = name & (word & _NO_ASCII == 0) & (_has(word, " ") == 0) & (_has(word, '"') == 0)
-        return BY_CONTENT * ((seen.length > racs2.BRIDGE_HEADER - 1) & (to_cfs | name))
+        return BY_CONTENT * ((facts.length > racs2.BRIDGE_HEADER - 1) & (to_cfs | name))
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
         """Find no packets: the messages have none."""
@@ -123,8 +125,8 @@ class RacsBridgeLink(LinkProtocol):
         owner = np.flatnonzero(rows.column("link") == self)
         offset = rows.datagram("offset")[owner]
         to_cfs = gather(rows.batch.data, offset, 1)[:, 0] <= cfe.HIGHEST_MSG_ID >> 8
-        there = to_cfs == (layout is racs2.TO_CFS)
-        return owner[there], offset[there]
+        present = to_cfs == (layout is racs2.TO_CFS)
+        return owner[present], offset[present]
 
     def summary(self, decoded: Decoded) -> str:
         """Return where the message goes, and what it holds."""
@@ -134,10 +136,10 @@ class RacsBridgeLink(LinkProtocol):
         target = values.get("topic_name") or f"0x{values.get('msg_id', 0):04x}"
         size = values.get("body_length", 0)
         names = ("topic_name", "msg_id", "rest", "body_length")
-        held = ", ".join(f"{name} {value!r}" for name, value in values.items() if name not in names)
+        content = ", ".join(f"{name} {value!r}" for name, value in values.items() if name not in names)
         over = "msg_id" in values and size > racs2.LARGEST_BODY
         room = f", more than the {racs2.LARGEST_BODY} that cFS has room for" if over else ""
-        return f"{target}: {held or f'{size} bytes'}{room}"
+        return f"{target}: {content or f'{size} bytes'}{room}"
 
 
 RACS2: Final = RacsBridgeLink()

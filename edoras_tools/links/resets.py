@@ -27,11 +27,11 @@ class ResetsLink(LinkProtocol):
     layouts = (RESET_ENTRY,)
     forms: ClassVar = {RESET_ENTRY.size: Form((RESET_ENTRY,))}
 
-    def recognise(self, seen: Seen) -> Any:
+    def recognise(self, facts: Seen) -> Any:
         """Return how sure it is: certain where length and kinds are those of an entry."""
-        sure: Any = CERTAIN * (seen.length == RESET_ENTRY.size) * (seen.destination_port == 0)
+        sure: Any = CERTAIN * (facts.length == RESET_ENTRY.size) * (facts.destination_port == 0)
         for name, kinds in _KINDS.items():
-            value = seen.field(RESET_ENTRY, name)
+            value = facts.field(RESET_ENTRY, name)
             sure = sure * sum((value == kind) for kind in kinds)
         return sure
 

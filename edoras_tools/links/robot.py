@@ -33,9 +33,9 @@ class RobotLink(LinkProtocol):
         for layout, port in SENT_TO.items()
     }
 
-    def recognise(self, seen: Seen) -> Any:
+    def recognise(self, facts: Seen) -> Any:
         """Return how sure it is: certain where a struct of that length is bound to that port."""
-        return super().recognise(seen) + CERTAIN * seen.bound
+        return super().recognise(facts) + CERTAIN * facts.bound
 
 
 ROBOT: Final = RobotLink()

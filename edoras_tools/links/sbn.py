@@ -79,8 +79,8 @@ class SoftwareBusNetworkFraming(Framing):
             0,
         )
         # Zeros, of which payloads are full, would be messages without content.
-        known = _KNOWN_TYPES[kind] & (kind != sbn.MsgType.NO_MSG) & head[:, self.sender].any(axis=1)
-        fits: NDArray[np.bool_] = known & (size == expected) & (end - at >= self.head)
+        standard = _KNOWN_TYPES[kind] & (kind != sbn.MsgType.NO_MSG) & head[:, self.sender].any(axis=1)
+        fits: NDArray[np.bool_] = standard & (size == expected) & (end - at >= self.head)
         return fits
 
 
@@ -108,7 +108,7 @@ class SoftwareBusNetworkLink(LinkProtocol):
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
         """Read the headers of many datagrams; see :meth:`LinkProtocol.locate`."""
-        return _Columns(batch, rows, site).found
+        return _Columns(batch, rows, site).located
 
     def dissect(self, reading: Reading, site: Site) -> int | None:
         """Read the header of one datagram, and the message that is not a packet."""
@@ -119,15 +119,15 @@ class SoftwareBusNetworkLink(LinkProtocol):
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Find the header, or the message that follows it; the older header has no SpacecraftID."""
         kind, offset = rows.column("sbn_msg_type"), rows.datagram("offset")
-        there = kind >= 0
+        present = kind >= 0
         if layout is sbn.HEADER:
             if field == "spacecraft_id":
-                there &= ~_read_as_legacy(rows)
-            owner = np.flatnonzero(there)
+                present &= ~_read_as_legacy(rows)
+            owner = np.flatnonzero(present)
             return owner, offset[owner]
         at = np.where(_read_as_legacy(rows), sbn.LEGACY_HEADER.size, sbn.HEADER.size)
-        there &= np.isin(kind, _KINDS[layout.name]) & (rows.datagram("length") - at >= layout.size)
-        owner = np.flatnonzero(there)
+        present &= np.isin(kind, _KINDS[layout.name]) & (rows.datagram("length") - at >= layout.size)
+        owner = np.flatnonzero(present)
         return owner, (offset + at)[owner]
 
     def message_name(self, kind: int) -> str:
@@ -145,9 +145,9 @@ class SoftwareBusNetworkLink(LinkProtocol):
         sender = f"from {values.get('spacecraft_id', '?')}:{values.get('processor_id', '?')}"
         listed, proto = decoded.layer(sbn.SUBSCRIPTIONS.name), decoded.layer(sbn.PROTO.name)
         if listed is not None:
-            wanted = listed.values().get("msg_ids", [])
-            some = ", ".join(f"0x{item:04x}" for item in wanted[:_SHOWN])
-            more = f" and {len(wanted) - _SHOWN} more" if len(wanted) > _SHOWN else ""
+            msg_ids = listed.values().get("msg_ids", [])
+            some = ", ".join(f"0x{item:04x}" for item in msg_ids[:_SHOWN])
+            more = f" and {len(msg_ids) - _SHOWN} more" if len(msg_ids) > _SHOWN else ""
             return f"{some}{more} {sender}".strip()
         if proto is not None:
             return f"protocol version {proto.values()['protocol_version']} {sender}"
@@ -159,12 +159,14 @@ SBN: Final = SoftwareBusNetworkLink()
 
 def _read_as_legacy(rows: BatchRows) -> NDArray[np.bool_]:
     """Tell which headers are the older, shorter ones, without a SpacecraftID."""
-    offset, found = rows.datagram("offset"), rows.column("spacecraft_id")
+    offset, spacecraft = rows.datagram("offset"), rows.column("spacecraft_id")
     slot = sbn.HEADER.by_name["spacecraft_id"]
     window = gather(rows.batch.data, offset + slot.start, slot.end - slot.start)
     short = rows.datagram("length") < sbn.HEADER.size
     short |= rows.column("packet_offset") == offset + sbn.LEGACY_HEADER.size
-    legacy: NDArray[np.bool_] = short | (sbn.HEADER.column("spacecraft_id", window, -slot.start) != found)
+    legacy: NDArray[np.bool_] = short | (
+        sbn.HEADER.column("spacecraft_id", window, -slot.start) != spacecraft
+    )
     return legacy
 
 
@@ -175,18 +177,18 @@ class _Columns:
         self.batch, self.rows, self.site = batch, rows, site
         self.length = batch.length[rows]
         self.head = gather(batch.data, batch.offset[rows], _WINDOW)
-        self.found = Located(len(rows))
+        self.located = Located(len(rows))
         self.legacy = _legacy(self.head, self.length)
         self._read()
 
     def _read(self) -> None:
-        found, head, legacy = self.found, self.head, self.legacy
+        located, head, legacy = self.located, self.head, self.legacy
         header = np.where(legacy, sbn.LEGACY_HEADER.size, sbn.HEADER.size).astype(np.int32)
         whole = self.length >= header
-        found.flag(Finding.TRUNCATED, ~whole)
-        found.flag(Finding.SBN_LEGACY_HEADER, legacy)
+        located.flag(Finding.TRUNCATED, ~whole)
+        located.flag(Finding.SBN_LEGACY_HEADER, legacy)
         dropped = (self.length >= sbn.HEADER.size) & (self.length % BRIDGE_LENGTH_MODULUS < sbn.HEADER.size)
-        found.flag(
+        located.flag(
             Finding.BRIDGE_DROPS_LENGTH,
             dropped & self.site.bridge_ports[self.batch.destination_port[self.rows]] & ~self._streams(),
         )
@@ -194,25 +196,25 @@ class _Columns:
         payload = self.length - header
         mismatch = sbn.HEADER.column("msg_size", head) != payload
         spacecraft = np.where(legacy, np.uint32(0), sbn.HEADER.column("spacecraft_id", head))
-        found.columns = {
+        located.columns = {
             "sbn_msg_type": np.where(whole, kind, np.int16(-1)),
             "processor_id": np.where(whole, sbn.HEADER.column("processor_id", head), np.uint32(0)),
             "spacecraft_id": np.where(whole, spacecraft, np.uint32(0)),
         }
-        found.flag(Finding.SBN_SIZE_MISMATCH, whole & mismatch)
-        found.flag(Finding.SBN_UNKNOWN_TYPE, whole & ~_KNOWN_TYPES[kind])
-        found.flag(Finding.SBN_NO_MESSAGE, whole & (kind == sbn.MsgType.NO_MSG))
+        located.flag(Finding.SBN_SIZE_MISMATCH, whole & mismatch)
+        located.flag(Finding.SBN_UNKNOWN_TYPE, whole & ~_KNOWN_TYPES[kind])
+        located.flag(Finding.SBN_NO_MESSAGE, whole & (kind == sbn.MsgType.NO_MSG))
         self._identities(np.flatnonzero(whole), trusted=_KNOWN_TYPES[kind] & ~mismatch)
 
         proto = whole & (kind == sbn.MsgType.PROTO)
         version = np.where(legacy, head[:, sbn.LEGACY_HEADER.size], head[:, sbn.HEADER.size])
         told = payload >= sbn.PROTO.size
-        found.flag(Finding.TRUNCATED, proto & ~told)
-        found.flag(Finding.SBN_VERSION_MISMATCH, proto & told & (version != sbn.PROTOCOL_VERSION))
+        located.flag(Finding.TRUNCATED, proto & ~told)
+        located.flag(Finding.SBN_VERSION_MISMATCH, proto & told & (version != sbn.PROTOCOL_VERSION))
         listed = whole & ((kind == sbn.MsgType.SUB) | (kind == sbn.MsgType.UNSUB))
         self._subscriptions(np.flatnonzero(listed), payload)
         app = whole & (kind == sbn.MsgType.APP)
-        found.start[app] = header[app]
+        located.start[app] = header[app]
 
     def _streams(self) -> NDArray[np.bool_] | np.bool_:
         """Tell which messages came over TCP, which no public bridge speaks."""
@@ -224,7 +226,8 @@ class _Columns:
         batch, peers, rows = self.batch, self.site.peers, self.rows[members]
         trusted = trusted[members]
         spacecraft, processor = (
-            self.found.columns[name][members].astype(np.uint64) for name in ("spacecraft_id", "processor_id")
+            self.located.columns[name][members].astype(np.uint64)
+            for name in ("spacecraft_id", "processor_id")
         )
         identity = spacecraft << 32 | processor
         endpoint = (
@@ -237,8 +240,8 @@ class _Columns:
         for _, same in by_value(endpoint):
             first = int(rows[same[0]])
             key = (batch.address(int(batch.source_address[first]), first), int(batch.source_port[first]))
-            known = peers.known(key, int(batch.number[first]) - int(streams[same[0]]))
-            if known is None:
+            peer = peers.identity(key, int(batch.number[first]) - int(streams[same[0]]))
+            if peer is None:
                 # An identity is unknown only after the endpoint has sent another one.
                 after = same[np.logical_or.accumulate(trusted[same])]
                 if not len(after):
@@ -246,28 +249,28 @@ class _Columns:
                 first_identity = int(identity[after[0]])
                 introduction = int(batch.number[rows[after[0]]])
                 after = after[~streams[after] | (batch.number[rows[after]] > introduction)]
-                known = peers.introduce(key, divmod(first_identity, 1 << 32), introduction)
+                peer = peers.introduce(key, divmod(first_identity, 1 << 32), introduction)
             else:
                 after = same
-            foreign[after] = identity[after] != np.uint64(known[0] << 32 | known[1])
+            foreign[after] = identity[after] != np.uint64(peer[0] << 32 | peer[1])
         for of_craft, of_processor in self.site.identities:
             foreign &= identity != np.uint64(of_craft << 32 | of_processor)
-        self.found.flag(Finding.SBN_ID_MISMATCH, foreign, members)
+        self.located.flag(Finding.SBN_ID_MISMATCH, foreign, members)
 
     def _subscriptions(self, members: NDArray[np.intp], payload: NDArray[np.int32]) -> None:
         """Check SUB and UNSUB: the $Id, and whether all entries are present."""
         payload, head, legacy = payload[members], self.head[members], self.legacy[members]
         whole = payload >= sbn.SUBSCRIPTIONS.size
-        self.found.flag(Finding.TRUNCATED, ~whole, members)
+        self.located.flag(Finding.TRUNCATED, ~whole, members)
         for old, at in ((False, sbn.HEADER.size), (True, sbn.LEGACY_HEADER.size)):
             pick = whole & (legacy == old)
             if not pick.any():
                 continue
             ident = np.ascontiguousarray(head[pick, at : at + sbn.IDENT_BYTES]).view(np.uint64)
-            self.found.flag(Finding.SBN_ID_MISMATCH, (ident != _IDENT).any(axis=1), members[pick])
+            self.located.flag(Finding.SBN_ID_MISMATCH, (ident != _IDENT).any(axis=1), members[pick])
             count = sbn.SUBSCRIPTIONS.column("count", head[pick], at).astype(np.int32)
             short = payload[pick] < sbn.SUBSCRIPTIONS.size + count * sbn.SUBSCRIPTION.size
-            self.found.flag(Finding.TRUNCATED, short, members[pick])
+            self.located.flag(Finding.TRUNCATED, short, members[pick])
 
 
 def _legacy(head: NDArray[np.uint8], length: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -317,16 +320,16 @@ class _Message:
             reading.findings |= Finding.BRIDGE_DROPS_LENGTH
         head = reading.read(layout, 0)
         payload = length - layout.size
-        known = head["msg_type"] in sbn.MSG_TYPE_NAMES
+        standard = head["msg_type"] in sbn.MSG_TYPE_NAMES
         if head["msg_size"] != payload:
             reading.findings |= Finding.SBN_SIZE_MISMATCH
-        if not known:
+        if not standard:
             reading.findings |= Finding.SBN_UNKNOWN_TYPE
         if head["msg_type"] == sbn.MsgType.NO_MSG:
             reading.findings |= Finding.SBN_NO_MESSAGE
         self._identity(
             (head.get("spacecraft_id", 0), head["processor_id"]),
-            trusted=known and head["msg_size"] == payload,
+            trusted=standard and head["msg_size"] == payload,
         )
         if head["msg_type"] in {sbn.MsgType.SUB, sbn.MsgType.UNSUB}:
             self._subscriptions(layout.size)
@@ -359,8 +362,8 @@ class _Message:
         source = (datagram.source.address, datagram.source.port)
         if trusted:
             peers.introduce(source, identity, datagram.number)
-        known = peers.known(source, datagram.number - datagram.stream)
-        if known is not None and known != identity and identity not in self.site.identities:
+        peer = peers.identity(source, datagram.number - datagram.stream)
+        if peer is not None and peer != identity and identity not in self.site.identities:
             self.reading.findings |= Finding.SBN_ID_MISMATCH
 
     def _subscriptions(self, at: int) -> None:
@@ -370,13 +373,13 @@ class _Message:
             reading.findings |= Finding.SBN_ID_MISMATCH
         first, need = at + sbn.SUBSCRIPTIONS.size, head["count"] * sbn.SUBSCRIPTION.size
         whole = min(head["count"], (len(data) - first) // sbn.SUBSCRIPTION.size)
-        wanted = [
+        msg_ids = [
             sbn.SUBSCRIPTION.parse(data, first + index * sbn.SUBSCRIPTION.size)["msg_id"]
             for index in range(whole)
         ]
         end = first + whole * sbn.SUBSCRIPTION.size
-        text = ", ".join(f"0x{item:04x}" for item in wanted)
+        text = ", ".join(f"0x{item:04x}" for item in msg_ids)
         doc = "the MsgIds wanted, or no longer wanted"
-        reading.extend(LayerField("msg_ids", wanted, first, end, text, doc))
+        reading.extend(LayerField("msg_ids", msg_ids, first, end, text, doc))
         if len(data) - first < need:
             reading.truncated("sbn_subscription", first, need)

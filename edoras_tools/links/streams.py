@@ -59,13 +59,13 @@ class WebSocketFraming(Framing):
         headers = read_headers(data, at, end)
         size = headers.size + headers.length
         fits = headers.valid & (headers.length <= self.longest - LARGEST_HEADER)
-        found = np.where(headers.known, np.where(fits, size, NOT_A_MESSAGE), NOT_YET)
+        lengths = np.where(headers.complete, np.where(fits, size, NOT_A_MESSAGE), NOT_YET)
         first = data[np.minimum(at, len(data) - 1)]
         for text in _HTTP:  # the first byte of neither can begin a frame
             for row in np.flatnonzero((first == text[0]) & (room > 0)).tolist():
                 start = int(at[row])
-                found[row] = _handshake_length(data[start : start + int(room[row])], text)
-        return found.astype(np.int64)
+                lengths[row] = _handshake_length(data[start : start + int(room[row])], text)
+        return lengths.astype(np.int64)
 
     def state(self) -> WebSocketState:
         """Return what is known of a new connection."""
@@ -87,7 +87,7 @@ class WebSocketState:
     def __init__(self, largest: int) -> None:
         self.foreign = False
         self._largest = largest
-        self._begun: dict[bool, tuple[bytearray, bool]] = {}
+        self._partial: dict[bool, tuple[bytearray, bool]] = {}
         self._inflate: dict[bool, zlib._Decompress] = {}
         self._takeover = True
 
@@ -102,30 +102,30 @@ class WebSocketState:
         headers = read_headers(data, offset, offset + length)
         http = ~headers.valid
         size = np.where(http, 0, headers.size)
-        held = length - size
-        start = np.cumsum(held) - held
-        out = np.zeros(int(held.sum()), np.uint8)
-        copy_rows(out, start, data, offset + size, held)
+        content_bytes = length - size
+        start = np.cumsum(content_bytes) - content_bytes
+        out = np.zeros(int(content_bytes.sum()), np.uint8)
+        copy_rows(out, start, data, offset + size, content_bytes)
         keys = masking_keys(data, offset, headers)
         keys[http] = 0
         if keys.any():
-            unmask(out, start, held, keys)
+            unmask(out, start, content_bytes, keys)
         part = np.zeros(len(offset), bool)
         single = headers.final & ~headers.compressed & (headers.opcode != Opcode.CONTINUATION)
         parts: list[NDArray[np.uint8]] = [out]
         used = len(out)
         for row in np.flatnonzero(http | ~single).tolist():
-            content = out[start[row] : start[row] + held[row]].tobytes()
+            content = out[start[row] : start[row] + content_bytes[row]].tobytes()
             if http[row]:
                 self._handshake(content)
                 continue
             whole = self._put_together(content, bool(forward[row]), headers, row)
             part[row] = whole is None
             if whole is not None:
-                start[row], held[row] = used, len(whole)
+                start[row], content_bytes[row] = used, len(whole)
                 parts.append(np.frombuffer(whole, np.uint8))
                 used += len(whole)
-        return MessageContents(np.concatenate(parts), start, held, part)
+        return MessageContents(np.concatenate(parts), start, content_bytes, part)
 
     def _handshake(self, text: bytes) -> None:
         """Learn what a request or a response says."""
@@ -139,19 +139,19 @@ class WebSocketState:
         """Add a frame to its message; return the message when it is complete and could be read."""
         compressed = bool(headers.compressed[row])
         if headers.opcode[row] == Opcode.CONTINUATION:
-            begun = self._begun.get(forward)
-            if begun is None:
+            partial = self._partial.get(forward)
+            if partial is None:
                 return None
-            begun[0].extend(content)
+            partial[0].extend(content)
         else:
-            begun = self._begun[forward] = bytearray(content), compressed
-        if len(begun[0]) > self._largest:
-            del self._begun[forward]
+            partial = self._partial[forward] = bytearray(content), compressed
+        if len(partial[0]) > self._largest:
+            del self._partial[forward]
             return None
         if not headers.final[row]:
             return None
-        del self._begun[forward]
-        return self._inflated(bytes(begun[0]), forward) if begun[1] else bytes(begun[0])
+        del self._partial[forward]
+        return self._inflated(bytes(partial[0]), forward) if partial[1] else bytes(partial[0])
 
     def _inflated(self, data: bytes, forward: bool) -> bytes | None:
         if not self._takeover or forward not in self._inflate:
@@ -189,7 +189,7 @@ class RacsBridgeStreams(WebSocketFraming):
         """Ask for a message in one frame that begins with a header, or for a handshake."""
         headers = read_headers(data, at, end)
         room = np.broadcast_to(np.asarray(end - at), at.shape)
-        holds = headers.valid & headers.known & headers.final & (headers.length >= racs2.BRIDGE_HEADER)
+        holds = headers.valid & headers.complete & headers.final & (headers.length >= racs2.BRIDGE_HEADER)
         holds &= (headers.opcode == Opcode.TEXT) | (headers.opcode == Opcode.BINARY)
         holds &= ~headers.compressed & (room >= headers.size + racs2.BRIDGE_HEADER)
         head = gather(data, np.where(holds, at + headers.size, 0), racs2.BRIDGE_HEADER)
@@ -219,17 +219,17 @@ class RacsBridgeState(WebSocketState):
         forward: NDArray[np.bool_],
     ) -> MessageContents:
         """Return the payloads of frames, and judge by the first message whose connection it is."""
-        found = super().contents(data, offset, length, forward)
+        payloads = super().contents(data, offset, length, forward)
         headers = read_headers(data, offset, offset + length)
-        whole = headers.valid & (headers.opcode < Opcode.CLOSE) & ~found.part
+        whole = headers.valid & (headers.opcode < Opcode.CLOSE) & ~payloads.part
         if not self._told and whole.any():
             self._told = True
             row = int(np.argmax(whole))
-            start = int(found.offset[row])
-            head = found.data[start : start + min(int(found.length[row]), racs2.BRIDGE_HEADER)][None]
+            start = int(payloads.offset[row])
+            head = payloads.data[start : start + min(int(payloads.length[row]), racs2.BRIDGE_HEADER)][None]
             full = head.shape[1] == racs2.BRIDGE_HEADER
             self.foreign |= not (full and bool((_names_topic(head) | _names_msg_id(head))[0]))
-        return found
+        return payloads
 
 
 def _names_topic(head: NDArray[np.uint8]) -> NDArray[np.bool_]:

@@ -36,16 +36,16 @@ def links() -> tuple[LinkProtocol, ...]:
     Raises:
         ConfigError: an installed link cannot be loaded, or its label or code is taken or is not allowed.
     """
-    found: dict[str, LinkProtocol] = {}
+    by_label: dict[str, LinkProtocol] = {}
     for label, place in ROWS.items():
         module, _, name = place.partition(":")
-        found[label] = getattr(import_module(module), name)
+        by_label[label] = getattr(import_module(module), name)
     for item in doors.installed("links"):
-        found[item.name] = _checked(item, item.load(), found)
-    return tuple(found.values())
+        by_label[item.name] = _checked(item, item.load(), by_label)
+    return tuple(by_label.values())
 
 
-def _checked(item: Addition, link: Any, known: dict[str, LinkProtocol]) -> LinkProtocol:
+def _checked(item: Addition, link: Any, by_label: dict[str, LinkProtocol]) -> LinkProtocol:
     """Return an installed link, checked against the rules of the table.
 
     Raises:
@@ -56,9 +56,9 @@ def _checked(item: Addition, link: Any, known: dict[str, LinkProtocol]) -> LinkP
     if link.label != item.name or not _LABEL.fullmatch(link.label):
         form = "a small letter, then at most 15 small letters, digits or _"
         raise item.error(f"its label is {link.label!r}; it must be its entry's name, {form}")
-    if link.label in known or link.label == OTHER.label:
+    if link.label in by_label or link.label == OTHER.label:
         raise item.error("another link has this label; uninstall one of them")
-    if not 0 < link.code < _CODES or link.code in known.values():
+    if not 0 < link.code < _CODES or link.code in by_label.values():
         free = "choose one from 64 to 255 that is free"
         raise item.error(f"its code {link.code} is taken or is not a byte; {free}")
     return link
@@ -76,9 +76,9 @@ def link(code: int) -> Link:
 
 def protocol(link: Link) -> LinkProtocol:
     """Return the object that reads a link's datagrams; ``link`` must not be ``OTHER``."""
-    found = _by_code()[link]
-    assert isinstance(found, LinkProtocol)
-    return found
+    reader = _by_code()[link]
+    assert isinstance(reader, LinkProtocol)
+    return reader
 
 
 def framings(ports: Iterable[tuple[Link, int]] = ()) -> dict[int, Framing]:
@@ -88,24 +88,24 @@ def framings(ports: Iterable[tuple[Link, int]] = ()) -> dict[int, Framing]:
         ports: further links and ports; those of links that do not travel over TCP are left out.
     """
     usual = [(item, port) for item in links() for port in item.transport.ports]
-    found: dict[int, Framing] = {}
+    by_port: dict[int, Framing] = {}
     for item, port in (*ports, *usual):
         framing = protocol(item).framing if item != OTHER else None
         if framing is not None:
-            found.setdefault(port, framing)
-    return found
+            by_port.setdefault(port, framing)
+    return by_port
 
 
-def named(name: str) -> Link:
+def link_of_label(name: str) -> Link:
     """Return the link of a label, in any case; ``other`` is one.
 
     Raises:
         ConfigError: there is no such link.
     """
-    known = {item.label: item for item in (*links(), OTHER)}
-    if name.lower() not in known:
-        raise ConfigError(f"{name!r} is not a link; there are {', '.join(known)}")
-    return known[name.lower()]
+    by_label = {item.label: item for item in (*links(), OTHER)}
+    if name.lower() not in by_label:
+        raise ConfigError(f"{name!r} is not a link; there are {', '.join(by_label)}")
+    return by_label[name.lower()]
 
 
 def carrying(bridge: str, *, to_cfs: bool) -> Link:
@@ -135,19 +135,19 @@ def message_kinds(columns: Columns, length: NDArray[np.int32]) -> NDArray[np.int
     return kinds
 
 
-def among(column: NDArray[np.integer[Any]], meant: Callable[[Link], bool]) -> NDArray[np.bool_]:
+def among(column: NDArray[np.integer[Any]], accepts: Callable[[Link], bool]) -> NDArray[np.bool_]:
     """Tell which codes are of a link that a test accepts: ``among(rows.link, lambda link: link.to_cfs)``.
 
     Returns:
         bool, of the column's shape.
     """
-    return np.asarray(accepted(meant)[column])
+    return np.asarray(accepted(accepts)[column])
 
 
-def accepted(meant: Callable[[Link], bool]) -> NDArray[np.bool_]:
+def accepted(accepts: Callable[[Link], bool]) -> NDArray[np.bool_]:
     """Return which codes are of a link that a test accepts, bool (256,)."""
     table = np.zeros(1 << 8, np.bool_)
-    table[[code for code, item in _by_code().items() if meant(item)]] = True
+    table[[code for code, item in _by_code().items() if accepts(item)]] = True
     return table
 
 

@@ -51,12 +51,12 @@ def open_graph(
     """
     if mistakes := unknown_options("foxglove", options, tuple(_OPTIONS)):
         raise ConfigError(*mistakes)
-    given = {**_OPTIONS, **options}
-    if not given["port"].isdecimal() or int(given["port"]) > 0xFFFF:
-        raise ConfigError(f"--ros foxglove: port {given['port']!r} is not a TCP port: 0 to 65535")
-    origins = [item for item in given["origins"].split(",") if item]
-    listen = Endpoint(given["host"], int(given["port"]))
-    return FoxgloveGraph(store, node, listen, origins, given["token"])
+    values = {**_OPTIONS, **options}
+    if not values["port"].isdecimal() or int(values["port"]) > 0xFFFF:
+        raise ConfigError(f"--ros foxglove: port {values['port']!r} is not a TCP port: 0 to 65535")
+    origins = [item for item in values["origins"].split(",") if item]
+    listen = Endpoint(values["host"], int(values["port"]))
+    return FoxgloveGraph(store, node, listen, origins, values["token"])
 
 
 class FoxgloveGraph:
@@ -89,8 +89,8 @@ class FoxgloveGraph:
             self.server = FoxgloveServer(node, (), store.definition, options)
         except CaptureError as error:
             raise ConfigError(f"--ros-option port: {error}") from None
-        asked = "/?token=... with its token" if token else ""
-        self._notes.append(f"Foxglove connects to {self.server.url}{asked}")
+        query = "/?token=... with its token" if token else ""
+        self._notes.append(f"Foxglove connects to {self.server.url}{query}")
         may = "watch, and publish what is bridged to cFS"
         if note := reach_note(self.server.endpoint, may, "" if token else "a token asks for a word first"):
             self._notes.append(note)
@@ -138,9 +138,9 @@ class FoxgloveGraph:
         wrong = self._store.check(type_name)
         if wrong is not None:
             raise ConfigError(wrong)
-        known = self._types.setdefault(topic, type_name)
-        if known != type_name:
-            raise ConfigError(f"{topic} is {known} in this graph, not {type_name}; name one type")
+        existing = self._types.setdefault(topic, type_name)
+        if existing != type_name:
+            raise ConfigError(f"{topic} is {existing} in this graph, not {type_name}; name one type")
 
     def _unknown(self, topic: str) -> str:
         return f"{topic}: nobody listens; topics: {', '.join(self._publisher.topics) or 'none'}"

@@ -88,11 +88,11 @@ class LocalGraph:
         """See ``Graph``."""
         subscription = _Subscription(self, qos, heard)
         with self._domain.lock:
-            found = self._topic(topic, type_name)
-            found.subscriptions += (subscription,)
+            topic_ = self._topic(topic, type_name)
+            topic_.subscriptions += (subscription,)
             late = [
                 cdr
-                for publisher in found.publishers
+                for publisher in topic_.publishers
                 if qos.transient_local and publisher.node is not self and _match(publisher.qos, qos)
                 for cdr in publisher.last
             ]
@@ -103,8 +103,8 @@ class LocalGraph:
         """See ``Graph``."""
         publisher = _Publisher(self, qos, deque(maxlen=qos.depth or None))
         with self._domain.lock:
-            found = self._topic(topic, type_name)
-            found.publishers += (publisher,)
+            topic_ = self._topic(topic, type_name)
+            topic_.publishers += (publisher,)
 
         def publish(cdr: bytes) -> None:
             if self._closed:
@@ -112,7 +112,7 @@ class LocalGraph:
             with self._domain.lock:
                 if qos.transient_local:
                     publisher.last.append(cdr)
-                subscriptions = found.subscriptions
+                subscriptions = topic_.subscriptions
             for item in subscriptions:
                 if item.node is not self and _match(qos, item.qos):
                     item.heard(cdr)
@@ -144,6 +144,6 @@ class LocalGraph:
         return topic
 
 
-def _match(offered: Qos, asked: Qos) -> bool:
+def _match(offered: Qos, requested: Qos) -> bool:
     """Tell whether a publisher offers all that a subscription asks for."""
-    return offered.reliable >= asked.reliable and offered.transient_local >= asked.transient_local
+    return offered.reliable >= requested.reliable and offered.transient_local >= requested.transient_local

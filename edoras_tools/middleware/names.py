@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 _NAME: Final = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
-def check_name(name: str, what: str) -> str:
+def check_name(name: str, noun: str) -> str:
     """Return a fully qualified ROS name.
 
     Args:
-        what: what an error calls it, ``topic`` or ``node``.
+        noun: what an error calls it, ``topic`` or ``node``.
 
     Raises:
         ConfigError: it is none.
     """
     if not _NAME.fullmatch(name) or "__" in name:
         raise ConfigError(
-            f"{what} {name!r} is not a ROS name; write /NAME/NAME, of letters, digits and single _, "
+            f"{noun} {name!r} is not a ROS name; write /NAME/NAME, of letters, digits and single _, "
             "no digit first"
         )
     return name
@@ -51,12 +51,12 @@ def dds_name(type_name: str) -> str:
     return f"{package}::{kind}::dds_::{name}_"
 
 
-def unknown_options(ros: str, options: Iterable[str], known: Sequence[str]) -> list[str]:
+def unknown_options(ros: str, options: Iterable[str], existing: Sequence[str]) -> list[str]:
     """Return a line for each option that a middleware does not have.
 
     Args:
         options: names of those given.
-        known: names of those that there are.
+        existing: names of those that there are.
     """
-    there = f"there are {', '.join(known)}" if known else "leave it out"
-    return [f"--ros {ros} has no option {name!r}; {there}" for name in options if name not in known]
+    hint = f"there are {', '.join(existing)}" if existing else "leave it out"
+    return [f"--ros {ros} has no option {name!r}; {hint}" for name in options if name not in existing]

@@ -46,8 +46,8 @@ def middleware(ros: str) -> Middleware:
         return _OF_THE_CORE[ros]
     item = doors.find("middleware", ros)
     if item is None:
-        known = [*names(), *(item.name for item in doors.installed("middleware"))]
-        raise ConfigError(f"--ros {ros!r} is not known; there are {', '.join(known)}")
+        existing = [*names(), *(item.name for item in doors.installed("middleware"))]
+        raise ConfigError(f"--ros {ros!r} is not known; there are {', '.join(existing)}")
     loaded = item.load()
     if not isinstance(loaded, Middleware):
         raise item.error(f"{item.place} is not an object of Middleware")
@@ -61,11 +61,11 @@ def usual(environ: Mapping[str, str] | None = None) -> str:
         ConfigError: this installation has none.
     """
     rmw = (os.environ if environ is None else environ).get("RMW_IMPLEMENTATION", "")
-    there = {name: item.load() for name, item in doors.shipped("middleware").items() if not item.absent}
-    for name, item in there.items():
+    installed = {name: item.load() for name, item in doors.shipped("middleware").items() if not item.absent}
+    for name, item in installed.items():
         if rmw and item.implementation == rmw:
             return name
-    for name, item in there.items():
+    for name, item in installed.items():
         if item.usual:
             return name
     raise ConfigError(f"no middleware is usual in this installation; choose with --ros: {', '.join(names())}")
@@ -119,10 +119,10 @@ def distro_of_peers(ros: str, domain: int, options: Mapping[str, str] = {}) -> s
     if not place:
         return None
     try:
-        told: str | None = _imported(ros, place)(domain, options)
+        distro: str | None = _imported(ros, place)(domain, options)
     except (ImportError, ConfigError):
         return None
-    return told
+    return distro
 
 
 def _imported(ros: str, place: str) -> Any:

@@ -68,13 +68,13 @@ class RclpyGraph:
         kind = self._type(topic, type_name)
         echoes = _Echoes()
 
-        def taken(cdr: bytes) -> None:
+        def receive(cdr: bytes) -> None:
             if not self._closed and not echoes.take(cdr):
                 heard(cdr)
 
         self._echoes[topic].append(echoes)
         try:
-            self._node.create_subscription(kind, topic, taken, _profile(qos), raw=True)
+            self._node.create_subscription(kind, topic, receive, _profile(qos), raw=True)
         except Exception as error:  # rclpy raises RuntimeError, ValueError and classes of its own
             raise ConfigError(f"{topic}: refused by rclpy: {_line(error)}") from error
 

@@ -73,12 +73,12 @@ def read_handling(fields: Fields, group: str, defaults: Handling) -> Handling:
     )
 
 
-def warn_of_unknown(fields: Fields, group: str, known: Sequence[str]) -> None:
+def warn_of_unknown(fields: Fields, group: str, keys: Sequence[str]) -> None:
     """Warn of unknown keys in a group."""
     for name in fields.node.children(group):
-        if name not in known:
-            words = ", ".join(known)
-            fields.warn(f"{group}.{name}", f"ignored; {suggestion(name, known)}read are {words}")
+        if name not in keys:
+            words = ", ".join(keys)
+            fields.warn(f"{group}.{name}", f"ignored; {suggestion(name, keys)}read are {words}")
 
 
 # An address, or the limits of an integer.
@@ -149,8 +149,8 @@ def read_stored(node: NodeParameters, check_type: CheckType | None) -> Iterator[
             values = (node.values.get(f"{key.value}.{name}") for name in ("topic", "type", "store_filename"))
             topic, kind, file = (str(item.value) if isinstance(item, ScalarNode) else "" for item in values)
             name = file.rpartition("/")[2]
-            known = _TYPE.fullmatch(kind) and (check_type is None or check_type(kind) is None)
-            if name and known and _TOPIC.fullmatch(topic):
+            well_formed = _TYPE.fullmatch(kind) and (check_type is None or check_type(kind) is None)
+            if name and well_formed and _TOPIC.fullmatch(topic):
                 yield StoredTopic("/" + topic.removeprefix("/"), kind, name)
 
 
@@ -195,9 +195,9 @@ def _communication(fields: Fields) -> tuple[bool, GroundLink | FlightLink | None
     present = node.children(group)
     flight_keys, ground_keys = len(_FLIGHT.keys() & present), len(_GROUND.keys() & present)
     if flight_keys == ground_keys:
-        what = "neither a ground nor a flight bridge's" if group in node.groups else "missing"
+        text = "neither a ground nor a flight bridge's" if group in node.groups else "missing"
         allowed = f"a ground bridge needs {_words(_GROUND)}; a flight bridge {_words(_FLIGHT)}"
-        fields.mistake(group, f"{what}; {allowed}")
+        fields.mistake(group, f"{text}; {allowed}")
         return False, None
     flight = flight_keys > ground_keys
     keys = _FLIGHT if flight else _GROUND
@@ -209,8 +209,8 @@ def _communication(fields: Fields) -> tuple[bool, GroundLink | FlightLink | None
     for key in present:
         if key not in keys:
             kind = "flight" if flight else "ground"
-            what = f"ignored; {suggestion(key, keys)}a {kind} bridge reads {_words(keys)}"
-            fields.warn(f"{group}.{key}", what)
+            text = f"ignored; {suggestion(key, keys)}a {kind} bridge reads {_words(keys)}"
+            fields.warn(f"{group}.{key}", text)
     if None in values.values():
         return flight, None
     place: dict[str, Any] = {"file": fields.report.file, "line": node.lines[group]}
@@ -251,8 +251,8 @@ class _Routes:
         if key not in node.groups:
             if key not in node.values:
                 near = suggestion(key, _mappings(node))
-                what = f"{near}write {printable(key)}: {{type: ..., topic: ..., mid: ...}}"
-                fields.report.mistake(line, direction, f"{printable(key)} has no mapping; {what}")
+                advice = f"{near}write {printable(key)}: {{type: ..., topic: ..., mid: ...}}"
+                fields.report.mistake(line, direction, f"{printable(key)} has no mapping; {advice}")
             elif node.values[key] is not None:
                 fields.mistake(key, "no mapping; type, topic and mid are needed below it")
             return
@@ -315,8 +315,8 @@ class _Routes:
         topic = "/" + text.removeprefix("/")
         if topic in self.topics:
             other, line = self.topics[topic]
-            what = f"{topic} is the topic of {printable(other)} on line {line} already"
-            self.fields.mistake(name, f"{what}; a bridge takes a topic once")
+            clash = f"{topic} is the topic of {printable(other)} on line {line} already"
+            self.fields.mistake(name, f"{clash}; a bridge takes a topic once")
             return None
         self.topics[topic] = (key, self.fields.node.line_of(name))
         return topic
@@ -327,8 +327,8 @@ class _Routes:
         msg_id = self.fields.integer(name, allowed=allowed)
         if msg_id is None or 1 <= msg_id <= cfe.HIGHEST_MSG_ID:
             return msg_id
-        what = "is refused by cFE" if 0 <= msg_id <= 0xFFFF else "does not fit 16 bits"
-        self.fields.mistake(name, f"{msg_id:#x} {what}; {allowed}")
+        reason = "is refused by cFE" if 0 <= msg_id <= 0xFFFF else "does not fit 16 bits"
+        self.fields.mistake(name, f"{msg_id:#x} {reason}; {allowed}")
         return None
 
     def _envelope(self, key: str) -> str | None:
@@ -339,7 +339,7 @@ class _Routes:
         if text is None or text == "auto":
             return text
         try:
-            return str(EnvelopeFormat.named(text))
+            return str(EnvelopeFormat.of_name(text))
         except ConfigError:
             allowed = "auto, 8/8, 4/4 and 1/1 are allowed, the first numbers with le or be behind"
             self.fields.mistake(name, f'"{printable(text)}" is not an envelope; {allowed}')
@@ -353,9 +353,9 @@ class _Routes:
         same = (other.topic, other.type) == (route.topic, route.type) and node is not self.fields.node
         if not same:
             place = f"{printable(other.file, 200)}:{other.line}: {printable(other.key)}"
-            what = f"0x{route.msg_id:04X} carries {other.topic or 'another topic'} already ({place})"
+            clash = f"0x{route.msg_id:04X} carries {other.topic or 'another topic'} already ({place})"
             self.fields.mistake(
-                f"{route.key}.mid", f"{what}; one topic a MsgId on the {route.link.label} link"
+                f"{route.key}.mid", f"{clash}; one topic a MsgId on the {route.link.label} link"
             )
         return False
 
@@ -363,13 +363,13 @@ class _Routes:
         name, msg_ids = f"{route.key}.mid", self.msg_ids
         command = msg_ids.is_command(route.msg_id)
         if msg_ids is VERSION_1 and not route.msg_id & _SECONDARY_HEADER_BIT:
-            what = f"0x{route.msg_id:04X} lacks 0x0800, the secondary header bit that cFE messages have"
-            self.fields.warn(name, f"{what}; is it hexadecimal, written without 0x?")
+            text = f"0x{route.msg_id:04X} lacks 0x0800, the secondary header bit that cFE messages have"
+            self.fields.warn(name, f"{text}; is it hexadecimal, written without 0x?")
         elif not self.flight and command != route.to_cfs:
             kind, usual = ("a command", "lacks") if command else ("a telemetry", "has")
-            what = f"0x{route.msg_id:04X} is {kind} MsgId under {route.direction}"
+            text = f"0x{route.msg_id:04X} is {kind} MsgId under {route.direction}"
             usual = f"{usual} the bit 0x{msg_ids.command_bit:04X} as a rule"
-            self.fields.warn(name, f"{what}; a ground bridge's {route.direction} {usual}")
+            self.fields.warn(name, f"{text}; a ground bridge's {route.direction} {usual}")
 
     def warn_of_unlisted(self) -> None:
         """Warn of mappings that are in neither list."""

@@ -31,13 +31,13 @@ class Fields:
     node: NodeParameters
     report: Mistakes
 
-    def mistake(self, name: str, what: str) -> None:
+    def mistake(self, name: str, text: str) -> None:
         """Report a mistake at the line of the parameter, or of the nearest group around it."""
-        self.report.mistake(self.node.line_of(name), name, what)
+        self.report.mistake(self.node.line_of(name), name, text)
 
-    def warn(self, name: str, what: str) -> None:
+    def warn(self, name: str, text: str) -> None:
         """Report a warning at the line of the parameter."""
-        self.report.warn(self.node.line_of(name), name, what)
+        self.report.warn(self.node.line_of(name), name, text)
 
     def has(self, name: str) -> bool:
         """Tell whether the file has the parameter, valid or not."""
@@ -123,8 +123,8 @@ class Fields:
         try:
             return str(ipaddress.IPv4Address(text))
         except ValueError:
-            what = "is not an IPv4 address; the bridges resolve no host names: write it as 127.0.0.1"
-            self.mistake(name, f'"{printable(text)}" {what}')
+            reason = "is not an IPv4 address; the bridges resolve no host names: write it as 127.0.0.1"
+            self.mistake(name, f'"{printable(text)}" {reason}')
             return None
 
     def msg_ids(self, name: str) -> tuple[int, ...]:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.links.table import links, named
+from edoras_tools.links.table import link_of_label, links
 from edoras_tools.mission.bridges import (
     find_bridges,
     is_transfer,
@@ -157,8 +157,8 @@ class _Loading:
         for node in framing:
             self._framed += read_framed_ports(node, report, self._ports)
         if nodes and not (bridges or framing or report.mistakes or any(map(is_transfer, nodes))):
-            what = "no node here is a bridge; it needs communication, command and telemetry"
-            (report.warn if of_folder else report.mistake)(nodes[0].line, nodes[0].name, what)
+            problem = "no node here is a bridge; it needs communication, command and telemetry"
+            (report.warn if of_folder else report.mistake)(nodes[0].line, nodes[0].name, problem)
         for node in bridges:
             bridge, routes = read_bridge(node, report, self._claims, self._check_type, self._msg_ids)
             self._routes += routes
@@ -196,9 +196,9 @@ class _Loading:
             self._links.append(link)
 
 
-def _in_order(found: Iterable[list[tuple[int, str]]]) -> list[str]:
+def _in_order(messages: Iterable[list[tuple[int, str]]]) -> list[str]:
     """Return the messages of each file, sorted by line, each once: a wildcard may apply to several nodes."""
-    return list(dict.fromkeys(text for lines in found for _, text in sorted(lines, key=itemgetter(0))))
+    return list(dict.fromkeys(text for lines in messages for _, text in sorted(lines, key=itemgetter(0))))
 
 
 def _text(content: bytes | str, report: Mistakes) -> str | None:
@@ -208,10 +208,10 @@ def _text(content: bytes | str, report: Mistakes) -> str | None:
     return yaml_text(content, report, "give the YAML file of a bridge")
 
 
-def _free_name(name: str, taken: Mapping[str, bytes]) -> str:
+def _free_name(name: str, used: Mapping[str, bytes]) -> str:
     """Return the name, numbered where two files of different folders share it."""
     path, number, free = PurePath(name or "mission.yaml"), 2, name or "mission.yaml"
-    while free in taken:
+    while free in used:
         free, number = f"{path.stem}_{number}{path.suffix}", number + 1
     return free
 
@@ -228,11 +228,11 @@ _OWN_KEYS: Final = {
 }
 
 
-def read_framed_ports(node: NodeParameters, report: Mistakes, taken: dict[int, str]) -> Iterator[FramedPort]:
+def read_framed_ports(node: NodeParameters, report: Mistakes, owners: dict[int, str]) -> Iterator[FramedPort]:
     """Yield the ports of one node's ``frames`` that have no mistake; mistakes go to ``report``.
 
     Args:
-        taken: the name of each port, over all files; this call adds to it.
+        owners: the name of each port, over all files; this call adds to it.
     """
     fields = Fields(node, report)
     names = sorted(
@@ -242,15 +242,15 @@ def read_framed_ports(node: NodeParameters, report: Mistakes, taken: dict[int, s
     for name in node.children(FRAMES_GROUP):
         fields.mistake(f"{FRAMES_GROUP}.{name}", "a value; write NAME: {port: 5111, kind: tm, length: 1115}")
     for name in names:
-        found = _framed_port(fields, name)
-        if found is None:
+        entry = _framed_port(fields, name)
+        if entry is None:
             continue
-        if found.port in taken:
-            what = f"{found.port} is the port of {taken[found.port]} already; a port has one kind of frames"
-            fields.mistake(f"{FRAMES_GROUP}.{name}.port", what)
+        if entry.port in owners:
+            text = f"{entry.port} is the port of {owners[entry.port]} already; a port has one kind of frames"
+            fields.mistake(f"{FRAMES_GROUP}.{name}.port", text)
             continue
-        taken[found.port] = name
-        yield found
+        owners[entry.port] = name
+        yield entry
 
 
 def _framed_port(fields: Fields, name: str) -> FramedPort | None:
@@ -283,4 +283,4 @@ def _framed_port(fields: Fields, name: str) -> FramedPort | None:
             f"{group}.length", f"{form.length} has no room for data; at least {form.smallest} is needed"
         )
         return None
-    return FramedPort(name, port, form, named(link), fields.report.file, fields.node.lines[group])
+    return FramedPort(name, port, form, link_of_label(link), fields.report.file, fields.node.lines[group])

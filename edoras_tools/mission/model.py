@@ -253,7 +253,7 @@ class Mission:
         msg_ids: the version of the MsgIds.
         frames: the ports of transfer frames; no port twice.
         pdu_msg_ids: of packets that hold a CFDP PDU each, as those of cFS's CF app.
-        stored: topics whose messages travel as files.
+        stored_topics: topics whose messages travel as files.
         recorded: not of files: the topics of a recording without datagrams, one for each of ``routes``.
     """
 
@@ -265,7 +265,7 @@ class Mission:
     msg_ids: MsgIds = VERSION_1
     frames: tuple[FramedPort, ...] = ()
     pdu_msg_ids: tuple[int, ...] = ()
-    stored: tuple[StoredTopic, ...] = ()
+    stored_topics: tuple[StoredTopic, ...] = ()
     recorded: tuple[RecordedTopic, ...] = ()
 
     def numbered(self, msg_ids: MsgIds) -> Mission:
@@ -273,13 +273,13 @@ class Mission:
         if msg_ids is self.msg_ids:
             return self
 
-        def made(routes: tuple[Route, ...]) -> tuple[Route, ...]:
-            known, of_known = self.msg_ids.known, msg_ids.of_known
-            return tuple(replace(item, msg_id=of_known(known(item.msg_id))) for item in routes)
+        def renumbered(routes: tuple[Route, ...]) -> tuple[Route, ...]:
+            standard, of_known = self.msg_ids.standard, msg_ids.of_known
+            return tuple(replace(item, msg_id=of_known(standard(item.msg_id))) for item in routes)
 
-        bridges = tuple(replace(item, routes=made(item.routes)) for item in self.bridges)
-        pdus = tuple(msg_ids.of_known(self.msg_ids.known(item)) for item in self.pdu_msg_ids)
-        routes = made(self.routes)
+        bridges = tuple(replace(item, routes=renumbered(item.routes)) for item in self.bridges)
+        pdus = tuple(msg_ids.of_known(self.msg_ids.standard(item)) for item in self.pdu_msg_ids)
+        routes = renumbered(self.routes)
         return replace(self, routes=routes, bridges=bridges, msg_ids=msg_ids, pdu_msg_ids=pdus)
 
     @property
@@ -302,17 +302,19 @@ class Mission:
         msg_id = read_scalar(text)
         if isinstance(msg_id, int) and not isinstance(msg_id, bool):
             text = f"0x{msg_id:04X}"
-            found = [route for route in self.routes if route.msg_id == msg_id]
+            matches = [route for route in self.routes if route.msg_id == msg_id]
         else:
             topic = "/" + text.removeprefix("/")
-            found = [route for route in self.routes if route.topic == topic]
-            found = found or [route for route in self.routes if route.key == text]
-        if len(found) == 1:
-            return found[0]
-        choices = [f"{item.topic} (0x{item.msg_id:04X}, {item.link.label})" for item in found or self.routes]
-        if found:
+            matches = [route for route in self.routes if route.topic == topic]
+            matches = matches or [route for route in self.routes if route.key == text]
+        if len(matches) == 1:
+            return matches[0]
+        choices = [
+            f"{item.topic} (0x{item.msg_id:04X}, {item.link.label})" for item in matches or self.routes
+        ]
+        if matches:
             raise RouteError(
-                f"{text!r} names {len(found)} routes: {', '.join(choices)}; say which by another name"
+                f"{text!r} names {len(matches)} routes: {', '.join(choices)}; say which by another name"
             )
         if not choices:
             raise RouteError(f"{text!r}: no topic is configured; give mission files with -c")

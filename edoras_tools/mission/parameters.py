@@ -131,13 +131,13 @@ class _Reader:
                 node.values[name] = self.scalar(name, tree)
             case SequenceNode():
                 items = [self.scalar(name, item) for item in tree.items]
-                known = tuple(item for item in items if item is not None)
-                if len({type(item.value) for item in known}) > 1:
+                readable = tuple(item for item in items if item is not None)
+                if len({type(item.value) for item in readable}) > 1:
                     self.report.mistake(
                         tree.line, name, "values of several kinds in one list; ROS 2 takes one kind"
                     )
-                    known = ()
-                node.values[name] = known if len(known) == len(items) else None
+                    readable = ()
+                node.values[name] = readable if len(readable) == len(items) else None
             case AliasNode():
                 node.values[name] = self.scalar(name, tree)
 
@@ -146,26 +146,26 @@ class _Reader:
             case ScalarNode(missing=False):
                 return tree
             case ScalarNode():
-                what = "no value; write one, or '' for an empty string"
+                text = "no value; write one, or '' for an empty string"
             case AliasNode():
-                what = "an alias (*); ROS 2 takes none: write the value out"
+                text = "an alias (*); ROS 2 takes none: write the value out"
             case _:
-                what = "a list or mapping inside a list; ROS 2 takes plain values there"
-        self.report.mistake(tree.line, name, what)
+                text = "a list or mapping inside a list; ROS 2 takes plain values there"
+        self.report.mistake(tree.line, name, text)
         return None
 
     def entries(self, tree: MappingNode, above: str) -> list[tuple[str, int, Tree]]:
         """Return key, line and value of each entry that can be used: keys are plain text, each once."""
-        seen: dict[str, int] = {}
+        first_lines: dict[str, int] = {}
         usable = []
         for key, child in tree.entries:
             if not isinstance(key, ScalarNode) or not key.text:
                 self.report.mistake(key.line, above, "a key that is not a name; write NAME: VALUE")
-            elif key.text in seen:
-                what = f"written twice, on line {seen[key.text]} before; keep one"
-                self.report.mistake(key.line, f"{above}.{key.text}" if above else key.text, what)
+            elif key.text in first_lines:
+                text = f"written twice, on line {first_lines[key.text]} before; keep one"
+                self.report.mistake(key.line, f"{above}.{key.text}" if above else key.text, text)
             else:
-                seen[key.text] = key.line
+                first_lines[key.text] = key.line
                 # The parser gives an empty value the position of the next token.
                 if isinstance(child, ScalarNode) and child.missing:
                     child = ScalarNode("", "", key.line, missing=True)  # noqa: PLW2901
@@ -175,10 +175,10 @@ class _Reader:
 
 def _with_wildcards(nodes: list[NodeParameters]) -> list[NodeParameters]:
     """Give each named node the parameters of the wildcards that match it; as in rclcpp the last wins."""
-    named = [node for node in nodes if "*" not in node.name]
+    targets = [node for node in nodes if "*" not in node.name]
     used: set[str] = set()
     result = []
-    for node in named:
+    for node in targets:
         merged = NodeParameters(node.name, node.line)
         for other in nodes:
             if other is node or ("*" in other.name and _matches(other.name, node.name)):

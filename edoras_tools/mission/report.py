@@ -28,13 +28,13 @@ class Mistakes:
     mistakes: list[tuple[int, str]] = field(default_factory=list)
     warnings: list[tuple[int, str]] = field(default_factory=list)
 
-    def mistake(self, line: int, key: str, what: str) -> None:
+    def mistake(self, line: int, key: str, message: str) -> None:
         """Add a mistake. ``line`` counts from 1; 0 is the whole file."""
-        self.mistakes.append((line, self._text(line, key, what)))
+        self.mistakes.append((line, self._text(line, key, message)))
 
-    def warn(self, line: int, key: str, what: str) -> None:
+    def warn(self, line: int, key: str, message: str) -> None:
         """Add a warning: something that works but is probably a mistake."""
-        self.warnings.append((line, self._text(line, key, what)))
+        self.warnings.append((line, self._text(line, key, message)))
 
     def raise_all(self) -> None:
         """Raise the mistakes, in the order of their lines.
@@ -45,6 +45,6 @@ class Mistakes:
         if self.mistakes:
             raise ConfigError(*(text for _, text in sorted(self.mistakes, key=itemgetter(0))))
 
-    def _text(self, line: int, key: str, what: str) -> str:
+    def _text(self, line: int, key: str, message: str) -> str:
         place = printable(self.file, 200) + (f":{line}" if line else "")
-        return f"{place}: {printable(key)}: {what}" if key else f"{place}: {what}"
+        return f"{place}: {printable(key)}: {message}" if key else f"{place}: {message}"

@@ -147,30 +147,30 @@ def read_document(path: Path, report: Mistakes, form: str, *, one: str, instead:
 
 
 def named_entries(
-    tree: Tree, place: str, report: Mistakes, needed: str, known: Collection[str] = ()
+    tree: Tree, place: str, report: Mistakes, needed: str, allowed: Collection[str] = ()
 ) -> Iterator[tuple[str, int, Tree]]:
     """Yield the keys of a mapping, with line and value. Unknown ones are mistakes, as are repeated ones.
 
     Args:
         place: the key of the mapping; empty for a whole file.
         needed: what has to be there where it is no mapping.
-        known: the keys that there are; empty: any.
+        allowed: the keys that there are; empty: any.
     """
     if not isinstance(tree, MappingNode):
         report.mistake(tree.line, place, needed)
         return
-    seen: set[str] = set()
+    first_lines: set[str] = set()
     for key, value in tree.entries:
         name = key.text if isinstance(key, ScalarNode) else ""
         where = f"{place}.{name}" if place else name
-        if known and name not in known:
-            near = did_you_mean(name, known, 1)
-            what = f"no such key; {near and near + ' '}there are {', '.join(known)}"
-            report.mistake(key.line, where, what)
+        if allowed and name not in allowed:
+            near = did_you_mean(name, allowed, 1)
+            text = f"no such key; {near and near + ' '}there are {', '.join(allowed)}"
+            report.mistake(key.line, where, text)
             continue
-        if name in seen:
+        if name in first_lines:
             report.mistake(key.line, where, "given twice; once is enough")
-        seen.add(name)
+        first_lines.add(name)
         yield name, key.line, value
 
 

@@ -183,8 +183,8 @@ class _Reader:
     def _decode(self, batch: PacketBatch) -> Columns | Begun:
         if not len(batch):
             return self._decoder.decode(batch)
-        begun = self._decoder.begin(batch)
-        return begun._replace(part=None) if self._desk.awaited else self._decoder.finish(batch, begun)
+        detected = self._decoder.begin(batch)
+        return detected._replace(part=None) if self._desk.awaited else self._decoder.finish(batch, detected)
 
     def _state(self) -> bytes:
         """Return what is known so far; pickled, because it is kept longer than the batch."""

@@ -140,11 +140,15 @@ def open_aligned(
             sources.append(source)
             notes.append(note)
             continue
-        to, found = next(
-            ((other, told) for other in set_back if (told := align(tables[other], table)) is not None),
+        to, alignment = next(
+            (
+                (other, candidate)
+                for other in set_back
+                if (candidate := align(tables[other], table)) is not None
+            ),
             (0, None),
         )
-        if found is None:
+        if alignment is None:
             if is_cfe_file(path):
                 source, name = _of_cfe(path)
                 most = max(len(boot_offsets(tables[other], name)) for other in set_back)
@@ -160,10 +164,14 @@ def open_aligned(
                 "no loss is concluded from the order of events between the two"
             )
             continue
-        set_back[at] = [found.line, *set_back[to]]
-        sources.append(Aligned(open_file(path), set_back[at], found.shared))
-        some = f"; {len(found.shared):,} datagrams are in both, counted once" if len(found.shared) else ""
-        notes.append(f"{path}: its clock is {found.told(str(paths[to]))}{some}")
+        set_back[at] = [alignment.line, *set_back[to]]
+        sources.append(Aligned(open_file(path), set_back[at], alignment.shared))
+        some = (
+            f"; {len(alignment.shared):,} datagrams are in both, counted once"
+            if len(alignment.shared)
+            else ""
+        )
+        notes.append(f"{path}: its clock is {alignment.told(str(paths[to]))}{some}")
     return OneByOne([merge_sources(sources), *alone]) if alone else merge_sources(sources), notes
 
 

@@ -120,16 +120,16 @@ def _one(text: str) -> tuple[Rule, ...]:
 def _plan(tree: Tree, report: Mistakes) -> FaultPlan:
     rules: list[Rule] = []
     seed = 0
-    seen: set[str] = set()
+    keys: set[str] = set()
     for key, _, value in named_entries(tree, "", report, _SCENARIO_FORM, _KEYS):
-        seen.add(key)
+        keys.add(key)
         if key == "seed":
             seed = _seed(value, report)
         elif key == "profile":
             rules += _profile(value, report)
         else:
             rules += _rules(value, report)
-    if not seen & {"faults", "profile"} and not report.mistakes:
+    if not keys & {"faults", "profile"} and not report.mistakes:
         report.mistake(tree.line, "", f"it contains no fault; {_SCENARIO_FORM}")
     return FaultPlan(tuple(rules), seed)
 
@@ -164,8 +164,8 @@ def _rules(tree: Tree, report: Mistakes) -> list[Rule]:
             try:
                 rule = parse_rule(item.text)
             except ConfigError as error:
-                for what in error.mistakes:
-                    report.mistake(item.line, key, what)
+                for text_ in error.mistakes:
+                    report.mistake(item.line, key, text_)
         else:
             report.mistake(item.line, key, "a fault is needed, e.g. drop: 0.1")
         if rule is not None:
@@ -191,22 +191,24 @@ def _rule(item: MappingNode, key: str, report: Mistakes) -> Rule | None:
         return None
     if len(kinds) != 1:
         names = [name for name, _, _ in words]
-        what = (
+        problem = (
             f"{' and '.join(name for name, _, _ in kinds)} in one fault; make them two"
             if kinds
             else f"none of {', '.join(names)} is a fault; {suggestion(names[0], FAULT_KINDS)}"
             f"there are {', '.join(FAULT_KINDS)}"
         )
-        report.mistake(item.line, key, what)
+        report.mistake(item.line, key, problem)
         return None
-    ((kind, told, _),) = kinds
+    ((kind, setting, _),) = kinds
     options = [(name, text) for name, text, _ in words if name != kind]
-    own = [("", told)] if told else []
-    written = ",".join([f"{kind}:{told}" if told else kind, *(f"{name}={text}" for name, text in options)])
+    own = [("", setting)] if setting else []
+    written = ",".join(
+        [f"{kind}:{setting}" if setting else kind, *(f"{name}={text}" for name, text in options)]
+    )
     rule, mistakes = make_rule(kind, [*own, *options], written)
     lines = {name: line for name, _, line in words}
-    for name, what in mistakes:
-        report.mistake(lines.get(name or kind, item.line), f"{key}.{name or kind}", what)
+    for name, problem in mistakes:
+        report.mistake(lines.get(name or kind, item.line), f"{key}.{name or kind}", problem)
     return rule
 
 

@@ -38,7 +38,7 @@ _HANG_UP = getattr(signal, "SIGHUP", None)
 
 @contextmanager
 def on_interrupt(
-    stop: Callable[[], None], *, patient: bool = False, here: bool = False
+    stop: Callable[[], None], *, patient: bool = False, in_handler: bool = False
 ) -> Iterator[threading.Event]:
     """Call ``stop`` at the first Ctrl-C, SIGTERM or SIGHUP; a second Ctrl-C interrupts at once.
 
@@ -49,25 +49,25 @@ def on_interrupt(
         stop: ends the work; called in a thread of its own.
         patient: ignore a second Ctrl-C: a program that another one ends gets Ctrl-C from the terminal and
             SIGTERM from the other program.
-        here: call ``stop`` inside the handler instead: it must take no lock, and may raise.
+        in_handler: call ``stop`` inside the handler instead: it must take no lock, and may raise.
 
     Yields:
         An event that is set once ``stop`` was called. Outside the main thread, signals are not handled.
     """
-    asked = threading.Event()
+    interrupted = threading.Event()
     if threading.current_thread() is not threading.main_thread():
-        yield asked
+        yield interrupted
         return
 
     def handle(number: int, _frame: FrameType | None) -> None:
         if number == _HANG_UP:
             _leave_terminal()
-        if asked.is_set():
+        if interrupted.is_set():
             if patient or number != signal.SIGINT:
                 return
             raise KeyboardInterrupt
-        asked.set()
-        if here:
+        interrupted.set()
+        if in_handler:
             stop()
         else:
             _thread.start_new_thread(stop, ())
@@ -78,7 +78,7 @@ def on_interrupt(
         if number != _HANG_UP or signal.getsignal(number) is not signal.SIG_IGN
     }
     try:
-        yield asked
+        yield interrupted
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -124,11 +124,11 @@ def interruptible(
 
     def batches() -> Iterator[PacketBatch]:
         nonlocal waiting
-        given = source.batches()
+        batches_of = source.batches()
         while not asked.is_set():
             waiting = True
             try:
-                batch = next(given, None)
+                batch = next(batches_of, None)
             except KeyboardInterrupt:
                 if asked.is_set():
                     break
@@ -140,7 +140,7 @@ def interruptible(
             yield batch
         raise interrupted(source)
 
-    with on_interrupt(stop or interrupt, patient=patient, here=stop is None) as asked:
+    with on_interrupt(stop or interrupt, patient=patient, in_handler=stop is None) as asked:
         yield source.batches() if stop else batches(), asked
 
 

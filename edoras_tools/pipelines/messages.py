@@ -56,24 +56,24 @@ def open_inputs(paths: Sequence[Path], settings: Settings) -> tuple[Source, Work
 
 
 def open_messages(
-    paths: Sequence[Path], settings: Settings, found: NoDatagramsError
+    paths: Sequence[Path], settings: Settings, refusal: NoDatagramsError
 ) -> tuple[Source, Workbench]:
     """Open recordings without datagrams as one source of messages, and set up what reads them.
 
     Args:
         settings: where definitions come from that they do not hold.
-        found: what ``open_files`` said of one of them, which is not opened again: it may be a pipe.
+        refusal: what ``open_files`` said of one of them, which is not opened again: it may be a pipe.
 
     Raises:
         CaptureError: one cannot be opened.
         ConfigError: others hold datagrams.
     """
     table = NumberedTopics()
-    opened: dict[str, Sequence[Any]] = {found.path: found.files}
+    opened: dict[str, Sequence[Any]] = {refusal.path: refusal.files}
     with ExitStack() as stack:
         sources = []
         for path in paths:
-            files = opened.pop(str(path), None) or _topic_files(path, found.path)
+            files = opened.pop(str(path), None) or _topic_files(path, refusal.path)
             for file in files:
                 stack.callback(file.close)
             sources.append(MessageSource(str(path), files, table))

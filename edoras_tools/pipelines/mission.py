@@ -113,8 +113,8 @@ class _Traffic:
         carries = bridged & (columns.msg_id != NO_MSG_ID)
         self.configured.update(np.unique(columns.msg_id[carries & (columns.route != NO_ROUTE)]).tolist())
         self._add_ways(batch, columns, np.flatnonzero(bridged))
-        known = cfe.known_ids(columns.msg_id, columns.headers)
-        events = np.flatnonzero(carries & (known == cfe.EVENT_MSG_ID))[:_OF_A_BATCH]
+        standard = cfe.known_ids(columns.msg_id, columns.headers)
+        events = np.flatnonzero(carries & (standard == cfe.EVENT_MSG_ID))[:_OF_A_BATCH]
         for payload in (_payload(batch, columns, row) for row in events.tolist()):
             if len(payload) >= cfe.EVENT.size - 2:  # some builds leave the last two bytes away
                 event = cfe.EVENT.parse(payload.ljust(cfe.EVENT.size, b"\0"))
@@ -126,7 +126,7 @@ class _Traffic:
 
     def _add_stream(self, batch: PacketBatch, columns: Columns, key: int, members: NDArray[np.intp]) -> None:
         link, msg_id, processor_id = table.link(key >> 32 & 0xFF), key >> 40, key & 0xFFFFFFFF
-        if message_name(self.msg_ids.known(msg_id)):
+        if message_name(self.msg_ids.standard(msg_id)):
             if link.peers and not self.msg_ids.is_command(msg_id):
                 self.flight[processor_id] += len(members)
             return
@@ -144,9 +144,9 @@ class _Traffic:
         parts.append(columns.spacecraft_id[rows].astype(np.int64))
         if not len(rows):
             return
-        told, first, counts = np.unique(np.stack(parts, 1), axis=0, return_index=True, return_counts=True)
+        distinct, first, counts = np.unique(np.stack(parts, 1), axis=0, return_index=True, return_counts=True)
         for (*_, code, processor_id, spacecraft_id), at, count in zip(
-            told.tolist(), first.tolist(), counts.tolist(), strict=True
+            distinct.tolist(), first.tolist(), counts.tolist(), strict=True
         ):
             link, datagram = table.link(code), batch[int(rows[at])]
             ways = self.ways.setdefault(link, Counter())
@@ -218,12 +218,12 @@ class _Writer:
             *self._ground([item for item in streams if item.link.bridge == "ground"]),
             *self._flight([item for item in streams if item.link.bridge == "flight"]),
         ]
-        known = plural(len(self._traffic.configured), "MsgId")
+        count_text = plural(len(self._traffic.configured), "MsgId")
         if not self._topics:
-            why = f"; {known} of it are in the mission already" if self._traffic.configured else ""
+            why = f"; {count_text} of it are in the mission already" if self._traffic.configured else ""
             raise CaptureError(f"{name}: no EDORAS message under a MsgId that is not known{why}")
         if self._traffic.configured:
-            self._notes.append(f"{known} left out: the mission has them already")
+            self._notes.append(f"{count_text} left out: the mission has them already")
         shown = "".join(item if item.isprintable() else "?" for item in name)
         text = _HEADER.format(name=shown) + "".join(f"{line}\n" for line in lines)
         return MissionDraft(text, self._topics, self._sure, self._notes)
@@ -279,14 +279,14 @@ class _Writer:
             return
         cfs = peers[flight[0]]
         bridge = max(others, key=lambda item: self._traffic.peers[item].total())
-        chosen: dict[int, _Stream] = {}
+        by_msg_id: dict[int, _Stream] = {}
         for item in streams:
-            if item.processor_id not in {cfs.processor_id, bridge.processor_id} or item.msg_id in chosen:
+            if item.processor_id not in {cfs.processor_id, bridge.processor_id} or item.msg_id in by_msg_id:
                 self._notes.append(
                     f"{item.name} of processor {item.processor_id} left out: a bridge has one peer"
                 )
             else:
-                chosen[item.msg_id] = item
+                by_msg_id[item.msg_id] = item
         ((cfs_at, _),), ((bridge_at, _),) = (
             self._traffic.peers[item].most_common(1) for item in (cfs, bridge)
         )
@@ -302,8 +302,8 @@ class _Writer:
                 "processor_id": bridge.processor_id,
                 "spacecraft_id": bridge.spacecraft_id,
             },
-            [item for item in chosen.values() if item.processor_id == bridge.processor_id],
-            [item for item in chosen.values() if item.processor_id == cfs.processor_id],
+            [item for item in by_msg_id.values() if item.processor_id == bridge.processor_id],
+            [item for item in by_msg_id.values() if item.processor_id == cfs.processor_id],
         )
 
     def _node(
@@ -318,9 +318,9 @@ class _Writer:
         yield "    communication:"
         for key, value in communication.items():
             yield f"      {key}: {json.dumps(value)}"
-        for direction, what, streams in groups:
+        for direction, comment, streams in groups:
             keys = [_key(item) for item in streams if item.msg_id in written]
-            yield f"    {direction}: {keys or ['']} # {what}"
+            yield f"    {direction}: {keys or ['']} # {comment}"
         for lines in written.values():
             yield ""
             yield from lines

@@ -35,37 +35,37 @@ class SampleTopics:
 
     Attributes:
         pattern: a shell pattern of the topics' names, as recordings have them.
-        taken: names of the mission's topics.
+        used: names of the mission's topics.
         endpoints: what was announced so far.
         announced: also the datagrams in which these topics were announced first.
     """
 
     pattern: str
-    taken: frozenset[str]
+    used: frozenset[str]
     endpoints: Endpoints
     announced: bool = False
 
     @classmethod
     def of(cls, topic: str, context: Context) -> SampleTopics:
         """Return the samples of one topic of DDS."""
-        taken = frozenset(route.topic for route in context.mission.routes)
-        return cls(_recorded_as(topic, taken), taken, context.endpoints)
+        used = frozenset(route.topic for route in context.mission.routes)
+        return cls(_recorded_as(topic, used), used, context.endpoints)
 
     def holds(self, topic: str) -> bool:
         """Tell whether a topic of DDS is one of them."""
-        return fits_topic(_recorded_as(topic, self.taken), self.pattern)
+        return fits_topic(_recorded_as(topic, self.used), self.pattern)
 
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
         """Return which rows of a batch have such a sample."""
-        found = np.zeros(len(batch), bool)
+        rows_on = np.zeros(len(batch), bool)
         rows = np.flatnonzero(columns.link == RTPS)
         if len(rows):
-            found[RTPS.rows_on(batch, rows, self.endpoints, self.holds)] = True
+            rows_on[RTPS.rows_on(batch, rows, self.endpoints, self.holds)] = True
         if len(rows) and self.announced:
-            told = self.endpoints.announced.values()
-            numbers = [number for item, number in told if item.topic and self.holds(item.ros_topic)]
-            found[rows[np.isin(batch.number[rows], numbers)]] = True
-        return found
+            announced = self.endpoints.announced.values()
+            numbers = [number for item, number in announced if item.topic and self.holds(item.ros_topic)]
+            rows_on[rows[np.isin(batch.number[rows], numbers)]] = True
+        return rows_on
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,32 +99,32 @@ class PacketKinds:
     @classmethod
     def any(cls, several: Iterable[PacketKinds]) -> PacketKinds:
         """Return what at least one of several stands for."""
-        found = list(several)
+        kinds = list(several)
         return cls(
-            frozenset().union(*(item.routes for item in found)),
-            frozenset().union(*(item.keys for item in found)),
-            frozenset().union(*(item.kinds for item in found)),
-            tuple(own for item in found for own in item.samples),
+            frozenset().union(*(item.routes for item in kinds)),
+            frozenset().union(*(item.keys for item in kinds)),
+            frozenset().union(*(item.kinds for item in kinds)),
+            tuple(own for item in kinds for own in item.samples),
         )
 
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
         """Return which rows of a batch are meant."""
-        found = np.isin(columns.route, list(self.routes))
-        found |= np.isin(columns.msg_id, [key.msg_id for key in self.keys if key.function_code is None])
+        mask = np.isin(columns.route, list(self.routes))
+        mask |= np.isin(columns.msg_id, [key.msg_id for key in self.keys if key.function_code is None])
         for key in self.keys:
             if key.port is not None:
-                there = among(columns.link, lambda link: link.last_hop)
-                there &= batch.destination_port == key.port
-                found |= there & ((batch.length == key.function_code) | (key.function_code is None))
+                at_port = among(columns.link, lambda link: link.last_hop)
+                at_port &= batch.destination_port == key.port
+                mask |= at_port & ((batch.length == key.function_code) | (key.function_code is None))
             elif key.function_code is not None:
-                found |= (columns.msg_id == key.msg_id) & (columns.function_code == key.function_code)
+                mask |= (columns.msg_id == key.msg_id) & (columns.function_code == key.function_code)
         if self.kinds:
             own = table.message_kinds(columns, batch.length)
             for code, kind in self.kinds:
-                found |= (columns.link == code) & (own == kind) & (columns.msg_id == NO_MSG_ID)
+                mask |= (columns.link == code) & (own == kind) & (columns.msg_id == NO_MSG_ID)
         for item in self.samples:
-            found |= item.mask(batch, columns)
-        return found
+            mask |= item.mask(batch, columns)
+        return mask
 
     def takes(self, route: int, msg_id: int | None, kind: tuple[int, int] | None = None) -> bool:
         """Return whether messages of a route, with a MsgId, or of a link's own type are meant."""
@@ -145,14 +145,14 @@ class PacketKinds:
         return {mission.routes[index].msg_id for index in self.routes} | {key.msg_id for key in self.keys}
 
 
-def _recorded_as(topic: str, taken: frozenset[str]) -> str:
-    return f"{APART}{topic}" if topic in taken else topic
+def _recorded_as(topic: str, used: frozenset[str]) -> str:
+    return f"{APART}{topic}" if topic in used else topic
 
 
 def fits_topic(topic: str, pattern: str) -> bool:
     """Return whether a topic matches a shell pattern, with or without its leading slash."""
-    wanted = pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
-    return fnmatchcase(topic, wanted)
+    full_pattern = pattern if pattern.startswith(("/", "*")) else f"/{pattern}"
+    return fnmatchcase(topic, full_pattern)
 
 
 def find_packets(pattern: str, context: Context) -> PacketKinds:
@@ -172,26 +172,26 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
     keys = [item.key for item in structs if item.key.port != 0]
     own = [item.name.upper() for item in structs if item.key.port == 0]  # what the robot link calls them
     of_known = context.msg_ids.of_known
-    keys += [Key(of_known(value)) for value, known in MSG_ID_NAMES.items() if fnmatchcase(known, name)]
+    keys += [Key(of_known(value)) for value, label in MSG_ID_NAMES.items() if fnmatchcase(label, name)]
     if (value := _number(pattern)) is not None:
         keys.append(Key(value))
-    found = PacketKinds(
+    kinds_found = PacketKinds(
         frozenset(index for index, route in enumerate(routes) if fits_topic(route.topic, pattern)),
         frozenset(keys),
-        frozenset(kind for known, kind in _own_names() if known in own or fnmatchcase(known, name)),
+        frozenset(kind for label, kind in _own_names() if label in own or fnmatchcase(label, name)),
     )
     topics = [route.topic for route in routes]
     samples = SampleTopics(pattern, frozenset(topics), context.endpoints)
-    announced = [] if found else [*filter(samples.holds, context.announced_topics())]
-    if found or announced or (context.awaits_samples and pattern[:1] == "/"):
-        return replace(found, samples=(samples,))
+    announced = [] if kinds_found else [*filter(samples.holds, context.announced_topics())]
+    if kinds_found or announced or (context.awaits_samples and pattern[:1] == "/"):
+        return replace(kinds_found, samples=(samples,))
     raise _no_packet(pattern, context)
 
 
 def _no_packet(pattern: str, context: Context) -> RouteError:
     configured = [*(route.topic for route in context.mission.routes), *context.announced_topics()]
     topics = [*configured, *(item.topic for item in context.structs.all)]
-    names = [*MSG_ID_NAMES.values(), *(known for known, _ in _own_names() if "0X" not in known)]
+    names = [*MSG_ID_NAMES.values(), *(label for label, _ in _own_names() if "0X" not in label)]
     near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1, 0.8)
     near = near or (did_you_mean(pattern, names, 1, 0.8) if pattern[:1] != "/" else "")
     existing = listed(list(dict.fromkeys(configured)), 12) if configured else "none; name a mission with -c"
@@ -200,12 +200,12 @@ def _no_packet(pattern: str, context: Context) -> RouteError:
 
 def _recorded(pattern: str, topics: Sequence[str]) -> PacketKinds:
     """Return which topics of a recording without datagrams a name stands for."""
-    found = frozenset(place for place, topic in enumerate(topics) if fits_topic(topic, pattern))
-    if not found:
+    places = frozenset(place for place, topic in enumerate(topics) if fits_topic(topic, pattern))
+    if not places:
         near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1)
-        there = f"there are {listed(sorted(set(topics)), 12)}"
-        raise RouteError(f"no topic of the recording matches {pattern!r}; {near or there}")
-    return PacketKinds(found)
+        hint = f"there are {listed(sorted(set(topics)), 12)}"
+        raise RouteError(f"no topic of the recording matches {pattern!r}; {near or hint}")
+    return PacketKinds(places)
 
 
 def _number(text: str) -> int | None:
@@ -219,5 +219,5 @@ def _number(text: str) -> int | None:
 @cache
 def _own_names() -> tuple[tuple[str, tuple[int, int]], ...]:
     """Return the names of the links' own messages, each with its link's code and type."""
-    named = ((item.message_name(kind), (int(item), kind)) for item in table.links() for kind in range(256))
-    return tuple((name.upper(), kind) for name, kind in named if name)
+    kinds = ((item.message_name(kind), (int(item), kind)) for item in table.links() for kind in range(256))
+    return tuple((name.upper(), kind) for name, kind in kinds if name)

@@ -86,7 +86,7 @@ class ReadLoop:
     conversations: Conversations
     _conversing: bool
     _batches: Iterator[PacketBatch]
-    _asked: threading.Event
+    _interrupt: threading.Event
     failure: CaptureError | None = None
     begin_ns: int | None = None
     first_ns: int | None = None
@@ -94,24 +94,24 @@ class ReadLoop:
     outside: int = 0
     _ends_ns: int = 0
     _fragmented: FragmentedSamples | None = None
-    _left: LeftSamples | None = None
+    _left_samples: LeftSamples | None = None
 
     @property
     def interrupted(self) -> bool:
         """Whether Ctrl-C, SIGTERM or SIGHUP has come."""
-        return self._asked.is_set()
+        return self._interrupt.is_set()
 
     def note(self) -> None:
         """Add to the context's notes what conversations say of datagrams that are shown."""
         context = self.bench.columns.context
-        context.notes += self.conversations.notes(shown=True)
+        context.notes += self.conversations.notes(keep_all=True)
         context.unnamed = self.conversations.unnamed
 
-    def gives_up(self, left: int) -> bool:
+    def gives_up(self, at_hand: int) -> bool:
         """Return whether to show no more: after Ctrl-C, where that would take long; a note then says so.
 
         Args:
-            left: rows at hand that are not shown yet.
+            at_hand: rows at hand that are not shown yet.
 
         Raises:
             InterruptError: after Ctrl-C, of a file or pipe.
@@ -125,7 +125,7 @@ class ReadLoop:
         discard = getattr(self.source, "discard", None)
         if discard is None or now < self._ends_ns:
             return False
-        count = plural(left + discard(), "packet")
+        count = plural(at_hand + discard(), "packet")
         self.bench.columns.context.notes.append(f"not shown: {count} that had arrived before Ctrl-C")
         return True
 
@@ -137,8 +137,8 @@ class ReadLoop:
             CaptureError: no datagram of a file is in the chosen time.
         """
         limits, bench = self.limits, self.bench
-        left, began = limits.count, limits.clock()
-        examined = shown = Period()
+        remaining, began = limits.count, limits.clock()
+        examined = visible = Period()
         inside = False
         # A source that another process reads has decoded its batches already.
         decode = getattr(self.source, "decode", bench.columns.decode)
@@ -146,7 +146,7 @@ class ReadLoop:
             if len(whole):
                 if self.begin_ns is None:
                     self.begin_ns = int(whole.time_ns[0])
-                    examined, shown = self.examined.since(self.begin_ns), limits.period.since(self.begin_ns)
+                    examined, visible = self.examined.since(self.begin_ns), limits.period.since(self.begin_ns)
                 earliest, latest = int(whole.time_ns.min()), int(whole.time_ns.max())
                 self.first_ns = earliest if self.first_ns is None else min(self.first_ns, earliest)
                 self.last_ns = max(self.last_ns, latest)
@@ -161,22 +161,24 @@ class ReadLoop:
                 batch, columns = self._with_samples(batch, columns)
             self._follow(batch, columns)
             rows = self.selection.rows(batch, columns)
-            inside = inside or (len(batch) > 0 and bool(shown.holds(batch.time_ns - begin_ns).any()))
-            if shown:
-                rows = rows[shown.holds(batch.time_ns[rows] - begin_ns)]
+            inside = inside or (len(batch) > 0 and bool(visible.holds(batch.time_ns - begin_ns).any()))
+            if visible:
+                rows = rows[visible.holds(batch.time_ns[rows] - begin_ns)]
             if limits.count:
-                rows = rows[:left]
-                left -= len(rows)
+                rows = rows[:remaining]
+                remaining -= len(rows)
             yield ColumnRows(bench.columns.context, begin_ns, batch, columns, rows)
-            if limits.count and not left:
+            if limits.count and not remaining:
                 return
             if limits.duration_ns and limits.clock() - began >= limits.duration_ns:
                 if not hasattr(self.source, "stop"):
                     return
                 self.source.stop()  # what arrived until now is still read
-        if self._fragmented is not None and self._left is not None:
+        if self._fragmented is not None and self._left_samples is not None:
             context = bench.columns.context
-            context.notes += self._fragmented.notes() + self._left.notes(context.types, context.endpoints)
+            context.notes += self._fragmented.notes() + self._left_samples.notes(
+                context.types, context.endpoints
+            )
         if self.first_ns is not None and self.first_ns < _NO_CLOCK_NS <= self.last_ns:
             self.bench.columns.context.notes.append(
                 "some times are before the year 2000 and others are not: a clock was not set, and spans and "
@@ -187,14 +189,14 @@ class ReadLoop:
 
     def _with_samples(self, batch: PacketBatch, columns: Columns) -> tuple[PacketBatch, Columns]:
         """Return a batch with the samples of DDS that become whole in it."""
-        if self._fragmented is None or self._left is None:
+        if self._fragmented is None or self._left_samples is None:
             from edoras_tools.decode.samples import LeftSamples
             from edoras_tools.io.frames.fragmented import FragmentedSamples
 
-            self._fragmented, self._left = FragmentedSamples(), LeftSamples()
+            self._fragmented, self._left_samples = FragmentedSamples(), LeftSamples()
         batch, columns = self._fragmented.take(batch, columns, self.bench.columns)
         rows = np.flatnonzero(columns.link == RTPS)
-        self._left.add(batch, rows, self.bench.columns.context.endpoints)
+        self._left_samples.add(batch, rows, self.bench.columns.context.endpoints)
         return batch, columns
 
     def _follow(self, batch: PacketBatch, columns: Columns) -> None:
@@ -254,14 +256,14 @@ def reading(
     with closing(source):
         ready = (selection or Selection()).over(bench)
         follow_streams(source, bench.columns.context.framings)
-        with interruptible(source, patient=patient) as (batches, asked):
+        with interruptible(source, patient=patient) as (batches, interrupt):
             spoken = Conversations(bench.columns.context)
             yield ReadLoop(
-                source, bench, ready, limits, examined, keeps_failure, spoken, conversing, batches, asked
+                source, bench, ready, limits, examined, keeps_failure, spoken, conversing, batches, interrupt
             )
 
 
-def chosen(
+def selected_rows(
     source: Source,
     bench: Workbench,
     selection: Selection,

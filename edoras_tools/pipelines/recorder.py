@@ -83,13 +83,13 @@ class Recorded(NamedTuple):
         datagrams: how many.
         routes: their counts by route, in the shape of ``info --json``.
         losses: outputs that were removed while they were written.
-        shown: what the Foxglove server showed, in the form of ``proxy --json``; None without one.
+        display: what the Foxglove server showed, in the form of ``proxy --json``; None without one.
     """
 
     datagrams: int = 0
     routes: Sequence[dict[str, Any]] = ()
     losses: Sequence[OutputLoss] = ()
-    shown: dict[str, Any] | None = None
+    display: dict[str, Any] | None = None
 
 
 class _Writer:
@@ -123,8 +123,8 @@ class _Writer:
 
     @property
     def recorded(self) -> Recorded:
-        shown = self._shown.summary() if self._shown else None
-        return Recorded(self._ledger.datagrams, self._ledger.routes(), self._losses, shown)
+        display = self._shown.summary() if self._shown else None
+        return Recorded(self._ledger.datagrams, self._ledger.routes(), self._losses, display)
 
     @property
     def wait_s(self) -> float | None:
@@ -337,8 +337,8 @@ class RelayRecorder:
             times: i64, ns since 1970, for every slot of the buffer.
             ends: source and destination, one value of ``ENDS``.
         """
-        chosen = slice(0, slots) if isinstance(slots, int) else slots
-        length = buffer.length[chosen]
+        selection = slice(0, slots) if isinstance(slots, int) else slots
+        length = buffer.length[selection]
         if not len(length):
             return
         size = int(length.sum()) + len(length) * HEADER_BYTES
@@ -346,7 +346,7 @@ class RelayRecorder:
         if page.rows and (page.rows + len(length) > PAGE_ROWS or page.used + size > PAGE_BYTES):
             self.turn()
             page = self._page.datagrams
-        page.add(buffer.slots.reshape(-1), buffer.starts[chosen], length, times[chosen], ends)
+        page.add(buffer.slots.reshape(-1), buffer.starts[selection], length, times[selection], ends)
         self._opened_ns = self._opened_ns or int(page.time_ns[0])
 
     def note(self, faults: list[Fault]) -> None:

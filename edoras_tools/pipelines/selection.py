@@ -164,7 +164,7 @@ class Selection:
     where: str = ""
     announced: bool = False
     _filter: Where | None = field(default=None, repr=False, compare=False)
-    _named: Sequence[PacketKinds] = field(default=(), repr=False, compare=False)
+    _packets: Sequence[PacketKinds] = field(default=(), repr=False, compare=False)
     _ready: bool = field(default=False, repr=False, compare=False)
 
     def __bool__(self) -> bool:
@@ -191,30 +191,32 @@ class Selection:
                 "--where, --start and --end"
             )
         groups = [[hex(item) if isinstance(item, int) else item for item in self.msg_ids], self.topics]
-        named = [PacketKinds.any(find_packets(name, context) for name in names) for names in groups if names]
+        packets = [
+            PacketKinds.any(find_packets(name, context) for name in names) for names in groups if names
+        ]
         if self.announced:
-            named = [item.with_announcements() for item in named]
-        chosen = replace(self, _named=named, _ready=True)
+            packets = [item.with_announcements() for item in packets]
+        selection = replace(self, _packets=packets, _ready=True)
         if not self.where:
-            return chosen
+            return selection
         from edoras_tools.decode.filters.filter import Where
 
-        return replace(chosen, _filter=Where(self.where, context))
+        return replace(selection, _filter=Where(self.where, context))
 
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
         """Return which rows are selected, without regard to the filter."""
-        chosen = np.ones(len(columns), bool)
+        mask = np.ones(len(columns), bool)
         if self.links:
-            chosen &= np.isin(columns.link, [int(link) for link in self.links])
-        for packets in self._named:
-            chosen &= packets.mask(batch, columns)
+            mask &= np.isin(columns.link, [int(link) for link in self.links])
+        for packets in self._packets:
+            mask &= packets.mask(batch, columns)
         if self.notable:
-            chosen &= (columns.findings & np.uint32(self.notable)) != 0
-        return chosen
+            mask &= (columns.findings & np.uint32(self.notable)) != 0
+        return mask
 
     def places(self) -> frozenset[int] | None:
         """Return the routes that are named, of what :meth:`over` returns; None where none is."""
-        return frozenset.intersection(*(item.routes for item in self._named)) if self._named else None
+        return frozenset.intersection(*(item.routes for item in self._packets)) if self._packets else None
 
     def about(self, link: str | None, msg_id: int | None, mission: Mission, samples: str = "") -> bool:
         """Return whether a link's label and a MsgId are selected, without regard to the filter.
@@ -227,8 +229,8 @@ class Selection:
         if self.links and link not in {item.label for item in self.links}:
             return False
         if samples:
-            return all(packets.has_sample_topic(samples) for packets in self._named)
-        return all(msg_id in packets.msg_ids(mission) for packets in self._named)
+            return all(packets.has_sample_topic(samples) for packets in self._packets)
+        return all(msg_id in packets.msg_ids(mission) for packets in self._packets)
 
     def overlaps(self, packets: PacketKinds, mission: Mission) -> bool:
         """Return whether some packets can be among the selected ones, without regard to the filter."""
@@ -238,7 +240,7 @@ class Selection:
         ids = packets.msg_ids(mission)
         return all(
             ids & item.msg_ids(mission) or packets.kinds & item.kinds or packets.shares_samples(item)
-            for item in self._named
+            for item in self._packets
         )
 
     def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:

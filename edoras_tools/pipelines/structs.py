@@ -45,44 +45,44 @@ class LayoutFile:
 
     def bound(self) -> dict[str, str]:
         """Return the packets that contain structs, by the structs' names."""
-        found: dict[str, list[str]] = {}
+        packets_of: dict[str, list[str]] = {}
         entries = self._layout.entries
         for key, name in self._layout.bindings.items():
             entry = entries[key.msg_id - FPRIME_KEY] if entries else None
-            found.setdefault(name, []).append(f"{entry.word} {entry.id_text}" if entry else str(key))
-        return {name: ", ".join(keys) for name, keys in found.items()}
+            packets_of.setdefault(name, []).append(f"{entry.word} {entry.id_text}" if entry else str(key))
+        return {name: ", ".join(keys) for name, keys in packets_of.items()}
 
     def layout(
         self, names: Iterable[str], bindings: Mapping[Key, str], package: str | None
     ) -> tuple[StructLayout, dict[str, str]]:
         """Return some structs, all that they use, and their packets; see ``DebugInfo.layout``."""
-        found = self._layout
-        bound = {**found.bindings, **{key: self._find(name) for key, name in bindings.items()}}
+        whole = self._layout
+        bound = {**whole.bindings, **{key: self._find(name) for key, name in bindings.items()}}
         called = {name: self._find(name) for name in [*names, *bindings.values()]}
-        wanted = list(called.values())
-        kept: dict[str, None] = {}
-        while wanted:
-            name = wanted.pop()
-            if name not in kept and name in found.structs:
-                kept[name] = None
-                wanted += [str(member.type) for member in found.structs[name].members]
-        structs = {name: item for name, item in found.structs.items() if name in kept}
+        queue = list(called.values())
+        needed: dict[str, None] = {}
+        while queue:
+            name = queue.pop()
+            if name not in needed and name in whole.structs:
+                needed[name] = None
+                queue += [str(member.type) for member in whole.structs[name].members]
+        structs = {name: item for name, item in whole.structs.items() if name in needed}
         used = {str(member.type) for item in structs.values() for member in item.members}
         made = replace(
-            found,
+            whole,
             structs=structs,
-            enums={name: item for name, item in found.enums.items() if name in used},
-            bindings={key: name for key, name in bound.items() if name in kept},
-            package=package or found.package,
+            enums={name: item for name, item in whole.enums.items() if name in used},
+            bindings={key: name for key, name in bound.items() if name in needed},
+            package=package or whole.package,
         )
         return made, called
 
     def _find(self, name: str) -> str:
-        for known in (name, f"{name}_t", name.removesuffix("_t")):
-            if known in self._layout.structs:
-                return known
-        there = self._layout.structs
-        hint = did_you_mean(name, there) or f"there are {', '.join(there)}"
+        for spelling in (name, f"{name}_t", name.removesuffix("_t")):
+            if spelling in self._layout.structs:
+                return spelling
+        existing = self._layout.structs
+        hint = did_you_mean(name, existing) or f"there are {', '.join(existing)}"
         raise ConfigError(f"{self._layout.origin}: no struct {name!r}; {hint}")
 
 
@@ -116,11 +116,11 @@ def bindings_of(pairs: Iterable[tuple[Key, str]]) -> dict[Key, str]:
     Raises:
         ConfigError: one packet is assigned to two structs.
     """
-    found: dict[Key, str] = {}
+    bindings: dict[Key, str] = {}
     for key, name in pairs:
-        if found.setdefault(key, name) != name:
-            raise ConfigError(f"--bind: {key} is bound to {found[key]} and to {name}; leave one out")
-    return found
+        if bindings.setdefault(key, name) != name:
+            raise ConfigError(f"--bind: {key} is bound to {bindings[key]} and to {name}; leave one out")
+    return bindings
 
 
 def bound(source: DebugInfo | LayoutFile) -> dict[str, str]:
@@ -161,14 +161,14 @@ def take(
     messages = Bindings([layout])
     types = {item.struct.name: item.type for item in messages.all}
     for name in names:
-        found = called[name]
-        if found not in types:
-            struct = layout.structs[found]
-            types[found] = messages.define(layout, struct, whole=bool(struct.header))
+        own_name = called[name]
+        if own_name not in types:
+            struct = layout.structs[own_name]
+            types[own_name] = messages.define(layout, struct, whole=bool(struct.header))
     return Taken(layout, messages, types)
 
 
-def write_definitions(taken: Taken, folder: Path, *, force: bool = False) -> list[Path]:
+def write_definitions(definitions: Taken, folder: Path, *, force: bool = False) -> list[Path]:
     """Write the definitions, ``PACKAGE/msg/NAME.msg``, and the layout, ``structs.yaml``.
 
     A dictionary of F Prime is a layout itself, so of one only the definitions are written. Nothing is written
@@ -177,9 +177,9 @@ def write_definitions(taken: Taken, folder: Path, *, force: bool = False) -> lis
     Raises:
         ConfigError: such a file exists, and ``force`` was not given; or a file cannot be written.
     """
-    contents = {folder / f"{name}.msg": text for name, text in taken.messages.texts.items()}
-    if not taken.layout.entries:
-        contents[folder / LAYOUT_FILE] = dumps(taken.layout)
+    contents = {folder / f"{name}.msg": text for name, text in definitions.messages.texts.items()}
+    if not definitions.layout.entries:
+        contents[folder / LAYOUT_FILE] = dumps(definitions.layout)
     try:
         write_files({path: text.encode() for path, text in contents.items()}, force=force)
     except CaptureError as error:

@@ -26,10 +26,10 @@ def watched(run: _Run, watcher: Watcher[_Run] | None) -> Iterator[None]:
     if watcher is None:
         yield
         return
-    done = threading.Event()
+    finished = threading.Event()
 
     def show() -> None:
-        while not done.wait(_SHOW_S):
+        while not finished.wait(_SHOW_S):
             watcher.update(run)
 
     thread = threading.Thread(target=show, name="display", daemon=True)
@@ -37,7 +37,7 @@ def watched(run: _Run, watcher: Watcher[_Run] | None) -> Iterator[None]:
     try:
         yield
     finally:
-        done.set()
+        finished.set()
         thread.join()
         watcher.update(run)
 

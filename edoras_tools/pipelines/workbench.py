@@ -55,7 +55,7 @@ class Workbench:
         context = Context(mission, self.types, options, structs)
         return _bench(mission, self.types, context)
 
-    def anew(self) -> Workbench:
+    def fresh(self) -> Workbench:
         """Return the same for another source: nothing is read again, and nothing decoded yet is known."""
         old = self.columns.context
         context = Context(self.mission, self.types, old.options, old.structs)
@@ -106,11 +106,11 @@ class Settings:
             from edoras_tools.structs.files import parse_layout as loads_layout
             from edoras_tools.structs.files import read_layout
 
-            given = [read_layout(path) for path in self.structs]
-            contents = [(str(file), data) for file, data in given] or list(carried.items())
+            layout_files = [read_layout(path) for path in self.structs]
+            contents = [(str(file), data) for file, data in layout_files] or list(carried.items())
             layouts = [loads_layout(data, name) for name, data in contents]
             structs = Structs([*layouts, *structs.layouts], msg_ids)
-            names = [f"{_LAYOUTS}{place}_{file.name}" for place, (file, _) in enumerate(given, 1)]
+            names = [f"{_LAYOUTS}{place}_{file.name}" for place, (file, _) in enumerate(layout_files, 1)]
             files = dict(zip(names or carried, (data for _, data in contents), strict=True))
             mission = replace(mission, files={**mission.files, **files})
         context = Context(mission, types, options, structs)

@@ -257,8 +257,10 @@ def explain(finding: Finding | str) -> Explanation:
 
 def ranked(findings: Finding, *, at_least: Level = Level.NOTE) -> list[Finding]:
     """Return the bits that are set, the most severe first."""
-    known = [item for item in findings if item in EXPLANATIONS and EXPLANATIONS[item].severity >= at_least]
-    return sorted(known, key=lambda item: -EXPLANATIONS[item].severity)
+    explained = [
+        item for item in findings if item in EXPLANATIONS and EXPLANATIONS[item].severity >= at_least
+    ]
+    return sorted(explained, key=lambda item: -EXPLANATIONS[item].severity)
 
 
 def worst(findings: Finding) -> Level | None:

@@ -27,19 +27,19 @@ def listing(items: Sequence[Listed], bound: dict[str, str]) -> Iterator[str]:
         yield f"{item.name:<{width}}  {item.size:>6}  {item.members:>7}  {packet}".rstrip()
 
 
-def layout(made: StructLayout, struct: Struct, message: str) -> Iterator[str]:
+def layout(structs: StructLayout, struct: Struct, message: str) -> Iterator[str]:
     """Yield where the members of a struct lie, what fills up between them, and its message's fields.
 
     Args:
         message: the message's type in full.
     """
-    packets = [str(key) for key, name in made.bindings.items() if name == struct.name]
-    what = "union" if struct.union else "struct"
-    yield f"{what} {struct.name}: {struct.size} bytes, {made.byte_order}-endian, {message}"
+    packets = [str(key) for key, name in structs.bindings.items() if name == struct.name]
+    kind = "union" if struct.union else "struct"
+    yield f"{kind} {struct.name}: {struct.size} bytes, {structs.byte_order}-endian, {message}"
     if packets:
         yield f"  in {', '.join(packets)}"
     whole = bool(struct.header or packets)
-    fields = {part.member.name: part.name for part in parts(made, struct, whole=whole)}
+    fields = {part.member.name: part.name for part in parts(structs, struct, whole=whole)}
     rows = [(_place(item), type_text(item), item.name, fields.get(item.name, "")) for item in struct.members]
     widths = [max([0, *(len(row[column]) for row in rows)]) for column in range(3)]
     end = 0
@@ -49,7 +49,7 @@ def layout(made: StructLayout, struct: Struct, message: str) -> Iterator[str]:
         yield "  {:>{}}  {:<{}}  {:<{}}  {}".format(
             row[0], widths[0], row[1], widths[1], row[2], widths[2], row[3]
         ).rstrip()
-        size = (member.bit + member.bits + 7) // 8 if member.bits else made.size(member) * member.count
+        size = (member.bit + member.bits + 7) // 8 if member.bits else structs.size(member) * member.count
         end = max(end, member.offset + size)
     if struct.size > end:
         yield f"  {end:>{widths[0]}}  {_padding(struct.size - end)}"

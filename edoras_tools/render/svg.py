@@ -40,8 +40,8 @@ def terminal_picture(views: Iterable[str | RenderableType], *, width: int, title
         record=True, width=width, file=io.StringIO(), force_terminal=True, color_system="standard"
     )
     for view in views:
-        shown = Text.from_ansi(view) if isinstance(view, str) else view
-        console.print(shown, no_wrap=isinstance(view, str), crop=True, highlight=False)
+        text = Text.from_ansi(view) if isinstance(view, str) else view
+        console.print(text, no_wrap=isinstance(view, str), crop=True, highlight=False)
     return without_fonts(console.export_svg(title=title, unique_id="edoras"))
 
 

@@ -93,9 +93,9 @@ class TypeStore:
     def definitions(self, type_name: str) -> tuple[Definition, ...]:
         """Return a type's definition, then that of every type that it uses, each once."""
         self.plan(type_name)
-        found: dict[str, Definition] = {}
-        self._collect(full_name(type_name), found)
-        return tuple(found.values())
+        by_name: dict[str, Definition] = {}
+        self._collect(full_name(type_name), by_name)
+        return tuple(by_name.values())
 
     def fields(self, type_name: str) -> tuple[MessageField, ...]:
         """Return a type's fields, in wire order; those of a type that it uses are asked for by its name."""
@@ -192,25 +192,25 @@ class TypeStore:
             ConfigError: a definition has a mistake.
             RouteError: the type, or one that it uses, is not known.
         """
-        found = self._plans.get(type_name)
-        if found is None:
+        entry = self._plans.get(type_name)
+        if entry is None:
             name = full_name(type_name)
-            found = self._plans[type_name] = name, self._compiler.plan(name)
-        return found
+            entry = self._plans[type_name] = name, self._compiler.plan(name)
+        return entry
 
     def _definition(self, name: str) -> Definition:
-        found = self._library.find(name)
-        if found is None:
+        definition = self._library.find(name)
+        if definition is None:
             near = " or ".join(self.nearest(name))
             hint = f"did you mean {near}? If not, " if near else ""
             hint += "give its definition with --msg-path"
             raise RouteError(f"type {name!r} is not known to ROS 2 {self.distro}; {hint}")
-        return found
+        return definition
 
-    def _collect(self, name: str, found: dict[str, Definition]) -> None:
+    def _collect(self, name: str, by_name: dict[str, Definition]) -> None:
         """Add a type, then all that it uses, each once."""
-        if name not in found:
-            found[name] = self._definition(name)
-            for field in found[name].fields:
+        if name not in by_name:
+            by_name[name] = self._definition(name)
+            for field in by_name[name].fields:
                 if "/" in field.type:
-                    self._collect(field.type, found)
+                    self._collect(field.type, by_name)

@@ -139,10 +139,10 @@ class Transaction:
     @property
     def checksum_right(self) -> bool | None:
         """Whether the checksum is that of EOF; None: its type is null or not known, or bytes are missing."""
-        found = None if self.checksum_type is None else self.sums.get(self.checksum_type)
-        if found is None or not self.complete:
+        sums = None if self.checksum_type is None else self.sums.get(self.checksum_type)
+        if sums is None or not self.complete:
             return None
-        return found.of_file(self.file_size or 0) == self.file_checksum
+        return sums.of_file(self.file_size or 0) == self.file_checksum
 
     @property
     def condition(self) -> int:
@@ -233,59 +233,63 @@ class Follower:
                 continue
             key = tuple(int(item[first]) for item in keys)
             time_ns = batch.time_ns[rows[first:last]]
-            found = self._open.get(key) or self._begin(key, pdus, first, int(time_ns[0]))
-            if found is None:
+            transaction = self._open.get(key) or self._begin(key, pdus, first, int(time_ns[0]))
+            if transaction is None:
                 self.left_out += last - first
                 continue
-            silences = np.diff(time_ns, prepend=found.last_ns)
-            found.silence_ns = max(found.silence_ns, int(silences.max()))
-            found.last_ns = max(found.last_ns, int(time_ns[-1]))
+            silences = np.diff(time_ns, prepend=transaction.last_ns)
+            transaction.silence_ns = max(transaction.silence_ns, int(silences.max()))
+            transaction.last_ns = max(transaction.last_ns, int(time_ns[-1]))
             if pdus.kind[first] == Directive.FILE_DATA:
-                self._file_data(found, batch.data, pdus, slice(first, last))
+                self._file_data(transaction, batch.data, pdus, slice(first, last))
             else:
                 body = batch.data[pdus.start[first] : pdus.end[first]].tobytes()
                 kind = int(pdus.kind[first])
-                told = parameters(kind, int(pdus.large[first]), body)
-                if kind == Directive.METADATA and found.finished is not None:
+                fields = parameters(kind, int(pdus.large[first]), body)
+                if kind == Directive.METADATA and transaction.finished is not None:
                     del self._open[key]
-                    found = self._begin(key, pdus, first, int(time_ns[0])) or found
-                _directive(found, kind, told)
-            if found.finished_ns is None and found.eof is not None and found.state == "finished":
-                found.finished_ns = int(time_ns[-1])
+                    transaction = self._begin(key, pdus, first, int(time_ns[0])) or transaction
+                _directive(transaction, kind, fields)
+            if (
+                transaction.finished_ns is None
+                and transaction.eof is not None
+                and transaction.state == "finished"
+            ):
+                transaction.finished_ns = int(time_ns[-1])
 
     def _begin(self, key: tuple[int, ...], pdus: Pdus, row: int, time_ns: int) -> Transaction | None:
         if len(self.transactions) >= MOST_TRANSACTIONS:
             return None
         receiver, acknowledged = int(pdus.destination_entity_id[row]), bool(pdus.acknowledged[row])
-        made = self._open[key] = Transaction(key[0], key[1], receiver, acknowledged, time_ns, time_ns)
-        self.transactions.append(made)
-        return made
+        transaction = self._open[key] = Transaction(key[0], key[1], receiver, acknowledged, time_ns, time_ns)
+        self.transactions.append(transaction)
+        return transaction
 
-    def _file_data(self, found: Transaction, data: NDArray[np.uint8], pdus: Pdus, rows: slice) -> None:
+    def _file_data(self, transaction: Transaction, data: NDArray[np.uint8], pdus: Pdus, rows: slice) -> None:
         """Take pieces that follow each other in the file."""
         offset, begin = pdus.file_offset[rows].tolist(), pdus.data[rows]
         sizes = pdus.end[rows] - begin
         start, end = offset[0], offset[-1] + int(sizes[-1])
         if end > LARGEST_OFFSET:
             return
-        new = found.received.missing(start, end)
+        new = transaction.received.missing(start, end)
         if new != [(start, end)] and len(offset) > 1:
             for row in range(rows.start, rows.stop):
-                self._file_data(found, data, pdus, slice(row, row + 1))
+                self._file_data(transaction, data, pdus, slice(row, row + 1))
             return
-        found.segments += len(offset)
-        found.resent += not new
-        found.filled += len(offset) if new and start < found.received.end else 0
-        if not new or not found.received.add(start, end):
+        transaction.segments += len(offset)
+        transaction.resent += not new
+        transaction.filled += len(offset) if new and start < transaction.received.end else 0
+        if not new or not transaction.received.add(start, end):
             return
         pieces = np.empty(end - start, np.uint8)
         copy_rows(pieces, np.cumsum(sizes) - sizes, data, begin, sizes)
         for first, last in new:
             piece = pieces[first - start : last - start].tobytes()
-            for item in found.sums.values():
+            for item in transaction.sums.values():
                 item.add(piece, first)
             if self._keep:
-                self._keep(found, first, piece)
+                self._keep(transaction, first, piece)
 
 
 def _runs(pdus: Pdus, which: NDArray[np.integer[Any]]) -> Iterator[tuple[int, int]]:
@@ -298,18 +302,18 @@ def _runs(pdus: Pdus, which: NDArray[np.integer[Any]]) -> Iterator[tuple[int, in
     return zip(begins, [*begins[1:], len(which)], strict=True)
 
 
-def _directive(found: Transaction, kind: int, told: dict[str, Any]) -> None:
+def _directive(transaction: Transaction, kind: int, fields: dict[str, Any]) -> None:
     if kind == Directive.METADATA:
-        found.source_file_name = told["source_file_name"]
-        found.destination_file_name = told["destination_file_name"]
-        kind = found.checksum_type = told["checksum_type"]
-        found.sums = {kind: found.sums[kind]} if kind in found.sums else {}
-        if found.eof is None:
-            found.file_size = told["file_size"]
+        transaction.source_file_name = fields["source_file_name"]
+        transaction.destination_file_name = fields["destination_file_name"]
+        kind = transaction.checksum_type = fields["checksum_type"]
+        transaction.sums = {kind: transaction.sums[kind]} if kind in transaction.sums else {}
+        if transaction.eof is None:
+            transaction.file_size = fields["file_size"]
     elif kind == Directive.EOF:
-        found.eof, found.file_size = told["condition_code"], told["file_size"]
-        found.file_checksum = told["file_checksum"]
+        transaction.eof, transaction.file_size = fields["condition_code"], fields["file_size"]
+        transaction.file_checksum = fields["file_checksum"]
     elif kind == Directive.FINISHED:
-        found.finished, found.incomplete = told["condition_code"], bool(told["delivery_code"])
+        transaction.finished, transaction.incomplete = fields["condition_code"], bool(fields["delivery_code"])
     elif kind == Directive.NAK:
-        found.naks += bool(told["segment_requests"])
+        transaction.naks += bool(fields["segment_requests"])

@@ -67,13 +67,13 @@ class SampleWriter:
         longest_ns: longest time between two of these.
         first: the first number that was captured, which need not be the lowest; None before.
         last: the last number that is known to be written.
-        seen: numbers of samples that were captured whole.
+        sample_numbers: of samples that were captured whole.
         irrelevant: numbers that will not come, as GAPs say.
         copies: captured samples whose number had come before.
         available: the first number that the writer still has, as its HEARTBEATs say.
         reliable: whether it sends HEARTBEATs, or is sent ACKNACKs.
         acknowledged: by reader the number before which that one needs nothing.
-        asked: numbers that readers asked for.
+        requested: numbers that readers asked for.
         behind: how many of these had been captured by then.
         open: reader and number of what was asked for and was not captured since; the answer is open.
         given_up: numbers that a reader asked for, and went on without.
@@ -88,13 +88,13 @@ class SampleWriter:
     longest_ns: int = 0
     first: int | None = None
     last: int = 0
-    seen: KnownRanges = field(default_factory=KnownRanges)
+    sample_numbers: KnownRanges = field(default_factory=KnownRanges)
     irrelevant: KnownRanges = field(default_factory=KnownRanges)
     copies: int = 0
     available: int = 0
     reliable: bool = False
     acknowledged: dict[bytes, int] = field(default_factory=dict)
-    asked: KnownRanges = field(default_factory=KnownRanges)
+    requested: KnownRanges = field(default_factory=KnownRanges)
     behind: int = 0
     open: dict[int, set[bytes]] = field(default_factory=dict)
     given_up: KnownRanges = field(default_factory=KnownRanges)
@@ -104,24 +104,24 @@ class SampleWriter:
 
     def _judged(self, start: int, end: int) -> Counter[str]:
         """Count what became of a range of numbers: ``captured``, ``asked``, ``resent``, and ``fates``."""
-        found: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         sure = max(self.acknowledged.values(), default=0)
-        never = self.seen.missing(start, end)
-        found["captured"] = end - start - _size(never)
+        never = self.sample_numbers.missing(start, end)
+        counts["captured"] = end - start - _size(never)
         for low, high in (part for hole in never for part in self.irrelevant.missing(*hole)):
-            found["given_up"] += _size(_within(self.given_up, low, high))
+            counts["given_up"] += _size(_within(self.given_up, low, high))
             for first, last in self.given_up.missing(low, high):
-                found["unclear"] += _size(_within(self.unclear, first, last))
+                counts["unclear"] += _size(_within(self.unclear, first, last))
                 for one, other in self.unclear.missing(first, last):
-                    known = max(0, min(other, sure) - one)
-                    found["not_captured"] += known
-                    found["waiting" if self.reliable else "missing"] += other - one - known
+                    decided = max(0, min(other, sure) - one)
+                    counts["not_captured"] += decided
+                    counts["waiting" if self.reliable else "missing"] += other - one - decided
         for low, high in _within(self.given_up, start, end):
-            found["lost_behind"] += _size(_within(self.seen, low, high))
-        for low, high in _within(self.asked, start, end):
-            found["asked"] += high - low
-            found["resent"] += high - low - _size(_within(self.given_up, low, high))
-        return found
+            counts["lost_behind"] += _size(_within(self.sample_numbers, low, high))
+        for low, high in _within(self.requested, start, end):
+            counts["asked"] += high - low
+            counts["resent"] += high - low - _size(_within(self.given_up, low, high))
+        return counts
 
     def _total(self) -> Counter[str]:
         if self.first is None:
@@ -130,12 +130,12 @@ class SampleWriter:
 
     def settle(self) -> None:
         """Judge the older half of the numbers for good where they have become too many ranges."""
-        if self.first is None or self.seen.count < _MANY:
+        if self.first is None or self.sample_numbers.count < _MANY:
             return
-        cut = max(self.floor, self.seen.start_of(self.seen.count // 2))
+        cut = max(self.floor, self.sample_numbers.start_of(self.sample_numbers.count // 2))
         self.settled += self._judged(self.floor, cut)
         self.floor = cut
-        for ranges in (self.seen, self.irrelevant, self.asked, self.given_up, self.unclear):
+        for ranges in (self.sample_numbers, self.irrelevant, self.requested, self.given_up, self.unclear):
             ranges.forget(cut)
         for number in [item for item in self.open if item < cut]:
             del self.open[number]
@@ -162,8 +162,8 @@ class SampleWriter:
 
     def fates(self) -> dict[str, int]:
         """Return what became of what did not come (rule 3), and of what was captured: ``lost_behind``."""
-        found = self._total()
-        return {name: found[name] for name in FATES}
+        total = self._total()
+        return {name: total[name] for name in FATES}
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,18 +199,18 @@ def _size(ranges: list[tuple[int, int]]) -> int:
 
 def _within(ranges: KnownRanges, start: int, end: int) -> list[tuple[int, int]]:
     """Return the parts of a range that are known."""
-    found, at = [], start
+    parts, at = [], start
     for low, high in [*ranges.missing(start, end), (end, end)] if start < end else []:
         if at < low:
-            found.append((at, low))
+            parts.append((at, low))
         at = high
-    return found
+    return parts
 
 
 def topic_of(guid: bytes, endpoints: Endpoints) -> str:
     """Return what the topic of a writer is called; its GUID where it was not announced."""
-    told = endpoints.find(guid)
-    return told.ros_topic if told and told.topic else f"writer {guid_text(guid)}"
+    endpoint = endpoints.find(guid)
+    return endpoint.ros_topic if endpoint and endpoint.topic else f"writer {guid_text(guid)}"
 
 
 class SampleFollower:
@@ -225,76 +225,78 @@ class SampleFollower:
 
     def __init__(self) -> None:
         self.writers: dict[bytes, SampleWriter] = {}
-        self.datagrams = self.made = self.left_out = 0
+        self.datagrams = self.joined = self.left_out = 0
 
-    def named(self, endpoints: Endpoints) -> tuple[TopicWriter, ...]:
+    def topic_writers(self, endpoints: Endpoints) -> tuple[TopicWriter, ...]:
         """Return the writers of which samples were captured, but those by which ROS tells of its nodes."""
-        found = []
+        writers = []
         for guid, writer in self.writers.items():
-            told = endpoints.find(guid)
-            if writer.first is not None and (told is None or told.topic != PRESENCE):
-                found.append(TopicWriter(topic_of(guid, endpoints), told.ros_type if told else "", writer))
-        return tuple(found)
+            endpoint = endpoints.find(guid)
+            if writer.first is not None and (endpoint is None or endpoint.topic != PRESENCE):
+                writers.append(
+                    TopicWriter(topic_of(guid, endpoints), endpoint.ros_type if endpoint else "", writer)
+                )
+        return tuple(writers)
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch, with the samples that were put together from fragments."""
         rows = np.flatnonzero(columns.link == RTPS)
         if not len(rows):
             return
-        made = int(np.count_nonzero(batch.original_length[rows] < 0))
-        self.made += made
-        self.datagrams += len(rows) - made
+        joined = int(np.count_nonzero(batch.original_length[rows] < 0))
+        self.joined += joined
+        self.datagrams += len(rows) - joined
         self._follow(batch, rows)
 
     def _follow(self, batch: PacketBatch, rows: NDArray[np.intp]) -> None:
-        found = user_submessages(batch, rows)
-        for index, guid in enumerate(found.writers):
+        submessages = user_submessages(batch, rows)
+        for index, guid in enumerate(submessages.writers):
             if guid not in self.writers and len(self.writers) >= MOST_ENDPOINTS:
-                self.left_out += int(np.count_nonzero(found.writer == index))
+                self.left_out += int(np.count_nonzero(submessages.writer == index))
                 continue
             writer = self.writers.setdefault(guid, SampleWriter(guid))
-            _Pass(writer, found.of(index)).run()
+            _Pass(writer, submessages.of(index)).run()
 
 
 class _Pass:
     """Takes what a batch has of one writer.
 
     Args:
-        found: in the order they were captured.
+        submessages: in the order they were captured.
     """
 
-    def __init__(self, writer: SampleWriter, found: UserSubmessages) -> None:
-        self._writer, self._found = writer, found
+    def __init__(self, writer: SampleWriter, submessages: UserSubmessages) -> None:
+        self._writer, self._submessages = writer, submessages
 
     def run(self) -> None:
         """Take all of it."""
-        writer, found = self._writer, self._found
-        sound = (found.first > 0) & (found.first < _HIGHEST) & (found.last < _HIGHEST)
-        kind = np.where(sound | (found.kind == SubmessageKind.ACKNACK), found.kind, 0)
+        writer, submessages = self._writer, self._submessages
+        sound = (submessages.first > 0) & (submessages.first < _HIGHEST) & (submessages.last < _HIGHEST)
+        kind = np.where(sound | (submessages.kind == SubmessageKind.ACKNACK), submessages.kind, 0)
         data = np.flatnonzero(kind == SubmessageKind.DATA)
         beats = np.flatnonzero(kind == SubmessageKind.HEARTBEAT)
         gaps = np.flatnonzero(kind == SubmessageKind.GAP)
         acks = np.flatnonzero(kind == SubmessageKind.ACKNACK)
         if writer.first is None and len(data):  # what was said before the first sample is not counted
             beats, acks = beats[beats > data[0]], acks[acks > data[0]]
-        numbers = found.first[data]
-        before = writer.seen if not len(acks) else _copied(writer.seen)
+        numbers = submessages.first[data]
+        before = writer.sample_numbers if not len(acks) else _copied(writer.sample_numbers)
         if len(data):
             self._samples(data, numbers)
         if writer.first is not None:
-            ends = [writer.last, *found.last[beats].tolist()]
+            ends = [writer.last, *submessages.last[beats].tolist()]
             writer.last = max(item for item in ends if item <= writer.last + _FARTHEST)
         writer.reliable = writer.reliable or bool(len(beats) or len(acks))
         for at in gaps.tolist():
             self._gap(at)
         had = writer.available
-        offered = np.maximum.accumulate(found.first[beats]) if len(beats) else np.zeros(0, np.int64)
+        offered = np.maximum.accumulate(submessages.first[beats]) if len(beats) else np.zeros(0, np.int64)
         if len(acks) and writer.first is not None:
             self._acknowledge(acks, before, (beats, offered, had))
         writer.available = max(had, int(offered[-1]) if len(offered) else 0)
 
     def _samples(self, data: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
-        writer, times = self._writer, self._found.time_ns[data]
+        writer, times = self._writer, self._submessages.time_ns[data]
         if writer.first is None:
             writer.first = writer.floor = writer.last = int(numbers[0])
             writer.first_ns = writer.last_ns = int(times[0])
@@ -304,7 +306,7 @@ class _Pass:
             some, moments = some[near], times[at : at + _MANY // 2][near]
             new = np.full(len(some), writer.floor == writer.first) | (some >= writer.floor)
             writer.copies += int(np.count_nonzero(~new))
-            fresh = writer.seen.fresh(some[new])
+            fresh = writer.sample_numbers.fresh(some[new])
             writer.copies += int(np.count_nonzero(~fresh))
             moments = np.append(writer.last_ns, moments[new][fresh])
             writer.longest_ns = max(writer.longest_ns, int(np.diff(moments).max(initial=0)))
@@ -316,11 +318,11 @@ class _Pass:
                 del writer.open[number]
 
     def _gap(self, at: int) -> None:
-        found, writer = self._found, self._writer
-        start, base = int(found.first[at]), int(found.last[at])
+        submessages, writer = self._submessages, self._writer
+        start, base = int(submessages.first[at]), int(submessages.last[at])
         if start < base:
             writer.irrelevant.add(start, base)
-        for number in found.numbers(at):
+        for number in submessages.numbers(at):
             writer.irrelevant.add(number, number + 1)
 
     def _acknowledge(
@@ -337,28 +339,28 @@ class _Pass:
             beats: indices of the HEARTBEATs, from which number on each says that there are samples, and what
                 those before said.
         """
-        found, writer = self._found, self._writer
+        submessages, writer = self._submessages, self._writer
         first_at: dict[int, int] = {}
         last_at: dict[int, int] = {}
-        for at in np.flatnonzero(found.kind == SubmessageKind.DATA).tolist():
-            first_at.setdefault(int(found.first[at]), at)
-            last_at[int(found.first[at])] = at
+        for at in np.flatnonzero(submessages.kind == SubmessageKind.DATA).tolist():
+            first_at.setdefault(int(submessages.first[at]), at)
+            last_at[int(submessages.first[at])] = at
         places, offered, had = beats
         for at in acks.tolist():
-            base, reader = int(found.first[at]), found.readers[int(found.reader[at])]
+            base, reader = int(submessages.first[at]), submessages.readers[int(submessages.reader[at])]
             low = writer.acknowledged.get(reader)
             if low is None and len(writer.acknowledged) >= MOST_READERS:
                 continue
             if low is not None and low < base <= writer.last + 1:
-                told = int(np.searchsorted(places, at))
-                self._went_on(reader, low, base, int(offered[told - 1]) if told else had)
+                decided = int(np.searchsorted(places, at))
+                self._went_on(reader, low, base, int(offered[decided - 1]) if decided else had)
             if base <= writer.last + 1:
                 writer.acknowledged[reader] = max(base, low or 0)
-            for number in found.numbers(at):
+            for number in submessages.numbers(at):
                 if not writer.floor <= number <= writer.last:
                     continue
                 captured = first_at.get(number, at) < at or not before.missing(number, number + 1)
-                if writer.asked.fresh(np.array([number])).any():
+                if writer.requested.fresh(np.array([number])).any():
                     writer.behind += captured
                 if last_at.get(number, -1) < at and len(writer.open) < MOST_ASKED:
                     writer.open.setdefault(number, set()).add(reader)
@@ -372,7 +374,7 @@ class _Pass:
                 del writer.open[number]
             if number < available or not writer.irrelevant.missing(number, number + 1):
                 writer.given_up.add(number, number + 1)
-        for start, end in writer.seen.missing(max(low, writer.floor), min(base, available)):
+        for start, end in writer.sample_numbers.missing(max(low, writer.floor), min(base, available)):
             for first, last in writer.irrelevant.missing(start, end):
                 for one, other in writer.given_up.missing(first, last):
                     writer.unclear.add(one, other)

@@ -79,15 +79,15 @@ class GroundCounts:
             return
         head = gather(batch.data, packets.space, SPACE_PACKET.size)
         word = head[:, :4].copy().view(">u2")
-        taken = batch.take(rows[packets.row])
+        part = batch.take(rows[packets.row])
         self.datagrams += len(np.unique(packets.row))
-        stream = self._counts.follow(taken, _columns(packets.space, packets.end, word)).stream
-        found, first = np.unique(stream, return_index=True)
-        for row, index in sorted(zip(first.tolist(), found.tolist(), strict=True)):
+        stream = self._counts.follow(part, _columns(packets.space, packets.end, word)).stream
+        streams, first = np.unique(stream, return_index=True)
+        for row, index in sorted(zip(first.tolist(), streams.tolist(), strict=True)):
             if index >= 0:
                 if index not in self._known:
-                    self._known[index] = self._begin(taken[row], int(word[row, 0]), index)
-                self._known[index].last_ns = int(taken.time_ns[stream == index].max())
+                    self._known[index] = self._begin(part[row], int(word[row, 0]), index)
+                self._known[index].last_ns = int(part.time_ns[stream == index].max())
 
     def _begin(self, packet: Datagram, identification: int, index: int) -> GroundStream:
         apid, command = identification & ccsds.IDLE_APID, identification >> 12 & 1 == ccsds.TELECOMMAND_TYPE

@@ -183,8 +183,8 @@ class Outgoing:
     @property
     def command(self) -> NDArray[np.bool_]:
         """bool, which are commands; also true without a MsgId."""
-        found: NDArray[np.bool_] = VERSION_1.is_command(cfe.known_ids(self.msg_id, self.headers))
-        return found
+        commands: NDArray[np.bool_] = VERSION_1.is_command(cfe.known_ids(self.msg_id, self.headers))
+        return commands
 
     def with_headers(self, new: cfe.Headers) -> Outgoing:
         """Return the datagrams with the headers of another build, as ``cfe.with_headers`` gives one packet.
@@ -193,9 +193,9 @@ class Outgoing:
         """
         number, command = cfe.HEADERS.index(new), self.command
         size = np.where(command, *_SIZES[:, self.headers])
-        wanted = np.where(command, new.command_bytes, new.telemetry_bytes)
+        new_size = np.where(command, new.command_bytes, new.telemetry_bytes)
         changed = (self.msg_id != NO_MSG_ID) & (self.headers != number) & (self.packet_length >= size)
-        grown = np.where(changed, wanted - size, 0).astype(np.int32)
+        grown = np.where(changed, new_size - size, 0).astype(np.int32)
         length, before = self.length + grown, np.where(changed, self.packet_offset - self.offset, self.length)
         offset = np.cumsum(length, dtype=np.int64) - length
         shift, rows = offset - self.offset, np.flatnonzero(changed)
@@ -209,27 +209,27 @@ class Outgoing:
         shared = np.where(command[rows], cfe.COMMAND.size, cfe.TELEMETRY_SHORT.size)
         copy_rows(data, at + new.start, self.data, old + _STARTS[own], shared)
         rest = (self.offset + self.length)[rows] - old - size[rows]
-        copy_rows(data, at + wanted[rows], self.data, old + size[rows], rest)
-        made = replace(
+        copy_rows(data, at + new_size[rows], self.data, old + size[rows], rest)
+        result = replace(
             self,
             data=data,
             offset=offset,
             length=length,
             packet_offset=_moved(self.packet_offset, shift),
             packet_length=self.packet_length + grown,
-            header_length=np.where(changed, wanted, self.header_length).astype(np.uint8),
+            header_length=np.where(changed, new_size, self.header_length).astype(np.uint8),
             headers=np.where(changed, number, self.headers).astype(np.uint8),
             msg_id=self.msg_id.copy(),
             cdr_offset=_moved(self.cdr_offset, shift + grown),
         )
-        known = cfe.known_ids(self.msg_id, self.headers)[rows]
-        _put_msg_ids(made, rows, new.msg_ids.of_known(known))
+        standard = cfe.known_ids(self.msg_id, self.headers)[rows]
+        _put_msg_ids(result, rows, new.msg_ids.of_known(standard))
         _grow(data, at, ccsds.PRIMARY, "packet_data_length", grown[rows])
         if self.link.peers:
             _grow(data, offset[rows], sbn.HEADER, "msg_size", grown[rows])
         right = xor_bytes(self.data, old, self.packet_length[rows]) == cfe.CHECKSUM_SEED
-        _check(made, ChecksumRule.FIX, rows[right & command[rows]])
-        return made
+        _check(result, ChecksumRule.FIX, rows[right & command[rows]])
+        return result
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,21 +356,21 @@ def _put_msg_ids(out: Outgoing, rows: NDArray[np.intp], msg_id: NDArray[np.int32
         word, subsystem = headers.msg_ids.words(msg_id[members])
         put_rows(out.data, at, word.astype(">u2"))
         if headers.msg_ids is VERSION_2:
-            there = out.packet_length[rows[members]] >= MSG_ID_BYTES
-            out.data[at[there] + MSG_ID_BYTES - 1] = np.broadcast_to(subsystem, len(at))[there]
+            whole = out.packet_length[rows[members]] >= MSG_ID_BYTES
+            out.data[at[whole] + MSG_ID_BYTES - 1] = np.broadcast_to(subsystem, len(at))[whole]
 
 
 def _put_other_header(out: Outgoing, rows: NDArray[np.intp]) -> None:
     """Write the headers of commands and of telemetry behind extended headers, where the other ones are."""
     headers = cfe.WITH_EXTENDED
     for command in (False, True):
-        chosen = rows[out.command[rows] == command]
+        selection = rows[out.command[rows] == command]
         layout = headers.command if command else headers.telemetry
         header = layout.emit({"function_code": edoras_app.SET} if command else {})
         put_rows(
             out.data,
-            out.packet_offset[chosen] + headers.start,
-            np.full(len(chosen), np.void(header), f"V{len(header)}"),
+            out.packet_offset[selection] + headers.start,
+            np.full(len(selection), np.void(header), f"V{len(header)}"),
         )
 
 
@@ -384,9 +384,9 @@ def _grow(
 
 def _stamp(out: Outgoing, rows: NDArray[np.intp], time_ns: NDArray[np.int64]) -> None:
     little = (out.data[out.cdr_offset[rows] + 1] & 1) != 0
-    for order, chosen in (("<", little), (">", ~little)):
-        picked = rows[chosen]
-        times = np.stack(np.divmod(time_ns[chosen], SECOND), axis=1).astype(f"{order}u4").view("V8")
+    for order, selection in (("<", little), (">", ~little)):
+        picked = rows[selection]
+        times = np.stack(np.divmod(time_ns[selection], SECOND), axis=1).astype(f"{order}u4").view("V8")
         put_rows(out.data, out.cdr_offset[picked] + _STAMP_AT, times[:, 0])
 
 

@@ -76,8 +76,8 @@ class Pacing:
         for name, value in (("speed", self.speed), *(("rate", rate) for rate in rates)):
             if not 0 < value < float("inf"):
                 raise ConfigError(f"{name} {value:g} is not allowed; more than 0")
-        asked = [self.speed != 1, bool(self.rate_hz or self.stream_rates), self.unpaced]
-        if sum(asked) > 1:
+        ways = [self.speed != 1, bool(self.rate_hz or self.stream_rates), self.unpaced]
+        if sum(ways) > 1:
             raise ConfigError("a speed, a rate and --max exclude each other; name one")
 
     def timetable(self, time_ns: NDArray[np.int64], stream: NDArray[Any] | None = None) -> Timetable:
@@ -181,6 +181,6 @@ class Lateness:
 
     def summary(self) -> dict[str, float | None]:
         """Return p50, p99 and max in us, one digit after the point; None without messages."""
-        found = {"p50": self.percentile_ns(50), "p99": self.percentile_ns(99)}
-        found["max"] = self.max_ns if self.count else None
-        return {name: None if value is None else round(value / 1000, 1) for name, value in found.items()}
+        figures = {"p50": self.percentile_ns(50), "p99": self.percentile_ns(99)}
+        figures["max"] = self.max_ns if self.count else None
+        return {name: None if value is None else round(value / 1000, 1) for name, value in figures.items()}

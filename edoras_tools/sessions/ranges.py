@@ -53,12 +53,12 @@ class KnownRanges:
 
     def missing(self, start: int, end: int) -> list[tuple[int, int]]:
         """Return the parts of a range that are not known."""
-        found = []
+        gaps = []
         for index in range(bisect_left(self._ends, start), bisect_right(self._starts, end)):
             if start < self._starts[index]:
-                found.append((start, self._starts[index]))
+                gaps.append((start, self._starts[index]))
             start = max(start, self._ends[index])
-        return [*found, (start, end)] if start < end else found
+        return [*gaps, (start, end)] if start < end else gaps
 
     def add(self, start: int, end: int) -> bool:
         """Add a range and return True; one that touches no other is left out if there are too many."""
@@ -80,8 +80,8 @@ class KnownRanges:
         new[~new] = ends[before[~new] - 1] <= distinct[~new]
         out = np.zeros(len(numbers), bool)
         out[first[new]] = True
-        left = distinct[new]
-        breaks = np.flatnonzero(np.diff(left) != 1) + 1
-        for run in np.split(left, breaks) if len(left) else ():
+        added = distinct[new]
+        breaks = np.flatnonzero(np.diff(added) != 1) + 1
+        for run in np.split(added, breaks) if len(added) else ():
             self.add(int(run[0]), int(run[-1]) + 1)
         return out

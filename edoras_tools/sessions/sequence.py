@@ -133,10 +133,10 @@ class _Strand:
     def advance(self, prints: NDArray[np.uint32], boot: int) -> None:
         """Go on by as many packets as have fingerprints; the newest that has a time is of a boot."""
         self.last += len(prints)
-        kept = prints[-REPEATED:]
-        begin = (self.last - len(kept) + 1) % REPEATED
-        self.prints[begin : begin + len(kept)] = kept[: REPEATED - begin]
-        self.prints[: max(begin + len(kept) - REPEATED, 0)] = kept[REPEATED - begin :]
+        newest = prints[-REPEATED:]
+        begin = (self.last - len(newest) + 1) % REPEATED
+        self.prints[begin : begin + len(newest)] = newest[: REPEATED - begin]
+        self.prints[: max(begin + len(newest) - REPEATED, 0)] = newest[REPEATED - begin :]
         if boot != _NO_BOOT:
             self.boot = boot
         self.front += len(prints)
@@ -164,15 +164,15 @@ class _Strand:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequenceRows:
-    """What the sequence counts say of each row of a batch: columns, i32 (rows,), and ``found_row``, i64.
+    """What the sequence counts say of each row of a batch: columns, i32 (rows,), and ``refilled_row``, i64.
 
     Summed over the rows of a stream they are what its ``SequenceStream`` has.
 
     Attributes:
         stream: index into ``SequenceCounts.streams``; -1 where the row has no count.
         missing: counts that are missing between the row and the one before it.
-        found: counts taken for missing before, that are not.
-        found_row: before which row they were taken for missing, counted over all batches from 0.
+        refilled: counts taken for missing before, that are not.
+        refilled_row: before which row they were taken for missing, counted over all batches from 0.
         duplicates: 1 where the row repeats another.
         reordered: 1 where the row came late; less where the row tells that earlier ones did not.
         restarts: 1 where the count begins anew; -1 where the row tells that another sender's began.
@@ -180,8 +180,8 @@ class SequenceRows:
 
     stream: NDArray[np.int32]
     missing: NDArray[np.int32]
-    found: NDArray[np.int32]
-    found_row: NDArray[np.int64]
+    refilled: NDArray[np.int32]
+    refilled_row: NDArray[np.int64]
     duplicates: NDArray[np.int32]
     reordered: NDArray[np.int32]
     restarts: NDArray[np.int32]
@@ -247,24 +247,24 @@ class SequenceStream:
     _strands: list[_Strand] = field(default_factory=list)
 
     @property
-    def counted(self) -> bool:
+    def has_count(self) -> bool:
         """Whether its sender counts."""
         return self.moved and self.leaps * 4 <= self.packets + 4
 
     @property
     def gaps(self) -> int:
         """Counts that never came; 0 where the sender does not count, as for the two below."""
-        return self.missing if self.counted else 0
+        return self.missing if self.has_count else 0
 
     @property
     def duplicates(self) -> int:
         """Packets that came twice."""
-        return self.repeated if self.counted else 0
+        return self.repeated if self.has_count else 0
 
     @property
     def reordered(self) -> int:
         """Packets that came late."""
-        return self.late if self.counted else 0
+        return self.late if self.has_count else 0
 
     def take(self, run: _Run, out: _Told) -> None:
         """Take a run; what it tells goes to ``out``."""
@@ -293,15 +293,15 @@ class SequenceStream:
 
     def _jumped(self, strands: list[_Strand], packet: _Packet, out: _Told) -> None:
         """Take a packet that is not the next of any strand."""
-        told = (
+        decided = (
             self._late(strands, packet, out, missed=True)
             or self._again(strands, packet, out)
             or self._ahead(strands, packet, out, WINDOW)
             or self._late(strands, packet, out, missed=False)
             or self._ahead(strands, packet, out, FORWARD)
         )
-        if not told:
-            self._begin(_begun(packet, packet.count), packet.place, out)
+        if not decided:
+            self._begin(_new_strand(packet, packet.count), packet.place, out)
 
     def _late(self, strands: list[_Strand], packet: _Packet, out: _Told, *, missed: bool) -> bool:
         for strand in strands:
@@ -342,15 +342,17 @@ class SequenceStream:
         self.late -= taken_back
         out.add("reordered", -taken_back)
         strand.behind_steps = 0
-        other = replace(_begun(packet, position), follows=strand.follows, moved=True, behind=strand.behind)
+        other = replace(
+            _new_strand(packet, position), follows=strand.follows, moved=True, behind=strand.behind
+        )
         if hole.row == _NOT_MISSED:
             other.holes = [_unknown(position - taken_back)]
             self._begin(other, packet.place, out)
             return
         self._find(hole, hole.end - position, out)
         index = strand.holes.index(hole)
-        left = [replace(hole, end=position)] if position > hole.first else []
-        other.holes = [*strand.holes[:index], *left]
+        before = [replace(hole, end=position)] if position > hole.first else []
+        other.holes = [*strand.holes[:index], *before]
         strand.holes = [_unknown(hole.end), *strand.holes[index + 1 :]]
         self._add(other)
         self._went_on(other, packet.place, out)
@@ -401,8 +403,8 @@ class SequenceStream:
 
     def _add(self, strand: _Strand) -> None:
         """Put a strand first; forget those that did not move for long."""
-        known = [item for item in self._strands if strand.place - item.place <= _REMEMBERED]
-        self._strands = [strand, *known[: _MOST_STRANDS - 1]]
+        remembered = [item for item in self._strands if strand.place - item.place <= _REMEMBERED]
+        self._strands = [strand, *remembered[: _MOST_STRANDS - 1]]
 
     def _went_on(self, strand: _Strand, place: int, out: _Told) -> None:
         """Put a strand first; what began after it did not take its place."""
@@ -422,8 +424,8 @@ class SequenceStream:
         """Note that counts of a hole are not missing after all."""
         if hole.row != _NOT_MISSED:
             self.missing -= count
-            out.add("found", count)
-            out.columns["found_row"][out.row] = hole.row
+            out.add("refilled", count)
+            out.columns["refilled_row"][out.row] = hole.row
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -460,7 +462,7 @@ def _unknown(position: int) -> _Hole:
     return _Hole(position - WINDOW, position, _NOT_MISSED)
 
 
-def _begun(packet: _Packet, position: int) -> _Strand:
+def _new_strand(packet: _Packet, position: int) -> _Strand:
     prints = np.zeros(REPEATED, np.uint32)
     strand = _Strand(position, packet.boot, prints, [_unknown(position)], packet.place)
     strand.prints[position % REPEATED] = packet.print_
@@ -495,19 +497,19 @@ class SequenceCounts:
             return self._newest[1]
         out = _Told(
             {
-                name: np.zeros(len(batch), np.int64 if name == "found_row" else np.int32)
+                name: np.zeros(len(batch), np.int64 if name == "refilled_row" else np.int32)
                 for name in SequenceRows.__slots__
             },
             self._rows,
         )
         out.columns["stream"] -= 1
         self._rows += len(batch)
-        counted = (columns.msg_id != NO_MSG_ID) & (
+        has_count = (columns.msg_id != NO_MSG_ID) & (
             (columns.findings & np.uint32(Finding.SEQUENCE_UNSET)) == 0
         )
         if order is None:
             order = order_by(columns.msg_id.astype(np.uint32), columns.processor_id, columns.link)
-        rows = order[counted[order]]
+        rows = order[has_count[order]]
         if len(rows):
             self._follow(batch, columns, _ordered(batch, columns, rows), out)
         self._newest = batch, SequenceRows(**out.columns)
@@ -521,10 +523,10 @@ class SequenceCounts:
         joined = {
             name: np.concatenate([getattr(part, name) for part in parts]) for name in SequenceRows.__slots__
         }
-        later = np.flatnonzero(joined["found"])
-        np.subtract.at(joined["missing"], joined["found_row"][later], joined["found"][later])
-        counted = np.array([*(stream.counted for stream in self.streams), False])
-        silent = ~counted[joined["stream"]]
+        later = np.flatnonzero(joined["refilled"])
+        np.subtract.at(joined["missing"], joined["refilled_row"][later], joined["refilled"][later])
+        has_count = np.array([*(stream.has_count for stream in self.streams), False])
+        silent = ~has_count[joined["stream"]]
         for name, column in joined.items():
             column[silent] = -1 if name == "stream" else 0
         return SequenceRows(**joined)
@@ -532,18 +534,18 @@ class SequenceCounts:
     def _follow(self, batch: PacketBatch, columns: Columns, groups: _Groups, out: _Told) -> None:
         rows, begins = groups.rows, groups.begins
         sizes = np.diff(begins, append=len(rows))
-        known = np.array([self._stream(item) for item in groups.keys.tolist()])
-        out.columns["stream"][rows] = np.repeat(known, sizes)
-        if (known < 0).any():
-            kept = known >= 0
-            if kept.any():
-                begins = np.cumsum(sizes[kept]) - sizes[kept]
-                followed = _Groups(rows[np.repeat(kept, sizes)], begins, groups.keys[kept])
+        stream_of = np.array([self._stream(item) for item in groups.keys.tolist()])
+        out.columns["stream"][rows] = np.repeat(stream_of, sizes)
+        if (stream_of < 0).any():
+            tracked = stream_of >= 0
+            if tracked.any():
+                begins = np.cumsum(sizes[tracked]) - sizes[tracked]
+                followed = _Groups(rows[np.repeat(tracked, sizes)], begins, groups.keys[tracked])
                 self._follow(batch, columns, followed, out)
             return
         count = columns.sequence_count[rows].astype(np.uint16)
         ends = begins + sizes - 1
-        streams = [self.streams[item] for item in known.tolist()]
+        streams = [self.streams[item] for item in stream_of.tolist()]
         jumps = _jumps(count, begins)
         step = (count[jumps] - count[jumps - 1]) & np.uint16(MODULUS - 1)
         inside = np.ones(len(jumps), np.bool_)
@@ -559,18 +561,18 @@ class SequenceCounts:
         ):
             stream.packets += size
             stream.last_count, stream.last_print = newest, print_
-        left = np.arange(len(rows))
+        rest = np.arange(len(rows))
         if len(again):
             out.columns["duplicates"][rows[again]] = 1
             repeated = np.bincount(groups.owner(again), minlength=len(streams))
             for stream, more in zip(streams, repeated.tolist(), strict=True):
                 stream.repeated += more
-            left = np.delete(left, again)
-            if not len(left):
+            rest = np.delete(rest, again)
+            if not len(rest):
                 return
-            count, rows, prints = count[left], rows[left], prints[left]
-            jumps = _jumps(count, np.searchsorted(left, begins))
-        owners = groups.owner(left[jumps])
+            count, rows, prints = count[rest], rows[rest], prints[rest]
+            jumps = _jumps(count, np.searchsorted(rest, begins))
+        owners = groups.owner(rest[jumps])
         for owner, first, end in zip(
             owners.tolist(), jumps.tolist(), [*jumps[1:].tolist(), len(rows)], strict=True
         ):
@@ -578,7 +580,7 @@ class SequenceCounts:
                 _Run(
                     int(count[first]),
                     rows[first:end],
-                    int(left[first] + place[owner]),
+                    int(rest[first] + place[owner]),
                     prints[first:end],
                     batch.time_ns,
                     columns.mission_time_ns,
@@ -632,9 +634,9 @@ def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _
     identity |= columns.processor_id[first]
     source = _endpoints(batch, batch.source_address, batch.source_port, first)
     receiver = _endpoints(batch, batch.destination_address, batch.destination_port, first)
-    what = columns.link[first].astype(np.uint64) << 32 | columns.msg_id[first].astype(np.uint64)
+    route = columns.link[first].astype(np.uint64) << 32 | columns.msg_id[first].astype(np.uint64)
     sender = np.where(identity, identity, source).astype(np.uint64)
-    keys = fingerprint.stirred(what + sender * fingerprint.MIX)
+    keys = fingerprint.stirred(route + sender * fingerprint.MIX)
     keys = fingerprint.stirred(keys + receiver * (identity != 0))
     unique, which = np.unique(keys, return_inverse=True)
     if len(unique) == len(keys):
@@ -666,16 +668,16 @@ def _prints(
     count is not a little ahead of the one before.
     """
     ends = np.append(groups.begins[1:], len(groups.rows))
-    kept = np.maximum(groups.begins, ends - REPEATED)
+    starts = np.maximum(groups.begins, ends - REPEATED)
     whole = groups.owner(odd)
-    kept[whole] = groups.begins[whole]
-    chosen = np.zeros(len(groups.rows), np.bool_)
-    chosen[groups.begins] = True
-    for first, end in zip(kept.tolist(), ends.tolist(), strict=True):
-        chosen[first:end] = True
-    own = groups.rows[chosen]
+    starts[whole] = groups.begins[whole]
+    selection = np.zeros(len(groups.rows), np.bool_)
+    selection[groups.begins] = True
+    for first, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        selection[first:end] = True
+    own = groups.rows[selection]
     prints = np.zeros(len(groups.rows), np.uint32)
-    prints[chosen] = (
+    prints[selection] = (
         fingerprint.of_bytes(batch.data, columns.packet_offset[own], columns.packet_length[own]) >> 32
     )
     return prints
@@ -691,13 +693,13 @@ def _jumps(count: NDArray[np.uint16], begins: NDArray[np.int64]) -> NDArray[np.i
 
 def _newest(boots: NDArray[np.int64]) -> int:
     """Return the last one that is known, else ``_NO_BOOT``."""
-    known = boots[boots != _NO_BOOT]
-    return int(known[-1]) if len(known) else _NO_BOOT
+    dated = boots[boots != _NO_BOOT]
+    return int(dated[-1]) if len(dated) else _NO_BOOT
 
 
 def _same_boot(boots: NDArray[np.int64], at: int) -> int:
     """Return the end of the packets from ``at`` on that are of one boot, or all without a time."""
     boots = boots[at:]
-    known = boots != _NO_BOOT
-    breaks = (known[1:] != known[:-1]) | (np.abs(np.diff(boots)) > BOOT_APART_NS)
+    dated = boots != _NO_BOOT
+    breaks = (dated[1:] != dated[:-1]) | (np.abs(np.diff(boots)) > BOOT_APART_NS)
     return at + (int(breaks.argmax()) + 1 if breaks.any() else len(boots))

@@ -44,21 +44,21 @@ class Bindings:
     """
 
     def __init__(self, layouts: Sequence[StructLayout]) -> None:
-        taken: dict[Key, StructLayout] = {}
+        owners: dict[Key, StructLayout] = {}
         for layout in layouts:
             for key in layout.bindings:
                 if not any(
-                    key.msg_id == other.msg_id and owner is not layout for other, owner in taken.items()
+                    key.msg_id == other.msg_id and owner is not layout for other, owner in owners.items()
                 ):
-                    taken[key] = layout
-        often = Counter(layout.bindings[key].removesuffix("_t") for key, layout in taken.items())
+                    owners[key] = layout
+        often = Counter(layout.bindings[key].removesuffix("_t") for key, layout in owners.items())
         self.definitions: dict[str, Definition] = {}
         self.texts: dict[str, str] = {}
         self._names: dict[tuple[int, str, bool], str] = {}
-        self._taken: set[str] = set()
+        self._used: set[str] = set()
         bound: list[Bound] = []
         for key, layout in sorted(
-            taken.items(), key=lambda item: (item[0].msg_id, item[0].function_code or 0)
+            owners.items(), key=lambda item: (item[0].msg_id, item[0].function_code or 0)
         ):
             struct = layout.structs[layout.bindings[key]]
             if struct.header and key.port is not None:
@@ -91,7 +91,7 @@ class Bindings:
         names = {}
         if whole and not layout.entries:
             names[HEADER_TYPE] = package + HEADER_TYPE
-            self._taken.add(names[HEADER_TYPE])
+            self._used.add(names[HEADER_TYPE])
         inside = (*within, struct.name)
         for part in parts(layout, struct, whole=whole):
             nested = layout.structs.get(str(part.member.type))
@@ -106,6 +106,6 @@ class Bindings:
         return name
 
     def _free(self, package: str, name: str) -> str:
-        found = unique(package + name, self._taken | {package + HEADER_TYPE})
-        self._taken.add(found)
-        return found.removeprefix(package)
+        free = unique(package + name, self._used | {package + HEADER_TYPE})
+        self._used.add(free)
+        return free.removeprefix(package)

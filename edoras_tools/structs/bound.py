@@ -82,8 +82,8 @@ class Bound:
     @property
     def metadata(self) -> dict[str, str]:
         """What is told of its topic: the MsgId or the port, and the struct's name."""
-        named = {"msg_id": f"0x{self.key.msg_id:04x}"} if self.key.port is None else {"port": str(self.key)}
-        return {**named, "struct": self.struct.name}
+        place = {"msg_id": f"0x{self.key.msg_id:04x}"} if self.key.port is None else {"port": str(self.key)}
+        return {**place, "struct": self.struct.name}
 
     @property
     def shipped(self) -> bool:
@@ -166,13 +166,13 @@ class Bound:
 
     def member(self, path: Sequence[str]) -> Member | None:
         """Return what a field of the message is, by its path without indices; None for the header's."""
-        struct, whole, found = self.struct, True, None
+        struct, whole, match = self.struct, True, None
         for name in path:
-            found = next((p.member for p in parts(self.layout, struct, whole=whole) if p.name == name), None)
-            if found is None:
+            match = next((p.member for p in parts(self.layout, struct, whole=whole) if p.name == name), None)
+            if match is None:
                 return None
-            struct, whole = self.layout.structs.get(str(found.type), struct), False
-        return found
+            struct, whole = self.layout.structs.get(str(match.type), struct), False
+        return match
 
     def values(self, member: Member) -> Mapping[int, str]:
         """Return the names of the values of a member."""
@@ -197,12 +197,12 @@ class Bound:
     def _limit(self) -> int | None:
         """Return the payload length above which there are too many values; None: there is none."""
         counter = Counter(self.layout)
-        left = MOST_VALUES - counter.fixed(self.struct) - len(HEADER_FIELDS) - 1
-        if left < 0:
+        spare = MOST_VALUES - counter.fixed(self.struct) - len(HEADER_FIELDS) - 1
+        if spare < 0:
             name = f"{self.layout.origin}: {self.struct.name}"
             raise ConfigError(f"{name} holds more than {MOST_VALUES} values; bind a smaller one")
         each = counter.each(self._open) if self._open is not None else 0
-        return self._least + left // each * self._step if each else None
+        return self._least + spare // each * self._step if each else None
 
     def _end(self, member: Member) -> int:
         if member.bits:

@@ -251,7 +251,7 @@ def shipped_layout(msg_ids: MsgIds = VERSION_1) -> StructLayout:
         "bind": {
             msg_id: name
             for msg_id, name in packets(msg_ids).items()
-            if msg_ids.known(msg_id) not in _WIRE_LAYOUTS
+            if msg_ids.standard(msg_id) not in _WIRE_LAYOUTS
         },
         "structs": {
             name: {

@@ -149,21 +149,21 @@ def _parsed(data: bytes, name: str) -> Any:
     except UnicodeDecodeError as error:
         raise ConfigError(f"{name}: no layout file: it is not text") from error
     except (YAMLError, ValueError, RecursionError) as error:
-        what = str(error).partition("\n")[0]
-        raise ConfigError(f"{name}: is not YAML: {what or type(error).__name__}") from error
+        reason = str(error).partition("\n")[0]
+        raise ConfigError(f"{name}: is not YAML: {reason or type(error).__name__}") from error
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return a JSON object; a repeated key is an error."""
-    found: dict[str, Any] = {}
+    pairs_read: dict[str, Any] = {}
     for key, value in pairs:
-        if key in found:
-            raise ValueError(f"{_shown(key)} is there twice")
-        found[key] = value
-    return found
+        if key in pairs_read:
+            raise ValueError(f"{_printed(key)} is there twice")
+        pairs_read[key] = value
+    return pairs_read
 
 
-def _shown(raw: Any) -> str:
+def _printed(raw: Any) -> str:
     """Return a value as short text for messages."""
     return _SHORT.repr(raw)
 
@@ -185,20 +185,20 @@ class _Reader:
             raise ConfigError(
                 f"{self._name}: no layout file: it has no 'structs'; 'edoras structs -o DIR' writes one"
             )
-        self._known("", raw, _TOP)
+        self._check_keys("", raw, _TOP)
         if raw.get("edoras_structs", LAYOUT_VERSION) != LAYOUT_VERSION:
-            what = _shown(raw["edoras_structs"])
+            version = _printed(raw["edoras_structs"])
             raise ConfigError(
-                f"{self._name}: edoras_structs {what} is not known; this version reads {LAYOUT_VERSION}"
+                f"{self._name}: edoras_structs {version} is not known; this version reads {LAYOUT_VERSION}"
             )
         order: ByteOrder = "little"
         if raw.get("byte_order", "little") not in ("little", "big"):
-            self._mistake("byte_order", f"{_shown(raw['byte_order'])} is neither little nor big")
+            self._mistake("byte_order", f"{_printed(raw['byte_order'])} is neither little nor big")
         elif "byte_order" in raw:
             order = raw["byte_order"]
         package = raw.get("package", "cfs_msgs")
         if not isinstance(package, str) or not is_package(package):
-            self._mistake("package", f"{_shown(package)} is not a name of a ROS package, as rover_msgs")
+            self._mistake("package", f"{_printed(package)} is not a name of a ROS package, as rover_msgs")
         for name, item in self._mapping("enums", raw.get("enums", {})):
             self._enum(name, item)
         self._raw = dict(self._mapping("structs", raw["structs"]))
@@ -216,20 +216,20 @@ class _Reader:
             if key in bindings:
                 self._mistake(f"bind.{key}", "it is bound twice")
             if not isinstance(name, str) or name not in self._structs:
-                self._mistake(f"bind.{key}", f"there is no struct {_shown(name)}")
+                self._mistake(f"bind.{key}", f"there is no struct {_printed(name)}")
             bindings[key] = str(name) if isinstance(name, str) else ""
         if self._mistakes:
             raise ConfigError(*dict.fromkeys(self._mistakes))
         return StructLayout(self._structs, self._enums, bindings, order, package, self._name)
 
-    def _mistake(self, where: str, what: str) -> None:
-        self._mistakes.append(f"{self._name}: {where + ': ' if where else ''}{what}")
+    def _mistake(self, where: str, text: str) -> None:
+        self._mistakes.append(f"{self._name}: {where + ': ' if where else ''}{text}")
 
-    def _known(self, where: str, raw: Mapping[Any, Any], keys: set[str]) -> None:
+    def _check_keys(self, where: str, raw: Mapping[Any, Any], keys: set[str]) -> None:
         for key in raw:
             if key not in keys:
-                known = ", ".join(sorted(keys))
-                self._mistake(where, f"{_shown(key)} means nothing here; there are {known}")
+                allowed = ", ".join(sorted(keys))
+                self._mistake(where, f"{_printed(key)} means nothing here; there are {allowed}")
 
     def _mapping(self, where: str, raw: Any) -> Iterator[tuple[Any, Any]]:
         if not isinstance(raw, dict):
@@ -237,25 +237,25 @@ class _Reader:
             return
         for key, value in raw.items():
             if where != "bind" and (not isinstance(key, str) or not _IN_C.fullmatch(key)):
-                self._mistake(where, f"{_shown(key)} is not a name in C")
+                self._mistake(where, f"{_printed(key)} is not a name in C")
             else:
                 yield key, value
 
     def _number(self, where: str, raw: Any, most: int = _LARGEST) -> int | None:
         if isinstance(raw, bool) or not isinstance(raw, int) or not 0 <= raw <= most:
-            self._mistake(where, f"{_shown(raw)} is not a number of 0 to {most}")
+            self._mistake(where, f"{_printed(raw)} is not a number of 0 to {most}")
             return None
         return raw
 
     def _flag(self, where: str, raw: Mapping[str, Any], name: str) -> bool:
         if raw.get(name, False) not in (False, True):
-            self._mistake(where, f"{name}: {_shown(raw[name])} is neither true nor false")
+            self._mistake(where, f"{name}: {_printed(raw[name])} is neither true nor false")
         return raw.get(name) is True
 
     def _doc(self, where: str, raw: Mapping[str, Any]) -> str:
         """Return the documentation of an item, on one line: it becomes a comment."""
         if not isinstance(raw.get("doc", ""), str):
-            self._mistake(where, f"doc: {_shown(raw['doc'])} is not text")
+            self._mistake(where, f"doc: {_printed(raw['doc'])} is not text")
             return ""
         return " ".join(raw.get("doc", "").split())
 
@@ -264,19 +264,19 @@ class _Reader:
         if not isinstance(raw, dict):
             self._mistake(where, "expected {type: ..., values: {NAME: NUMBER}}")
             return
-        self._known(where, raw, {"type", "values"})
+        self._check_keys(where, raw, {"type", "values"})
         basic = BASIC.get(kind) if isinstance(kind := raw.get("type", "int32"), str) else None
         if basic is None or basic.kind not in {BasicKind.INT, BasicKind.UINT}:
-            self._mistake(where, f"{_shown(raw.get('type'))} is not an integer, as int32 or uint8")
+            self._mistake(where, f"{_printed(raw.get('type'))} is not an integer, as int32 or uint8")
             basic = BASIC["int32"]
         if name in BASIC:
             self._mistake(where, "another type has this name")
         names: dict[int, str] = {}
         for label, value in self._mapping(f"{where}.values", raw.get("values", {})):
             if isinstance(value, bool) or not isinstance(value, int):
-                self._mistake(where, f"{label}: {_shown(value)} is not a number")
+                self._mistake(where, f"{label}: {_printed(value)} is not a number")
             elif not basic.holds(value):
-                self._mistake(where, f"{label}: {_shown(value)} does not fit {basic}")
+                self._mistake(where, f"{label}: {_printed(value)} does not fit {basic}")
             else:
                 names.setdefault(value, label)
         self._enums[name] = Enumeration(name, basic, names)
@@ -292,16 +292,16 @@ class _Reader:
         if not isinstance(raw, dict) or not isinstance(raw.get("members"), dict):
             self._mistake(where, "expected members: {NAME: TYPE}")
             raw = {"members": {}}
-        self._known(where, raw, _STRUCT)
+        self._check_keys(where, raw, _STRUCT)
         self._open.append(name)
-        wanted = [
+        members_read = [
             item
             for label, text in self._mapping(where, raw["members"])
             if (item := self._member(label, text, f"{where}.{label}")) is not None
         ]
         self._open.pop()
         union, packed = self._flag(where, raw, "union"), self._flag(where, raw, "packed")
-        members, size, alignment = arrange(wanted, union=union, packed=packed)
+        members, size, alignment = arrange(members_read, union=union, packed=packed)
         least = max((item.offset + self._extent(item) for item in members), default=0)
         if "size" in raw:
             stated = self._number(f"{where}.size", raw["size"])
@@ -345,11 +345,11 @@ class _Reader:
     def _member(self, name: str, raw: Any, where: str) -> Wanted | None:
         doc = ""
         if isinstance(raw, dict):
-            self._known(where, raw, {"type", "doc"})
+            self._check_keys(where, raw, {"type", "doc"})
             raw, doc = raw.get("type"), self._doc(where, raw)
         match = _TYPE.fullmatch(raw.strip()) if isinstance(raw, str) else None
         if match is None:
-            self._mistake(where, f"{_shown(raw)} is not TYPE, TYPE[N], TYPE:BITS or TYPE @OFFSET")
+            self._mistake(where, f"{_printed(raw)} is not TYPE, TYPE[N], TYPE:BITS or TYPE @OFFSET")
             return None
         kind = self._kind(match["name"], where)
         if kind is None:
@@ -408,7 +408,7 @@ def parse_key(raw: Any) -> Key:
         port, size = word.removeprefix("udp:"), code if slash else "1"
         any_port = port == "robot" and bool(slash)
         if not (any_port or (port.isdecimal() and 1 <= int(port) <= 0xFFFF)) or not size.isdecimal():
-            raise ConfigError(f"{_shown(raw)} is not a UDP port as udp:8585, from 1 to 65535")
+            raise ConfigError(f"{_printed(raw)} is not a UDP port as udp:8585, from 1 to 65535")
         return Key(UDP_KEY + (0 if any_port else int(port)), int(code) if slash else None)
     try:
         key = Key(int(word, 0), int(code, 0) if slash else None)
@@ -419,7 +419,7 @@ def parse_key(raw: Any) -> Key:
     # A file does not say its version of MsgIds; those of version 1 have the bit of the secondary header.
     version = VERSION_1 if key.msg_id & _SECONDARY_HEADER else VERSION_2
     if slash and not (VERSION_1.is_command(key.msg_id) or version.is_command(key.msg_id)):
-        raise ConfigError(f"{_shown(raw)}: telemetry has no function code; commands are 0x1000 to 0x1fff")
+        raise ConfigError(f"{_printed(raw)}: telemetry has no function code; commands are 0x1000 to 0x1fff")
     return key
 
 
@@ -430,7 +430,7 @@ def is_package(name: str) -> bool:
 
 def _refuse(raw: Any) -> NoReturn:
     msg_ids = "0x0801, from 1 to 0x1fff, nor one with a function code as 0x1880/6, nor a port as udp:8585"
-    raise ConfigError(f"{_shown(raw)} is not a MsgId as {msg_ids}")
+    raise ConfigError(f"{_printed(raw)} is not a MsgId as {msg_ids}")
 
 
 _WORDS: Final = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})

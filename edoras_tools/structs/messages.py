@@ -55,13 +55,13 @@ def message_type_name(name: str) -> str:
     return text if text[:1].isalpha() else f"C{text}"
 
 
-def unique(name: str, taken: set[str]) -> str:
+def unique(name: str, used: set[str]) -> str:
     """Return a name, with a number if it is already used, and mark it as used."""
-    found, number = name, 2
-    while found in taken:
-        found, number = f"{name}{number}", number + 1
-    taken.add(found)
-    return found
+    free, number = name, 2
+    while free in used:
+        free, number = f"{name}{number}", number + 1
+    used.add(free)
+    return free
 
 
 def parts(layout: StructLayout, struct: Struct, *, whole: bool) -> list[MessagePart]:
@@ -73,24 +73,30 @@ def parts(layout: StructLayout, struct: Struct, *, whole: bool) -> list[MessageP
     members: Iterable[Member] = struct.members
     shift = struct.header if whole else 0
     if whole:
-        shown = [item for item in members if item.offset >= struct.header]
-        while len(shown) == 1 and not shown[0].dims and shown[0].name.lower() in _UNPACKED:
-            inner = layout.structs.get(str(shown[0].type))
+        members_shown = [item for item in members if item.offset >= struct.header]
+        while (
+            len(members_shown) == 1
+            and not members_shown[0].dims
+            and members_shown[0].name.lower() in _UNPACKED
+        ):
+            inner = layout.structs.get(str(members_shown[0].type))
             if inner is None:
                 break
-            shift -= shown[0].offset
-            shown, struct = list(inner.members), inner
-        members = [inner for item in shown for inner in _inlined(layout, item)]
-    taken = {"header"} if whole else set()
-    found = []
+            shift -= members_shown[0].offset
+            members_shown, struct = list(inner.members), inner
+        members = [inner for item in members_shown for inner in _inlined(layout, item)]
+    used = {"header"} if whole else set()
+    result = []
     for item in members:
         is_open = whole and not struct.union and item is struct.members[-1] and OPEN in item.dims
         is_open = is_open and bool(item.text or layout.size(item))  # an array of nothing has no end
         if layout.size(item) * item.count == 0 and not is_open and not _empty(layout, item):
             continue
-        name = unique(shown_name(struct.name, item.name), taken)
-        found.append(MessagePart(name, replace(item, offset=item.offset - shift) if shift else item, is_open))
-    return found
+        name = unique(shown_name(struct.name, item.name), used)
+        result.append(
+            MessagePart(name, replace(item, offset=item.offset - shift) if shift else item, is_open)
+        )
+    return result
 
 
 def _inlined(layout: StructLayout, member: Member) -> list[Member]:
@@ -130,8 +136,8 @@ def described(
         whole: as for :func:`parts`.
     """
     has_header = whole and not layout.entries
-    found = [Described(MessageField("header", names[HEADER_TYPE]), None, ())] if has_header else []
-    taken: set[str] = set()
+    fields = [Described(MessageField("header", names[HEADER_TYPE]), None, ())] if has_header else []
+    used: set[str] = set()
     for part in parts(layout, struct, whole=whole):
         kind, shape, size = _type(layout, part.member, names), Shape.SCALAR, 0
         if part.open and part.member.array:
@@ -140,12 +146,12 @@ def described(
             shape, size = Shape.ARRAY, part.member.count
         enum = layout.enumeration(part.member)
         constants = tuple(
-            Constant(unique(f"{part.name}_{field_name(label)}".upper(), taken), kind, value)
+            Constant(unique(f"{part.name}_{field_name(label)}".upper(), used), kind, value)
             for value, label in (enum.names.items() if enum else ())
             if enum is not None and enum.basic.holds(value)
         )
-        found.append(Described(MessageField(part.name, kind, 0, shape, size), part, constants))
-    return found
+        fields.append(Described(MessageField(part.name, kind, 0, shape, size), part, constants))
+    return fields
 
 
 def definition(name: str, fields: Iterable[Described]) -> Definition:
@@ -157,16 +163,16 @@ def definition(name: str, fields: Iterable[Described]) -> Definition:
 
 def definition_text(struct: Struct, fields: Iterable[Described]) -> str:
     """Return the ``.msg`` file of a struct's message, with the C member of each field."""
-    what = f"{'union' if struct.union else 'struct'} {struct.name}, {struct.size} bytes"
-    lines = [f"# {what}" + f"; bytes count from behind its header of {struct.header}" * bool(struct.header)]
+    kind = f"{'union' if struct.union else 'struct'} {struct.name}, {struct.size} bytes"
+    lines = [f"# {kind}" + f"; bytes count from behind its header of {struct.header}" * bool(struct.header)]
     lines += [f"# {struct.doc}"] * bool(struct.doc)
     for item in fields:
         lines += [f"{constant.type} {constant.name}={constant.value}" for constant in item.constants]
         line = f"{item.field.type_text} {item.field.name}"
         if item.part is not None:
             member = item.part.member
-            told = [member_place(member), *filter(None, [member.doc])]
-            line += f"  # {': '.join(told)}"
+            notes = [member_place(member), *filter(None, [member.doc])]
+            line += f"  # {': '.join(notes)}"
         lines.append(line)
     return "\n".join(lines) + "\n"
 

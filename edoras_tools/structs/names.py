@@ -128,8 +128,8 @@ def field_name(name: str) -> str:
 @lru_cache(maxsize=4096)
 def shown_name(struct: str, member: str) -> str:
     """Return the name of the field that a member of a struct becomes."""
-    known = _SHOWN.get(struct.removesuffix("_t").removesuffix("_Payload"), {})
-    return known.get(member) or field_name(member)
+    names = _SHOWN.get(struct.removesuffix("_t").removesuffix("_Payload"), {})
+    return names.get(member) or field_name(member)
 
 
 def aliased(name: str) -> frozenset[str]:
@@ -138,11 +138,11 @@ def aliased(name: str) -> frozenset[str]:
 
 
 def _aliases() -> dict[str, frozenset[str]]:
-    found: dict[str, set[str]] = {}
+    aliases: dict[str, set[str]] = {}
     for members in _SHOWN.values():
-        for member, shown in members.items():
-            found.setdefault(field_name(member), set()).add(shown)
-    return {alias: frozenset(names) for alias, names in found.items()}
+        for member, field in members.items():
+            aliases.setdefault(field_name(member), set()).add(field)
+    return {alias: frozenset(names) for alias, names in aliases.items()}
 
 
 _ALIASES: Final = _aliases()

@@ -39,4 +39,4 @@ OWN_LAYERS: Final = frozenset(
 
 def packets(msg_ids: MsgIds) -> dict[int, str]:
     """Return :data:`PACKETS` by the MsgIds of a version, without one that would be 0, which cFE refuses."""
-    return {msg_id: name for known, name in PACKETS.items() if (msg_id := msg_ids.of_known(known))}
+    return {msg_id: name for msg_id_1, name in PACKETS.items() if (msg_id := msg_ids.of_known(msg_id_1))}

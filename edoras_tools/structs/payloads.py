@@ -36,9 +36,9 @@ class StructPayloads(NamedTuple):
     offset: NDArray[np.int64]
     length: NDArray[np.int32]
 
-    def take(self, chosen: NDArray[Any]) -> StructPayloads:
+    def take(self, mask: NDArray[Any]) -> StructPayloads:
         """Return some of them."""
-        return StructPayloads(*(column[chosen] for column in self))
+        return StructPayloads(*(column[mask] for column in self))
 
     def join(self, others: StructPayloads) -> StructPayloads:
         """Return these, then others."""
@@ -69,13 +69,13 @@ def payloads(
         data: u8, what they point into.
     """
     key = columns("msg_id")
-    held, bare = structs.has.take(key), _last_hops().take(columns("link"))
-    if structs.dictionary is None and not np.count_nonzero(held) and not np.count_nonzero(bare):
+    bound_rows, bare = structs.has.take(key), _last_hops().take(columns("link"))
+    if structs.dictionary is None and not np.count_nonzero(bound_rows) and not np.count_nonzero(bare):
         return _NOTHING  # as in most small batches of a live link
-    rows = np.flatnonzero(held)
+    rows = np.flatnonzero(bound_rows)
     rows = rows[columns("header_length")[rows] > ccsds.PRIMARY.size]
     header = columns("header_length")[rows]
-    found = StructPayloads(
+    samples = StructPayloads(
         rows,
         key[rows],
         columns("function_code")[rows],
@@ -87,13 +87,15 @@ def payloads(
         offset, size = datagrams("offset")[described], datagrams("length")[described]
         packets = read_ground_frames(data, offset, size, checked=False).packets
         entries = structs.dictionary.payloads(data, packets)
-        found = found.join(entries._replace(row=described[entries.row]))
-    told = np.flatnonzero(bare)
-    if not len(told):
-        return found
-    length = datagrams("length")[told]
-    ports = structs.of_port(datagrams("destination_port")[told])
-    return found.join(StructPayloads(told, ports, length, datagrams("offset")[told], length))
+        samples = samples.join(entries._replace(row=described[entries.row]))
+    described_rows = np.flatnonzero(bare)
+    if not len(described_rows):
+        return samples
+    length = datagrams("length")[described_rows]
+    ports = structs.of_port(datagrams("destination_port")[described_rows])
+    return samples.join(
+        StructPayloads(described_rows, ports, length, datagrams("offset")[described_rows], length)
+    )
 
 
 @cache

@@ -177,8 +177,8 @@ class Key:
     def __str__(self) -> str:
         if self.msg_id >= FPRIME_KEY:
             return f"fprime:{self.msg_id - FPRIME_KEY}"
-        what = f"0x{self.msg_id:04x}" if self.port is None else f"udp:{self.port or 'robot'}"
-        return what + (f"/{self.function_code}" if self.function_code is not None else "")
+        text = f"0x{self.msg_id:04x}" if self.port is None else f"udp:{self.port or 'robot'}"
+        return text + (f"/{self.function_code}" if self.function_code is not None else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,8 +211,8 @@ class StructLayout:
         """Return the basic type of a member, that of its enumeration too; None for a struct."""
         if isinstance(member.type, Basic):
             return member.type
-        found = self.enums.get(member.type)
-        return found.basic if found else None
+        enumeration = self.enums.get(member.type)
+        return enumeration.basic if enumeration else None
 
     def size(self, member: Member) -> int:
         """Return the bytes of one element of a member; of a text all its characters."""
@@ -240,12 +240,12 @@ class Wanted:
 
 
 def arrange(
-    wanted: Iterable[Wanted], *, union: bool = False, packed: bool = False
+    declared: Iterable[Wanted], *, union: bool = False, packed: bool = False
 ) -> tuple[list[Member], int, int]:
     """Compute the offset of every member, as the System V ABI does.
 
     Args:
-        wanted: in the order of the declaration.
+        declared: in the order of the declaration.
         union: all members start at 0.
         packed: no padding at all.
 
@@ -254,7 +254,7 @@ def arrange(
     """
     members: list[Member] = []
     bit, end, widest = 0, 0, 1  # the next free bit, and the end of the members so far
-    for item in wanted:
+    for item in declared:
         alignment = 1 if packed else item.alignment
         widest = max(widest, alignment)
         member, unit = item.member, 8 * item.size

@@ -46,7 +46,7 @@ class Structs:
 
     def __init__(self, layouts: Sequence[StructLayout] | None = (), msg_ids: MsgIds = VERSION_1) -> None:
         self.msg_ids = msg_ids
-        self._given = layouts
+        self._layouts = layouts
         self._whole = self
         entries = sum(len(layout.entries) for layout in layouts or ())
         self.has: NDArray[np.bool_] = np.zeros(FPRIME_KEY + entries + _NONE, np.bool_)
@@ -55,18 +55,18 @@ class Structs:
     @cached_property
     def layouts(self) -> tuple[StructLayout, ...]:
         """The layouts, in order."""
-        if self._given is None:
+        if self._layouts is None:
             from edoras_tools.structs import cfe
 
             return (cfe.shipped_layout(self.msg_ids),)
-        return tuple(self._given)
+        return tuple(self._layouts)
 
     @property
     def _bindings(self) -> Bindings:
-        return self._whole._made  # noqa: SLF001  of its own kind
+        return self._whole._own_bindings  # noqa: SLF001  of its own kind
 
     @cached_property
-    def _made(self) -> Bindings:
+    def _own_bindings(self) -> Bindings:
         from edoras_tools.structs.bindings import Bindings
 
         return Bindings(self.layouts)
@@ -78,11 +78,11 @@ class Structs:
 
     @cached_property
     def _entries(self) -> EntryTable | None:
-        found = [layout.origin for layout in self._given or () if layout.entries]
-        if not found:
+        origins = [layout.origin for layout in self._layouts or () if layout.entries]
+        if not origins:
             return None
-        if len(found) > 1:
-            raise ConfigError(f"{found[1]}: a second dictionary of F Prime, beside {found[0]}; name one")
+        if len(origins) > 1:
+            raise ConfigError(f"{origins[1]}: a second dictionary of F Prime, beside {origins[0]}; name one")
         from edoras_tools.structs.fprime.bound import BoundEntry
         from edoras_tools.structs.fprime.table import EntryTable
 
@@ -123,17 +123,17 @@ class Structs:
 
     def is_shipped(self, msg_id: int) -> bool:
         """Tell whether the structs of a MsgId are the built-in ones of cFE."""
-        return self._given is None or all(item.shipped for item in self.bound_to(msg_id))
+        return self._layouts is None or all(item.shipped for item in self.bound_to(msg_id))
 
     def unclaimed(self, msg_ids: Iterable[int]) -> Structs:
         """Return these without the MsgIds that are used otherwise."""
         claimed = [msg_id for msg_id in msg_ids if self.has[msg_id]]
         if not claimed:
             return self
-        left = copy(self)
-        left.has = self.has.copy()
-        left.has[claimed] = False
-        return left
+        rest = copy(self)
+        rest.has = self.has.copy()
+        rest.has[claimed] = False
+        return rest
 
     def of_port(self, port: Any) -> Any:
         """Return the key of datagrams that are sent to a port of the robot link, or to each of many."""
@@ -147,7 +147,7 @@ class Structs:
     @cached_property
     def ports(self) -> tuple[tuple[int, Bound], ...]:
         """The UDP ports that a layout names, each with its struct."""
-        bound = () if self._given is None else self.all
+        bound = () if self._layouts is None else self.all
         return tuple((port, item) for item in bound if (port := item.key.port))
 
     def split(self, payloads: StructPayloads) -> Iterator[tuple[Bound, StructPayloads, NDArray[np.bool_]]]:
@@ -157,16 +157,16 @@ class Structs:
             the struct; what should hold it; bool, which of those are as long as it is.
         """
         for value, members in by_value(payloads.key):
-            left = members
+            rest = members
             for item in self.bound_to(value):
                 code = item.key.function_code
-                chosen = payloads.length[left] > 0 if code is None else payloads.code[left] == code
-                found = payloads.take(left[chosen])
-                if len(found.row):
-                    yield item, found, item.fits(found.length)
-                left = left[~chosen]
+                mask = payloads.length[rest] > 0 if code is None else payloads.code[rest] == code
+                part = payloads.take(rest[mask])
+                if len(part.row):
+                    yield item, part, item.fits(part.length)
+                rest = rest[~mask]
 
-    def held(
+    def payloads_of(
         self, payloads: StructPayloads, columns: Callable[[str], NDArray[Any]], data: NDArray[np.uint8]
     ) -> Iterator[Held]:
         """Yield the structs that many packets hold, and which of the packets do.
@@ -178,9 +178,9 @@ class Structs:
         """
         from edoras_tools.structs.bound import Held
 
-        for item, found, fits in self.split(payloads):
+        for item, part, fits in self.split(payloads):
             if fits.any():
-                yield Held(item, found.take(fits), columns, data)
+                yield Held(item, part.take(fits), columns, data)
 
     def bound_to(self, msg_id: int) -> Sequence[Bound]:
         """Return the structs of a MsgId, in the order in which they are tried."""

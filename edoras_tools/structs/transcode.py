@@ -206,10 +206,10 @@ class StructPlan:
         return out, start, size
 
     def _parts(self, struct: Struct, base: int, path: tuple[str | int, ...], *, whole: bool = False) -> None:
-        found = parts(self._layout, struct, whole=whole)
-        if not found and (not whole or self._layout.entries):
+        members = parts(self._layout, struct, whole=whole)
+        if not members and (not whole or self._layout.entries):
             self._constant(b"\0")  # an empty message is one byte on the wire
-        for part in found:
+        for part in members:
             self._member(part.member, part.open, base, (*path, part.name))
 
     def _member(self, member: Member, is_open: bool, base: int, path: tuple[str | int, ...]) -> None:
@@ -346,14 +346,14 @@ def _fill(out: NDArray[np.uint8], block: Block, window: NDArray[np.uint8]) -> No
 
 def _read(bits: Bits, window: NDArray[np.uint8]) -> NDArray[np.unsignedinteger[Any]]:
     """Return the values of a bit-field in words that hold it and what is written, signs extended."""
-    taken = window[:, bits.source : bits.source + bits.size]
+    octets = window[:, bits.source : bits.source + bits.size]
     if bits.order == ">":
-        taken = taken[:, ::-1]
+        octets = octets[:, ::-1]
     size = min(1 << (max(bits.size, bits.into) - 1).bit_length(), 8)
     word = np.dtype(f"u{size}").type
     value = np.zeros(len(window), word)
     for index in range(bits.size):
-        octet, move = taken[:, index].astype(word), 8 * index - bits.shift
+        octet, move = octets[:, index].astype(word), 8 * index - bits.shift
         value |= octet << word(move) if move >= 0 else octet >> word(-move)
     spare = 8 * size - bits.width
     if spare:
@@ -399,8 +399,8 @@ class Counter:
 
     def fixed(self, struct: Struct) -> int:
         """Return the copies for a packet, without an array that is open to its end."""
-        found = parts(self._layout, struct, whole=True)
-        return sum(self._of(part.member, part.member.count) for part in found if not part.open)
+        members = parts(self._layout, struct, whole=True)
+        return sum(self._of(part.member, part.member.count) for part in members if not part.open)
 
     def each(self, member: Member) -> int:
         """Return the copies for one element of an array that is open to the end."""
@@ -414,7 +414,7 @@ class Counter:
 
     def _nested(self, struct: Struct) -> int:
         if struct.name not in self._known:
-            found = parts(self._layout, struct, whole=False)
+            members = parts(self._layout, struct, whole=False)
             # An empty message is a byte.
-            self._known[struct.name] = sum(self._of(part.member, part.member.count) for part in found) or 1
+            self._known[struct.name] = sum(self._of(part.member, part.member.count) for part in members) or 1
         return self._known[struct.name]

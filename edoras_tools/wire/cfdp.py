@@ -222,10 +222,10 @@ def read_pdus(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArra
     ids = head["entity_id_length"].astype(np.int64) + 1
     counts = head["sequence_number_length"].astype(np.int64) + 1
     code = offset + PDU_HEADER.size + 2 * ids + counts
-    there = offset + length
-    whole = (length >= PDU_HEADER.size) & (code <= there)
+    limit = offset + length
+    whole = (length >= PDU_HEADER.size) & (code <= limit)
     claimed = code + head["pdu_data_field_length"]
-    end = np.minimum(claimed - CRC16_BYTES * head["crc_flag"], there)
+    end = np.minimum(claimed - CRC16_BYTES * head["crc_flag"], limit)
     # Positions past the end of the data are not read: those of a cut PDU are those of its first byte.
     first = gather(data, np.where(whole, code, offset), 1)[:, 0]
     piece = head["pdu_type"] == 1
@@ -242,7 +242,7 @@ def read_pdus(data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArra
     return Pdus(
         kind,
         cut,
-        _corrupt(data, offset, claimed, whole & (head["crc_flag"] == 1) & (code <= end) & (claimed <= there)),
+        _corrupt(data, offset, claimed, whole & (head["crc_flag"] == 1) & (code <= end) & (claimed <= limit)),
         whole & ~piece & (start <= end),
         head["direction"] == 1,
         head["transmission_mode"] == 0,

@@ -209,7 +209,7 @@ def known_ids(msg_id: NDArray[np.int32], headers: NDArray[np.uint8]) -> NDArray[
         headers: u8, place in ``HEADERS`` of the headers of each.
     """
     second = headers == _SECOND
-    return np.where(second, VERSION_2.known(msg_id), msg_id) if np.count_nonzero(second) else msg_id
+    return np.where(second, VERSION_2.standard(msg_id), msg_id) if np.count_nonzero(second) else msg_id
 
 
 def checksum(packet: bytes | memoryview) -> int:
@@ -280,23 +280,23 @@ def with_headers(packet: bytes, old: Headers, new: Headers) -> bytes:
     A MsgId becomes that of the other version (:mod:`edoras_tools.wire.msg_id`). A checksum that was right is
     right again. A packet shorter than its headers is returned as it is.
     """
-    msg_id = old.msg_ids.known(old.msg_ids.of(packet)) if len(packet) > 1 else 0
+    msg_id = old.msg_ids.standard(old.msg_ids.of(packet)) if len(packet) > 1 else 0
     command = VERSION_1.is_command(msg_id)
-    size, wanted = (item.command_bytes if command else item.telemetry_bytes for item in (old, new))
+    size, new_size = (item.command_bytes if command else item.telemetry_bytes for item in (old, new))
     if old is new or len(packet) < size:
         return packet
     shared = COMMAND.size if command else TELEMETRY_SHORT.size
-    length = (int.from_bytes(packet[4:6], "big") + wanted - size) & 0xFFFF
+    length = (int.from_bytes(packet[4:6], "big") + new_size - size) & 0xFFFF
     head = new.emit(new.msg_ids.of_known(msg_id), ccsds.LENGTH_BIAS + length, 0, 0)
     head = head[:2] + packet[2:4] + head[4:]
     if old.extended and new.extended:
         head = head[:6] + packet[6:7] + head[7:8] + packet[8:10]
-    made = (head + packet[old.start : old.start + shared]).ljust(wanted, b"\0") + packet[size:]
+    out = (head + packet[old.start : old.start + shared]).ljust(new_size, b"\0") + packet[size:]
     at = new.start + CHECKSUM_BYTE
     if command and checksum(packet) == 0:
-        made = made[:at] + b"\0" + made[at + 1 :]
-        made = made[:at] + bytes([checksum(made)]) + made[at + 1 :]
-    return made
+        out = out[:at] + b"\0" + out[at + 1 :]
+        out = out[:at] + bytes([checksum(out)]) + out[at + 1 :]
+    return out
 
 
 def mission_time_ns(seconds: int, subseconds: int) -> int:

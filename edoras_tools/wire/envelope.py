@@ -50,7 +50,7 @@ class EnvelopeFormat:
         return f"{self.width}/{self.width}{order}"
 
     @classmethod
-    def named(cls, text: str) -> EnvelopeFormat:
+    def of_name(cls, text: str) -> EnvelopeFormat:
         """Return the format with a name such as ``8/8`` or ``4/4 be``.
 
         Raises:

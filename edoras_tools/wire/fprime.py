@@ -162,9 +162,9 @@ class PacketPlaces(NamedTuple):
     kind: NDArray[np.int32]
     whole: NDArray[np.bool_]
 
-    def take(self, chosen: NDArray[Any]) -> PacketPlaces:
+    def take(self, mask: NDArray[Any]) -> PacketPlaces:
         """Return some of them."""
-        return PacketPlaces(*(column[chosen] for column in self))
+        return PacketPlaces(*(column[mask] for column in self))
 
 
 class Frames(NamedTuple):
@@ -245,8 +245,8 @@ def read_ground_frames(
     length = length.astype(np.int64)
 
     def field(layout: Layout, name: str, at: int = 0) -> NDArray[np.int64]:
-        there = length >= at + layout.by_name[name].end
-        return np.where(there, layout.column(name, window, at).astype(np.int64), -1)
+        present = length >= at + layout.by_name[name].end
+        return np.where(present, layout.column(name, window, at).astype(np.int64), -1)
 
     framing = np.select(frame_shapes_of(field, length)[:_TM], range(_TM), _TM)
     own = framing == _OWN
@@ -256,10 +256,10 @@ def read_ground_frames(
     corrupt = np.zeros(len(offset), bool)
     rows = np.flatnonzero(own & ~cut)
     if len(rows) and checked:
-        said = read_at(data, check[rows], ">u4")
+        stated = read_at(data, check[rows], ">u4")
         view = memoryview(data)  # type: ignore[arg-type]
         ranges = zip(offset[rows].tolist(), check[rows].tolist(), strict=True)
-        corrupt[rows] = said != np.array([crc32(view[start:end]) for start, end in ranges], np.uint32)
+        corrupt[rows] = stated != np.array([crc32(view[start:end]) for start, end in ranges], np.uint32)
     whole = _packets(data, rows, np.full(len(rows), -1), offset[rows] + FRAME.size, check[rows])
     rows = np.flatnonzero(~own & ~cut)
     if len(rows):
@@ -312,10 +312,10 @@ def _space_packets(
     data: NDArray[np.uint8], row: NDArray[np.intp], start: NDArray[np.int64], end: NDArray[np.int64]
 ) -> PacketPlaces:
     """Read space packets that follow each other from ``start`` to ``end``; idle ones are left out."""
-    found = [_packets(data, row[:0], start[:0], start[:0], end[:0])]
+    parts = [_packets(data, row[:0], start[:0], start[:0], end[:0])]
     while True:
-        left = start < end
-        row, start, end = row[left], start[left], end[left]
+        open_ = start < end
+        row, start, end = row[open_], start[open_], end[open_]
         if not len(row):
             break
         head = gather(data, start, SPACE_PACKET.size)
@@ -325,9 +325,9 @@ def _space_packets(
         some |= end - start < SPACE_PACKET.size
         inside = np.minimum(start + SPACE_PACKET.size, end)[some]
         packets = _packets(data, row[some], start[some], inside, np.minimum(behind, end)[some])
-        found.append(packets._replace(whole=packets.whole & (behind <= end)[some]))
+        parts.append(packets._replace(whole=packets.whole & (behind <= end)[some]))
         start = behind
-    both = [np.concatenate(columns) for columns in zip(*found, strict=True)]
+    both = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
     return PacketPlaces(*both).take(np.argsort(both[0], kind="stable"))
 
 
@@ -339,9 +339,9 @@ def _packets(
     end: NDArray[np.int64],
 ) -> PacketPlaces:
     """Read the types of packets, and tell whether the header behind is whole."""
-    known = end - start >= PACKET.size
+    whole = end - start >= PACKET.size
     kind = np.full(len(row), -1, np.int32)
-    kind[known] = read_at(data, start[known], ">u2")
+    kind[whole] = read_at(data, start[whole], ">u2")
     need = np.full(len(row), PACKET.size)
     for item, layout in ENTRY_HEADERS.items():
         need[kind == item] += layout.size

@@ -68,11 +68,11 @@ class MsgIds:
         """Return the first word of a packet, and the subsystem in its extended header."""
         return msg_id, 0
 
-    def of_known(self, known: _Ids) -> _Ids:
+    def of_known(self, standard: _Ids) -> _Ids:
         """Return what a MsgId that the project knows, one of version 1, is in this version."""
-        return known
+        return standard
 
-    def known(self, msg_id: _Ids) -> _Ids:
+    def standard(self, msg_id: _Ids) -> _Ids:
         """Return the MsgId of version 1 of what has this one: the reverse of :meth:`of_known`."""
         return msg_id
 
@@ -93,19 +93,19 @@ class _Version2(MsgIds):
         word = _first_words(head)
         low = word & _APID | VERSION_1.is_command(word) * np.int32(_COMMAND_2)
         subsystem = head[:, _SUBSYSTEM_AT].astype(np.int32) << 8
-        found: NDArray[np.int32] = np.where(length > _SUBSYSTEM_AT, subsystem, np.int32(0)) | low
-        return found
+        msg_ids: NDArray[np.int32] = np.where(length > _SUBSYSTEM_AT, subsystem, np.int32(0)) | low
+        return msg_ids
 
     def words(self, msg_id: _Ids) -> tuple[_Ids, int | NDArray[np.int32]]:
         return _SECONDARY | (msg_id & _COMMAND_2) << 5 | msg_id & _APID, msg_id >> 8
 
-    def of_known(self, known: _Ids) -> _Ids:
-        high = (known & _COMMAND_2) << 4 | (known & _SECONDARY ^ _SECONDARY) << 1 ^ (
-            known & known << 5 & 0x1000
+    def of_known(self, standard: _Ids) -> _Ids:
+        high = (standard & _COMMAND_2) << 4 | (standard & _SECONDARY ^ _SECONDARY) << 1 ^ (
+            standard & standard << 5 & 0x1000
         )
-        return known & 0xE700 | high | (known & 0x1000) >> 5 | known & _APID
+        return standard & 0xE700 | high | (standard & 0x1000) >> 5 | standard & _APID
 
-    def known(self, msg_id: _Ids) -> _Ids:
+    def standard(self, msg_id: _Ids) -> _Ids:
         command = (msg_id & _COMMAND_2) << 5
         secondary = (msg_id & 0x1000 ^ (command & msg_id << 1)) >> 1 ^ _SECONDARY
         return msg_id & 0xE700 | command | secondary | (msg_id & 0x0800) >> 4 | msg_id & _APID

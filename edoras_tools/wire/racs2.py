@@ -73,18 +73,18 @@ def std_msgs_values(body: bytes) -> dict[str, Any] | None:
 
     Zeros at its end are padding. Field names are those of the public ``.proto`` file.
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     try:
         for number, value in _fields(body):
             if number >= _FIRST_ARRAY:
-                found.setdefault(_NAMES[number], []).extend(_numbers(number, value))
+                values.setdefault(_NAMES[number], []).extend(_numbers(number, value))
             elif number == _TEXT:
-                found[_NAMES[number]] = value.decode()
+                values[_NAMES[number]] = value.decode()
             else:
-                (found[_NAMES[number]],) = _numbers(number, value)
+                (values[_NAMES[number]],) = _numbers(number, value)
     except (KeyError, ValueError, struct.error, AttributeError, TypeError):
         return None
-    return found or None
+    return values or None
 
 
 def _fields(body: bytes) -> Iterator[tuple[int, Any]]:
@@ -125,12 +125,12 @@ def _numbers(number: int, value: Any) -> list[Any]:
     if number in _FIXED:
         return [item for (item,) in struct.iter_unpack(_FIXED[number], value)]
     if isinstance(value, bytes):
-        found, at = [], 0
+        numbers, at = [], 0
         while at < len(value):
             item, at = _varint(value, at)
-            found.append(item)
+            numbers.append(item)
     else:
-        found = [value]
+        numbers = [value]
     if number in _SIGNED:
-        found = [item - (1 << 64) if item >> 63 else item for item in found]
-    return [bool(item) for item in found] if _NAMES[number] == "bool_data" else found
+        numbers = [item - (1 << 64) if item >> 63 else item for item in numbers]
+    return [bool(item) for item in numbers] if _NAMES[number] == "bool_data" else numbers

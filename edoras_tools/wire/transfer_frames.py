@@ -189,7 +189,7 @@ class FrameFields:
         spacecraft_id: u32.
         virtual_channel_id: u8.
         map_id: u8, of a TC segment; else 0.
-        counted: bool, it has a count of its channel; TC frames of Type-B have none.
+        has_count: bool, it has a count of its channel; TC frames of Type-B have none.
         count: u32, of the virtual channel.
         master_count: u8, of the master channel; 0 where the kind has none.
         start: i64, first byte of the data.
@@ -203,7 +203,7 @@ class FrameFields:
     spacecraft_id: NDArray[np.uint32]
     virtual_channel_id: NDArray[np.uint8]
     map_id: NDArray[np.uint8]
-    counted: NDArray[np.bool_]
+    has_count: NDArray[np.bool_]
     count: NDArray[np.uint32]
     master_count: NDArray[np.uint8]
     start: NDArray[np.int64]
@@ -233,7 +233,7 @@ def read_frames(
     none = np.zeros(len(offset), np.uint8)
     start = offset + form.data_start
     end = offset + length - CRC16_BYTES * form.fecf
-    counted, map_id, master = np.ones(len(offset), bool), none, none
+    has_count, map_id, master = np.ones(len(offset), bool), none, none
     spacecraft = head["spacecraft_id"].astype(np.uint32)
     # Positions past the end of the data are not read: the window of a short frame is filled with zeros.
     behind = gather(data, np.minimum(start, len(data)), 2)
@@ -252,7 +252,7 @@ def read_frames(
         count = head["virtual_channel_frame_count"]
         spacecraft |= head["spacecraft_id_high"].astype(np.uint32) << 8
     else:
-        idle, counted = head["control_command_flag"] == 1, head["bypass_flag"] == 0
+        idle, has_count = head["control_command_flag"] == 1, head["bypass_flag"] == 0
         count, pointer = head["frame_sequence_number"], none
         if form.segment_header:
             start = start + TC_SEGMENT.size
@@ -268,7 +268,7 @@ def read_frames(
         spacecraft,
         head["virtual_channel_id"],
         map_id,
-        counted,
+        has_count,
         count.astype(np.uint32),
         master,
         start,

@@ -44,7 +44,7 @@ class FrameHeaders(NamedTuple):
         size: i64, bytes of the header.
         length: i64, bytes of the payload.
         valid: bool, whether a frame can begin so.
-        known: bool, whether the header is complete.
+        complete: bool, whether the header is complete.
     """
 
     final: NDArray[np.bool_]
@@ -54,7 +54,7 @@ class FrameHeaders(NamedTuple):
     size: NDArray[np.int64]
     length: NDArray[np.int64]
     valid: NDArray[np.bool_]
-    known: NDArray[np.bool_]
+    complete: NDArray[np.bool_]
 
 
 def read_headers(

@@ -124,7 +124,7 @@ def test_a_recording_is_not_overwritten_by_its_own_export(call, rover, tmp_path)
 
 
 def test_an_interrupted_export_is_whole_and_says_so(call, rover, tmp_path, monkeypatch):
-    made = CaptureTopics.made
+    made = CaptureTopics.pieces
 
     def interrupted(source, *arguments):
         for item in made(source, *arguments):
@@ -132,7 +132,7 @@ def test_an_interrupted_export_is_whole_and_says_so(call, rover, tmp_path, monke
             source.failure = InterruptError("x: interrupted; everything before was read")
             return
 
-    monkeypatch.setattr(CaptureTopics, "made", interrupted)
+    monkeypatch.setattr(CaptureTopics, "pieces", interrupted)
     done = call("export", *rover, "--topic", "cmd_vel", "-o", tmp_path / "a.csv")
     assert (done.code, len((tmp_path / "a.csv").read_text().splitlines())) == (130, 601)
     assert done.err[-1] == "edoras: x: interrupted; everything before was read"

@@ -86,9 +86,9 @@ def test_malformed_commands_of_the_ground_are_its_own(tmp_path, count):
 @pytest.mark.parametrize(
     ("payload", "link"),
     [
-        (NOOP, table.named("ci")),
-        (cfe.emit_telemetry(0x0827, bytes(60)), table.named("to")),
-        (sbn.emit(sbn.MsgType.HEARTBEAT, Peer(66, 1)), table.named("sbn")),
+        (NOOP, table.link_of_label("ci")),
+        (cfe.emit_telemetry(0x0827, bytes(60)), table.link_of_label("to")),
+        (sbn.emit(sbn.MsgType.HEARTBEAT, Peer(66, 1)), table.link_of_label("sbn")),
     ],
     ids=["ci", "to", "sbn"],
 )

@@ -17,7 +17,7 @@ from edoras_tools.errors import RouteError
 from edoras_tools.model import OTHER, Finding
 from edoras_tools.pipelines.capture.packet_json import PacketTexts, as_json
 from edoras_tools.pipelines.messages import open_inputs
-from edoras_tools.pipelines.reading import chosen
+from edoras_tools.pipelines.reading import selected_rows
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings
 
@@ -25,7 +25,8 @@ from edoras_tools.pipelines.workbench import Settings
 def read(path, **selection):
     source, bench = open_inputs([path], Settings())
     return bench, [
-        rows.take(np.arange(len(rows))) for rows in chosen(source, bench, selection=Selection(**selection))
+        rows.take(np.arange(len(rows)))
+        for rows in selected_rows(source, bench, selection=Selection(**selection))
     ]
 
 

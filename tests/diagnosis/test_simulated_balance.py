@@ -106,7 +106,7 @@ def test_msg_ids_of_version_2_change_nothing_but_the_numbers(lab):
         examination, batch = Examination(bench.columns.context), Demux().demux(frames_of(sent))
         examination.add(batch, bench.columns.decode(batch))
         found = examination.diagnose()
-        known = headers.msg_ids.known
+        known = headers.msg_ids.standard
         rows = [
             (known(row.msg_id), row.hop, row.name, row.came, row.lost)
             for row in found.balance

@@ -314,7 +314,7 @@ def captured(name):
 
 
 def diagnosed(path, name, ports=()):
-    links = tuple((table.named(link), number) for link, number in (*ports, *PORTS.get(name, ())))
+    links = tuple((table.link_of_label(link), number) for link, number in (*ports, *PORTS.get(name, ())))
     config = [MISSIONS / f"{item}.yaml" for item in MISSION.get(name, ROVER)]
     source = open_file(path)
     bench = Settings(config, options=Options(ports=links)).workbench(source.info)

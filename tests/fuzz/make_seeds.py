@@ -98,21 +98,23 @@ def made():
         + sbn.emit(1, PEER, sbn.emit_subscriptions([sbn.Subscription(0x800 + item) for item in range(20)])),
         "sbn_legacy_header": room(2234) + struct.pack(">hBI", 8, 3, 3) + bytes.fromhex("0827c00000010000"),
         "to_short_header": room(1235, telemetry_header=12)
-        + cfe.emit_telemetry(0x827, EnvelopeFormat.named("8/8 le").emit(TWIST))[:6]
+        + cfe.emit_telemetry(0x827, EnvelopeFormat.of_name("8/8 le").emit(TWIST))[:6]
         + bytes(6)
-        + EnvelopeFormat.named("8/8 le").emit(TWIST),
+        + EnvelopeFormat.of_name("8/8 le").emit(TWIST),
         "ci_extended_header": room(1234, extended_header=True)
         + bytes.fromhex("3827c000004901000000 0100")
-        + EnvelopeFormat.named("8/8 le").emit(TWIST),
+        + EnvelopeFormat.of_name("8/8 le").emit(TWIST),
         "ci_big_endian": room(1234)
         + cfe.emit_command(
             0x1827,
             1,
-            EnvelopeFormat.named("8/8 le").emit(TYPES.encode("geometry_msgs/msg/Twist", {}, big_endian=True)),
+            EnvelopeFormat.of_name("8/8 le").emit(
+                TYPES.encode("geometry_msgs/msg/Twist", {}, big_endian=True)
+            ),
         ),
     }
     for name in ("4/4 le", "4/4 be", "8/8 be", "1/1"):
-        envelope = EnvelopeFormat.named(name)
+        envelope = EnvelopeFormat.of_name(name)
         for option in (name, "auto"):
             file = f"ci_envelope_{name.replace('/', '').replace(' ', '_')}_{option[0]}"
             packets[file] = room(1234, envelope=option) + cfe.emit_command(0x1827, 1, envelope.emit(TWIST))
@@ -274,7 +276,7 @@ def messages():
 
 def sessions():
     """A command, an SBN peer that connects and leaves, telemetry for the bridge."""
-    twist = cfe.emit_command(0x1827, 1, EnvelopeFormat.named("8/8 le").emit(TWIST))
+    twist = cfe.emit_command(0x1827, 1, EnvelopeFormat.of_name("8/8 le").emit(TWIST))
     enable = cfe.emit_command(0x1880, 6, b"127.0.0.1".ljust(16, b"\0"))
     subscription = sbn.emit(1, PEER, sbn.emit_subscriptions([sbn.Subscription(0x82A)]))
     steps = [

@@ -86,7 +86,7 @@ def both_ways(context, *frames):
         assert packet.findings.labels == Finding(findings).labels, packet.layers
     found = payloads(context.structs, partial(getattr, columns), partial(getattr, batch), batch.data)
     told = [[] for _ in packets]
-    for held in context.structs.held(found, partial(getattr, columns), batch.data):
+    for held in context.structs.payloads_of(found, partial(getattr, columns), batch.data):
         encoded = held.encode()
         ends = zip(held.rows.tolist(), encoded.start.tolist(), encoded.size.tolist(), strict=True)
         for row, start, size in ends:

@@ -246,7 +246,7 @@ def installed(site):
     importlib.invalidate_caches()
     for cached in caches:
         cached.cache_clear()
-    yield table.named("radio")
+    yield table.link_of_label("radio")
     sys.path.remove(str(site))
     for name in ("edoras_radio_link", "edoras_radio_log"):
         sys.modules.pop(name, None)
@@ -317,4 +317,4 @@ def test_a_link_that_breaks_the_rules_is_refused_in_one_line(site, tmp_path, tex
 
 def test_a_name_that_is_no_link_is_refused():
     with pytest.raises(ConfigError, match="'warp' is not a link; there are ci, to, sbn, robot"):
-        table.named("warp")
+        table.link_of_label("warp")

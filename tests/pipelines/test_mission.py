@@ -100,7 +100,7 @@ def commands(tmp_path):
 
 @pytest.mark.parametrize("name", ["4/4 le", "4/4 be", "8/8 be"])
 def test_another_envelope_is_named(name, commands):
-    envelope = EnvelopeFormat.named(name)
+    envelope = EnvelopeFormat.of_name(name)
     path = commands(lambda cdr: envelope.emit(cdr).ljust(68, b"\0"))
     route = loads({"x.yaml": drafted(path).text.encode()}).find(0x1827)
     assert (route.type, route.envelope) == ("geometry_msgs/msg/Twist", name)

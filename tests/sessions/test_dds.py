@@ -28,7 +28,7 @@ def followed(path):
     with reading(source, bench) as loop:
         for rows in loop:
             follower.add(rows.batch, rows.columns)
-    named = follower.named(bench.columns.context.endpoints)
+    named = follower.topic_writers(bench.columns.context.endpoints)
     return {item.topic: item.writer for item in named}
 
 
@@ -131,7 +131,7 @@ def test_any_order_adds_up(events, size):
     assert writer.copies == len(numbers) - len(set(numbers))
     assert writer.written == writer.captured + sum(fates.values()) - fates["lost_behind"]
     assert fates["lost_behind"] <= writer.captured
-    assert 0 <= writer.behind <= writer.asked.size
+    assert 0 <= writer.behind <= writer.requested.size
     # The size of batches changes nothing that does not depend on what was captured later in them.
     other = follow(SampleFollower(), *map(payload, events), size=len(events)).writers[PREFIX + WRITER]
     assert (other.written, other.captured, other.copies) == (writer.written, writer.captured, writer.copies)
@@ -144,7 +144,7 @@ def test_more_holes_than_are_kept_are_all_counted():
         message(*(data(number, b"") for number in kept[at : at + 500])) for at in range(0, len(kept), 500)
     ]
     (writer,) = follow(SampleFollower(), *payloads, payloads[0], size=30).writers.values()
-    assert writer.seen.count < MOST_RANGES
+    assert writer.sample_numbers.count < MOST_RANGES
     assert writer.captured == len(kept)
     assert writer.written == kept[-1]
     assert writer.fates()["missing"] == kept[-1] - len(kept)

@@ -389,6 +389,6 @@ def test_any_counts_in_any_batches_are_as_one_by_one(packets, data):
         sums = [
             int(column.sum()) for column in (rows.missing, rows.duplicates, rows.reordered, rows.restarts)
         ]
-        assert sums == [*(getattr(stream, name) for name in NAMES[:3]), stream.restarts * stream.counted]
+        assert sums == [*(getattr(stream, name) for name in NAMES[:3]), stream.restarts * stream.has_count]
         assert rows.missing.min() >= 0
-        assert rows.stream.tolist() == [0 if stream.counted else -1] * len(packets)
+        assert rows.stream.tolist() == [0 if stream.has_count else -1] * len(packets)

@@ -61,7 +61,7 @@ def messages(path):
             columns = decoder.decode(batch)
             column = partial(getattr, columns)
             found = payloads(shipped_structs(), column, partial(getattr, batch), batch.data)
-            for held in shipped_structs().held(found, column, batch.data):
+            for held in shipped_structs().payloads_of(found, column, batch.data):
                 encoded = held.encode()
                 for row, start, size in zip(held.rows, encoded.start, encoded.size, strict=True):
                     origin = int(columns.link[row]), int(columns.processor_id[row])

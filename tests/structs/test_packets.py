@@ -310,7 +310,7 @@ def test_one_by_one_and_all_at_once_agree(items, order):
     columns = ColumnDecoder(where).decode(batch)
     found = {}
     column = partial(getattr, columns)
-    for held in where.structs.held(
+    for held in where.structs.payloads_of(
         payloads(where.structs, column, partial(getattr, batch), batch.data), column, batch.data
     ):
         encoded = held.encode()

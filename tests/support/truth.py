@@ -162,7 +162,7 @@ def diagnosed(path: Path, options: tuple[str, ...] = (), configs: tuple[Path, ..
         configs: files of a mission.
     """
     ports = [word.split(":") for word in options[1::2]]
-    links = Options(ports=tuple((table.named(link), int(port)) for link, port in ports))
+    links = Options(ports=tuple((table.link_of_label(link), int(port)) for link, port in ports))
     with closing(open_file(path)) as source:
         bench = Settings(configs=list(configs), options=links).workbench(source.info)
         return examine(source, bench).diagnosis.as_json()

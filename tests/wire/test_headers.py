@@ -131,18 +131,18 @@ def test_envelopes_both_ways_and_told_from_the_bytes(item):
     assert item.parse(raw) == (52, 52)
     assert raw[item.size :] == CDR
     assert detect(b"\xa5" * 8 + raw + bytes(16), 8) == item
-    assert EnvelopeFormat.named(str(item)) == item
+    assert EnvelopeFormat.of_name(str(item)) == item
 
 
 def test_envelope_of_the_captures():
     raw = bytes.fromhex("34000000000000003400000000000000")
     assert DEFAULT.parse(raw) == (52, 52)
     assert DEFAULT.emit(CDR, capacity=52)[:16] == raw
-    assert EnvelopeFormat.named("8/8") == DEFAULT
-    assert EnvelopeFormat.named("4/4 BE") == EnvelopeFormat(4, "big")
+    assert EnvelopeFormat.of_name("8/8") == DEFAULT
+    assert EnvelopeFormat.of_name("4/4 BE") == EnvelopeFormat(4, "big")
     for wrong in ("", "2/2", "8", "8/8 middle"):
         with pytest.raises(ConfigError, match="not known"):
-            EnvelopeFormat.named(wrong)
+            EnvelopeFormat.of_name(wrong)
 
 
 @given(st.binary(max_size=64), st.integers(0, 70))

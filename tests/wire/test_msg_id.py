@@ -48,12 +48,12 @@ def test_packets_of_a_real_cfs(msg_ids, msg_id, raw):
 @pytest.mark.parametrize(("first", "second"), KNOWN)
 def test_what_is_known_of_cfe_has_other_numbers_in_version_2(first, second):
     assert VERSION_2.of_known(first) == second
-    assert VERSION_1.of_known(first) == VERSION_1.known(first) == first
+    assert VERSION_1.of_known(first) == VERSION_1.standard(first) == first
 
 
 @given(IDS)
 def test_no_two_msg_ids_become_one(msg_id):
-    known = VERSION_2.known(msg_id)
+    known = VERSION_2.standard(msg_id)
     assert VERSION_2.of_known(known) == msg_id
     assert VERSION_1.is_command(known) == VERSION_2.is_command(msg_id)
     assert (known <= cfe.HIGHEST_MSG_ID) == (msg_id <= cfe.HIGHEST_MSG_ID)

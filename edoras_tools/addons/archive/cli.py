@@ -104,16 +104,16 @@ class SpanOptions(NamedTuple):
         from edoras_tools.addons.archive.questions import ArchiveSpan
         from edoras_tools.older import UTC
 
-        found: list[int | None] = []
+        moments: list[int | None] = []
         for name, value in (("--start", self.start), ("--end", self.end)):
             if value is None:
-                found.append(None)
+                moments.append(None)
                 continue
             clock = options.at(value[0], self.tz[0] if self.tz else UTC) if value[0] else None
             if clock is None or clock.day is None:
                 raise ConfigError(f"{name} needs a date: write 2026-05-01 or 2026-05-01T12:00")
-            found.append(clock.first(0))
-        return ArchiveSpan(*found)
+            moments.append(clock.first(0))
+        return ArchiveSpan(*moments)
 
 
 @archive.command("index", cls=_ArchiveCommand)
@@ -164,7 +164,7 @@ def index_captures(
         if (rest := len(report.bad) - _MOST_TOLD) > 0:
             tell(f"and {rest:,} more that are not whole; 'edoras archive list' has them all")
     if report.interrupted:
-        tell(f"interrupted: {report.left:,} captures are not read yet; run the same again to go on")
+        tell(f"interrupted: {report.unfinished:,} captures are not read yet; run the same again to go on")
         raise Exit(INTERRUPTED)
     if report.bad:
         raise Exit(LOST)

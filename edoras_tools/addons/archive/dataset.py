@@ -33,10 +33,10 @@ def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]
     """
     check_folder(folder)
     if folder.exists():
-        there = {item.name for item in folder.iterdir()} if folder.is_dir() else {""}
-        if there and not force:
+        existing = {item.name for item in folder.iterdir()} if folder.is_dir() else {""}
+        if existing and not force:
             raise ConfigError(f"{folder} exists; name another folder, or replace it with --force")
-        if foreign := sorted(there - {*TABLES}):
+        if foreign := sorted(existing - {*TABLES}):
             what = f"{foreign[0]} in it is" if foreign[0] else "it is"
             raise ConfigError(f"{folder}: {what} of no earlier export; name another folder")
     with os_errors(f"{folder}: cannot be written"):
@@ -67,12 +67,12 @@ def _write(index: Index, name: str, folder: Path) -> int:
     if "topic" in columns:
         names = [f"t.{item}" for item in ("topic", "name", "msg_id") if item in columns]
         keys["topic"] = f"coalesce({', '.join(names)}, 'none')"
-    kept = ", ".join(f't."{item}"' for item in columns if item not in keys)
-    made = ", ".join(f"{value} AS {key}" for key, value in keys.items())
+    data_columns = ", ".join(f't."{item}"' for item in columns if item not in keys)
+    key_columns = ", ".join(f"{value} AS {key}" for key, value in keys.items())
     more = ', t.topic AS "configured_topic"' if "topic" in keys else ""
-    source = f"SELECT {kept}{more}, {made} FROM {name} t JOIN captures c USING (capture)"
+    source = f"SELECT {data_columns}{more}, {key_columns} FROM {name} t JOIN captures c USING (capture)"
     if name == "captures":
-        source = f"SELECT {kept.replace('t.', 'c.')}, {_DATE} AS date FROM captures c"
+        source = f"SELECT {data_columns.replace('t.', 'c.')}, {_DATE} AS date FROM captures c"
     ((count,),) = index.ask(f"SELECT count(*) FROM {name}")
     if count:
         index.run(

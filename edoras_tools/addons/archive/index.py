@@ -56,8 +56,8 @@ def open_index(path: Path, *, write: bool = False) -> Iterator[Index]:
         bare = new and not index.ask("SELECT 1 FROM captures LIMIT 1")
         raise
     except duckdb.Error as error:  # a full disk, for one
-        what = "written" if write else "read"
-        raise CaptureError(f"{path}: cannot be {what}: {first_line(error)}") from error
+        action = "written" if write else "read"
+        raise CaptureError(f"{path}: cannot be {action}: {first_line(error)}") from error
     finally:
         connection.close()
         if bare:
@@ -87,15 +87,15 @@ class Index:
         Raises:
             CaptureError: it is not.
         """
-        there = {name for (name,) in self.ask("SELECT table_name FROM information_schema.tables")}
-        if not there and write:
+        tables = {name for (name,) in self.ask("SELECT table_name FROM information_schema.tables")}
+        if not tables and write:
             with self._transaction():
                 for statement in (_ABOUT, *(table.create for table in TABLES.values())):
                     self._connection.execute(statement)
                 about = [["shape", str(SHAPE)], ["made_by", __version__]]
                 self._connection.executemany("INSERT INTO about VALUES (?, ?)", about)
             return
-        if not {"about", *(table.name for table in TABLES.values())} <= there:
+        if not {"about", *(table.name for table in TABLES.values())} <= tables:
             raise CaptureError(
                 f"{self.path}: is a database, but no index of edoras archive; name another file"
             )
@@ -111,9 +111,9 @@ class Index:
 
     def rows(self, sql: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """Return all rows of a query, by the names of its columns."""
-        found = self._connection.execute(sql, list(values))
-        names = [item[0] for item in found.description or ()]
-        return [dict(zip(names, row, strict=True)) for row in found.fetchall()]
+        result = self._connection.execute(sql, list(values))
+        names = [item[0] for item in result.description or ()]
+        return [dict(zip(names, row, strict=True)) for row in result.fetchall()]
 
     def answer(self, sql: str) -> tuple[list[str], Iterator[tuple[Any, ...]]]:
         """Return the names of the columns of a user's query, and its rows as they are asked for.
@@ -122,15 +122,15 @@ class Index:
             ConfigError: DuckDB refuses it.
         """
         try:
-            found = self._connection.execute(sql)
-            names = [item[0] for item in found.description or ()]
+            result = self._connection.execute(sql)
+            names = [item[0] for item in result.description or ()]
         except duckdb.Error as error:
             raise ConfigError(*_mistakes(error)) from error
-        return names, self._fetched(found)
+        return names, self._fetched(result)
 
-    def _fetched(self, found: Any) -> Iterator[tuple[Any, ...]]:
+    def _fetched(self, result: Any) -> Iterator[tuple[Any, ...]]:
         try:
-            while rows := found.fetchmany(1000):
+            while rows := result.fetchmany(1000):
                 yield from rows
         except duckdb.Error as error:
             raise ConfigError(*_mistakes(error)) from error
@@ -165,19 +165,19 @@ class Index:
                     [item.size, item.version, item.url],
                 )
 
-    def leave(self, gone: Sequence[str], back: Sequence[str], *, forget: bool) -> None:
+    def leave(self, missing: Sequence[str], back: Sequence[str], *, forget: bool) -> None:
         """Mark captures that are no longer there, and those that are again.
 
         Args:
-            gone: URLs of captures that are not there.
+            missing: URLs of captures that are not there.
             back: URLs of captures that were not there, and are.
             forget: delete the rows of those that are gone.
         """
         if forget:
-            self.replace(gone, [])
-            gone = []
+            self.replace(missing, [])
+            missing = []
         with self._transaction():
-            for urls, value in ((gone, True), (back, False)):
+            for urls, value in ((missing, True), (back, False)):
                 if urls:
                     self._connection.execute(
                         "UPDATE captures SET gone = ? WHERE capture IN (SELECT unnest(?))",

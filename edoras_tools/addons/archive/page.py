@@ -86,9 +86,9 @@ def bin_ns(totals: dict[str, Any]) -> int:
 class _Calendar:
     """How long a chart is, in s, and when it begins, as ``Frame`` takes it."""
 
-    def __init__(self, found: ArchiveTrends) -> None:
-        self.begin = found.totals["start_ns"] / 1e9
-        self.seconds = max(1.0, (found.totals["end_ns"] - found.totals["start_ns"]) / 1e9)
+    def __init__(self, trends: ArchiveTrends) -> None:
+        self.begin = trends.totals["start_ns"] / 1e9
+        self.seconds = max(1.0, (trends.totals["end_ns"] - trends.totals["start_ns"]) / 1e9)
 
     def at(self, time_ns: int) -> float:
         """Return a time as s since the begin."""
@@ -112,46 +112,47 @@ class _DateFrame(Frame):
         return marks
 
 
-def archive_page(found: ArchiveTrends, made: Made) -> str:
+def archive_page(trends: ArchiveTrends, origin: Made) -> str:
     """Return the HTML page."""
-    calendar = _Calendar(found)
+    calendar = _Calendar(trends)
     sections = [
-        section("Runs over time", _runs(found, calendar)),
-        section("Trends", _trends(found, calendar), colour_key((("error", "lost or unaccounted for"),))),
-        section("Latency", _delays(found, calendar)),
-        section("Worst routes", [_routes(found)] if found.routes else []),
-        section("Worst runs", [_worst(found)] if found.totals["with_loss"] else []),
-        section("Verdicts by rule", [_rules(found)] if found.rules else []),
-        section("Not whole", _errors(found)),
+        section("Runs over time", _runs(trends, calendar)),
+        section("Trends", _trends(trends, calendar), colour_key((("error", "lost or unaccounted for"),))),
+        section("Latency", _delays(trends, calendar)),
+        section("Worst routes", [_routes(trends)] if trends.routes else []),
+        section("Worst runs", [_worst(trends)] if trends.totals["with_loss"] else []),
+        section("Verdicts by rule", [_rules(trends)] if trends.rules else []),
+        section("Not whole", _errors(trends)),
     ]
     return document(
-        f"edoras archive report: {found.name}", [_head(found), contents(sections), *sections, footer(made)]
+        f"edoras archive report: {trends.name}",
+        [_head(trends), contents(sections), *sections, footer(origin)],
     )
 
 
-def _head(found: ArchiveTrends) -> str:
-    totals = found.totals
+def _head(trends: ArchiveTrends) -> str:
+    totals = trends.totals
     missing = totals["lost"] + totals["unaccounted"]
     style = "lost" if missing else "fine"
-    sent = sum(row["sent"] for row in found.runs)
+    sent = sum(row["sent"] for row in trends.runs)
     of = f", {_percent(missing, sent)} of {sent:,} sent" if sent and missing else ""
-    told = (
+    text = (
         f"{totals['lost']:,} lost, {totals['unaccounted']:,} unaccounted for, in "
         f"{totals['with_loss']:,} of {plural(totals['captures'], 'run')}{of}"
     )
     when = f"{units.utc(totals['start_ns'], digits=0)} to {units.utc(totals['end_ns'], digits=0)} UTC"
     return (
-        f"<header>{heading(short(found.name))}"
+        f"<header>{heading(short(trends.name))}"
         f'<p class="dim">{plural(totals["captures"], "run")}, {totals["datagrams"]:,} datagrams, '
         f"{units.duration(totals['seconds'])} in all, {when}</p>"
-        f'<p class="end-note {style}">{told}</p></header>'
+        f'<p class="end-note {style}">{text}</p></header>'
     )
 
 
-def _runs(found: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
+def _runs(trends: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
     shares = [
         (calendar.at(row["start_ns"]), 100 * (row["lost"] + row["unaccounted"]) / row["sent"], row["worst"])
-        for row in found.runs
+        for row in trends.runs
         if row["sent"]
     ]
     most = max((share for _, share, _ in shares), default=0.0)
@@ -159,12 +160,12 @@ def _runs(found: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
     for lossy, style in ((False, "run"), (True, "run lossy")):
         frame.dots(_apart(frame, ((x, y) for x, y, _ in shares if bool(y) is lossy)), style)
     yield chart_card("Missing of what was sent, a dot for each run", frame.svg())
-    counts = [0.0] * _bins(found)
-    for row in found.runs:
-        counts[min((row["start_ns"] - found.totals["start_ns"]) // found.bin_ns, len(counts) - 1)] += 1
+    counts = [0.0] * _bins(trends)
+    for row in trends.runs:
+        counts[min((row["start_ns"] - trends.totals["start_ns"]) // trends.bin_ns, len(counts) - 1)] += 1
     frame = _DateFrame(calendar, max(counts), "runs", "runs over time")
-    frame.bars(counts, [0.0] * len(counts), found.bin_ns / 1e9, "seen other")
-    yield chart_card("Runs", frame.svg(), f"a bar is {_round_time(found.bin_ns / SECOND)}")
+    frame.bars(counts, [0.0] * len(counts), trends.bin_ns / 1e9, "seen other")
+    yield chart_card("Runs", frame.svg(), f"a bar is {_round_time(trends.bin_ns / SECOND)}")
 
 
 def _round_time(seconds: float) -> str:
@@ -174,9 +175,9 @@ def _round_time(seconds: float) -> str:
     return units.duration(seconds)
 
 
-def _bins(found: ArchiveTrends) -> int:
-    span = int(found.totals["end_ns"]) - int(found.totals["start_ns"])
-    return max(1, -(-span // found.bin_ns))
+def _bins(trends: ArchiveTrends) -> int:
+    span = int(trends.totals["end_ns"]) - int(trends.totals["start_ns"])
+    return max(1, -(-span // trends.bin_ns))
 
 
 def _apart(frame: Frame, points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -184,22 +185,22 @@ def _apart(frame: Frame, points: Iterable[tuple[float, float]]) -> list[tuple[fl
     return list({(frame.x(x), frame.y(y)): (x, y) for x, y in points}.values())
 
 
-def _trends(found: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
-    for row, bins in found.trends:
-        values = [0.0] * _bins(found)
+def _trends(archive: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
+    for row, bins in archive.trends:
+        values = [0.0] * _bins(archive)
         for item in bins:
             if item["sent"]:
                 values[min(item["bin"], len(values) - 1)] = 100 * item["missing"] / item["sent"]
         frame = _DateFrame(calendar, max(values), "% missing", f"share of {row['route']} that is missing")
-        frame.bars(values, [0.0] * len(values), found.bin_ns / 1e9, "missing")
+        frame.bars(values, [0.0] * len(values), archive.bin_ns / 1e9, "missing")
         missing = row["lost"] + row["unaccounted"]
         runs = f"{row['with_loss']:,} of {plural(row['captures'], 'run')}"
         note = f"{missing:,} of {row['sent']:,} missing, in {runs}"
         yield chart_card(f"{row['route']}, {row['link'].upper()}".rstrip(", "), frame.svg(), note)
 
 
-def _delays(found: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
-    for row, delays in found.delays:
+def _delays(trends: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
+    for row, delays in trends.delays:
         frame = _DateFrame(calendar, row["p99_ms"], "ms", f"latency of {row['route']}")
         frame.dots(_apart(frame, ((calendar.at(item["start_ns"]), item["p99_ms"]) for item in delays)), "run")
         note = (
@@ -209,7 +210,7 @@ def _delays(found: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
         yield chart_card(f"{row['route']}, {row['link'].upper()}, {_PARTS[row['part']]}", frame.svg(), note)
 
 
-def _routes(found: ArchiveTrends) -> str:
+def _routes(trends: ArchiveTrends) -> str:
     rows = (
         (
             row["route"],
@@ -220,13 +221,13 @@ def _routes(found: ArchiveTrends) -> str:
             units.count(row["unaccounted"]),
             units.count(row["sent"]),
         )
-        for row in found.routes
+        for row in trends.routes
     )
     return _table(("route", "link", "runs with loss", "missing", "lost", "unaccounted", "sent"), rows)
 
 
-def _worst(found: ArchiveTrends) -> str:
-    runs = sorted(found.runs, key=lambda row: (-(row["lost"] + row["unaccounted"]), row["capture"]))
+def _worst(trends: ArchiveTrends) -> str:
+    runs = sorted(trends.runs, key=lambda row: (-(row["lost"] + row["unaccounted"]), row["capture"]))
     rows = (
         (
             short(row["capture"]),
@@ -243,7 +244,7 @@ def _worst(found: ArchiveTrends) -> str:
     return _table(("run", "began (UTC)", "worst", "missing", "lost", "unaccounted", "datagrams"), rows)
 
 
-def _rules(found: ArchiveTrends) -> str:
+def _rules(trends: ArchiveTrends) -> str:
     rows = (
         (
             row["rule"],
@@ -253,15 +254,15 @@ def _rules(found: ArchiveTrends) -> str:
             units.count(row["verdicts"]),
             units.count(row["lost"]),
         )
-        for row in found.rules
+        for row in trends.rules
     )
     return _table(("rule", "severity", "for example", "runs", "verdicts", "lost"), rows, "rules")
 
 
-def _errors(found: ArchiveTrends) -> Iterable[str]:
-    if found.errors:
-        lines = "".join(f"<li>{escape(line)}</li>" for line in found.errors[:_MOST_ERRORS])
-        rest = len(found.errors) - _MOST_ERRORS
+def _errors(trends: ArchiveTrends) -> Iterable[str]:
+    if trends.errors:
+        lines = "".join(f"<li>{escape(line)}</li>" for line in trends.errors[:_MOST_ERRORS])
+        rest = len(trends.errors) - _MOST_ERRORS
         yield f"<ul>{lines}</ul>" + (f'<p class="dim">and {rest:,} more</p>' if rest > 0 else "")
 
 

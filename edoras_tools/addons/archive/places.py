@@ -49,10 +49,10 @@ def find_captures(roots: Iterable[str]) -> list[ListedFile]:
     Raises:
         CaptureError: a folder or file is not there, or cannot be listed.
     """
-    found: dict[str, ListedFile] = {}
+    files: dict[str, ListedFile] = {}
     for root in roots:
         try:
-            found |= {item.url: item for item in _under(root)}
+            files |= {item.url: item for item in _under(root)}
         except ImportError as error:
             scheme = root.partition(":")[0]
             hint = _HINTS.get(scheme, f"install what fsspec needs for {scheme}:")
@@ -63,7 +63,7 @@ def find_captures(roots: Iterable[str]) -> list[ListedFile]:
                 raise CaptureError(f"{root}: there is no such file or folder; check the name") from error
             hint = f"; {_NO_KEYS}" if type(cause).__name__ == "NoCredentialsError" else ""
             raise CaptureError(f"{root}: cannot be listed: {reason_of(cause)}{hint}") from error
-    return sorted(found.values(), key=lambda item: item.url)
+    return sorted(files.values(), key=lambda item: item.url)
 
 
 def _under(root: str) -> Iterator[ListedFile]:
@@ -71,18 +71,18 @@ def _under(root: str) -> Iterator[ListedFile]:
     if _is_file(system, path):
         yield _listed(system, path, system.info(path))
         return
-    there = system.find(path, detail=True)
-    if not there and not system.exists(path):
+    listing = system.find(path, detail=True)
+    if not listing and not system.exists(path):
         raise FileNotFoundError(root)
-    chosen = {name: item for name, item in there.items() if name.lower().endswith(_SUFFIXES)}
+    captures = {name: item for name, item in listing.items() if name.lower().endswith(_SUFFIXES)}
     if _is_local(system):
         # neither pipes nor devices
-        chosen = {name: item for name, item in chosen.items() if Path(name).is_file()}
+        captures = {name: item for name, item in captures.items() if Path(name).is_file()}
     # A folder of a web server is a page: size and date of each file are told only when it is asked for.
-    unknown = [name for name, item in chosen.items() if item.get("size") is None]
+    unknown = [name for name, item in captures.items() if item.get("size") is None]
     with ThreadPoolExecutor(_ASKED_AT_ONCE) as pool:
-        chosen |= dict(zip(unknown, pool.map(system.info, unknown), strict=True))
-    for name, item in chosen.items():
+        captures |= dict(zip(unknown, pool.map(system.info, unknown), strict=True))
+    for name, item in captures.items():
         yield _listed(system, name, item)
 
 

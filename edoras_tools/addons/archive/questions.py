@@ -77,12 +77,12 @@ def list_losses(
         topics: patterns of topics, names or MsgIds; all if empty.
         over: only where more than this share of what was sent is missing.
     """
-    found = [row for row in index.rows(_LOST, span.values) if not topics or _fits(row, topics)]
-    for row in found:
+    losses = [row for row in index.rows(_LOST, span.values) if not topics or _fits(row, topics)]
+    for row in losses:
         missing = row["lost"] + row["unaccounted"]
         row["share"] = missing / row["sent"] if row["sent"] else None
         row["causes"] = row["causes"] or []
-    return [row for row in found if row["share"] is None or row["share"] > over]
+    return [row for row in losses if row["share"] is None or row["share"] > over]
 
 
 def count_examined(index: Index, span: ArchiveSpan, topics: tuple[str, ...] = ()) -> int:
@@ -91,14 +91,14 @@ def count_examined(index: Index, span: ArchiveSpan, topics: tuple[str, ...] = ()
     Raises:
         CaptureError: none.
     """
-    found = {row["capture"] for row in index.rows(_SENT, span.values) if not topics or _fits(row, topics)}
-    if not found:
+    captures = {row["capture"] for row in index.rows(_SENT, span.values) if not topics or _fits(row, topics)}
+    if not captures:
         of = " of these topics" if topics else ""
         raise CaptureError(
             f"{index.path}: has no capture of this time with messages{of}; "
             "'edoras archive list' shows the captures"
         )
-    return len(found)
+    return len(captures)
 
 
 def _fits(row: Mapping[str, Any], patterns: tuple[str, ...]) -> bool:

@@ -32,12 +32,12 @@ class IndexColumn:
     Attributes:
         name: of the column.
         kind: ``text``, ``texts``, ``int``, ``real``, ``bool`` or ``time``.
-        told: what it is, for the documentation.
+        description: what it is, for the documentation.
     """
 
     name: str
     kind: str
-    told: str
+    description: str
 
     @property
     def sql(self) -> str:
@@ -51,12 +51,12 @@ class IndexTable:
 
     Attributes:
         name: of the table.
-        told: what a row is, for the documentation.
+        description: what a row is, for the documentation.
         columns: in order; the first is ``capture``.
     """
 
     name: str
-    told: str
+    description: str
     columns: tuple[IndexColumn, ...]
 
     @property
@@ -79,9 +79,9 @@ class IndexTable:
         return pa.Table.from_pylist(rows, self.schema)
 
 
-def _table(name: str, told: str, *columns: tuple[str, str, str]) -> IndexTable:
+def _table(name: str, description: str, *columns: tuple[str, str, str]) -> IndexTable:
     first = IndexColumn("capture", "text", "URL of the capture; of a local file its absolute path")
-    return IndexTable(name, told, (first, *(IndexColumn(*item) for item in columns)))
+    return IndexTable(name, description, (first, *(IndexColumn(*item) for item in columns)))
 
 
 _ROUTE: Final = (

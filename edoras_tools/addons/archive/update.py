@@ -160,33 +160,33 @@ class UpdateReport:
     """What was done.
 
     Attributes:
-        found: captures that are there.
+        listed: captures that are there.
         read: captures whose rows were written.
         same: captures with a new date and the contents that the index has.
-        gone: captures that the index has and that are no longer there.
+        missing: captures that the index has and that are no longer there.
         bad: error of each capture that could not be read whole, now or before.
         lost_workers: workers that were lost.
         interrupted: whether Ctrl-C ended it.
     """
 
-    found: int = 0
+    listed: int = 0
     read: int = 0
     same: int = 0
-    gone: int = 0
+    missing: int = 0
     bad: list[str] = field(default_factory=list)
     lost_workers: int = 0
     interrupted: bool = False
-    left: int = 0
+    unfinished: int = 0
 
     def summary(self) -> dict[str, Any]:
         """Return the report in the shape of ``archive --json``."""
         return {
-            "found": self.found,
+            "found": self.listed,
             "read": self.read,
             "same": self.same,
-            "unchanged": self.found - self.read - self.same - self.left,
-            "left": self.left,
-            "gone": self.gone,
+            "unchanged": self.listed - self.read - self.same - self.unfinished,
+            "left": self.unfinished,
+            "gone": self.missing,
             "lost_workers": self.lost_workers,
             "errors": self.bad,
         }
@@ -196,41 +196,43 @@ def bring_up_to_date(
     index: Index,
     update: Update,
     progress: Progress | None = None,
-    told: Callable[[str], None] = lambda _line: None,
+    on_line: Callable[[str], None] = lambda _line: None,
 ) -> UpdateReport:
     """Read what is new or changed, and write it to an index.
 
     Args:
         index: open for writing.
-        told: called with lines for the user while it runs.
+        on_line: called with lines for the user while it runs.
 
     Raises:
         CaptureError: a folder cannot be listed, the scheduler is not there or was lost, the disk is full.
         ConfigError: a mission has mistakes, or a worker sees another one.
     """
     settings = fingerprint(update.settings)
-    there = find_captures(update.roots)
-    known = {
+    files = find_captures(update.roots)
+    indexed = {
         row["capture"]: row
         for row in index.rows("SELECT capture, size, version, sha256, settings, state, gone FROM captures")
     }
-    new = [item for item in there if update.again or _is_new(item, known.get(item.url), settings)]
-    report = UpdateReport(found=len(there), left=len(new))
-    names = {item.url for item in there}
+    new = [item for item in files if update.again or _is_new(item, indexed.get(item.url), settings)]
+    report = UpdateReport(listed=len(files), unfinished=len(new))
+    names = {item.url for item in files}
     places = [root_of(item) for item in update.roots]
-    gone = [url for url in known if url not in names and any(_is_under(url, place) for place in places)]
-    report.gone = len(gone)
-    index.leave(gone, [url for url in names if url in known and known[url]["gone"]], forget=update.forget)
+    missing = [url for url in indexed if url not in names and any(_is_under(url, place) for place in places)]
+    report.missing = len(missing)
+    index.leave(
+        missing, [url for url in names if url in indexed and indexed[url]["gone"]], forget=update.forget
+    )
     if new:
         hashes = (
             {}
             if update.again
-            else {url: row["sha256"] for url, row in known.items() if row["settings"] == settings}
+            else {url: row["sha256"] for url, row in indexed.items() if row["settings"] == settings}
         )
-        with on_interrupt(_interrupt, here=True) as asked:
+        with on_interrupt(_interrupt, in_handler=True) as asked:
             try:
                 with workers(update.jobs, update.scheduler, most=len(new)) as client:
-                    _Run(index, client, report, set(known), told).all(
+                    _Run(index, client, report, set(indexed), on_line).all(
                         _tasks(new, hashes, update.settings, settings, _count(client)), progress
                     )
             except KeyboardInterrupt:
@@ -252,16 +254,11 @@ def _interrupt() -> None:
     raise KeyboardInterrupt
 
 
-def _is_new(item: ListedFile, known: dict[str, Any] | None, settings: str) -> bool:
+def _is_new(item: ListedFile, row: dict[str, Any] | None, settings: str) -> bool:
     """Return whether a capture has to be read: also one that could not be read at all, or was changing."""
-    if (
-        known is None
-        or known["settings"] != settings
-        or known["sha256"] is None
-        or known["state"] == CHANGING
-    ):
+    if row is None or row["settings"] != settings or row["sha256"] is None or row["state"] == CHANGING:
         return True
-    return not item.version or (known["size"], known["version"]) != (item.size, item.version)
+    return not item.version or (row["size"], row["version"]) != (item.size, item.version)
 
 
 def _is_under(url: str, place: str) -> bool:
@@ -302,8 +299,8 @@ class _Run:
     Args:
         index: open for writing.
         report: filled while it runs.
-        known: captures that the index has rows of.
-        told: called with lines for the user.
+        contents: captures that the index has rows of.
+        on_line: called with lines for the user.
     """
 
     def __init__(
@@ -311,10 +308,16 @@ class _Run:
         index: Index,
         client: Client,
         report: UpdateReport,
-        known: set[str],
-        told: Callable[[str], None],
+        contents: set[str],
+        on_line: Callable[[str], None],
     ) -> None:
-        self._index, self._client, self._report, self._known, self._told = index, client, report, known, told
+        self._index, self._client, self._report, self._contents, self._on_line = (
+            index,
+            client,
+            report,
+            contents,
+            on_line,
+        )
         self._tasks: dict[str, Task] = {}
         self._workers: set[str] = set()
 
@@ -333,7 +336,7 @@ class _Run:
             ) from error
 
     def _all(self, waiting: deque[Task], progress: Progress | None) -> None:
-        of = self._report.left
+        of = self._report.unfinished
         coming = as_completed([], loop=self._client.loop, raise_errors=False)
         show = progress.step if progress else lambda *_: None
         show("captures", 0, of)  # the first capture may take minutes
@@ -345,14 +348,14 @@ class _Run:
             batch = [next(coming), *_more(coming)]
             self._watch()
             self._write(batch, waiting)
-            show("captures", of - self._report.left, of)
+            show("captures", of - self._report.unfinished, of)
 
     def _watch(self) -> None:
         """Tell of workers that are no longer there."""
         now = set(self._client.nthreads())
         if lost := len(self._workers - now):
             self._report.lost_workers += lost
-            self._told(f"{plural(lost, 'worker')} lost; what they had not finished is read again")
+            self._on_line(f"{plural(lost, 'worker')} lost; what they had not finished is read again")
         self._workers = now
 
     def _write(self, futures: list[Future], waiting: deque[Task]) -> None:
@@ -369,18 +372,18 @@ class _Run:
                 parts.append(failed(own, reason, task.fingerprint))
                 urls += own
                 continue
-            done = _result(future)
-            if done.misfit:
-                raise ConfigError(done.misfit)
-            parts.append(done.rows)
-            same += done.same
-            kept = {item.url for item in done.same}
+            result = _result(future)
+            if result.misfit:
+                raise ConfigError(result.misfit)
+            parts.append(result.rows)
+            same += result.same
+            kept = {item.url for item in result.same}
             urls += [url for url in own if url not in kept]
-        self._index.replace([url for url in urls if url in self._known], parts)
+        self._index.replace([url for url in urls if url in self._contents], parts)
         self._index.touch(same)
         self._report.read += len(urls)
         self._report.same += len(same)
-        self._report.left -= len(urls) + len(same)
+        self._report.unfinished -= len(urls) + len(same)
 
 
 def _more(coming: Any) -> list[Future]:

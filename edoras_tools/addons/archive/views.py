@@ -30,7 +30,7 @@ _MOST_LINES: Final = 1000
 def update_lines(summary: Mapping[str, Any], index: str) -> Iterator[str]:
     """Yield what an update did, in the shape of ``archive --json``."""
     parts = [f"{summary['read']:,} read", f"{summary['unchanged']:,} unchanged"]
-    parts += [f"{summary[name]:,} {told}" for name, told in _RARE.items() if summary[name]]
+    parts += [f"{summary[name]:,} {words}" for name, words in _RARE.items() if summary[name]]
     yield f"{index}: {plural(summary['found'], 'capture')}: {', '.join(parts)}"
 
 
@@ -82,8 +82,8 @@ def losses_table(rows: Sequence[Mapping[str, Any]], width: int) -> RenderableTyp
     )
     lost, unaccounted = (sum(row[name] for row in rows) for name in ("lost", "unaccounted"))
     captures = plural(len({row["capture"] for row in rows}), "capture")
-    told = f"{lost:,} lost, {unaccounted:,} unaccounted for, in {captures}."
-    return Group(build(columns, rows, width), Text(told))
+    total = f"{lost:,} lost, {unaccounted:,} unaccounted for, in {captures}."
+    return Group(build(columns, rows, width), Text(total))
 
 
 ROW_TABLES: Final = {"captures": captures_table, "losses": losses_table}
@@ -93,13 +93,13 @@ ROW_TABLES: Final = {"captures": captures_table, "losses": losses_table}
 def answer_table(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> RenderableType:
     """Return the answer to a query as a table; numbers are on the right."""
     some = iter(rows)
-    shown = list(islice(some, _MOST_LINES))
+    first_rows = list(islice(some, _MOST_LINES))
     rest = sum(1 for _ in some)
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
     for place, name in enumerate(names):
-        right = any(isinstance(row[place], int | float) for row in shown)
+        right = any(isinstance(row[place], int | float) for row in first_rows)
         table.add_column(Text(name), justify="right" if right else "left", no_wrap=True, overflow="ellipsis")
-    for row in shown:
+    for row in first_rows:
         table.add_row(*(plain(_cell(value), palette.DIM if value is None else "") for value in row))
     more = [Text(f"and {plural(rest, 'row')} more: --csv", palette.DIM)] if rest else []
     return Group(table, *more)
@@ -107,8 +107,8 @@ def answer_table(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Rendera
 
 def short(capture: str) -> str:
     """Return the URL of a capture as people are told of it: without the folder they are in."""
-    path, here = Path(capture), Path.cwd()
-    return str(path.relative_to(here)) if path.is_relative_to(here) else capture
+    path, folder = Path(capture), Path.cwd()
+    return str(path.relative_to(folder)) if path.is_relative_to(folder) else capture
 
 
 def json_rows(rows: Iterable[Sequence[Any]]) -> list[list[Any]]:

@@ -110,21 +110,21 @@ def examine_group(task: Task) -> Done:
     """Read a group of captures; what goes wrong with one is told in its row."""
     try:
         bench = task.settings.workbench()
-        here = fingerprint(task.settings, bench)
+        settings_print = fingerprint(task.settings, bench)
     except (EdorasError, OSError) as error:
         return Done({}, misfit=f"a worker cannot read the mission: {error}")
-    if here != task.fingerprint:
+    if settings_print != task.fingerprint:
         misfit = "a worker sees other mission files, or another edoras-tools, than this machine"
         return Done({}, misfit=misfit)
     group = _Group(task, bench)
     same: list[ListedFile] = []
     rows: IndexRows = {table.name: [] for table in TABLES.values()}
-    for url, known in task.captures:
-        found = _examined(url, known, group)
-        if isinstance(found, ListedFile):
-            same.append(found)
+    for url, digest in task.captures:
+        result = _examined(url, digest, group)
+        if isinstance(result, ListedFile):
+            same.append(result)
             continue
-        for name, own in found.items():
+        for name, own in result.items():
             rows[name] += [{"capture": url, **row} for row in own]
     made = {table.name: table.arrow(rows[table.name]) for table in TABLES.values() if rows[table.name]}
     return Done(made, tuple(same))
@@ -160,7 +160,7 @@ class _Group:
             raise CaptureError(f"{url}: not asked for, as {_TRIES} others could not be fetched; index again")
 
 
-def _examined(url: str, known: str, group: _Group) -> IndexRows | ListedFile:
+def _examined(url: str, known_digest: str, group: _Group) -> IndexRows | ListedFile:
     """Return the rows of a capture; or what it is now, if its contents are known."""
     digest, before = "", ListedFile(url, -1, "")
     try:
@@ -169,7 +169,7 @@ def _examined(url: str, known: str, group: _Group) -> IndexRows | ListedFile:
         with at_hand(url) as path:
             digest = _hash(path)
             group.unfetched = 0
-            if digest == known and before == listed_now(url):
+            if digest == known_digest and before == listed_now(url):
                 return before
             rows = _read(path, url, group)
         changed = f"{url}: changed while it was read; index it again when it is complete"
@@ -204,11 +204,11 @@ class _Listening(Counting):
 
     def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
         """See ``Counting.add``."""
-        kept = super().add(rows, loop)
-        found = list(events_in(*kept.alone()))
-        self.events += found[: _MOST_EVENTS - len(self.events)]
-        self.left_out += max(0, len(found) - (_MOST_EVENTS - len(self.events)))
-        return kept
+        counted_rows = super().add(rows, loop)
+        events = list(events_in(*counted_rows.alone()))
+        self.events += events[: _MOST_EVENTS - len(self.events)]
+        self.left_out += max(0, len(events) - (_MOST_EVENTS - len(self.events)))
+        return counted_rows
 
 
 def _read(path: Path, url: str, group: _Group) -> IndexRows:
@@ -220,7 +220,7 @@ def _read(path: Path, url: str, group: _Group) -> IndexRows:
     source = open_file(path, url)
     own = source.info.attachments or source.info.definitions or source.info.read_with
     try:
-        bench = group.task.settings.workbench(source.info) if own else group.bench.anew()
+        bench = group.task.settings.workbench(source.info) if own else group.bench.fresh()
     except EdorasError:
         source.close()
         raise
@@ -294,14 +294,14 @@ def rows_of(
 
 
 def _capture(info: Mapping[str, Any], doctor: Mapping[str, Any]) -> dict[str, Any]:
-    there = bool(info["datagrams"])
-    start_ns, end_ns = (info["start_ns"], info["end_ns"]) if there else (None, None)
+    has_datagrams = bool(info["datagrams"])
+    start_ns, end_ns = (info["start_ns"], info["end_ns"]) if has_datagrams else (None, None)
     return {
         **_those(TABLES["captures"], {**doctor, **info}),
         "start_ns": start_ns,
         "end_ns": end_ns,
-        "began": _moment(info["start_ns"]) if there else None,
-        "seconds": (info["end_ns"] - info["start_ns"]) / 1e9 if there else None,
+        "began": _moment(info["start_ns"]) if has_datagrams else None,
+        "seconds": (info["end_ns"] - info["start_ns"]) / 1e9 if has_datagrams else None,
     }
 
 
@@ -323,16 +323,18 @@ def _latencies(row: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
 
 def _outcomes(findings: Findings) -> list[dict[str, Any]]:
     """Return the sums of each route's rows of the balance; the capture's own losses are of none."""
-    found = findings.diagnosis
-    rows = sorted((row for row in found.balance if row.hop != CAPTURE), key=_key)
-    made = []
+    diagnosis = findings.diagnosis
+    rows = sorted((row for row in diagnosis.balance if row.hop != CAPTURE), key=_key)
+    outcomes = []
     for _, group in groupby(rows, key=_key):
         members = list(group)
-        told = members[0].as_json(found.topics.get(members[0].route))
+        row_json = members[0].as_json(diagnosis.topics.get(members[0].route))
         figures = {name: sum(getattr(row, name) for row in members) for name in _GONE}
         lost = sum(row.all_lost for row in members)
-        made.append({**{name: told[name] for name in _ROUTE}, "sent": sent(members), "lost": lost, **figures})
-    return made
+        outcomes.append(
+            {**{name: row_json[name] for name in _ROUTE}, "sent": sent(members), "lost": lost, **figures}
+        )
+    return outcomes
 
 
 def _key(row: Row) -> tuple[int, str, int]:

@@ -99,16 +99,18 @@ class Bounds:
         mistakes = [
             f"--bound: {rule.text}: {why}"
             for rule in self.rules
-            if (why := _refusal(rule, fields.get((rule.type, rule.field)), known=rule.type in types))
+            if (why := _refusal(rule, fields.get((rule.type, rule.field)), type_known=rule.type in types))
         ]
         if mistakes:
             raise ConfigError(*mistakes)
 
 
-def _refusal(rule: BoundRule, item: MessageField | None, *, known: bool) -> str:
+def _refusal(rule: BoundRule, item: MessageField | None, *, type_known: bool) -> str:
     """Return why a rule cannot be followed; empty where it can."""
     if item is None:
-        return f"{rule.type} has no field {rule.field}" if known else f"{rule.type} is in none of the types"
+        return (
+            f"{rule.type} has no field {rule.field}" if type_known else f"{rule.type} is in none of the types"
+        )
     is_text, is_many = item.type in STRINGS, item.shape is not Shape.SCALAR
     if rule.each and not (is_text and is_many):
         return f"{item.type_text} holds no strings; write {rule.type}.{rule.field}={rule.most}"

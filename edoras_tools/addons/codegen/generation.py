@@ -43,7 +43,7 @@ def side_files(mission: Mission, command: str) -> dict[str, str]:
     """Return the text of each file by its name; none for a mission without routes."""
     if not mission.routes:
         return {}
-    routes = _named(mission.routes)
+    routes = _by_key(mission.routes)
     return {
         MSGIDS: _msgids(routes, command),
         _PACKETS_FILE: _packets(routes, command, mission.msg_ids),
@@ -51,7 +51,7 @@ def side_files(mission: Mission, command: str) -> dict[str, str]:
     }
 
 
-def _named(routes: Sequence[Route]) -> dict[str, Route]:
+def _by_key(routes: Sequence[Route]) -> dict[str, Route]:
     """Return each route under a unique name: key, side, and the MsgId where two names would be equal."""
     plain = [_plain(route) for route in routes]
     often = Counter(plain)
@@ -171,12 +171,12 @@ def generate(types: TypeStore, order: LibraryOrder) -> Generated:
         RouteError: a type is not known.
         ConfigError: no type is named, or an order cannot be followed.
     """
-    wanted = [*_chosen(types, order.types), *(route.type for route in order.mission.routes)]
-    if not wanted:
+    type_names = [*_type_names(types, order.types), *(route.type for route in order.mission.routes)]
+    if not type_names:
         raise ConfigError("no message type is named: give types, packages, or a mission with -c")
     if not 1 <= order.pool <= MOST_POOLED:
         raise ConfigError(f"--pool: {order.pool} is not from 1 to {MOST_POOLED}")
-    library, command = plan_messages(types, wanted, order.bounds), _command(types, order)
+    library, command = plan_messages(types, type_names, order.bounds), _command(types, order)
     files = {
         path.relative_to(RUNTIME).as_posix(): banner(command) + path.read_text(encoding="utf-8")
         for path in sorted(RUNTIME.rglob("*.[ch]"))
@@ -223,24 +223,24 @@ def _config(order: LibraryOrder, command: str) -> str:
     return banner(command, "What the library was made for.") + guarded(_CONFIG, body)
 
 
-def _chosen(types: TypeStore, names: Iterable[str]) -> list[str]:
+def _type_names(types: TypeStore, names: Iterable[str]) -> list[str]:
     """Return the types of some names and packages.
 
     Raises:
         RouteError: a package has none.
     """
-    chosen = []
+    selection = []
     for name in names:
         if "/" in name:
-            chosen.append(full_name(name))
+            selection.append(full_name(name))
             continue
-        found = [item for item in types.types() if item.startswith(f"{name}/msg/")]
-        if not found:
+        of_package = [item for item in types.types() if item.startswith(f"{name}/msg/")]
+        if not of_package:
             raise RouteError(
                 f"no package {name!r} of messages is known; write geometry_msgs/msg/Twist or geometry_msgs"
             )
-        chosen += found
-    return chosen
+        selection += of_package
+    return selection
 
 
 _INCLUDES: Final = f'#include "{UMBRELLA}"\n#include "edoras_core/tables.h"\n'
@@ -249,9 +249,9 @@ _INCLUDES: Final = f'#include "{UMBRELLA}"\n#include "edoras_core/tables.h"\n'
 def tables(library: CLibrary, command: str) -> str:
     """Return the text of the file that holds the tables."""
     about = "Every field by its name, for the functions of edoras_core, and the pools behind create_msg."
-    wanted = {message.ros_name for message in library.wanted}
+    pooled_names = {message.ros_name for message in library.requested}
     parts = [banner(command, about) + _INCLUDES]
-    parts += [_table(message, pooled=message.ros_name in wanted) for message in library.messages]
+    parts += [_table(message, pooled=message.ros_name in pooled_names) for message in library.messages]
     listed = sorted(
         library.messages, key=lambda message: (message.package, message.short_name, message.ros_name)
     )

@@ -49,8 +49,8 @@ def aligned(size: int) -> NDArray[np.int64]:
     """Return the matrix of a primitive, aligned to its size."""
     matrix = np.full((_PLACES, _PLACES), _NEVER)
     for start in range(_PLACES):
-        taken = -start % size + size
-        matrix[start, (start + taken) % _PLACES] = taken
+        step = -start % size + size
+        matrix[start, (start + step) % _PLACES] = step
     return matrix
 
 
@@ -188,11 +188,11 @@ class CLibrary:
 
     Attributes:
         messages: those that others use before them.
-        wanted: those that were asked for, by type, sorted; the others are nested in them.
+        requested: those that were asked for, by type, sorted; the others are nested in them.
     """
 
     messages: tuple[Message, ...]
-    wanted: tuple[Message, ...]
+    requested: tuple[Message, ...]
 
     @property
     def packages(self) -> tuple[str, ...]:
@@ -211,14 +211,14 @@ class CLibrary:
         return tuple(sorted(used - {package}))
 
 
-def plan_messages(types: TypeStore, wanted: Iterable[str], bounds: Bounds) -> CLibrary:
+def plan_messages(types: TypeStore, type_names: Iterable[str], bounds: Bounds) -> CLibrary:
     """Plan the messages for some types, and for all that they nest.
 
     Raises:
         RouteError: a type is not known.
         ConfigError: a definition holds mistakes, a bound does not fit it, or packages use each other.
     """
-    names = sorted(set(wanted))
+    names = sorted(set(type_names))
     definitions = {item.name: item for name in names for item in types.definitions(name)}
     bounds.check(definitions.values())
     messages: dict[str, Message] = {}
@@ -278,13 +278,13 @@ def _check_default(owner: str, member: CMember) -> None:
         return
     values = default if isinstance(default, list) else [default]
     longest = max((len(_characters(member, item)) for item in values), default=0) if member.characters else 0
-    for what, length, most in (
+    for unit, length, most in (
         ("elements", len(values), member.elements),
         ("characters", longest, member.characters),
     ):
         if most and length > most:
             raise ConfigError(
-                f"{owner}.{member.ros.name}: its default has {length} {what}, its bound is {most}"
+                f"{owner}.{member.ros.name}: its default has {length} {unit}, its bound is {most}"
             )
 
 

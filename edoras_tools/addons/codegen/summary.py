@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.codegen.plan import Message
 
 
-def summary(made: Generated, folder: Path, removed: Sequence[str]) -> list[str]:
+def summary(generated: Generated, folder: Path, removed: Sequence[str]) -> list[str]:
     """Return the lines: a type each, then the files.
 
     Args:
@@ -22,15 +22,15 @@ def summary(made: Generated, folder: Path, removed: Sequence[str]) -> list[str]:
     """
     rows = [
         (message.ros_name, f"{message.most_bytes:,}", ", ".join(_bounded(message, "")) or "always")
-        for message in made.library.wanted
+        for message in generated.library.requested
     ]
     head = ("TYPE", "CDR BYTES", "AT MOST")
     widths = [max(len(row[column]) for row in [head, *rows]) for column in (0, 1)]
     lines = [f"{name:{widths[0]}}  {size:>{widths[1]}}  {bounds}" for name, size, bounds in [head, *rows]]
-    nested = len(made.library.messages) - len(rows)
+    nested = len(generated.library.messages) - len(rows)
     lines.append("")
     lines.append(
-        f"{len(made.files)} files in {folder}{f'; {nested} more types are nested' if nested else ''}"
+        f"{len(generated.files)} files in {folder}{f'; {nested} more types are nested' if nested else ''}"
     )
     if removed:
         lines.append(f"removed, of an earlier library: {', '.join(removed)}")

@@ -57,7 +57,7 @@ class _Held:
     holders: int = 0
 
 
-_held: dict[int, _Held] = {}
+_domains: dict[int, _Held] = {}
 _lock = Lock()
 
 
@@ -72,20 +72,20 @@ def discovery(environ: Mapping[str, str]) -> str:
     Raises:
         ConfigError: a variable has a value that ROS does not know.
     """
-    given = environ.get(_RANGE, "") or _RANGES[0]
+    reach = environ.get(_RANGE, "") or _RANGES[0]
     peers = [item.strip() for item in environ.get(_PEERS, "").split(";") if item.strip()]
     if environ.get(_LOCAL_ONLY) == "1":  # deprecated, and stronger than the other two
-        given, peers = "LOCALHOST", []
-    if given not in _RANGES:
-        raise ConfigError(f"{_RANGE} cannot be {given!r}; set it to {', '.join(_RANGES)}")
-    if given == "OFF":
+        reach, peers = "LOCALHOST", []
+    if reach not in _RANGES:
+        raise ConfigError(f"{_RANGE} cannot be {reach!r}; set it to {', '.join(_RANGES)}")
+    if reach == "OFF":
         found = f"<ParticipantIndex>none</ParticipantIndex><Tag>edoras_{os.getpid()}</Tag>"
         return _domain(General=_interface("lo") + "<AllowMulticast>false</AllowMulticast>", Discovery=found)
-    if given == "LOCALHOST":
+    if reach == "LOCALHOST":
         alone = "" if peers else _interface("lo")
         general = alone + "<AllowMulticast>false</AllowMulticast>"
         return _domain(General=general, Discovery=_unicast(["localhost", *peers]))
-    return _domain(Discovery=_unicast(peers)) if peers and given == "SUBNET" else ""
+    return _domain(Discovery=_unicast(peers)) if peers and reach == "SUBNET" else ""
 
 
 def _domain(**sections: str) -> str:
@@ -137,52 +137,53 @@ def hold(number: int, config: str) -> None:
     if not 0 <= number <= MOST_DOMAIN:
         raise ConfigError(f"dds: domain {number} does not exist; they are 0 to {MOST_DOMAIN}")
     with _lock:
-        held = _held.get(number)
-        if held is None:
-            held = _held[number] = _Held(_create(number, config), config)
-        elif held.config != config:
+        domain = _domains.get(number)
+        if domain is None:
+            domain = _domains[number] = _Held(_create(number, config), config)
+        elif domain.config != config:
             raise ConfigError(f"dds: domain {number} is open in this process with other options")
-        held.holders += 1
+        domain.holders += 1
 
 
 def release(number: int) -> None:
     """Undo one ``hold``; the last one closes the domain."""
     with _lock:
-        held = _held[number]
-        held.holders -= 1
-        if not held.holders:
-            del _held[number]
+        domain = _domains[number]
+        domain.holders -= 1
+        if not domain.holders:
+            del _domains[number]
 
 
 def _create(number: int, config: str) -> Domain | None:
     """Return a new domain; None if the one that is open in this process already fits."""
     users, ros = os.environ.get(_URI, ""), discovery(os.environ)
-    said: list[str] = []
+    lines: list[str] = []
     try:
-        with _overheard(said):
+        with _overheard(lines):
             return Domain(number, ",".join(filter(None, (compatible(), ros, users, config))))
     except DDSException as error:
         if error.code == DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
             if not config and not ros:
                 return None
             raise ConfigError(f"dds: domain {number} is open in this process without options") from error
-        asked = ", ".join(
+        settings = ", ".join(
             filter(None, (users and f"${_URI}", ros and "ROS's variables", config and "options"))
         )
-        why = "; ".join(dict.fromkeys(said)) or error.msg
+        why = "; ".join(dict.fromkeys(lines)) or error.msg
         raise ConfigError(
-            f"dds: Cyclone DDS opens no domain {number}: {why}" + (f"; look at: {asked}" if asked else "")
+            f"dds: Cyclone DDS opens no domain {number}: {why}"
+            + (f"; look at: {settings}" if settings else "")
         ) from error
 
 
 @contextmanager
-def _overheard(said: list[str]) -> Iterator[None]:
+def _overheard(output: list[str]) -> Iterator[None]:
     """Take what Cyclone DDS writes to the standard error stream while it fails: its errors say nothing.
 
     What it says and goes on is written there afterwards.
     """
     stderr = sys.__stderr__.fileno() if sys.__stderr__ else 2
-    kept = os.dup(stderr)
+    real_stderr = os.dup(stderr)
     try:
         with tempfile.TemporaryFile() as file:
             os.dup2(file.fileno(), stderr)
@@ -191,12 +192,12 @@ def _overheard(said: list[str]) -> Iterator[None]:
             except DDSException:
                 file.seek(0)
                 lines = file.read().decode("utf-8", "replace").splitlines()
-                said += [_PREFIX.sub("", line).strip() for line in lines if line.strip()]
+                output += [_PREFIX.sub("", line).strip() for line in lines if line.strip()]
                 raise
             else:
                 file.seek(0)
-                os.write(kept, file.read())
+                os.write(real_stderr, file.read())
             finally:
-                os.dup2(kept, stderr)
+                os.dup2(real_stderr, stderr)
     finally:
-        os.close(kept)
+        os.close(real_stderr)

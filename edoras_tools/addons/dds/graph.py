@@ -71,9 +71,9 @@ _UNLIMITED: Final = -1
 def writer_qos(qos: graph.Qos, user_data: bytes = b"") -> Qos:
     """Return the policies of a writer, and what others are told of it."""
     history = _history(qos.depth)
-    kept = Policy.DurabilityService(0, history, _UNLIMITED, _UNLIMITED, _UNLIMITED)
+    service = Policy.DurabilityService(0, history, _UNLIMITED, _UNLIMITED, _UNLIMITED)
     lifecycle = Policy.WriterDataLifecycle(autodispose=False)
-    durable = (kept,) if qos.transient_local else ()
+    durable = (service,) if qos.transient_local else ()
     return Qos(*_common(qos), history, lifecycle, *durable, Policy.Userdata(user_data))
 
 
@@ -112,10 +112,12 @@ def _loss(code: int) -> str:
 
 def _unfit(topic: str, status: Any, *, ours_writes: bool) -> str:
     """Return why an endpoint of another does not match ours, and what to write."""
-    what, as_subscriber, as_publisher = _UNFIT.get(status.last_policy_id, ("a policy", "", ""))
+    policy, as_subscriber, as_publisher = _UNFIT.get(status.last_policy_id, ("a policy", "", ""))
     line = as_publisher if ours_writes else as_subscriber
     remedy = f"; write qos: {{{line}}} for this topic in the mission file" if line else ""
-    return f"{topic}: a {'subscriber' if ours_writes else 'publisher'} does not match: {what} differs{remedy}"
+    return (
+        f"{topic}: a {'subscriber' if ours_writes else 'publisher'} does not match: {policy} differs{remedy}"
+    )
 
 
 class _Ear(NamedTuple):
@@ -223,11 +225,11 @@ class DdsGraph:
                 return []
             self._peers.update()
             self._present(self._peers.gid_bytes)
-            found: list[tuple[str, bool, Any]] = [
+            mismatches: list[tuple[str, bool, Any]] = [
                 (topic, False, reader.get_requested_incompatible_qos_status())  # type: ignore[no-untyped-call]
                 for topic, reader in self._readers
             ]
-            found += [
+            mismatches += [
                 (topic, True, writer.get_offered_incompatible_qos_status())  # type: ignore[no-untyped-call]
                 for topic, writer in self._writers
             ]
@@ -239,17 +241,19 @@ class DdsGraph:
                 self._told_of(topic, writes=True, matched=bool(writer.matched_sub))
                 for topic, writer in self._writers
             ]
-        told = [
-            _unfit(topic, status, ours_writes=writes) for topic, writes, status in found if status.total_count
+        notes = [
+            _unfit(topic, status, ours_writes=writes)
+            for topic, writes, status in mismatches
+            if status.total_count
         ]
         late = time.monotonic() - self._since > _PATIENCE_S
-        told += self._peers.notes(own, late=late)
+        notes += self._peers.notes(own, late=late)
         if late and not self._peers.found:
-            told.append(
+            notes.append(
                 f"no other node was found in domain {self._domain} for {_PATIENCE_S:.0f} s; is ROS_DOMAIN_ID "
                 "the same? If multicast does not reach the others, write --ros-option peers=ADDRESS"
             )
-        new = [note for note in dict.fromkeys(told) if note not in self._told]
+        new = [note for note in dict.fromkeys(notes) if note not in self._told]
         self._told.update(new)
         return new
 
@@ -324,19 +328,19 @@ class DdsGraph:
         if why := self._types.check(type_name):
             raise ConfigError(f"{topic}: {why}")
         try:
-            made = self._made.of(type_name)
+            data_type = self._made.of(type_name)
             if topic not in self._topics:
-                self._topics[topic] = self._own(Topic(self._participant, f"rt{topic}", made))
+                self._topics[topic] = self._own(Topic(self._participant, f"rt{topic}", data_type))
         except ConfigError as error:
             raise ConfigError(*(f"{topic}: {mistake}" for mistake in error.mistakes)) from error
         except DDSException as error:
             raise ConfigError(f"{topic}: refused by Cyclone DDS: {error}") from error
-        found = self._topics[topic]
-        if found.data_type is not made:
+        topic_ = self._topics[topic]
+        if topic_.data_type is not data_type:
             raise ConfigError(
-                f"{topic}: is of type {found.typename} here, and cannot be {dds_name(type_name)} too"
+                f"{topic}: is of type {topic_.typename} here, and cannot be {dds_name(type_name)} too"
             )
-        return found
+        return topic_
 
     def _listen(self) -> None:
         while not self._closed.is_set():

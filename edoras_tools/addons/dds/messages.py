@@ -77,11 +77,11 @@ class DdsTypes:
         if name not in self._made:
             members = {item.name: self._member(name, item) for item in self._types.fields(name)}
             dotted = dds_name(name).replace("::", ".")
-            made: Any = make_idl_struct(
+            data_type: Any = make_idl_struct(
                 dotted.rpartition(".")[2], dotted, members or {PLACEHOLDER: idl.uint8}, dataclassify=False
             )
-            made.__init__ = _fill  # given by a base class, it would make that a base of the DDS type
-            self._made[name] = made
+            data_type.__init__ = _fill  # given by a base class, it would make that a base of the DDS type
+            self._made[name] = data_type
         return self._made[name]
 
     def _member(self, owner: str, field: MessageField) -> Any:
@@ -143,10 +143,10 @@ def taker_of(reader: DataReader[Any]) -> Take:
         return plain_taker_of(reader)
 
     def take() -> list[bytes]:
-        taken = ddspy_take(entity, ANY_STATE, _MOST_SAMPLES)
-        if isinstance(taken, int):
-            raise DDSException(taken, "while taking samples")
-        return [data for data, info in taken if info.valid_data]
+        samples = ddspy_take(entity, ANY_STATE, _MOST_SAMPLES)
+        if isinstance(samples, int):
+            raise DDSException(samples, "while taking samples")
+        return [data for data, info in samples if info.valid_data]
 
     return take
 

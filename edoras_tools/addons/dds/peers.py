@@ -170,8 +170,8 @@ class Discovered:
     def update(self) -> None:
         """Take what discovery has told since the last time."""
         for writes, reader in self._readers:
-            while taken := reader.take(_AT_ONCE):
-                for item in taken:
+            while samples := reader.take(_AT_ONCE):
+                for item in samples:
                     if (
                         isinstance(item, DcpsEndpoint)
                         and item.topic_name
@@ -184,8 +184,8 @@ class Discovered:
     @property
     def gid_bytes(self) -> int | None:
         """Bytes of an identifier in what other nodes say of themselves; None where there are none."""
-        told = {item.type_hash for item in self.found.values() if item.topic == PRESENCE_TOPIC}
-        return min(map(gid_bytes_told, told), default=None)
+        hashes = {item.type_hash for item in self.found.values() if item.topic == PRESENCE_TOPIC}
+        return min(map(gid_bytes_told, hashes), default=None)
 
     @property
     def distro(self) -> str | None:

@@ -72,8 +72,8 @@ def show(
     if viewer.failure:
         raise CaptureError(viewer.failure)
     # Only a file that was read to its end is known to be empty.
-    shown, context = viewer.ledger.datagrams, bench.columns.context
-    nothing_shown(source, shown, context, live=live or viewer.reading, every=True)
+    count, context = viewer.ledger.datagrams, bench.columns.context
+    nothing_shown(source, count, context, live=live or viewer.reading, every=True)
 
 
 def _take_keyboard() -> None:

@@ -118,15 +118,15 @@ class Navigation(Panes):
     def action_save(self) -> None:
         """Ask for a file for the packets of the list."""
         if len(self.store):
-            what = plural(len(self.store), "packet")
-            self.prompt.ask("save", f"Save {what} to", f"a new file: {WRITTEN}")
+            packets_text = plural(len(self.store), "packet")
+            self.prompt.ask("save", f"Save {packets_text} to", f"a new file: {WRITTEN}")
         else:
             self._notice("there is no packet to save yet")
 
     @work(thread=True, exclusive=True, group="save")
-    def _save(self, path: Path, chosen: str) -> None:
+    def _save(self, path: Path, selection: str) -> None:
         try:
-            count = save_packets(self.store.parts(), path, self._source.info, self._bench, chosen)
+            count = save_packets(self.store.parts(), path, self._source.info, self._bench, selection)
         except EdorasError as error:
             self._post(messages.Notice(clean(str(error)), Level.WARNING))
         else:
@@ -171,7 +171,7 @@ class Navigation(Panes):
             self._post(messages.Found(text, number))
 
     @on(messages.Found)
-    def _found(self, event: messages.Found) -> None:
+    def _on_match(self, event: messages.Found) -> None:
         row = None if event.number is None else self.store.find_number(event.number)
         if row is None:
             self._notice(f"no packet shown contains {clean(event.text)}", Level.WARNING)
@@ -192,9 +192,9 @@ class Navigation(Panes):
 
     def action_to_mark(self, back: bool) -> None:
         """Go to the next mark among the packets shown; after the last one, to the first."""
-        here = self._at_cursor
+        current = self._at_cursor
         marks = sorted(self.packets.marks, reverse=back)
-        ahead = [item for item in marks if (item < here if back else item > here)]
+        ahead = [item for item in marks if (item < current if back else item > current)]
         for number in [*ahead, *marks]:
             row = self.store.find_number(number)
             if row is not None and self._is_at(row, number):
@@ -224,13 +224,15 @@ class Navigation(Panes):
             self.post_message(message)
 
 
-def save_packets(parts: Sequence[Part], path: Path, info: SourceInfo, bench: Workbench, chosen: str) -> int:
+def save_packets(
+    parts: Sequence[Part], path: Path, info: SourceInfo, bench: Workbench, selection: str
+) -> int:
     """Write packets to a new file; return how many.
 
     Args:
         parts: what ``Store.parts`` returned.
         path: the file; its suffix sets the format.
-        chosen: the filter that the packets passed; a recording stores it.
+        selection: the filter that the packets passed; a recording stores it.
 
     Raises:
         CaptureError: the file cannot be written.
@@ -239,12 +241,12 @@ def save_packets(parts: Sequence[Part], path: Path, info: SourceInfo, bench: Wor
     target = Target(path)
     check_output(target, ())
     source, count = PushedSource(info, SourceStatistics()), 0
-    sink = open_sink(target, source, bench, chosen=chosen)
+    sink = open_sink(target, source, bench, selection=selection)
     try:
-        for block, _, shown in parts:
-            rows = ColumnRows(bench.columns.context, 0, block.batch, block.columns, np.asarray(shown))
+        for block, _, members in parts:
+            rows = ColumnRows(bench.columns.context, 0, block.batch, block.columns, np.asarray(members))
             sink.write(*rows.alone())
-            count += len(shown)
+            count += len(members)
     finally:
         sink.close(source.statistics)
     return count

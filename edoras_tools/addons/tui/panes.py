@@ -99,8 +99,8 @@ class Help(ModalScreen[None]):
         table.add_column()
         for head, *keys in KEYS:
             table.add_row(Text(head, "bold"), "")
-            for names, what in keys:
-                table.add_row(Text(f"  {names}", "cyan"), Text(what))
+            for names, explanation in keys:
+                table.add_row(Text(f"  {names}", "cyan"), Text(explanation))
         box = VerticalScroll(Static(table))
         box.border_title = "Keys"
         yield box
@@ -298,25 +298,25 @@ class Panes(App[None]):
             self.routes.update_rates(time.monotonic())
         self._refresh_status()
 
-    def _counted(self) -> str:
-        shown, there = len(self.store), self.store.packets
+    def _count_text(self) -> str:
+        count, total = len(self.store), self.store.packets
         if not self.store.filtered:
-            return plural(there, "packet")
-        share = "" if self.store.settled == there else f" · {100 * self.store.settled // max(1, there)} %"
-        return f"{shown:,} of {there:,}{share}"
+            return plural(total, "packet")
+        share = "" if self.store.settled == total else f" · {100 * self.store.settled // max(1, total)} %"
+        return f"{count:,} of {total:,}{share}"
 
     def _refresh_status(self) -> None:
         text, severity = self._said if time.monotonic() < self._said_until else ("", Level.NOTE)
-        left = Text(text, "" if severity is Level.NOTE else severity.style)
+        status = Text(text, "" if severity is Level.NOTE else severity.style)
         row = self.layers.field
         if not text and row is not None and row.end > row.start:
             span = f"{row.start}" if row.end == row.start + 1 else f"{row.start}-{row.end - 1}"
-            left = Text.assemble(
+            status = Text.assemble(
                 (self.layers.field_name, row.style), (f"  bytes {span}", "dim"), f"  {row.doc}"
             )
-        left.no_wrap, left.overflow = True, "ellipsis"
-        self._status_left.update(left)
-        self.filter_line.show_count(self._counted())
+        status.no_wrap, status.overflow = True, "ellipsis"
+        self._status_left.update(status)
+        self.filter_line.show_count(self._count_text())
         self._status_right.update(self._figures())
 
     def _figures(self) -> Text:
@@ -341,18 +341,18 @@ class Panes(App[None]):
         return right
 
     def _refresh_title(self) -> None:
-        left, right = Text(""), Text("")
+        title, right = Text(""), Text("")
         if self._view == "routes-view":
-            left, right = Text("Routes"), Text("Enter filters · o O sort · Esc back")
+            title, right = Text("Routes"), Text("Enter filters · o O sort · Esc back")
         elif self._view == "sequence-view":
-            left = Text("Conversation of all links" if self._every_link else "SBN conversation")
+            title = Text("Conversation of all links" if self._every_link else "SBN conversation")
             right = Text("Enter goes to the packet · Esc back")
         elif self._view == "rates-view":
-            left, right = Text("Rates"), Text("z fills the screen · Esc back")
+            title, right = Text("Rates"), Text("z fills the screen · Esc back")
         elif self.decoded is not None:
-            left, right = _packet_title(self.decoded), Text(self.hex_pane.title)
-        left.no_wrap, left.overflow = True, "ellipsis"
-        self._title_left.update(left)
+            title, right = _packet_title(self.decoded), Text(self.hex_pane.title)
+        title.no_wrap, title.overflow = True, "ellipsis"
+        self._title_left.update(title)
         self._title_right.update(right)
 
 

@@ -53,9 +53,9 @@ class Completions(Static):
 
     def offer(self, value: str) -> None:
         """Offer what the last word of a filter can become."""
-        self._start, found = self._find(value)
+        self._start, words = self._find(value)
         typed = value[self._start :].lower()
-        self.words = [word for word in found if word.lower().startswith(typed)]
+        self.words = [word for word in words if word.lower().startswith(typed)]
         if typed in map(str.lower, self.words):
             self.words = []  # it is complete
         self.chosen = 0
@@ -80,17 +80,17 @@ class Completions(Static):
         if self._names is None:
             self._names = Names(self._decoding)
             self._fields = sorted(set(self._names.all()), key=lambda name: (name.count("."), len(name), name))
-        if (found := _LAST_VALUE.search(value)) is not None:
+        if (match := _LAST_VALUE.search(value)) is not None:
             with suppress(Unknown):
-                fields = self._names.find(found[1])
-                return found.start(2), [
+                fields = self._names.find(match[1])
+                return match.start(2), [
                     word for field in fields for word in (*field.names.values(), *field.choices)
                 ]
             return len(value), ()
-        found = _LAST_WORD.search(value)
-        if found is None or found[1] in _KEYWORDS:
+        match = _LAST_WORD.search(value)
+        if match is None or match[1] in _KEYWORDS:
             return len(value), ()
-        return found.start(1), self._fields
+        return match.start(1), self._fields
 
     def _draw(self) -> None:
         self.display = bool(self.words)
@@ -200,13 +200,13 @@ class FilterLine(Vertical):
         place = before + error.at - round(field.scroll_x)
         marks = "^" * max(1, min(error.end - error.at, self.region.width - place))
         style = Level.ERROR.style
-        told = [Text(line) for line in wrap(clean(error.why), max(20, self.region.width - before))]
+        error_lines = [Text(line) for line in wrap(clean(error.why), max(20, self.region.width - before))]
         lines = [Text(" " * max(before, place) + marks, style)]
         # The message stands after the caret if there is space, as in compilers, else below it.
-        if len(told) == 1 and place + len(marks) + 1 + told[0].cell_len <= self.region.width:
-            lines[0].append_text(Text(" ")).append_text(Text(told[0].plain, "not bold"))
+        if len(error_lines) == 1 and place + len(marks) + 1 + error_lines[0].cell_len <= self.region.width:
+            lines[0].append_text(Text(" ")).append_text(Text(error_lines[0].plain, "not bold"))
         else:
-            lines += [Text(" " * before).append_text(line) for line in told]
+            lines += [Text(" " * before).append_text(line) for line in error_lines]
         self.wrong.update(Text("\n").join(lines))
         field.cursor_position = error.at
         field.focus()

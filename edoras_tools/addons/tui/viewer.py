@@ -75,8 +75,8 @@ def open_in_wireshark(parts: Sequence[Part], row: int, settings: Settings) -> su
         script, capture = folder / SCRIPT, folder / "packets.pcapng"
         write_bytes(script, text.encode())
         with closing(PcapngSink(capture)) as sink:
-            for block, _, shown in parts:
-                sink.write(block.batch if isinstance(shown, range) else block.batch.take(np.asarray(shown)))
+            for block, _, rows in parts:
+                sink.write(block.batch if isinstance(rows, range) else block.batch.take(np.asarray(rows)))
         arguments = ["-X", f"lua_script:{script}", "-r", str(capture), "-g", str(row + 1)]
         return subprocess.Popen(  # noqa: S603  the user asked for it
             ["/bin/sh", "-c", _THEN_REMOVE, str(folder), path, *arguments],
@@ -133,7 +133,7 @@ class Viewer(Navigation):
         self._wireshark: list[subprocess.Popen[bytes]] = []
         bench.dissector.detail = True
         self._filter_thread = FilterThread(
-            lambda where, block, shown: self._post(messages.FilterAnswer(where, block, shown))
+            lambda where, block, rows: self._post(messages.FilterAnswer(where, block, rows))
         )
         self._feed = Feed(
             source,
@@ -173,18 +173,18 @@ class Viewer(Navigation):
         block = event.block
         first = not self.store.packets
         self.ledger.add(block.batch, block.columns)
-        gone = self.store.append(block)
+        dropped = self.store.append(block)
         if self.store.filtered:
             self._filter_thread.put(block)
         if first:
             self.packets.forget()
-        self._more_rows(gone)
+        self._more_rows(dropped)
 
     @on(messages.FilterAnswer)
     def _take_answer(self, event: messages.FilterAnswer) -> None:
         if event.where is not self._where:
             return
-        self.store.settle(event.block, event.shown)
+        self.store.settle(event.block, event.rows)
         self._more_rows(0)
 
     @on(messages.Ended)
@@ -196,12 +196,12 @@ class Viewer(Navigation):
             self._notice(event.why, Level.WARNING)
         self._refresh_status()
 
-    def _more_rows(self, gone: int) -> None:
+    def _more_rows(self, dropped: int) -> None:
         """Update the list after rows were added."""
         packets = self.packets
-        if gone and self.store.order is not None:
-            self._wanted, gone = self._number or None, 0
-        packets.arrived(gone)
+        if dropped and self.store.order is not None:
+            self._wanted, dropped = self._number or None, 0
+        packets.arrived(dropped)
         if self._wanted is not None:
             row = self.store.find_number(self._wanted)
             if row is not None or self._all_settled:
@@ -248,9 +248,11 @@ class Viewer(Navigation):
 
     def _sort_again(self) -> None:
         """Sort once what came after the last time is an eighth, or is all."""
-        known = 0 if self.store.order is None else len(self.store.order)
-        late = len(self.store) - known
-        if self.packets.sorted_by and late > (known // 8 if self.reading or not self._all_settled else 0):
+        sorted_rows = 0 if self.store.order is None else len(self.store.order)
+        late = len(self.store) - sorted_rows
+        if self.packets.sorted_by and late > (
+            sorted_rows // 8 if self.reading or not self._all_settled else 0
+        ):
             self._sort(self.packets.sorted_by, self.packets.reverse)
 
     # The chosen packet, its fields, its bytes
@@ -343,11 +345,11 @@ class Viewer(Navigation):
     def action_view(self, name: str, every: bool = False) -> None:
         """Show the packet, the routes, the conversation or the rates."""
         switcher = self._lower
-        wanted = name if name == "packet" else f"{name}-view"
-        if switcher.current == wanted and (name != "sequence" or every == self._every_link):
+        pane = name if name == "packet" else f"{name}-view"
+        if switcher.current == pane and (name != "sequence" or every == self._every_link):
             self.action_leave()
             return
-        switcher.current = wanted
+        switcher.current = pane
         self._every_link = every
         if name != "packet":
             {"routes": self.routes, "sequence": self.sequence, "rates": self.rates}[name].focus()
@@ -405,10 +407,10 @@ class Viewer(Navigation):
         worker = get_current_worker()
         conversation = Conversation(self._decoding)
         begin_ns = self.store.begin_ns or 0
-        for block, _, shown in self.store.parts():
+        for block, _, selection in self.store.parts():
             if worker.is_cancelled:
                 return
-            rows = np.asarray(shown)
+            rows = np.asarray(selection)
             if not every:
                 rows = rows[among(block.columns.link[rows], lambda link: link.peers)]
             if len(rows):

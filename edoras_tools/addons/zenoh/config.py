@@ -63,14 +63,14 @@ def session_config(options: Mapping[str, str]) -> zenoh.Config:
     return config
 
 
-def listen_beside(config: zenoh.Config, taken: Collection[str]) -> list[str]:
+def listen_beside(config: zenoh.Config, used: Collection[str]) -> list[str]:
     """Have a session leave the places where others of this process listen, and connect to them.
 
     There it listens at a port that the system chooses; gossip tells the other peers about it.
 
     Args:
         config: changed in place.
-        taken: places as ``listen`` names them.
+        used: places as ``listen`` names them.
 
     Returns:
         the places with a port of their own that this session takes itself.
@@ -78,19 +78,19 @@ def listen_beside(config: zenoh.Config, taken: Collection[str]) -> list[str]:
     if _mode(config) == "client":
         return []  # listens nowhere
     places = _places(config, "listen")
-    if shared := [place for place in places if place in taken]:
-        beside = [_PORT.sub(":0", place) if place in taken else place for place in places]
+    if shared := [place for place in places if place in used]:
+        beside = [_PORT.sub(":0", place) if place in used else place for place in places]
         config.insert_json5("listen/endpoints", json.dumps(beside))
         config.insert_json5("connect/endpoints", json.dumps([*_places(config, "connect"), *shared]))
-    return [place for place in places if place not in taken and _PORT.search(place)]
+    return [place for place in places if place not in used and _PORT.search(place)]
 
 
-def _places(config: zenoh.Config, what: str) -> list[str]:
+def _places(config: zenoh.Config, group: str) -> list[str]:
     """Return the endpoints of ``listen`` or ``connect``: one list, or one a mode."""
-    found = json.loads(config.get_json(f"{what}/endpoints"))
-    if isinstance(found, dict):
-        found = found.get(_mode(config))
-    return [str(item) for item in found or []]
+    places = json.loads(config.get_json(f"{group}/endpoints"))
+    if isinstance(places, dict):
+        places = places.get(_mode(config))
+    return [str(item) for item in places or []]
 
 
 def _mode(config: zenoh.Config) -> str:
@@ -128,6 +128,6 @@ def _settings(options: Mapping[str, str], *, defaults: bool) -> Iterator[tuple[s
         yield _OVERRIDES, key.strip(), text
     for name, key in _KEYS.items():
         if name in options:
-            given = options[name]
-            places = [item.strip() for item in given.split(",") if item.strip()]
-            yield f"zenoh: {name}", key, json.dumps(given if name == "mode" else places)
+            words = options[name]
+            places = [item.strip() for item in words.split(",") if item.strip()]
+            yield f"zenoh: {name}", key, json.dumps(words if name == "mode" else places)

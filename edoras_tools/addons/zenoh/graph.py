@@ -86,12 +86,12 @@ class ZenohGraph:
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
         """Call ``heard(cdr)`` for each message of a topic; see ``Graph``."""
-        named = self._topic(topic, type_name)
+        topic_ = self._topic(topic, type_name)
         listener = _Listener(heard, self._own if qos.transient_local else frozenset())
-        key = named.key(self._node.domain)
+        key = topic_.key(self._node.domain)
         if qos.transient_local:
             entity: Any = self._declare(
-                named,
+                topic_,
                 ext.declare_advanced_subscriber,
                 self._session,
                 key,
@@ -103,29 +103,29 @@ class ZenohGraph:
             )
         else:
             entity = self._declare(
-                named,
+                topic_,
                 self._session.declare_subscriber,
                 key,
                 listener,
                 allowed_origin=zenoh.Locality.REMOTE,
             )
         self._listening.append(listener)
-        self._announce(entity, TokenKind.SUBSCRIPTION, named, qos)
+        self._announce(entity, TokenKind.SUBSCRIPTION, topic_, qos)
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
         """Return what publishes one message of a topic; see ``Graph``. Once closed, it does nothing."""
-        named = self._topic(topic, type_name)
+        topic_ = self._topic(topic, type_name)
         all_kept = qos.reliable and not qos.depth
         wire = {
             "congestion_control": zenoh.CongestionControl.BLOCK if all_kept else zenoh.CongestionControl.DROP,
             "reliability": zenoh.Reliability.RELIABLE if qos.reliable else zenoh.Reliability.BEST_EFFORT,
             "allowed_destination": zenoh.Locality.REMOTE,
         }
-        key = named.key(self._node.domain)
+        key = topic_.key(self._node.domain)
         if qos.transient_local:
             detection = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT)
             publisher: Any = self._declare(
-                named,
+                topic_,
                 ext.declare_advanced_publisher,
                 self._session,
                 key,
@@ -135,8 +135,8 @@ class ZenohGraph:
                 **wire,
             )
         else:
-            publisher = self._declare(named, self._session.declare_publisher, key, **wire)
-        source = gid(self._announce(publisher, TokenKind.PUBLISHER, named, qos))
+            publisher = self._declare(topic_, self._session.declare_publisher, key, **wire)
+        source = gid(self._announce(publisher, TokenKind.PUBLISHER, topic_, qos))
         self._own.add(source)
         put, attach, now, numbers = publisher.put, ATTACHMENT.pack, time.time_ns, count(1)
 
@@ -236,10 +236,10 @@ def open_graph(
     options = options or {}
     if domain < 0:
         raise ConfigError(f"zenoh: domain {domain} does not exist; they count from 0")
-    wanted = options.get("type_hash", "none" if store.distro in _WITHOUT_HASH else "rihs01")
-    if wanted not in _HASHES:
-        raise ConfigError(f"zenoh: type_hash {wanted!r} does not exist; write {' or '.join(_HASHES)}")
-    NodeTokens.named(node, domain, "")  # a wrong name is reported before a session is opened
+    hash_kind = options.get("type_hash", "none" if store.distro in _WITHOUT_HASH else "rihs01")
+    if hash_kind not in _HASHES:
+        raise ConfigError(f"zenoh: type_hash {hash_kind!r} does not exist; write {' or '.join(_HASHES)}")
+    NodeTokens.of_node(node, domain, "")  # a wrong name is reported before a session is opened
     config = session_config(options)
     places = listen_beside(config, _TAKEN)
     try:
@@ -251,5 +251,5 @@ def open_graph(
             else "listen somewhere else"
         )
         raise ConfigError(f"zenoh: no session: {reason(error)}; {remedy}") from error
-    named = NodeTokens.named(node, domain, str(session.zid()))
-    return ZenohGraph(session, named, store, hashed=_HASHES[wanted], places=places)
+    tokens = NodeTokens.of_node(node, domain, str(session.zid()))
+    return ZenohGraph(session, tokens, store, hashed=_HASHES[hash_kind], places=places)

@@ -82,7 +82,7 @@ class NodeTokens:
     id: int = 0
 
     @classmethod
-    def named(cls, name: str, domain: int, session: str) -> Self:
+    def of_node(cls, name: str, domain: int, session: str) -> Self:
         """Return a node from ``name``, or ``/namespace/name``.
 
         Raises:

@@ -107,26 +107,26 @@ def _ordered(field: FilterField, symbol: str, value: Value) -> Test:
         return _text_equal(field, symbol, value)
     if field.kind is ValueKind.BOOL and symbol not in {"==", "!="}:
         raise Misfit(f"{field.name} is {field.kind.value}: compare it with == or !=")
-    wanted = constant(field, value)
+    number_of = constant(field, value)
     exact = symbol in {"==", "!="} and field.limits is not None
-    if exact and not field.limits[0] <= wanted <= field.limits[1]:  # type: ignore[index]  # exact says it is there
+    if exact and not field.limits[0] <= number_of <= field.limits[1]:  # type: ignore[index]  # exact says it is there
         span = " to ".join(f"{item:#x}" if field.base == 16 else str(item) for item in field.limits or ())
         raise Misfit(f"{field.name} is never {value.text}: it holds {span}", value)
     if field.dtype.kind == "f":
-        number = float(np.float32(wanted)) if field.dtype.itemsize == 4 else float(wanted)
+        number = float(np.float32(number_of)) if field.dtype.itemsize == 4 else float(number_of)
         return lambda series: _ORDERS[symbol](series.values, number)
     if symbol == "!=":
         same = _ordered(field, "==", value)
         return lambda series: ~same(series)
-    low, high = _bounds(symbol, wanted)
+    low, high = _bounds(symbol, number_of)
     return lambda series: _within(series.values, low, high)
 
 
-def _bounds(symbol: str, wanted: float) -> tuple[float, float]:
+def _bounds(symbol: str, limit: float) -> tuple[float, float]:
     """Return the least and the greatest whole number that compare like that with a number."""
-    if math.isnan(wanted):
+    if math.isnan(limit):
         return math.inf, -math.inf
-    down, up = (wanted, wanted) if math.isinf(wanted) else (math.floor(wanted), math.ceil(wanted))
+    down, up = (limit, limit) if math.isinf(limit) else (math.floor(limit), math.ceil(limit))
     if symbol == "==":
         return up, down
     if symbol in {"<", "<="}:
@@ -172,9 +172,9 @@ def constant(field: FilterField, value: Value) -> Any:
         if match is None:
             raise Misfit(f"{field.name} is a length of time, as 1.5s, 250ms or 10m, not {text!r}", value)
         return _bounded(round(float(match[1]) * _UNITS[match[2] or "s"]), value)
-    named = {name.lower(): number for number, name in field.names.items()} | dict(field.words)
-    if text.lower() in named:
-        return named[text.lower()]
+    words = {name.lower(): number for number, name in field.names.items()} | dict(field.words)
+    if text.lower() in words:
+        return words[text.lower()]
     number = _number(text)
     if number is None:
         raise Misfit(_no_number(field, text), value)
@@ -234,16 +234,18 @@ def _lifted(holds: Callable[[Any], bool]) -> Test:
 
 def _text_equal(field: FilterField, symbol: str, value: Value) -> Test:
     if symbol not in {"==", "!="}:
-        what = "a number" if _number(value.text) is not None and not value.quoted else "text"
-        also = f", and {value.text} is {what}" if what == "a number" else ""
+        kind = "a number" if _number(value.text) is not None and not value.quoted else "text"
+        also = f", and {value.text} is {kind}" if kind == "a number" else ""
         raise Misfit(
             f"{field.name} is {field.kind.value}{also}; "
             f"{symbol} compares numbers, text takes ==, !=, in, contains and matches"
         )
     if field.kind is ValueKind.BYTES:
-        wanted = _bytes(field, value)
+        expected = _bytes(field, value)
         return (
-            _lifted(lambda item: item == wanted) if symbol == "==" else _lifted(lambda item: item != wanted)
+            _lifted(lambda item: item == expected)
+            if symbol == "=="
+            else _lifted(lambda item: item != expected)
         )
     word, alike = value.text, field.alike or operator.eq
     if field.choices and not any(alike(text, word) for text in field.choices):
@@ -257,8 +259,8 @@ def _text_equal(field: FilterField, symbol: str, value: Value) -> Test:
 def _contains(field: FilterField, item: Value | ValueRange) -> Test:
     value = _single(item)
     if field.kind is ValueKind.BYTES:
-        wanted = _bytes(field, value)
-        return _lifted(lambda item: wanted in item)
+        part = _bytes(field, value)
+        return _lifted(lambda item: part in item)
     if field.kind is ValueKind.TEXT:
         return _lifted(lambda text: value.text in text)
     if field.many:

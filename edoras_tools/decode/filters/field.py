@@ -80,9 +80,9 @@ class FilterField:
             return self._picked(rows)
         if self.read is not None:
             return self.read(rows)
-        chosen = np.flatnonzero(self.scope(rows)) if self.scope else np.arange(len(rows), dtype=INDEX_DTYPE)
-        part = PacketRows(rows.context, rows.begin_ns, rows.take(chosen).packets())
-        return self._picked(part).placed(len(rows), chosen)
+        members = np.flatnonzero(self.scope(rows)) if self.scope else np.arange(len(rows), dtype=INDEX_DTYPE)
+        part = PacketRows(rows.context, rows.begin_ns, rows.take(members).packets())
+        return self._picked(part).placed(len(rows), members)
 
     def _picked(self, rows: PacketRows) -> Series:
         values: list[Any] = []
@@ -106,7 +106,7 @@ class FilterField:
     def length(self) -> Self:
         """Return the field of how many values this one has, or of how many characters its text has."""
         pick, read = self.pick, self.read
-        counted = self.many or self.kind not in {ValueKind.TEXT, ValueKind.BYTES}
+        countable = self.many or self.kind not in {ValueKind.TEXT, ValueKind.BYTES}
 
         def pick_length(rows: PacketRows, decoded: Decoded) -> int | None:
             value = pick(rows, decoded)
@@ -114,7 +114,7 @@ class FilterField:
 
         def read_length(rows: ColumnRows) -> Series:
             series = read(rows)  # type: ignore[misc]  # used only where it is there
-            return series.lengths() if counted else series.sizes()
+            return series.lengths() if countable else series.sizes()
 
         return replace(
             self,

@@ -60,18 +60,18 @@ class Where:
         return self.text
 
     def mask(
-        self, batch: PacketBatch, columns: Columns, chosen: NDArray[Any] | None = None
+        self, batch: PacketBatch, columns: Columns, selection: NDArray[Any] | None = None
     ) -> NDArray[np.bool_]:
         """Return which packets of a batch pass.
 
         Batches come in the order they were captured: ``time`` counts from the first datagram of the first.
 
         Args:
-            chosen: look only at these rows; the result then has one element for each of them.
+            selection: look only at these rows; the result then has one element for each of them.
         """
         if self._begin_ns is None and len(batch):
             self._begin_ns = int(batch.time_ns[0])
-        rows = slice(None) if chosen is None else chosen
+        rows = slice(None) if selection is None else selection
         return self.passing(ColumnRows(self.context, self._begin_ns or 0, batch, columns, rows))
 
     def passing(self, rows: ColumnRows) -> NDArray[np.bool_]:
@@ -127,10 +127,10 @@ class _Present(_Test):
     price: int
 
     def mask(self, rows: PacketRows) -> NDArray[np.bool_]:
-        there = np.zeros(len(rows), bool)
+        present = np.zeros(len(rows), bool)
         for field in self.fields:
-            there |= field.series(rows).present()
-        return there
+            present |= field.series(rows).present()
+        return present
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,11 +154,11 @@ class _Joined(_Test):
         join = np.logical_and if self.every else np.logical_or
         whole = np.full(len(rows), self.every)
         for step in self.steps:
-            left = np.flatnonzero(whole == self.every)
-            part = rows if len(left) == len(rows) else rows.take(left)
+            undecided = np.flatnonzero(whole == self.every)
+            part = rows if len(undecided) == len(rows) else rows.take(undecided)
             if not len(part):
                 break
-            whole[left] = join.reduce([node.mask(part) for node in step])
+            whole[undecided] = join.reduce([node.mask(part) for node in step])
         return whole
 
 
@@ -184,28 +184,30 @@ def fields(text: str, context: Context, option: str = "--fields") -> list[tuple[
     Raises:
         WhereError: one is not a field, or a group of fields.
     """
-    names, found = Names(context), []
+    names, pairs = Names(context), []
     for operand in parse_names(text, option):
         items = _fields(operand, text, names, option)
         if all(item.kind is ValueKind.STRUCT for item in items):
             why = _is_group(items[0], names)
             raise WhereError(text, operand.at, operand.end, why, option)
-        found.append((items[0].name, items))
-    return found
+        pairs.append((items[0].name, items))
+    return pairs
 
 
 def _fields(operand: Operand, text: str, names: Names, option: str = "--where") -> list[FilterField]:
     try:
-        found = [replace(field, name=operand.name) for field in names.find(operand.name)]
+        matches = [replace(field, name=operand.name) for field in names.find(operand.name)]
     except Unknown as error:
         raise WhereError(text, operand.at, operand.end, str(error), option) from None
     if operand.wrap != "len":
-        return found
-    counted = [item.length() for item in found if item.many or item.kind in {ValueKind.TEXT, ValueKind.BYTES}]
-    if not counted:
+        return matches
+    lengths = [
+        item.length() for item in matches if item.many or item.kind in {ValueKind.TEXT, ValueKind.BYTES}
+    ]
+    if not lengths:
         why = f"len counts what is in a list or a text; {operand.name} is neither"
         raise WhereError(text, operand.at, operand.end, why, option)
-    return counted
+    return lengths
 
 
 def _is_group(field: FilterField, names: Names) -> str:

@@ -101,7 +101,7 @@ def _others(msg_ids: MsgIds) -> Iterator[FilterField]:
         "sbn_sub.msg_ids",
         ValueKind.NUMBER,
         _picker("sbn_sub", "msg_ids"),
-        scope=lambda rows: _there(partial(SBN.places, sbn.SUBSCRIPTIONS), rows),
+        scope=lambda rows: _presence(partial(SBN.places, sbn.SUBSCRIPTIONS), rows),
         limits=(0, 0xFFFFFFFF),
         base=16,
         digits=4,
@@ -140,26 +140,26 @@ def _header(
     """
     name = layout.name
 
-    yield _struct(name, partial(_there, places) if places is not None else None)
+    yield _struct(name, partial(_presence, places) if places is not None else None)
     for slot in layout.slots:
         of_field = partial(places, field=slot.field.name) if places and by_field else places
         field = _field(layout, slot, of_field)
         yield replace(field, pick=_each(name, slot.field.name), many=True) if many else field
 
 
-def _there(places: Callable[[ColumnRows], Places], rows: ColumnRows) -> NDArray[np.bool_]:
+def _presence(places: Callable[[ColumnRows], Places], rows: ColumnRows) -> NDArray[np.bool_]:
     """Tell which packets have a header."""
     out = np.zeros(len(rows), bool)
     out[places(rows)[0]] = True
     return out
 
 
-def _struct(name: str, there: Callable[[ColumnRows], NDArray[np.bool_]] | None) -> FilterField:
+def _struct(name: str, presence: Callable[[ColumnRows], NDArray[np.bool_]] | None) -> FilterField:
     return FilterField(
         name,
         ValueKind.STRUCT,
         lambda _, decoded: 0 if decoded.layer(name) else None,
-        there and (lambda rows: Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), there(rows))),
+        presence and (lambda rows: Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), presence(rows))),
         cost=BYTES_COST,
         doc="whether there is this layer",
     )
@@ -192,8 +192,8 @@ def _field(layout: Layout, slot: Slot, places: Callable[[ColumnRows], Places] | 
 
 def _picker(layer: str, name: str) -> Callable[[PacketRows, Decoded], Any]:
     def pick(_: PacketRows, decoded: Decoded) -> Any:
-        found = decoded.layer(layer)
-        return found.values().get(name) if found else None
+        part = decoded.layer(layer)
+        return part.values().get(name) if part else None
 
     return pick
 
@@ -231,8 +231,8 @@ def slot_values(layout: Layout, slot: Slot, window: NDArray[np.uint8]) -> NDArra
     items = [raw[at : at + size] for at in range(0, len(raw), size)]
     if slot.field.kind == "bytes":
         return items
-    known = {one: one.split(b"\0", 1)[0].decode("utf-8", "replace") for one in set(items)}
-    return [known[one] for one in items]
+    texts = {one: one.split(b"\0", 1)[0].decode("utf-8", "replace") for one in set(items)}
+    return [texts[one] for one in items]
 
 
 def _of_any_format(field: FilterField) -> FilterField:
@@ -245,9 +245,9 @@ def _of_any_format(field: FilterField) -> FilterField:
         envelope = formats.pop() or DEFAULT
         places = partial(_envelopes, envelope.size)
         if field.kind is ValueKind.STRUCT:
-            there = np.zeros(len(rows), bool)
-            there[places(rows)[0]] = True
-            return Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), there)
+            present = np.zeros(len(rows), bool)
+            present[places(rows)[0]] = True
+            return Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), present)
         slot = envelope.layout.by_name[field.name.rpartition(".")[2]]
         return _gathered(envelope.layout, slot, places, rows)
 

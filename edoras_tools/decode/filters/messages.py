@@ -87,8 +87,8 @@ class MessageFieldFinder:
         types = self._context.types
         if types is None or not types.has(name):
             return
-        known = self._routes.setdefault(name, [])
-        known += routes
+        indexes = self._routes.setdefault(name, [])
+        indexes += routes
         for part in grammar.sections(name, types.definition(name)):
             self._definitions[part.name] = grammar.parse_definition(
                 part.name, part.text, part.name, part.line
@@ -104,13 +104,13 @@ class MessageFieldFinder:
 
     def find(self, path: str) -> list[FilterField]:
         """Return the field of that path of each type of a route that has it."""
-        wanted = _wanted(path.removeprefix(_PREFIX))
-        found = []
+        path_steps = _split(path.removeprefix(_PREFIX))
+        fields = []
         for name, routes in self._routes.items():
-            steps = self._steps(name, wanted)
+            steps = self._steps(name, path_steps)
             if steps:
-                found.append(self._field(path, name, tuple(routes), steps))
-        return found
+                fields.append(self._field(path, name, tuple(routes), steps))
+        return fields
 
     def of_structs(self, path: str) -> list[FilterField]:
         """Return the field of that path of each C struct that has it, or of the one it begins with."""
@@ -120,11 +120,11 @@ class MessageFieldFinder:
         name = next((name for name in names if name in self._structs), None)
         if name is not None:
             rest = path[len(name) + 1 :]
-            found = [self._of_struct(path, rest, bound) for bound in self._structs[name]]
+            fields = [self._of_struct(path, rest, bound) for bound in self._structs[name]]
         else:
             every = [bound for bounds in self._structs.values() for bound in bounds]
-            found = [self._of_struct(path, path, bound) for bound in every if not _is_layer(bound)]
-        return [field for field in found if field is not None]
+            fields = [self._of_struct(path, path, bound) for bound in every if not _is_layer(bound)]
+        return [field for field in fields if field is not None]
 
     def _of_struct(self, path: str, inside: str, bound: Bound) -> FilterField | None:
         """Return the field of a path inside a C struct, if it has one; the struct for an empty path."""
@@ -139,7 +139,7 @@ class MessageFieldFinder:
                 cost=MESSAGE_COST,
                 doc=f"whether there is a {bound.name}",
             )
-        steps = self._steps(bound.type, _wanted(inside))
+        steps = self._steps(bound.type, _split(inside))
         if not steps:
             return None
         member = bound.member([step.field.name for step in steps])
@@ -172,11 +172,11 @@ class MessageFieldFinder:
             else:
                 yield path
 
-    def _steps(self, name: str, wanted: Sequence[tuple[str, int | None]]) -> list[_Step]:
+    def _steps(self, name: str, path: Sequence[tuple[str, int | None]]) -> list[_Step]:
         """Return the steps of a path inside a type; empty if there is no such field."""
         steps: list[_Step] = []
         definition: Definition | None = self._definitions[schema.full_name(name)]
-        for part, index in wanted:
+        for part, index in path:
             fields = definition.fields if definition else ()
             item = next((item for item in fields if item.name == part), None)
             if item is None and definition and definition.name in self._own:
@@ -259,7 +259,7 @@ def _is_layer(bound: Bound) -> bool:
     return bound.shipped and (bound.struct.name in _LAYERS or bound.key.msg_id == UDP_KEY)
 
 
-def _wanted(path: str) -> list[tuple[str, int | None]]:
+def _split(path: str) -> list[tuple[str, int | None]]:
     return [(match[1], None if match[2] is None else int(match[2])) for match in _PART.finditer(path)]
 
 
@@ -299,8 +299,8 @@ def _messages(name: str, routes: tuple[int, ...], rows: ColumnRows) -> Owned:
         owner, offset, length = owner[order], offset[order], length[order]
         return owner, rows.context.types.columns(name, rows.batch.data, offset, length)
 
-    found: Owned = rows.once(("messages", name), make)
-    return found
+    owned: Owned = rows.once(("messages", name), make)
+    return owned
 
 
 def samples_of(rows: ColumnRows) -> list[KnownSamples]:
@@ -311,8 +311,8 @@ def samples_of(rows: ColumnRows) -> list[KnownSamples]:
         context = rows.context
         return list(known_samples(context.types, context.endpoints, rows.batch, rows.indices()[own]))
 
-    found: list[KnownSamples] = rows.once("samples", make)
-    return found
+    samples: list[KnownSamples] = rows.once("samples", make)
+    return samples
 
 
 def structs_of(rows: ColumnRows) -> dict[Bound, Held]:
@@ -322,11 +322,11 @@ def structs_of(rows: ColumnRows) -> dict[Bound, Held]:
         if rows.batch.recorded is not None:
             return {}
         structs = rows.context.structs
-        found = payloads(structs, rows.column, rows.datagram, rows.batch.data)
-        return {held.bound: held for held in structs.held(found, rows.column, rows.batch.data)}
+        result = payloads(structs, rows.column, rows.datagram, rows.batch.data)
+        return {item.bound: item for item in structs.payloads_of(result, rows.column, rows.batch.data)}
 
-    found: dict[Bound, Held] = rows.once("structs", make)
-    return found
+    result: dict[Bound, Held] = rows.once("structs", make)
+    return result
 
 
 def held_messages(bound: Bound, rows: ColumnRows) -> Owned:
@@ -334,15 +334,15 @@ def held_messages(bound: Bound, rows: ColumnRows) -> Owned:
 
     def make() -> Owned:
         nothing = np.zeros(0, np.int64)
-        held = structs_of(rows).get(bound)
-        encoded = held.encode() if held else Encoded(np.zeros(1, np.uint8), nothing, nothing, 0)
+        item = structs_of(rows).get(bound)
+        encoded = item.encode() if item else Encoded(np.zeros(1, np.uint8), nothing, nothing, 0)
         columns = rows.context.structs.types.columns(
             bound.type, encoded.data, encoded.start, encoded.size.astype(np.int32)
         )
-        return held.rows if held else nothing, columns
+        return item.rows if item else nothing, columns
 
-    found: Owned = rows.once(("struct", bound.topic), make)
-    return found
+    result: Owned = rows.once(("struct", bound.topic), make)
+    return result
 
 
 def _may_hold(routes: tuple[int, ...], rows: ColumnRows) -> NDArray[np.bool_]:
@@ -377,9 +377,9 @@ def _read(read: Callable[[ColumnRows], Owned], path: str, index: int | None, row
         if index is None:
             values, owner = column.values, np.repeat(owner, counts)
         else:
-            there = (counts > index) if index >= 0 else (counts >= -index)
-            values = column.values[(start + index + (counts if index < 0 else 0))[there]]
-            owner = holders = owner[there]
+            reached = (counts > index) if index >= 0 else (counts >= -index)
+            values = column.values[(start + index + (counts if index < 0 else 0))[reached]]
+            owner = holders = owner[reached]
     elif column.ndim > 1:
         inside = index is not None and -column.shape[1] <= index < column.shape[1]
         if index is None:

@@ -81,9 +81,9 @@ class Names:
         for field in _packet_fields(context):
             self._packet.setdefault(field.name, []).append(field)
         if context.mission.recorded:  # messages without datagrams
-            known = {*self._packet, *_ALIASES, *(field.name for field in layers)}
+            names = {*self._packet, *_ALIASES, *(field.name for field in layers)}
             self._packet = {name: self._packet[name] for name in _OF_MESSAGES}
-            self._of_datagrams = frozenset(known - {*self._packet, "message"})
+            self._of_datagrams = frozenset(names - {*self._packet, "message"})
             layers = []
         self._layers = {field.name: field for field in layers}
         self._short: dict[str, list[str]] = {}
@@ -121,13 +121,13 @@ class Names:
         # A name of the mission's messages has precedence over the same name of a C struct.
         if messages or (layers and short[0].partition(".")[0] not in OWN_LAYERS):
             return messages or layers
-        found = layers + self._messages.of_structs(name)
-        if not found:
+        fields = layers + self._messages.of_structs(name)
+        if not fields:
             self._messages.look_ahead()
-            found = self._messages.find(name)
-        if not found:
+            fields = self._messages.find(name)
+        if not fields:
             raise Unknown(partial(self._nothing, name))
-        return found
+        return fields
 
     def inside(self, field: FilterField) -> list[str]:
         """Return what a group of fields holds."""
@@ -148,18 +148,18 @@ class Names:
             return f"{name!r} is of datagrams, and the recording has only messages"
         if "[" in name:
             plain = name.partition("[")[0]
-            found = self._packet.get(plain) or self._messages.find(plain)
-            if found and not found[0].many:
+            singular = self._packet.get(plain) or self._messages.find(plain)
+            if singular and not singular[0].many:
                 return f"{plain} is not a list of a message, so it takes no index"
         prefix = "ros." if name.startswith("ros.") else ""
-        known = {item.lower(): prefix + item for item in self.all() if "." in item or "." not in name}
-        near = get_close_matches(name.removeprefix(prefix).lower(), known, 3, _CLOSE)
-        near = near or [item for item in known if item.endswith(f".{name.lower()}")][:3]
-        shown = name if len(name) <= 60 else f"{name[:60]}..."
-        why = f"{shown!r} is not a field; "
+        spellings = {item.lower(): prefix + item for item in self.all() if "." in item or "." not in name}
+        near = get_close_matches(name.removeprefix(prefix).lower(), spellings, 3, _CLOSE)
+        near = near or [item for item in spellings if item.endswith(f".{name.lower()}")][:3]
+        text = name if len(name) <= 60 else f"{name[:60]}..."
+        why = f"{text!r} is not a field; "
         with_mission = "the fields of messages are known once a mission is named with -c"
         if near:
-            why += f"did you mean {' or '.join(known[item] for item in near)}?"
+            why += f"did you mean {' or '.join(spellings[item] for item in near)}?"
             return why if self._messages else f"{why} ({with_mission})"
         if self._unread and not self._messages:
             return why + listed(self._unread, 3)
@@ -275,10 +275,12 @@ def _pick_mission_time(_: PacketRows, decoded: Decoded) -> int | None:
 
 def _read_findings(rows: ColumnRows) -> Series:
     column = rows.column("findings")
-    there = [bit for bit in _BITS if np.bitwise_or.reduce(column, initial=np.uint32(0)) & np.uint32(1 << bit)]
-    places = [np.flatnonzero(column & np.uint32(1 << bit)) for bit in there]
+    set_bits = [
+        bit for bit in _BITS if np.bitwise_or.reduce(column, initial=np.uint32(0)) & np.uint32(1 << bit)
+    ]
+    places = [np.flatnonzero(column & np.uint32(1 << bit)) for bit in set_bits]
     owner = np.concatenate([np.zeros(0, INDEX_DTYPE), *places])
-    values = np.repeat(np.array(there, INDEX_DTYPE), [len(item) for item in places])
+    values = np.repeat(np.array(set_bits, INDEX_DTYPE), [len(item) for item in places])
     order = np.argsort(owner, kind="stable")
     return Series(len(rows), values[order], owner[order], np.arange(len(rows)))
 
@@ -286,17 +288,17 @@ def _read_findings(rows: ColumnRows) -> Series:
 def _read_messages(rows: ColumnRows) -> Series:
     """Tell which packets hold a message: what the decoder found valid, and a type is known for."""
     types, routes = rows.context.types, rows.context.mission.routes
-    known = np.array([types is not None and types.has(route.type) for route in routes] + [False])
+    typed = np.array([types is not None and types.has(route.type) for route in routes] + [False])
     invalid = (rows.column("findings") & np.uint32(Finding.CDR_INVALID)) != 0
-    there = known[rows.routes()] & (rows.column("cdr_length") > 0)
+    present = typed[rows.routes()] & (rows.column("cdr_length") > 0)
     cut = (rows.column("findings") & np.uint32(Finding.CAPTURE_CUT)) != 0
-    for row in np.flatnonzero(there & cut):
+    for row in np.flatnonzero(present & cut):
         # The decoder reports no findings for a packet that the capture cut.
         invalid[row] = rows.take(np.array([row])).packets()[0].message is None
-    there &= ~invalid
+    present &= ~invalid
     for held in structs_of(rows).values():
-        there[held.rows] = True
-    return Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), there)
+        present[held.rows] = True
+    return Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), present)
 
 
 def _read_payload(rows: ColumnRows) -> Series:
@@ -374,8 +376,8 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
         route = int(context.routes_on(decoded.link)[msg_id])
         route = route if route != NO_ROUTE else int(context.any_route_of[msg_id])
         if route == NO_ROUTE:
-            told: str | None = getattr(decoded.message, name, None)
-            return told
+            value: str | None = getattr(decoded.message, name, None)
+            return value
         return texts[route]
 
     def read(rows: ColumnRows) -> Series:
@@ -383,10 +385,10 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
         if rows.batch.recorded is not None:
             return Series(len(rows), routes.astype(INDEX_DTYPE), table=texts)
         which = np.where(rows.column("msg_id") == NO_MSG_ID, NO_ROUTE, routes).astype(INDEX_DTYPE)
-        found = payloads(context.structs, rows.column, rows.datagram, rows.batch.data)
-        there = np.flatnonzero(which != NO_ROUTE)
-        owner, values = [there], [which[there]]
-        for bound, members, fits in context.structs.split(found):
+        samples = payloads(context.structs, rows.column, rows.datagram, rows.batch.data)
+        with_route = np.flatnonzero(which != NO_ROUTE)
+        owner, values = [with_route], [which[with_route]]
+        for bound, members, fits in context.structs.split(samples):
             owner.append(members.row[fits])
             values.append(np.full(len(owner[-1]), len(routed) + context.structs.all.index(bound)))
         table = [*texts]

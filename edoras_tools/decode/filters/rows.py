@@ -51,7 +51,7 @@ class ColumnRows(PacketRows):
     Attributes:
         batch: the whole batch.
         columns: what was decoded from it.
-        chosen: which rows; an index array, or a slice for all.
+        selection: which rows; an index array, or a slice for all.
     """
 
     def __init__(
@@ -60,13 +60,13 @@ class ColumnRows(PacketRows):
         begin_ns: int,
         batch: PacketBatch,
         columns: Columns,
-        chosen: NDArray[np.int64] | slice = slice(None),
+        selection: NDArray[np.int64] | slice = slice(None),
     ) -> None:
         super().__init__(context, begin_ns)
         self.batch = batch
         self.columns = columns
-        self.chosen = chosen
-        self._count = len(batch) if isinstance(chosen, slice) else len(chosen)
+        self.selection = selection
+        self._count = len(batch) if isinstance(selection, slice) else len(selection)
         self._known: dict[object, Any] = {}
 
     def __len__(self) -> int:
@@ -74,17 +74,17 @@ class ColumnRows(PacketRows):
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one of the decoder's columns for these rows."""
-        column: NDArray[Any] = getattr(self.columns, name)[self.chosen]
+        column: NDArray[Any] = getattr(self.columns, name)[self.selection]
         return column
 
     def datagram(self, name: str) -> NDArray[Any]:
         """Return one of the batch's columns for these rows."""
-        column: NDArray[Any] = getattr(self.batch, name)[self.chosen]
+        column: NDArray[Any] = getattr(self.batch, name)[self.selection]
         return column
 
     def indices(self) -> NDArray[np.int64]:
         """Return where in the batch these rows are."""
-        return np.arange(len(self.batch))[self.chosen]
+        return np.arange(len(self.batch))[self.selection]
 
     def alone(self) -> tuple[PacketBatch, Columns]:
         """Return these rows as a batch and columns of their own; the whole ones where all are chosen."""
@@ -113,8 +113,8 @@ class ColumnRows(PacketRows):
 
     def take(self, rows: NDArray[np.int64]) -> Self:
         """Return some of the rows, given by index."""
-        chosen = rows if isinstance(self.chosen, slice) else self.chosen[rows]
-        return type(self)(self.context, self.begin_ns, self.batch, self.columns, chosen)
+        selection = rows if isinstance(self.selection, slice) else self.selection[rows]
+        return type(self)(self.context, self.begin_ns, self.batch, self.columns, selection)
 
     def once(self, key: object, make: Callable[[], Any]) -> Any:
         """Return what was made under a key, and make it the first time."""

@@ -52,32 +52,32 @@ def _pick(name: str, _: PacketRows, decoded: Decoded) -> Any:
     return [item[name] for item in values if name in item] or None
 
 
-def _found(rows: ColumnRows) -> NamedSubmessages:
+def _submessages(rows: ColumnRows) -> NamedSubmessages:
     def make() -> NamedSubmessages:
         own = np.flatnonzero(rows.column("link") == RTPS)
-        found = named_submessages(rows.batch, rows.indices()[own])
-        return found._replace(row=own[found.row])
+        named = named_submessages(rows.batch, rows.indices()[own])
+        return named._replace(row=own[named.row])
 
-    told: NamedSubmessages = rows.once("rtps", make)
-    return told
+    result: NamedSubmessages = rows.once("rtps", make)
+    return result
 
 
 def _writers(rows: ColumnRows) -> Series:
-    found = _found(rows)
-    texts = [guid_text(guid) for guid in found.writers]
-    return Series(len(rows), found.writer.astype(INDEX_DTYPE), found.row, table=texts)
+    named = _submessages(rows)
+    texts = [guid_text(guid) for guid in named.writers]
+    return Series(len(rows), named.writer.astype(INDEX_DTYPE), named.row, table=texts)
 
 
 def _topics(rows: ColumnRows) -> Series:
-    found = _found(rows)
+    named = _submessages(rows)
     endpoints = rows.context.endpoints
-    told = map(endpoints.find, found.writers)
-    texts = [item.ros_topic if item else "" for item in told]
-    known = rows.datagram("number")[found.row] >= endpoints.since(found.writers)[found.writer]
-    return Series(len(rows), found.writer[known].astype(INDEX_DTYPE), found.row[known], table=texts)
+    endpoint = map(endpoints.find, named.writers)
+    texts = [item.ros_topic if item else "" for item in endpoint]
+    announced = rows.datagram("number")[named.row] >= endpoints.since(named.writers)[named.writer]
+    return Series(len(rows), named.writer[announced].astype(INDEX_DTYPE), named.row[announced], table=texts)
 
 
 def _numbers(rows: ColumnRows) -> Series:
-    found = _found(rows)
-    there = found.numbered
-    return Series(len(rows), found.number[there], found.row[there])
+    named = _submessages(rows)
+    numbered = named.numbered
+    return Series(len(rows), named.number[numbered], named.row[numbered])

@@ -56,16 +56,16 @@ class Series:
         holders: NDArray[np.int64] | None = None,
     ) -> Self:
         """Make a series of texts or bytes, each distinct one kept once."""
-        known: dict[Any, int] = {}
-        codes = np.fromiter((known.setdefault(item, len(known)) for item in items), INDEX_DTYPE)
-        return cls(rows, codes, owner, holders, list(known))
+        places: dict[Any, int] = {}
+        codes = np.fromiter((places.setdefault(item, len(places)) for item in items), INDEX_DTYPE)
+        return cls(rows, codes, owner, holders, list(places))
 
     @classmethod
-    def of_chosen(cls, values: NDArray[Any], there: NDArray[np.bool_]) -> Self:
+    def of_chosen(cls, values: NDArray[Any], present: NDArray[np.bool_]) -> Self:
         """Make a series of a column and the rows where it holds a value."""
-        if there.all():
+        if present.all():
             return cls(len(values), values)
-        owner = np.flatnonzero(there)
+        owner = np.flatnonzero(present)
         return cls(len(values), values[owner], owner)
 
     def where(self, hit: NDArray[np.bool_]) -> NDArray[np.bool_]:

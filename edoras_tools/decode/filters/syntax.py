@@ -165,15 +165,15 @@ class _Parser:
 
     def names(self) -> list[Operand]:
         self._space()
-        found = [self._operand()]
+        operands = [self._operand()]
         while self._take(","):
-            found.append(self._operand())
-        wrong = next((item for item in found if item.wrap in {"any", "all"}), None)
+            operands.append(self._operand())
+        wrong = next((item for item in operands if item.wrap in {"any", "all"}), None)
         if wrong is not None:
             raise self._wrong(f"{wrong.wrap}(...) is for comparisons", wrong.at, wrong.end)
         if self._at < len(self._text):
             raise self._wrong("expected a comma or the end")
-        return found
+        return operands
 
     def _wrong(self, why: str, at: int | None = None, end: int | None = None) -> WhereError:
         at = self._at if at is None else at
@@ -185,10 +185,10 @@ class _Parser:
 
     def _take(self, *symbols: str) -> str:
         """Move past one of some symbols, if it is next."""
-        found = next((item for item in symbols if self._text.startswith(item, self._at)), "")
-        self._at += len(found)
+        symbol = next((item for item in symbols if self._text.startswith(item, self._at)), "")
+        self._at += len(symbol)
         self._space()
-        return found
+        return symbol
 
     def _word(self, *words: str) -> str:
         """Move past one of some words, if it is next."""

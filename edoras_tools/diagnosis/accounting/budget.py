@@ -132,7 +132,7 @@ def _budget(route: Route, types: TypeStore, profile: SimProfile, headers: cfe.He
     if fixed is not None:
         named = route.envelope if route.envelope and route.envelope != "auto" else str(DEFAULT)
         network = HEADER.size if route.link.peers else 0
-        size = network + headers.size(route.msg_id) + EnvelopeFormat.named(named).size + fixed
+        size = network + headers.size(route.msg_id) + EnvelopeFormat.of_name(named).size + fixed
     command = headers.msg_ids.is_command(route.msg_id)
     return Budget(route, limit_hz, hop, reason, size, tuple(_traps(route, size, profile, command=command)))
 

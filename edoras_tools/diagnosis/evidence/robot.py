@@ -75,7 +75,7 @@ class SharedFields:
             return found
         column = partial(getattr, columns)
         bare = payloads(structs, column, partial(getattr, batch), batch.data)
-        for held in structs.held(bare.take(bare.key >= UDP_KEY), column, batch.data):
+        for held in structs.payloads_of(bare.take(bare.key >= UDP_KEY), column, batch.data):
             if held.bound.topic in self._shared:
                 told = held.encode()
                 read = structs.types.columns(

@@ -35,7 +35,7 @@ def not_examined(case: Case) -> Iterator[Verdict]:
     for item in unnamed(case.prepared.flows):
         yield Verdict(
             Severity.ERROR,
-            item.told,
+            item.advice,
             hop="capture",
             evidence=("lengths, types and MsgIds in it agree as only that link's do",),
             remedy=item.remedy,

@@ -34,8 +34,8 @@ def available() -> bool:
     number = _NUMBERS.get(platform.machine())
     if number is None or ctypes.sizeof(ctypes.c_void_p) != ctypes.sizeof(ctypes.c_long):
         return False
-    known = _call(_QUERY)
-    return known > 0 and bool(known & _GLOBAL) and not _REAL_TIME.exists()
+    commands = _call(_QUERY)
+    return commands > 0 and bool(commands & _GLOBAL) and not _REAL_TIME.exists()
 
 
 def wait() -> bool:

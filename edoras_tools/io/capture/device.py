@@ -112,7 +112,7 @@ class DeviceSource:
     Args:
         device: is closed by ``close``.
         ready: called once, when ``batches`` starts or its interface is there for the first time.
-        told: called by ``batches`` for every interface that goes away, and again when it is back.
+        on_outage: called by ``batches`` for every interface that goes away, and again when it is back.
         queue_bytes: maximum bytes that wait for a slow consumer.
 
     Attributes:
@@ -131,7 +131,7 @@ class DeviceSource:
         device: Device,
         *,
         ready: Callable[[], None] | None = None,
-        told: Callable[[InterfaceOutage], None] | None = None,
+        on_outage: Callable[[InterfaceOutage], None] | None = None,
         idle_s: float = 0.1,
         queue_bytes: int = 128 << 20,
     ) -> None:
@@ -142,7 +142,7 @@ class DeviceSource:
         self._handed = -math.inf  # not 0: a monotonic clock may begin there
         self._device = device
         self._ready = ready
-        self._told = told
+        self._on_outage = on_outage
         self._news = 0
         self.idle_s = idle_s
         self._queue_bytes = queue_bytes
@@ -204,11 +204,11 @@ class DeviceSource:
     def _gather(self) -> None:
         """Let frames gather after the last batch."""
         while not self._stopping and self._queued - self._taken < _AT_ONCE:
-            left = self._due_s()
-            if left <= 0:
+            wait_s = self._due_s()
+            if wait_s <= 0:
                 return
             with suppress(queue.Empty):
-                self._enough.get(timeout=left)
+                self._enough.get(timeout=wait_s)
 
     def _waiting(self) -> tuple[list[FrameBatch], BaseException | EllipsisType | None]:
         """Take what waits, at most a few MiB: large batches cost less, so a slow consumer can catch up.
@@ -216,23 +216,23 @@ class DeviceSource:
         Returns:
             The frames, and what ended the queue; an ellipsis if it has not ended.
         """
-        taken: list[FrameBatch] = []
+        batches: list[FrameBatch] = []
         size = 0
         idle_s = max(self.idle_s, self.gather_s)
         while size < _AT_ONCE:
             try:
-                item = self._queue.get_nowait() if taken else self._queue.get(timeout=idle_s)
+                item = self._queue.get_nowait() if batches else self._queue.get(timeout=idle_s)
             except queue.Empty:
                 break
             if item is None or isinstance(item, BaseException):
-                return taken, item
-            if not taken:
+                return batches, item
+            if not batches:
                 self._gather()
-            taken.append(item)
+            batches.append(item)
             size += item.data.size
             self._taken += item.data.size
             self._room.set()
-        return taken, ...
+        return batches, ...
 
     def stop(self) -> None:
         """End ``batches`` after what has arrived; for any thread or signal handler, any number of times."""
@@ -273,11 +273,11 @@ class DeviceSource:
         """Report interface outages; each is reported when it begins and when it ends."""
         outages = tuple(self.statistics.outages)
         count = sum(2 if outage.end_ns else 1 for outage in outages[self._news // 2 :])
-        if self._told is None or count == self._news % 2:
+        if self._on_outage is None or count == self._news % 2:
             return
         for number in range(self._news, self._news // 2 * 2 + count):
             outage = outages[number // 2]
-            self._told(outage if number % 2 else replace(outage, end_ns=0))
+            self._on_outage(outage if number % 2 else replace(outage, end_ns=0))
             self._news += 1
 
     def _hand_over(self, frames: FrameBatch) -> PacketBatch:
@@ -313,16 +313,16 @@ class DeviceSource:
                 device.refuse()
                 self._deadline = time.monotonic() + _DRAIN_S
                 poll.unregister(self._wake.fileno())
-            taken = self._queued
+            before = self._queued
             device.count()  # before what is read wakes the consumer
             more = self._drain()
-            if self._queued > taken:
+            if self._queued > before:
                 came = time.monotonic()
             failure = failure or device.failure()
             if self._deadline and (device.drained() or self._late()):
                 break
             if not more and (self._deadline or not failure):
-                few = self._queued - taken < _FEW and device.look_s > self.gather_s
+                few = self._queued - before < _FEW and device.look_s > self.gather_s
                 self._linger(poll, pause, came, few=few)
         if failure:
             raise CaptureError(failure)
@@ -357,8 +357,8 @@ class DeviceSource:
 
         What decodes it then runs right behind: there is one wake-up of each for a batch.
         """
-        left = max(self._due_s(), 0)
-        return left if left > self.gather_s / 2 else left + self.gather_s
+        due_s = max(self._due_s(), 0)
+        return due_s if due_s > self.gather_s / 2 else due_s + self.gather_s
 
     def _drain(self) -> bool:
         """Queue what the device holds; return whether to continue at once, because there may be more."""

@@ -22,7 +22,7 @@ def open_live(
     streams: Iterable[int] = (),
     begins: Sequence[bytes] = (),
     ready: Callable[[], None] | None = None,
-    told: Callable[[InterfaceOutage], None] | None = None,
+    on_outage: Callable[[InterfaceOutage], None] | None = None,
     wait: bool = False,
 ) -> DeviceSource:
     """Start capturing from an interface: through a ring shared with the kernel; without Linux, with scapy.
@@ -33,7 +33,7 @@ def open_live(
         streams: TCP ports to capture; if empty, none.
         begins: see ``port_filter``.
         ready: called once when ``batches`` starts; nothing that arrives after construction is missed.
-        told: see ``DeviceSource``.
+        on_outage: see ``DeviceSource``.
         wait: if the interface does not exist or is down, treat it as one that is away now (ring only).
 
     Raises:
@@ -41,5 +41,5 @@ def open_live(
     """
     if hasattr(socket, "AF_PACKET"):
         ring = Ring(interface, ports, streams=streams, begins=begins, wait=wait)
-        return DeviceSource(ring, ready=ready, told=told)
+        return DeviceSource(ring, ready=ready, on_outage=on_outage)
     return ScapySource(interface, ports, streams=streams, begins=begins, ready=ready)

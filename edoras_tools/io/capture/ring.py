@@ -150,8 +150,8 @@ class Ring(Device):
     ) -> None:
         if not hasattr(socket, "AF_PACKET"):
             raise CaptureError("packet rings are a Linux feature: use the scapy back end on this system")
-        found = _found(interface) if wait else find_interface(interface)
-        if not wait and not found.up:
+        device = _existing_interface(interface) if wait else find_interface(interface)
+        if not wait and not device.up:
             raise CaptureError(
                 f"{interface} is down: switch it on with 'ip link set {interface} up', or --wait-interface"
             )
@@ -173,7 +173,7 @@ class Ring(Device):
         """Turn and count of the open block that the barrier waits for."""
         self._barrier = barrier.Barrier() if walks else None
         try:
-            self._open(found)
+            self._open(device)
         except CaptureError:
             self._end_barrier()
             raise
@@ -270,7 +270,7 @@ class Ring(Device):
             The frames; None if there is nothing new.
         """
         pieces, ended = self._closed()
-        if not pieces and (count := self._begun()):
+        if not pieces and (count := self._first_block()):
             pieces, ended = self._closed()  # it may have been closed meanwhile
             if not pieces:
                 pieces = [self._piece(count)]
@@ -288,7 +288,7 @@ class Ring(Device):
         if not ended:
             last = int(heads[-1])
             self._resume = pieces[0][1] + last + tpacket.behind(data, last)
-        frames = tpacket.frames(data, heads, self._link_type, self._made + 1, told=self._told)
+        frames = tpacket.frames(data, heads, self._link_type, self._made + 1, described=self._told)
         self._read += len(heads)
         self._made += len(frames)
         self._arrived(frames)
@@ -322,21 +322,21 @@ class Ring(Device):
         """Return the unread parts of closed blocks, at most a few MiB, and the numbers of these blocks."""
         pieces: list[_Piece] = []
         ended: list[int] = []
-        taken = 0
+        size = 0
         while len(ended) < len(self._ring):
             header = self._headers[self._next]
             length = int(header[_LENGTH])
-            if not header[_STATUS] & _STATUS_USER or (ended and taken + length > _AT_ONCE):
+            if not header[_STATUS] & _STATUS_USER or (ended and size + length > _AT_ONCE):
                 break
             pieces.append(self._piece(int(header[_COUNT])))
             ended.append(self._next)
-            taken += length
+            size += length
             self._seen = self._resume = 0
             self._next = (self._next + 1) % len(self._ring)
             self._turn += 1
         return pieces, ended
 
-    def _begun(self) -> int:
+    def _first_block(self) -> int:
         """Return how many packets of the open block are complete and may be read now; 0 if none is new."""
         if self._barrier is None:
             return 0
@@ -405,23 +405,23 @@ class Ring(Device):
         Raises:
             CaptureError: it came back as another kind of interface, and no socket may be opened for it.
         """
-        found = _found(self.info.name)
-        if found.index and found.index != self._bound:
-            if _LINK_TYPES.get(found.hardware_type, LINUX_SLL2) != self._link_type:
+        device = _existing_interface(self.info.name)
+        if device.index and device.index != self._bound:
+            if _LINK_TYPES.get(device.hardware_type, LINUX_SLL2) != self._link_type:
                 if not self.drained():
                     return
-                self._reopen(found)
+                self._reopen(device)
             else:
                 with contextlib.suppress(OSError):  # gone again
-                    self._bind(found)
-        there = found.up and found.carrier and found.index == self._bound
+                    self._bind(device)
+        there = device.up and device.carrier and device.index == self._bound
         if there and self._away:
             back_ns = min(self._back_ns or time.time_ns(), time.time_ns())
             self.outages[-1] = replace(self.outages[-1], end_ns=back_ns)
         elif not there and not self._away:
-            self._leave(found)
+            self._leave(device)
         elif there and was_down:  # down and up again between two checks
-            self._leave(replace(found, up=False))
+            self._leave(replace(device, up=False))
             self.outages[-1] = replace(self.outages[-1], end_ns=self.outages[-1].start_ns)
 
     def _leave(self, interface: Interface) -> None:
@@ -472,7 +472,7 @@ def _socket(interface: str, *, cooked: bool) -> socket.socket:
         raise denied(interface) from None
 
 
-def _found(name: str) -> Interface:
+def _existing_interface(name: str) -> Interface:
     """Look up an interface that may be away; if so, it has index 0 and is assumed to be Ethernet.
 
     Raises:

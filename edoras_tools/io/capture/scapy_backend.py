@@ -178,15 +178,15 @@ class ScapySource(DeviceSource):
         batch = super()._hand_over(frames)
         if not len(self._ports):
             return batch
-        wanted = np.isin(batch.source_port, self._ports) | np.isin(batch.destination_port, self._ports)
+        keep = np.isin(batch.source_port, self._ports) | np.isin(batch.destination_port, self._ports)
         for word in self._begins:
-            wanted[beginning(batch, np.arange(len(batch)), word)] = True
-        wanted |= (batch.capture_findings & Finding.FRAGMENT) != 0
+            keep[beginning(batch, np.arange(len(batch)), word)] = True
+        keep |= (batch.capture_findings & Finding.FRAGMENT) != 0
         errors = np.flatnonzero(error_rows(batch))
-        wanted[errors] |= np.isin(quoted_ports(batch, errors), self._ports).any(axis=1)
+        keep[errors] |= np.isin(quoted_ports(batch, errors), self._ports).any(axis=1)
         if batch.streams is not None:
-            wanted |= batch.streams
-        kept = batch.take(wanted)
+            keep |= batch.streams
+        kept = batch.take(keep)
         self.statistics.datagrams += len(kept) - len(batch)
         return kept
 
@@ -195,15 +195,15 @@ def _expression(
     ports: Iterable[int], streams: Iterable[int] = (), begins: Sequence[bytes] = ()
 ) -> str | None:
     """Return the port filter in libpcap's language; in later fragments and tagged frames it sees no ports."""
-    wanted = " or ".join(f"udp port {port}" for port in ports)
+    expression = " or ".join(f"udp port {port}" for port in ports)
     others = [f"tcp port {port}" for port in streams]
     for number in (int.from_bytes(word, "big") for word in begins):
         others += [f"udp[8:4] = {number}", f"(ip6[6] == 17 and ip6[48:4] = {number})"]
-    if not wanted:
+    if not expression:
         return None
     others += ["icmp[0] = 3", "(ip6[6] == 58 and ip6[40] = 1)"]
-    wanted = " or ".join([wanted, *others])
-    return f"{wanted} or (ip[6:2] & 0x1fff != 0) or ip6[6] == 44 or vlan"
+    expression = " or ".join([expression, *others])
+    return f"{expression} or (ip[6:2] & 0x1fff != 0) or ip6[6] == 44 or vlan"
 
 
 def _listen(

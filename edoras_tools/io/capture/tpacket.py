@@ -119,7 +119,7 @@ def behind(data: NDArray[np.uint8], head: int) -> int:
 
 
 def frames(
-    data: NDArray[np.uint8], heads: NDArray[np.int64], link_type: int, number: int, *, told: bool = False
+    data: NDArray[np.uint8], heads: NDArray[np.int64], link_type: int, number: int, *, described: bool = False
 ) -> FrameBatch:
     """Read packets into frames.
 
@@ -128,7 +128,7 @@ def frames(
         heads: offsets of the packets' headers.
         link_type: LINKTYPE of the frames; ``LINUX_SLL2`` for a socket of all interfaces.
         number: number of the first frame.
-        told: whether the kernel describes each packet (``PACKET_VNET_HDR``): one that contains several
+        described: whether the kernel describes each packet (``PACKET_VNET_HDR``): one that contains several
             datagrams is split into them.
 
     Returns:
@@ -144,7 +144,7 @@ def frames(
     time_ns = words[word + 1] * np.int64(1_000_000_000) + words[word + 2]
     link_bytes = halves[half + 13].astype(np.int64) - halves[half + 12]
     added = np.zeros(len(heads), dtype=np.int32)
-    beside = read_at(data, offset - VNET_HEADER.itemsize, VNET_HEADER) if told else None
+    beside = read_at(data, offset - VNET_HEADER.itemsize, VNET_HEADER) if described else None
     if link_type == ETHERNET:
         rows = np.flatnonzero(status & _VLAN_VALID)
         if len(rows):
@@ -153,7 +153,7 @@ def frames(
     elif link_type == LINUX_SLL2:
         _insert_cooked(data, heads, offset + link_bytes, tagged=link_bytes > _ETHERNET_LENGTH)
         added = (_SLL2_LENGTH - link_bytes).astype(np.int32)
-    found = FrameBatch(
+    batch = FrameBatch(
         data=data,
         number=np.arange(number, number + len(heads), dtype=np.int64),
         time_ns=time_ns,
@@ -163,8 +163,8 @@ def frames(
         original_length=original + added,
     )
     if beside is None or not (many := beside["gso_type"] == _UDP_SEGMENTS).any():
-        return found
-    return cut(found, beside["gso_size"] * many, beside["csum_start"] - link_bytes)
+        return batch
+    return cut(batch, beside["gso_size"] * many, beside["csum_start"] - link_bytes)
 
 
 def _insert_tags(

@@ -24,8 +24,8 @@ def arrow_schema(head: TableHead, columns: Sequence[TableColumn]) -> Any:
         pa.field(column.name, _array(column).type, metadata={"unit": column.unit} if column.unit else None)
         for column in columns
     ]
-    told = {"edoras.topic": head.topic, "edoras.type": head.type, **head.metadata}
-    return pa.schema(fields, {name: text.encode() for name, text in told.items()})
+    metadata = {"edoras.topic": head.topic, "edoras.type": head.type, **head.metadata}
+    return pa.schema(fields, {name: text.encode() for name, text in metadata.items()})
 
 
 def arrow_batch(columns: Sequence[TableColumn], schema: Any = None) -> Any:
@@ -41,28 +41,28 @@ def arrow_table(batches: Sequence[Any]) -> Any:
 
 def _array(column: TableColumn) -> Any:
     values, offsets = column.spread()
-    there = None if column.there is None else _bits(column.there)
+    valid = None if column.present is None else _bits(column.present)
     if offsets is None:
-        return _flat(values, there)
+        return _flat(values, valid)
     child = _flat(values, None)
-    buffers = [there, pa.py_buffer(offsets.astype(np.int32))]
+    buffers = [valid, pa.py_buffer(offsets.astype(np.int32))]
     return pa.Array.from_buffers(pa.list_(child.type), len(column), buffers, children=[child])
 
 
-def _flat(values: NDArray[Any], there: Any) -> Any:
+def _flat(values: NDArray[Any], valid: Any) -> Any:
     """Return one value a row. ``pa.array`` would import pandas, where it is installed: half a second."""
     kind = values.dtype.kind
     if kind == "O":
         texts = list(map(str.encode, values.tolist()))
         offsets = np.zeros(len(texts) + 1, np.int32)
         np.cumsum(np.fromiter(map(len, texts), np.int32, len(texts)), out=offsets[1:])
-        buffers = [there, pa.py_buffer(offsets), pa.py_buffer(b"".join(texts))]
+        buffers = [valid, pa.py_buffer(offsets), pa.py_buffer(b"".join(texts))]
         return pa.Array.from_buffers(pa.string(), len(texts), buffers)
     if kind == "b":
-        return pa.Array.from_buffers(pa.bool_(), len(values), [there, _bits(values)])
-    said = pa.timestamp("ns", "UTC") if kind == "M" else pa.from_numpy_dtype(values.dtype)
+        return pa.Array.from_buffers(pa.bool_(), len(values), [valid, _bits(values)])
+    data_type = pa.timestamp("ns", "UTC") if kind == "M" else pa.from_numpy_dtype(values.dtype)
     data = np.ascontiguousarray(values).view(np.int64) if kind == "M" else np.ascontiguousarray(values)
-    return pa.Array.from_buffers(said, len(values), [there, pa.py_buffer(data)])
+    return pa.Array.from_buffers(data_type, len(values), [valid, pa.py_buffer(data)])
 
 
 def _bits(values: NDArray[np.bool_]) -> Any:

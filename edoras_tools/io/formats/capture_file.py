@@ -131,6 +131,6 @@ class CaptureFileSink:
                 self.output.close()
             raise self._error("cannot be written", error) from error
 
-    def _error(self, what: str, error: Exception) -> CaptureError:
+    def _error(self, failure: str, error: Exception) -> CaptureError:
         reason = getattr(error, "strerror", None) or str(error)
-        return CaptureError(f"{self.name}: {what}: {reason}; name another file with -o or make room")
+        return CaptureError(f"{self.name}: {failure}: {reason}; name another file with -o or make room")

@@ -27,13 +27,13 @@ class TableColumn:
         name: unique in its table.
         values: one element per row: numbers, bool, ``datetime64[ns]`` (UTC), or ``object`` for texts; of
             shape (rows, elements) or ``Ragged`` if a row contains a list.
-        there: bool, the rows that have a value; None for all.
+        present: bool, the rows that have a value; None for all.
         unit: of the numbers, e.g. ``ns``; empty if unknown.
     """
 
     name: str
     values: NDArray[Any] | Ragged
-    there: NDArray[np.bool_] | None = None
+    present: NDArray[np.bool_] | None = None
     unit: str = ""
 
     def __len__(self) -> int:

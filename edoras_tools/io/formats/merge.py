@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 def recorded_faults(source: Source) -> list[Fault]:
     """Return the faults that a proxy or a replay injected, if the source is a recording that has them."""
-    told: Callable[[], list[Fault]] | None = getattr(source, "faults", None)
-    return told() if told else []
+    faults: Callable[[], list[Fault]] | None = getattr(source, "faults", None)
+    return faults() if faults else []
 
 
 def recorded_host(source: Source) -> list[HostCounters]:
     """Return what the kernel of the recording host counted, if the source is a recording that has it."""
-    told: Callable[[], list[HostCounters]] | None = getattr(source, "host", None)
-    return told() if told else []
+    host: Callable[[], list[HostCounters]] | None = getattr(source, "host", None)
+    return host() if host else []
 
 
 def follow_streams(source: Source, framings: Mapping[int, Framing]) -> None:
@@ -107,8 +107,8 @@ class MergedSource:
 
     def host(self) -> list[HostCounters]:
         """Return the kernel's counters of the host of all recordings, if they are of one."""
-        told = [item for source in self._sources if (item := recorded_host(source))]
-        return told[0] if len(told) == 1 else []
+        counters = [item for source in self._sources if (item := recorded_host(source))]
+        return counters[0] if len(counters) == 1 else []
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams in order of time; see ``Source.batches``.

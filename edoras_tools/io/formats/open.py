@@ -109,22 +109,22 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
             stream = CompressedStream(stream, kind, head)
             head = _head(stream)
             break
-    there = stream.total_bytes and not wrapped and str(path) != "-"  # as a file of that name
+    whole_file = stream.total_bytes and not wrapped and str(path) != "-"  # as a file of that name
     if not head:
-        what = f"contains only an empty {wrapped} stream" if wrapped else "is empty"
-        raise CaptureError(f"{stream.name}: {what}; a capture has at least a header")
+        problem = f"contains only an empty {wrapped} stream" if wrapped else "is empty"
+        raise CaptureError(f"{stream.name}: {problem}; a capture has at least a header")
     if head[:4] in MAGICS:
         return PcapSource(Window(stream, head))
     if head.startswith(_SECTION_HEADER):
         source: Source = PCAPNG.source()(Window(stream, head))
         return source
     if head.startswith(CFE_MAGIC):
-        stored: Source = CFE.source()(Window(stream, head))
-        return stored
+        cfe_source: Source = CFE.source()(Window(stream, head))
+        return cfe_source
     if head.startswith(_MCAP):
-        return _mcap(stream, path, b"" if there else head)
+        return _mcap(stream, path, b"" if whole_file else head)
     if head.startswith(_DATABASE):
-        raise _database(stream, path, b"" if there else head)
+        raise _database(stream, path, b"" if whole_file else head)
     for item in installed_formats():
         if item.magic and head.startswith(item.magic):
             of_package: Source = item.source()(Window(stream, head))
@@ -206,9 +206,9 @@ def _looks_like(head: bytes, wrapped: str) -> str:
     can = f"{READABLE} can be read"
     if head[:4] in _MODIFIED_PCAP:
         return f"a modified pcap (magic {head[:4].hex()}), whose records differ from file to file; {_CONVERT}"
-    for magic, what in _OTHERS:
+    for magic, likely in _OTHERS:
         if head.startswith(magic):
-            return f"{inside}{what}; {can}; {_CONVERT}"
+            return f"{inside}{likely}; {can}; {_CONVERT}"
     if len(head) < 4:
         return f"ends after {len(head)} bytes, before its format can be recognised; {can}"
     for magic, kind in _COMPRESSED.items():

@@ -120,11 +120,11 @@ class RecordSource(ABC):
                 f"{name}: {self._demux.incomplete} fragmented datagrams lack fragments in the capture"
             )
 
-    def _error(self, at: int, what: str) -> CaptureError:
-        """Return the error for the record at ``at``; ``{}`` in ``what`` becomes its number and position."""
+    def _error(self, at: int, problem: str) -> CaptureError:
+        """Return the error for the record at ``at``; ``{}`` in ``problem`` is its number and place."""
         frames = self.statistics.frames
         place = f"{frames + 1} at byte {self._window.base + at}"
         read = (
             "no packet was read" if not frames else f"{frames} packet{'s' * (frames > 1)} before it were read"
         )
-        return CaptureError(f"{self._window.stream.name}: {what.format(place)}; {read}")
+        return CaptureError(f"{self._window.stream.name}: {problem.format(place)}; {read}")

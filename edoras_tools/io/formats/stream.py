@@ -197,8 +197,8 @@ class CompressedStream:
 
         return zstandard.ZstdDecompressor().decompressobj()
 
-    def _fail(self, what: str) -> None:
-        self._failure = CaptureError(f"{self.name}: the {self._kind} data {what}")
+    def _fail(self, problem: str) -> None:
+        self._failure = CaptureError(f"{self.name}: the {self._kind} data {problem}")
 
 
 def _errors() -> tuple[type[Exception], ...]:
@@ -242,15 +242,15 @@ class Window:
         Raises:
             CaptureError: the stream cannot be read further.
         """
-        kept = self.end - start
-        data = self.room(kept + self._size + PADDING)
-        count = self.stream.fill(memoryview(data.data)[kept : kept + self._size])
+        rest = self.end - start
+        data = self.room(rest + self._size + PADDING)
+        count = self.stream.fill(memoryview(data.data)[rest : rest + self._size])
         if not count:
             return False
-        data[:kept] = self.data[start : self.end]
-        data[kept + count : kept + count + PADDING] = 0
+        data[:rest] = self.data[start : self.end]
+        data[rest + count : rest + count + PADDING] = 0
         self.base += start
-        self.data, self.end = data[: kept + count + PADDING], kept + count
+        self.data, self.end = data[: rest + count + PADDING], rest + count
         self._size = min(SLICE, max(_SECOND_WINDOW, 2 * self._size))
         return True
 

@@ -100,13 +100,13 @@ def installed_formats() -> list[Format]:
     Raises:
         ConfigError: one cannot be loaded, or is no ``Format``.
     """
-    found = []
+    formats = []
     for item in doors.installed("formats"):
         loaded = item.load()
         if not isinstance(loaded, Format) or len(loaded.magic) > LONGEST_MAGIC:
             raise item.error(f"{item.place} is not an object of Format, with at most 8 bytes of magic")
-        found.append(loaded)
-    return found
+        formats.append(loaded)
+    return formats
 
 
 def _listed(names: list[str], last: str) -> str:

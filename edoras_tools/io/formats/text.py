@@ -39,9 +39,9 @@ def json_texts(column: TableColumn) -> list[str]:
     texts = value_texts(values)
     if offsets is not None:
         texts = [f"[{','.join(texts[first:last])}]" for first, last in pairwise(offsets.tolist())]
-    if column.there is None:
+    if column.present is None:
         return texts
-    return [text if there else "null" for text, there in zip(texts, column.there.tolist(), strict=True)]
+    return [text if present else "null" for text, present in zip(texts, column.present.tolist(), strict=True)]
 
 
 def json_value(value: Any, octets: Callable[[bytes], Any] = list) -> Any:
@@ -156,9 +156,9 @@ def _cells(column: TableColumn) -> list[str]:
         texts = time_texts(values)
     else:
         texts = json_texts(column) if kind == "b" else number_texts(values)
-    if column.there is None:
+    if column.present is None:
         return texts
-    return [text if there else "" for text, there in zip(texts, column.there.tolist(), strict=True)]
+    return [text if present else "" for text, present in zip(texts, column.present.tolist(), strict=True)]
 
 
 def _quoted(texts: Sequence[str]) -> list[str]:

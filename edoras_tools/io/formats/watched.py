@@ -46,22 +46,22 @@ class OutputLoss:
         path: its original path.
         fate: what happened to it, e.g. ``was deleted``.
         datagrams: number of datagrams in it.
-        kept: whether it is complete at another place.
+        recoverable: whether it is complete at another place.
         complete: whether it was already complete when it happened.
     """
 
     path: Path
     fate: str
     datagrams: int
-    kept: bool
+    recoverable: bool
     complete: bool = False
 
     def __str__(self) -> str:
         if self.complete:
-            held = plural(self.datagrams, "datagram")
-            return f"{self.path} {self.fate} when it was complete: it held {held}"
-        what = "are there" if self.kept else "are lost"
-        return f"{self.path} {self.fate} while it was written: {self.datagrams:,} datagrams {what}"
+            content = plural(self.datagrams, "datagram")
+            return f"{self.path} {self.fate} when it was complete: it held {content}"
+        result = "are there" if self.recoverable else "are lost"
+        return f"{self.path} {self.fate} while it was written: {self.datagrams:,} datagrams {result}"
 
 
 class FileSink(Sink, Protocol):
@@ -116,7 +116,7 @@ class WatchedSink:
 
     Args:
         begin: opens a sink at a path.
-        told: called with a line for each file that was lost.
+        on_warning: called with a line for each file that was lost.
         statistics: of the source, for files that are completed before the end.
         clock: monotonic time in s.
         sync_s: interval at which everything is synced to the disk; 0: never.
@@ -134,7 +134,7 @@ class WatchedSink:
         self,
         path: Path,
         begin: Callable[[Path], FileSink],
-        told: Callable[[str], None],
+        on_warning: Callable[[str], None],
         statistics: SourceStatistics,
         *,
         clock: Callable[[], float] = time.monotonic,
@@ -143,7 +143,7 @@ class WatchedSink:
     ) -> None:
         self.losses: list[OutputLoss] = []
         self.keep = keep or Keep()
-        self._path, self._begin, self._told = path, begin, told
+        self._path, self._begin, self._on_warning = path, begin, on_warning
         self._statistics = statistics
         self._clock = clock
         self._looked = self._synced = clock()
@@ -203,7 +203,7 @@ class WatchedSink:
             return
         sink.close(statistics)
         if sink.output and sink.output.spares and sink.output.older:
-            self._told(f"{sink.output.older} is as it was; the new recording is {sink.output.path}")
+            self._on_warning(f"{sink.output.older} is as it was; the new recording is {sink.output.path}")
         self._check_complete(sink)
         if self._sync_s:
             if self._disk:
@@ -244,12 +244,12 @@ class WatchedSink:
         keep, sink = self.keep, self._open()
         if not (keep.files or keep.size):
             return
-        there = [*self._complete, *sink.complete]
-        size = sum(output.size for output, _ in there) + (sink.output.size if sink.output else 0)
-        for output, count in there:
-            if not ((keep.files and len(there) >= keep.files) or (keep.size and size > keep.size)):
+        outputs = [*self._complete, *sink.complete]
+        size = sum(output.size for output, _ in outputs) + (sink.output.size if sink.output else 0)
+        for output, count in outputs:
+            if not ((keep.files and len(outputs) >= keep.files) or (keep.size and size > keep.size)):
                 return
-            there, size = there[1:], size - output.size
+            outputs, size = outputs[1:], size - output.size
             sink.forget(output)
             self._complete = [item for item in self._complete if item[0] is not output]
             self._over = [path for path in self._over if path != output.path]
@@ -300,14 +300,14 @@ class WatchedSink:
             with os_errors(f"{path.parent}: cannot be made"):
                 path.parent.mkdir(parents=True, exist_ok=True)
             self._sink = self._begin(path)
-            self._told(f"{self.losses[-1]}; continuing in {self._sink.paths[-1]}")
+            self._on_warning(f"{self.losses[-1]}; continuing in {self._sink.paths[-1]}")
 
     def _check_complete(self, sink: FileSink | None) -> None:
         """Check the files that are complete."""
         self._over, self._sink = self.paths, None
         for output, count in [*self._complete, *(sink.complete if sink else ())]:
             if fate := output.fate():
-                self.losses.append(OutputLoss(output.path, fate, count, kept=False, complete=True))
+                self.losses.append(OutputLoss(output.path, fate, count, recoverable=False, complete=True))
                 self._over = [path for path in self._over if path != output.path and path.exists()]
 
     def _let_go(self, statistics: SourceStatistics) -> bool:
@@ -318,15 +318,15 @@ class WatchedSink:
             return False
         self._sink = None
         path, count = sink.output.path, sink.datagrams
-        kept = fate != "was truncated" and sink.output.linked
+        recoverable = fate != "was truncated" and sink.output.linked
         self._over += [other for other in sink.paths if other not in {path, path.parent}]
         self._complete += sink.complete
-        if kept:
+        if recoverable:
             try:
                 sink.close(statistics)
             except CaptureError:
-                kept = False
+                recoverable = False
         with suppress(CaptureError):
             sink.abandon()
-        self.losses.append(OutputLoss(path, fate, count, kept))
+        self.losses.append(OutputLoss(path, fate, count, recoverable))
         return True

@@ -70,14 +70,14 @@ class _Piece:
     Attributes:
         ends: i64, end of each message in them; None for an answer.
         sizes: i64, bytes of the first 0, 1, 2, ... messages without their heads.
-        taken: bytes taken by the socket.
+        bytes_sent: bytes taken by the socket.
         sent: messages taken completely.
     """
 
     data: memoryview
     ends: NDArray[np.int64] | None = None
     sizes: NDArray[np.int64] | None = None
-    taken: int = 0
+    bytes_sent: int = 0
     sent: int = 0
 
 
@@ -101,7 +101,7 @@ class FoxgloveClient:
     def __init__(self, address: Endpoint, *, publishes: bool, controls: bool) -> None:
         self.address, self._publishes, self._controls = address, publishes, controls
         self._websocket = ServerProtocol(
-            select_subprotocol=_chosen,
+            select_subprotocol=_choose_subprotocol,
             max_size=_MOST_RECEIVED,
             logger=_SILENT,
         )
@@ -142,8 +142,8 @@ class FoxgloveClient:
         wrong = self._websocket.handshake_exc
         if wrong is not None and data and not self._answered:
             self._answered = True
-            told = "it speaks TLS; use http:// or ws://" if data[0] == _TLS_HANDSHAKE else str(wrong)
-            events.append(protocol.RequestRefused(told))
+            reason = "it speaks TLS; use http:// or ws://" if data[0] == _TLS_HANDSHAKE else str(wrong)
+            events.append(protocol.RequestRefused(reason))
         self._collect()
         return events
 
@@ -191,14 +191,14 @@ class FoxgloveClient:
         if not len(rows) or not self.connected:
             return
         length = records.end[rows] - records.start[rows]
-        kept = self._fitting(length)
-        self.dropped += len(rows) - kept
-        if kept:
-            rows, length = rows[-kept:], length[-kept:]
+        count = self._fitting(length)
+        self.dropped += len(rows) - count
+        if count:
+            rows, length = rows[-count:], length[-count:]
             frames, ends = protocol.message_frames(records, rows, subscription[rows])
             sizes = np.concatenate([[0], np.cumsum(length)])
             self._queue.append(_Piece(frames.data, ends, sizes))
-            self._waiting += kept
+            self._waiting += count
             self._waiting_bytes += int(sizes[-1])
 
     def tell(self, answer: dict[str, Any] | bytes) -> None:
@@ -217,7 +217,7 @@ class FoxgloveClient:
                 self._append(_Piece(_clock_frame(max(time_ns - SECOND, 0))))
             self._clock_ns = time_ns
             data = _clock_frame(time_ns)
-            if self._clock is not None and not self._clock.taken:
+            if self._clock is not None and not self._clock.bytes_sent:
                 self._clock.data = data
             else:
                 self._clock = _Piece(data)
@@ -233,25 +233,25 @@ class FoxgloveClient:
             self._told = {item for item in self._told if item[0] != channel.number}
 
     def to_send(self) -> list[memoryview]:
-        """Return the pieces for the socket; call ``taken`` afterwards."""
-        return [piece.data[piece.taken :] for piece in islice(self._queue, _PIECES)]
+        """Return the pieces for the socket; call ``advance`` afterwards."""
+        return [piece.data[piece.bytes_sent :] for piece in islice(self._queue, _PIECES)]
 
-    def taken(self, count: int) -> None:
+    def advance(self, count: int) -> None:
         """Note that a socket took this many bytes of ``to_send``."""
         while count:
             piece = self._queue[0]
-            step = min(count, len(piece.data) - piece.taken)
-            piece.taken += step
+            step = min(count, len(piece.data) - piece.bytes_sent)
+            piece.bytes_sent += step
             count -= step
             if piece.ends is not None and piece.sizes is not None:
-                sent = int(np.searchsorted(piece.ends, piece.taken, side="right"))
+                sent = int(np.searchsorted(piece.ends, piece.bytes_sent, side="right"))
                 size = int(piece.sizes[sent] - piece.sizes[piece.sent])
                 self._sent += sent - piece.sent
                 self._waiting -= sent - piece.sent
                 self._sent_bytes += size
                 self._waiting_bytes -= size
                 piece.sent = sent
-            if piece.taken == len(piece.data):
+            if piece.bytes_sent == len(piece.data):
                 self._queue.popleft()
                 self._answers -= piece.ends is None
                 if piece is self._clock:
@@ -362,7 +362,7 @@ class FoxgloveClient:
         self.failed |= self._answers > MOST_ANSWERS
 
 
-def _chosen(_: ServerProtocol, offered: Sequence[Subprotocol]) -> Subprotocol:
+def _choose_subprotocol(_: ServerProtocol, offered: Sequence[Subprotocol]) -> Subprotocol:
     """Return the first subprotocol that a client offers and that is supported."""
     for name in offered:
         if name in protocol.SUBPROTOCOLS:

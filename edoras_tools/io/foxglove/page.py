@@ -59,9 +59,9 @@ def _page() -> tuple[str, str]:
     text = files("edoras_tools.io.foxglove").joinpath("page.html").read_text("utf-8")
     hashes = []
     for name in ("style", "script"):
-        found = re.search(_BLOCK.format(name), text, re.DOTALL)
-        assert found is not None, "the page has both"
-        hashes.append(b64encode(sha256(found[1].encode()).digest()).decode())
+        match = re.search(_BLOCK.format(name), text, re.DOTALL)
+        assert match is not None, "the page has both"
+        hashes.append(b64encode(sha256(match[1].encode()).digest()).decode())
     style, script = hashes
     allowed = f"style-src 'sha256-{style}'; script-src 'sha256-{script}'; connect-src 'self'; img-src data:"
     return text, f"default-src 'none'; {allowed}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"

@@ -76,7 +76,7 @@ class Channel(NamedTuple):
 class Subscribe(NamedTuple):
     """Subscribe to topics: number of the subscription, index of the topic."""
 
-    wanted: Sequence[tuple[int, int]]
+    subscriptions: Sequence[tuple[int, int]]
 
 
 class Unsubscribe(NamedTuple):
@@ -157,14 +157,14 @@ def read_request(message: bytes, *, text: bool) -> Request:
         raise WireError(f"not understood: {type(error).__name__} {error}") from None
 
 
-def _read_text(said: dict[str, Any]) -> Request:
-    match said["op"]:
+def _read_text(fields: dict[str, Any]) -> Request:
+    match fields["op"]:
         case "subscribe":
             return Subscribe(
-                [(_number(item["id"]), _number(item["channelId"])) for item in said["subscriptions"]]
+                [(_number(item["id"]), _number(item["channelId"])) for item in fields["subscriptions"]]
             )
         case "unsubscribe":
-            return Unsubscribe([_number(item) for item in said["subscriptionIds"]])
+            return Unsubscribe([_number(item) for item in fields["subscriptionIds"]])
         case "advertise":
             return Advertise(
                 [
@@ -172,11 +172,11 @@ def _read_text(said: dict[str, Any]) -> Request:
                         _number(item["id"]),
                         *(_text(item[key]) for key in ("topic", "schemaName", "encoding")),
                     )
-                    for item in said["channels"]
+                    for item in fields["channels"]
                 ]
             )
         case "unadvertise":
-            return Unadvertise([_number(item) for item in said["channelIds"]])
+            return Unadvertise([_number(item) for item in fields["channelIds"]])
         case other:
             raise WireError(f"this server does not support {_text(other)}")
 

@@ -103,9 +103,9 @@ class Publisher:
         """Return why a client may not publish a topic with this type and encoding; empty if it may."""
         if topic not in self._topics:
             return self._unknown(topic)
-        wanted = self._topics[topic][0]
-        if full_name(type_name) != full_name(wanted):
-            return f"{topic} has type {wanted}, not {type_name or 'a type without name'}"
+        expected = self._topics[topic][0]
+        if full_name(type_name) != full_name(expected):
+            return f"{topic} has type {expected}, not {type_name or 'a type without name'}"
         if encoding not in MESSAGE_ENCODINGS:
             return f"{topic}: {encoding} is not understood; publish {' or '.join(MESSAGE_ENCODINGS)}"
         return ""
@@ -115,9 +115,9 @@ class Publisher:
         why = self.refusal(topic, type_name, encoding)
         if why:
             return why
-        wanted, send = self._topics[topic]
+        expected, send = self._topics[topic]
         try:
-            return send(self._cdr(wanted, encoding, data)) or ""
+            return send(self._cdr(expected, encoding, data)) or ""
         except EdorasError as error:
             return f"{topic}: {error}"
 

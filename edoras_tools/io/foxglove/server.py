@@ -99,7 +99,7 @@ class _Connection:
         pieces = self.client.to_send()
         if pieces:
             with suppress(BlockingIOError):
-                self.client.taken(self.socket.sendmsg(pieces))
+                self.client.advance(self.socket.sendmsg(pieces))
         return bool(self.client.to_send())
 
 
@@ -143,7 +143,7 @@ class FoxgloveServer:
         self._open: tuple[_Connection, ...] = ()
         self._departed: deque[dict[str, Any]] = deque()
         self._before: Counter[str] = Counter()
-        self._told: set[str] = set()
+        self._warnings: set[str] = set()
         self._closing = self._woken = False
         self._listener = _listen(options.listen)
         self.endpoint = Endpoint(*self._listener.getsockname()[:2])
@@ -197,7 +197,7 @@ class FoxgloveServer:
         self._wake()
         return place
 
-    def wanted(self, place: int) -> bool:
+    def has_subscribers(self, place: int) -> bool:
         """Return whether any client has subscribed to a topic."""
         return any(client.wants(place) for client in self.clients)
 
@@ -219,8 +219,8 @@ class FoxgloveServer:
 
     def tell_state(self, state: PlaybackState) -> None:
         """Send the state of playback to clients; each also gets it when it connects."""
-        told = protocol.playback_state(state)
-        self._each(lambda client: client.tell(told) if client.plays else None)
+        text = protocol.playback_state(state)
+        self._each(lambda client: client.tell(text) if client.plays else None)
 
     def summary(self) -> dict[str, Any]:
         """Return counts, one row for each client: those that left most recently, then the connected ones."""
@@ -345,36 +345,40 @@ class FoxgloveServer:
                 with self._lock:
                     for other in self.clients:
                         if other.plays:
-                            told = protocol.playback_state(state, request_id if other is client else "")
-                            other.tell(told)
+                            text = protocol.playback_state(state, request_id if other is client else "")
+                            other.tell(text)
             case protocol.RequestRefused(why):
                 self._tell(f"a client at {client.address.address} was refused: {_readable(why)}")
             case protocol.Opening():
                 self._admit(connection, event)
 
-    def _admit(self, connection: _Connection, asked: protocol.Opening) -> None:
-        origin, token, host, path = asked
+    def _admit(self, connection: _Connection, opening: protocol.Opening) -> None:
+        origin, token, host, path = opening
         options, client, player = self._options, connection.client, self._options.player
         state = [] if player is None else [protocol.playback_state(player.state)]
-        here, told = f"a client at {client.address.address} was refused", ""
+        refusal, warning = f"a client at {client.address.address} was refused", ""
         with self._lock:
             if origin is not None and not options.origins.admits(origin):
                 client.refuse(403, "Pages of this origin may not connect; --allow-origin allows them.")
-                shown = _readable(origin, "!")[:100]
-                told = f"a web page of {shown} was refused as a client; --allow-origin {shown} allows it"
+                address = _readable(origin, "!")[:100]
+                warning = (
+                    f"a web page of {address} was refused as a client; --allow-origin {address} allows it"
+                )
             elif options.token and not _same(token, options.token):
                 client.refuse(401, "A token is required: connect to this address with ?token=... at its end.")
                 wrong = "wrong" if token else "missing"
-                told = f"{here}: its token is {wrong}; give ?token=... in the address"
+                warning = f"{refusal}: its token is {wrong}; give ?token=... in the address"
             elif path and not options.origins.admits_host(host):
                 client.refuse(403, "Open this page by the server's address; --allow-origin allows this name.")
                 name = _readable(host, "!")[:100]
-                told = f"a page of http://{name} was refused; --allow-origin http://{name} allows that name"
+                warning = (
+                    f"a page of http://{name} was refused; --allow-origin http://{name} allows that name"
+                )
             elif path:
                 client.serve(page.answer(path, self._page_state))
             elif len(self._open) >= MOST_CLIENTS:
                 client.refuse(503, f"{MOST_CLIENTS} clients are connected, which is the maximum.")
-                told = f"{here}: {MOST_CLIENTS} clients are connected, which is the maximum"
+                warning = f"{refusal}: {MOST_CLIENTS} clients are connected, which is the maximum"
             else:
                 info = protocol.server_info(
                     self._name,
@@ -386,8 +390,8 @@ class FoxgloveServer:
                 client.accept(len(self._channels), answers)
                 self._open = (*self._open, connection)
                 connection.until = math.inf
-        if told:
-            self._tell(told)
+        if warning:
+            self._tell(warning)
 
     def _page_state(self) -> dict[str, Any]:
         """Return what the page shows."""
@@ -417,11 +421,11 @@ class FoxgloveServer:
             ],
         }
 
-    def _tell(self, told: str) -> None:
+    def _tell(self, warning: str) -> None:
         tell = self._options.origins.tell
-        if tell is not None and told not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(told)
-            tell(told)
+        if tell is not None and warning not in self._warnings and len(self._warnings) < _MOST_TOLD:
+            self._warnings.add(warning)
+            tell(warning)
 
     def _send(self, connection: _Connection, now: float) -> bool:
         """Send what a socket takes; return whether to keep the connection."""
@@ -435,9 +439,9 @@ class FoxgloveServer:
             return False
         if client.ending:
             connection.until = min(connection.until, now + _GOODBYE_S)
-        wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if remains else 0)
-        if self._selector.get_key(opened).events != wanted:
-            self._selector.modify(opened, wanted, connection)
+        events = selectors.EVENT_READ | (selectors.EVENT_WRITE if remains else 0)
+        if self._selector.get_key(opened).events != events:
+            self._selector.modify(opened, events, connection)
         return connection.until > now and not client.failed
 
     def _remove(self, connection: _Connection) -> None:
@@ -472,9 +476,9 @@ def _readable(text: str, first: str = " ") -> str:
     return re.sub(rf"[^{first}-~]", "?", text)[:_MOST_TEXT]
 
 
-def _same(given: str, token: str) -> bool:
+def _same(offered: str, token: str) -> bool:
     """Compare tokens in constant time, so that the time does not show how much is correct."""
-    return hmac.compare_digest(given.encode(errors="surrogatepass"), token.encode(errors="surrogatepass"))
+    return hmac.compare_digest(offered.encode(errors="surrogatepass"), token.encode(errors="surrogatepass"))
 
 
 def _listen(endpoint: Endpoint) -> socket.socket:

@@ -121,9 +121,9 @@ class Diagnostics:
     def _status(self, link: int, msg_id: int, counts: NDArray[np.int64]) -> dict[str, Any]:
         label = table.link(link).label
         bits = np.flatnonzero(counts[:_BITS]).tolist()
-        found = {Finding(1 << bit): int(counts[bit]) for bit in bits}
-        level = max((self._levels.get(finding, WARN) for finding in found), default=OK)
-        worst = [item.labels[0] for item in found if self._levels.get(item, WARN) == level]
+        findings = {Finding(1 << bit): int(counts[bit]) for bit in bits}
+        level = max((self._levels.get(finding, WARN) for finding in findings), default=OK)
+        worst = [item.labels[0] for item in findings if self._levels.get(item, WARN) == level]
         topic = self._topics.get((table.link(link), msg_id), "")
         name = f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else "no MsgId"
         return {
@@ -136,7 +136,7 @@ class Diagnostics:
                 for key, value in {
                     "msg_id": name,
                     "datagrams": int(counts[_BITS]),
-                    **{item.labels[0]: count for item, count in found.items()},
+                    **{item.labels[0]: count for item, count in findings.items()},
                 }.items()
             ],
         }
@@ -196,10 +196,10 @@ class LinkState:
             events: its messages on ``/edoras/events``: of cFE, of its reset log, of F Prime.
             statuses: the latest of ``/diagnostics``, by name.
         """
-        told = self._told(events, len(batch)) if any(map(len, events)) else []
+        events_now = self._log_entries(events, len(batch)) if any(map(len, events)) else []
         with self._lock:
             self._heard, self._time_ns = time.monotonic(), int(batch.time_ns[-1])
-            self._events.extendleft(told)
+            self._events.extendleft(events_now)
             if len(counts):
                 self._count(counts, statuses)
 
@@ -232,15 +232,15 @@ class LinkState:
             "events": events,
         }
 
-    def _told(self, events: Sequence[Messages], rows: int) -> list[dict[str, Any]]:
+    def _log_entries(self, events: Sequence[Messages], rows: int) -> list[dict[str, Any]]:
         records = lay_out(events, rows)
-        told = []
+        entries = []
         for place in range(max(len(records) - _MOST_EVENTS, 0), len(records)):
             cdr = bytes(records.data[records.start[place] : records.end[place]])
             event = self._types.decode(_LOG, cdr)
-            named = {"level": event["level"], "app": event["name"], "text": event["msg"]}
-            told.append({"time_ns": int(records.log_time[place]), **named})
-        return told
+            texts = {"level": event["level"], "app": event["name"], "text": event["msg"]}
+            entries.append({"time_ns": int(records.log_time[place]), **texts})
+        return entries
 
     def _count(self, counts: Messages, statuses: Mapping[str, Mapping[str, Any]]) -> None:
         for place, head in enumerate(counts.heads(slice(0, len(counts)))):
@@ -320,7 +320,9 @@ class RecordedSink(ServedSink):
         """Send a batch to clients."""
         if len(batch) and self.server.clients:
             prepared = self._streams.prepare(batch, columns)
-            self.server.publish(lay_out(self._streams.made(batch, columns, prepared), len(batch)))
+            self.server.publish(
+                lay_out(self._streams.prepared_messages(batch, columns, prepared), len(batch))
+            )
             self.show_time(int(batch.time_ns[-1]))
 
 
@@ -394,8 +396,8 @@ class FoxgloveSink(ServedSink):
         streams = self._streams.messages(
             batch,
             columns,
-            datagrams=self.server.wanted(0),
-            transforms=self.server.wanted(self._places[TRANSFORMS.name]),
+            datagrams=self.server.has_subscribers(0),
+            transforms=self.server.has_subscribers(self._places[TRANSFORMS.name]),
         )
         own: dict[int, list[Messages]] = {}
         for item in streams:

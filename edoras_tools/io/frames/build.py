@@ -142,9 +142,9 @@ class FramePage:
             number: number of the first frame.
             rows: which datagrams, in this order; None for all.
         """
-        chosen = slice(0, self.rows) if rows is None else rows
-        data, ends = self._data[: self.used + PADDING], self._ends[chosen].view(ENDS)
-        offset, length = self._offset[chosen], self._length[chosen]
+        selection = slice(0, self.rows) if rows is None else rows
+        data, ends = self._data[: self.used + PADDING], self._ends[selection].view(ENDS)
+        offset, length = self._offset[selection], self._length[selection]
         for version, of in by_value(ends["version"]):
             one = len(of) == len(offset)
             _write_headers(
@@ -154,7 +154,7 @@ class FramePage:
         columns = (
             data,
             np.arange(number, number + len(offset), dtype=np.int64),
-            self.time_ns[chosen],
+            self.time_ns[selection],
             np.full(len(offset), LINKTYPE_RAW, np.uint16),
             offset,
             whole,
@@ -181,11 +181,11 @@ def frames_of(datagrams: Iterable[tuple[int, Endpoint, Endpoint, bytes]], number
         number: number of the first frame.
     """
     times, sources, destinations, payloads = zip(*datagrams, strict=True)
-    known: dict[tuple[Endpoint, Endpoint], NDArray[np.void]] = {}
+    by_pair: dict[tuple[Endpoint, Endpoint], NDArray[np.void]] = {}
     pairs = list(zip(sources, destinations, strict=True))
     for pair in pairs:
-        if pair not in known:
-            known[pair] = ends_of(*pair)
+        if pair not in by_pair:
+            by_pair[pair] = ends_of(*pair)
     length = np.array([len(item) for item in payloads], np.int64)
     page = FramePage(len(length), int(length.sum()) + len(length) * HEADER_BYTES)
     page.add(
@@ -193,7 +193,7 @@ def frames_of(datagrams: Iterable[tuple[int, Endpoint, Endpoint, bytes]], number
         np.cumsum(length) - length,
         length,
         np.array(times, np.int64),
-        np.array([known[pair] for pair in pairs], ENDS),
+        np.array([by_pair[pair] for pair in pairs], ENDS),
     )
     return page.frames(number)
 

@@ -50,11 +50,11 @@ def walk_records(
     """
     seeds = seeds[(seeds > start) & (seeds < end)]
     starts = np.concatenate((np.array([start], dtype=np.int64), seeds))
-    found, counts, landings = _march(starts, np.append(seeds, end), end, successor)
+    positions, counts, landings = _march(starts, np.append(seeds, end), end, successor)
     bases = np.cumsum(counts) - counts
     joined = landings[:-1] == starts[1:]
     if joined.all() and landings[-1] == end:
-        return found, end
+        return positions, end
     # The last part also ends with a break, because nothing follows it.
     breaks = np.append(np.flatnonzero(~joined), len(starts) - 1)
     begins = starts.tolist()
@@ -62,7 +62,7 @@ def walk_records(
     lane = 0
     while True:
         last = int(breaks[np.searchsorted(breaks, lane)])
-        pieces.append(found[bases[lane] : bases[last] + counts[last]])
+        pieces.append(positions[bases[lane] : bases[last] + counts[last]])
         position = int(landings[last])
         singles: list[int] = []
         while (lane := bisect_left(begins, position, last + 1)) == len(begins) or begins[lane] != position:
@@ -94,12 +94,12 @@ def _march(
     while len(lanes) >= _LANES:
         track = np.empty((_BLOCK + 1, len(lanes)), dtype=np.int64)
         track[0] = landings[lanes]
-        for here, there in pairwise(track):
-            np.minimum(successor(here), end + 1, out=there)
-        here, there = track[:-1], track[1:]
-        whole = (here < limits[lanes]) & (there > here) & (there <= end)
+        for positions, following in pairwise(track):
+            np.minimum(successor(positions), end + 1, out=following)
+        positions, following = track[:-1], track[1:]
+        whole = (positions < limits[lanes]) & (following > positions) & (following <= end)
         steps = whole.sum(axis=0)
-        blocks.append(here[whole])
+        blocks.append(positions[whole])
         counts[lanes] += steps
         landings[lanes] = track[steps, np.arange(len(lanes))]
         lanes = lanes[steps == _BLOCK]

@@ -37,10 +37,10 @@ def find_errors(
         rows: i64, the frames that may be errors.
     """
     least = min(form.size for form in FORMS)
-    found = transport_payloads(data, network[rows], version[rows], end[rows], _PROTOCOLS, least)
-    assert found.rows is not None
-    window = gather(data, found.position, LONGEST)
-    have = np.minimum(found.end, end[rows][found.rows]) - found.position
+    payloads = transport_payloads(data, network[rows], version[rows], end[rows], _PROTOCOLS, least)
+    assert payloads.rows is not None
+    window = gather(data, payloads.position, LONGEST)
+    have = np.minimum(payloads.end, end[rows][payloads.rows]) - payloads.position
 
     def field(layout: Layout, name: str, at: int) -> NDArray[Any]:
         values = layout.column(name, window, at).astype(np.int64)
@@ -48,12 +48,12 @@ def find_errors(
 
     fits = np.zeros(len(have), bool)
     for form in FORMS:
-        fits |= (found.version == form.version) & form.fits(field)
+        fits |= (payloads.version == form.version) & form.fits(field)
     if not fits.any():
         return None
-    found = found.take(fits)
-    assert found.rows is not None
-    return replace(found, rows=rows[found.rows])
+    payloads = payloads.take(fits)
+    assert payloads.rows is not None
+    return replace(payloads, rows=rows[payloads.rows])
 
 
 def error_rows(batch: PacketBatch) -> NDArray[np.bool_]:

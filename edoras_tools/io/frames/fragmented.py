@@ -94,12 +94,14 @@ class FragmentedSamples:
     def notes(self) -> list[str]:
         """Return what came, a line each, for users."""
         unfinished = len(self._open) + self.given_up
-        told = [f"DDS: {plural(self.whole, 'sample')} put together from fragments"] if self.whole else []
+        notes = [f"DDS: {plural(self.whole, 'sample')} put together from fragments"] if self.whole else []
         if unfinished:
-            told.append(f"DDS: of {plural(unfinished, 'sample')} not all fragments came")
+            notes.append(f"DDS: of {plural(unfinished, 'sample')} not all fragments came")
         if self.too_large:
-            told.append(f"DDS: {plural(self.too_large, 'fragment')} left out: of samples over 32 MiB, or odd")
-        return told
+            notes.append(
+                f"DDS: {plural(self.too_large, 'fragment')} left out: of samples over 32 MiB, or odd"
+            )
+        return notes
 
     def take(
         self, batch: PacketBatch, columns: Columns, decoder: ColumnDecoder
@@ -107,69 +109,72 @@ class FragmentedSamples:
         """Return a batch and its columns with the samples that become whole in it."""
         rows = np.flatnonzero(columns.link == RTPS)
         rows = rows[batch.original_length[rows] >= 0]
-        found = rtps_messages(batch, rows).submessages
-        samples = read_samples(batch.data, found, SubmessageKind.DATA_FRAG)
+        submessages = rtps_messages(batch, rows).submessages
+        samples = read_samples(batch.data, submessages, SubmessageKind.DATA_FRAG)
         samples = samples.take(samples.fits)
         if not len(samples.which):
             return batch, columns
-        own = found.take(samples.which)
-        told = SubmessageFields(batch.data, own, SubmessageKind.DATA_FRAG)
+        own = submessages.take(samples.which)
+        numbers = SubmessageFields(batch.data, own, SubmessageKind.DATA_FRAG)
         number = {
-            name: told.number(name)
+            name: numbers.number(name)
             for name in ("fragment_starting_num", "fragments_in_submessage", "fragment_size", "sample_size")
         }
-        sequence = told.sequence_number("writer_sn")
-        guids, writer = distinct_guids(told.guid("writer_id"))
-        made: list[tuple[int, bytes]] = []
+        sequence = numbers.sequence_number("writer_sn")
+        guids, writer = distinct_guids(numbers.guid("writer_id"))
+        rebuilt: list[tuple[int, bytes]] = []
         first, which = numbered(writer, sequence)
         for index, at in enumerate(first.tolist()):
-            chosen = np.flatnonzero(which == index)
+            rows_kept = np.flatnonzero(which == index)
             key = guids[writer[at]], int(sequence[at])
-            some = {name: values[chosen] for name, values in number.items()}
-            for place in self._add(key, some, batch.data, samples.start[chosen], samples.end[chosen]):
-                last = int(chosen[place])
+            some = {name: values[rows_kept] for name, values in number.items()}
+            for place in self._add(key, some, batch.data, samples.start[rows_kept], samples.end[rows_kept]):
+                last = int(rows_kept[place])
                 body = self._finished(key)
                 key_only = bool(own.flags[last] & SubmessageFlag.FRAGMENT_KEY)
                 raw = _message(key, body, int(own.time_ns[last]), key_only=key_only)
-                made.append((int(rows[own.row[last]]), raw))
-        if not made:
+                rebuilt.append((int(rows[own.row[last]]), raw))
+        if not rebuilt:
             return batch, columns
-        return _with_messages(batch, columns, sorted(made, key=lambda item: item[0]), decoder)
+        return _with_messages(batch, columns, sorted(rebuilt, key=lambda item: item[0]), decoder)
 
     def _add(
         self,
         key: tuple[bytes, int],
-        told: dict[str, NDArray[np.int64]],
+        numbers: dict[str, NDArray[np.int64]],
         data: NDArray[np.uint8],
         start: NDArray[np.int64],
         end: NDArray[np.int64],
     ) -> Iterator[int]:
         """Add fragments of one sample; yield which of them makes it whole, and whole again."""
-        size, step = int(told["sample_size"][0]), int(told["fragment_size"][0])
-        begin = (told["fragment_starting_num"] - 1) * step
-        stop = np.minimum(begin + told["fragments_in_submessage"] * step, size)
+        size, step = int(numbers["sample_size"][0]), int(numbers["fragment_size"][0])
+        begin = (numbers["fragment_starting_num"] - 1) * step
+        stop = np.minimum(begin + numbers["fragments_in_submessage"] * step, size)
         sound = (
-            (told["sample_size"] == size) & (told["fragment_size"] == step) & (begin >= 0) & (stop > begin)
+            (numbers["sample_size"] == size)
+            & (numbers["fragment_size"] == step)
+            & (begin >= 0)
+            & (stop > begin)
         )
         sound &= end - start >= stop - begin
-        known = self._open.get(key) or self._whole.get(key)
-        if known is not None:
-            sound &= (len(known.data) == size) & (known.fragment_size == step)
+        partial = self._open.get(key) or self._whole.get(key)
+        if partial is not None:
+            sound &= (len(partial.data) == size) & (partial.fragment_size == step)
         if not 0 < size <= LARGEST_SAMPLE or not step:
             sound[:] = False
         self.too_large += int(np.count_nonzero(~sound))
-        done = self._done.get(key[0])
-        gone = known is None and done is not None and not done.missing(key[1], key[1] + 1)
-        if gone or not sound.any():
+        ended = self._done.get(key[0])
+        expired = partial is None and ended is not None and not ended.missing(key[1], key[1] + 1)
+        if expired or not sound.any():
             return
-        if known is None:
-            known = self._open[key] = _Sample(np.zeros(size, np.uint8), step)
+        if partial is None:
+            partial = self._open[key] = _Sample(np.zeros(size, np.uint8), step)
             self._bytes += size
             self._make_room()
         places = np.flatnonzero(sound)
-        copy_rows(known.data, begin[places], data, start[places], (stop - begin)[places])
+        copy_rows(partial.data, begin[places], data, start[places], (stop - begin)[places])
         for place in places.tolist():
-            if known.add(int(begin[place]), int(stop[place])):
+            if partial.add(int(begin[place]), int(stop[place])):
                 yield place
 
     def _make_room(self) -> None:
@@ -210,8 +215,8 @@ def _message(key: tuple[bytes, int], body: bytes, time_ns: int, *, key_only: boo
         seconds, rest = divmod(time_ns, SECOND)
         # Rounded up, so that the same nanosecond is read again.
         stamp = {"seconds": seconds & 0xFFFFFFFF, "fraction": -(-(rest << 32) // SECOND)}
-        told = {"submessage_id": SubmessageKind.INFO_TS, "flags": little, "octets_to_next_header": 8}
-        head += layout.emit(told | stamp)
+        numbers = {"submessage_id": SubmessageKind.INFO_TS, "flags": little, "octets_to_next_header": 8}
+        head += layout.emit(numbers | stamp)
     layout = SUBMESSAGE_LAYOUTS[SubmessageKind.DATA].little
     values = {
         "submessage_id": SubmessageKind.DATA,
@@ -225,12 +230,12 @@ def _message(key: tuple[bytes, int], body: bytes, time_ns: int, *, key_only: boo
 
 
 def _with_messages(
-    batch: PacketBatch, columns: Columns, made: list[tuple[int, bytes]], decoder: ColumnDecoder
+    batch: PacketBatch, columns: Columns, messages: list[tuple[int, bytes]], decoder: ColumnDecoder
 ) -> tuple[PacketBatch, Columns]:
     """Return a batch and its columns with made messages behind their rows."""
-    row = np.array([at for at, _ in made])
-    length = np.array([len(raw) for _, raw in made], np.int64)
-    data = np.frombuffer(b"".join(raw for _, raw in made) + bytes(PADDING), np.uint8)
+    row = np.array([at for at, _ in messages])
+    length = np.array([len(raw) for _, raw in messages], np.int64)
+    data = np.frombuffer(b"".join(raw for _, raw in messages) + bytes(PADDING), np.uint8)
     whole = packets_behind(batch, data, row, np.cumsum(length) - length, length)
     order = order_behind(len(batch), row)
     more = decoder.decode(whole.take(np.flatnonzero(order >= len(batch))))

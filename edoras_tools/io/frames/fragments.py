@@ -23,7 +23,7 @@ class _Partial:
         pieces: start and bytes, in order of arrival.
         units: one bit for each 8 bytes that have arrived.
         total: bytes of the whole payload; -1 until the last fragment has come.
-        stored: bytes that count for the reassembler's limit.
+        size_stored: bytes that count for the reassembler's limit.
         ports: source and destination port; 0 until the first fragment has come.
     """
 
@@ -31,7 +31,7 @@ class _Partial:
     pieces: list[tuple[int, bytes]] = field(default_factory=list)
     units: int = 0
     total: int = -1
-    stored: int = 0
+    size_stored: int = 0
     ports: tuple[int, int] = (0, 0)
 
 
@@ -117,7 +117,7 @@ class Reassembler:
         self._store(partial, fragment)
         if partial.total >= 0 and partial.units == (1 << -(-partial.total // 8)) - 1:
             del self._partials[fragment.key]
-            self._stored -= partial.stored
+            self._stored -= partial.size_stored
             return _join(partial), partial.ports
         while self._stored > self._limit:
             self._abandon_oldest()
@@ -144,7 +144,7 @@ class Reassembler:
         if units & ~partial.units:
             partial.units |= units
             partial.pieces.append((start, data))
-            partial.stored += len(data) + _PIECE_OVERHEAD
+            partial.size_stored += len(data) + _PIECE_OVERHEAD
             self._stored += len(data) + _PIECE_OVERHEAD
 
     def _expire(self, now_ns: int) -> None:
@@ -159,7 +159,7 @@ class Reassembler:
         if (item := self._beginning(key)) and len(self.lacking) < _MOST_LACKING:
             self.lacking.append(item)
         partial = self._partials.pop(key)
-        self._stored -= partial.stored
+        self._stored -= partial.size_stored
         self.abandoned += 1
 
 

@@ -183,7 +183,7 @@ class Demux:
         Messages of TCP streams that are complete with these frames have a row each.
         """
         if isinstance(frames, MadeFrames):
-            return _made(frames)
+            return _datagrams(frames)
         data, end = frames.data, frames.offset + frames.length
         if len(frames) and int(end.max()) + PADDING > data.size:
             data = np.concatenate((data, np.zeros(PADDING, dtype=np.uint8)))
@@ -256,13 +256,13 @@ class Demux:
         rows: NDArray[np.int64],
     ) -> NDArray[np.int64]:
         """Return which of some frames are TCP segments from or to a link's port."""
-        found = transport_payloads(data, network[rows], version[rows], end[rows], (TCP, TCP), _TCP_BYTES)
-        chosen = np.arange(len(rows)) if found.rows is None else found.rows
-        ports = read_at(data, found.position, _PORTS)
-        known = np.zeros(1 << 16, bool)
-        known[list(self.framings)] = True
-        chosen = chosen[known[ports["source_port"]] | known[ports["destination_port"]]]
-        return np.asarray(rows[chosen])
+        payloads = transport_payloads(data, network[rows], version[rows], end[rows], (TCP, TCP), _TCP_BYTES)
+        members = np.arange(len(rows)) if payloads.rows is None else payloads.rows
+        ports = read_at(data, payloads.position, _PORTS)
+        link_ports = np.zeros(1 << 16, bool)
+        link_ports[list(self.framings)] = True
+        members = members[link_ports[ports["source_port"]] | link_ports[ports["destination_port"]]]
+        return np.asarray(rows[members])
 
     def _with_streams(self, batch: PacketBatch, frames: FrameBatch) -> PacketBatch:
         """Add the messages of TCP segments to the datagrams, in the order of the frames."""
@@ -283,11 +283,13 @@ class Demux:
             self._streams = StreamReassembler(self.framings)
         located = self._locate(frames.data, frames)
         end = frames.offset + frames.length
-        found = transport_payloads(frames.data, located.network, located.version, end, (TCP, TCP), _TCP_BYTES)
-        segments = read_segments(frames, located.network, found, old)
-        batch, kept = self._streams.messages(segments, final=final)
+        payloads = transport_payloads(
+            frames.data, located.network, located.version, end, (TCP, TCP), _TCP_BYTES
+        )
+        segments = read_segments(frames, located.network, payloads, old)
+        batch, waiting = self._streams.messages(segments, final=final)
         self.skipped -= int(np.count_nonzero(segments.length[old:]))
-        self._waiting = packed_frames(frames_at(frames, kept)) if len(kept) else None
+        self._waiting = packed_frames(frames_at(frames, waiting)) if len(waiting) else None
         return batch
 
     def _locate(self, data: NDArray[np.uint8], frames: FrameBatch) -> _Located:
@@ -394,7 +396,7 @@ class Demux:
         return replace(batch, data=np.concatenate(data))
 
 
-def _made(frames: MadeFrames) -> PacketBatch:
+def _datagrams(frames: MadeFrames) -> PacketBatch:
     """Return the datagrams that frames were made of."""
     ends, count = frames.ends, len(frames)
     source, destination = (

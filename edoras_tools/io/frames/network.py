@@ -90,12 +90,12 @@ class IpPayloads:
     addresses: tuple[bytes, ...] = ()
     udp: NDArray[np.void] | None = None
 
-    def take(self, chosen: NDArray[np.bool_]) -> IpPayloads:
+    def take(self, mask: NDArray[np.bool_]) -> IpPayloads:
         """Return some of the packets."""
         columns: dict[str, Any] = {}
         for item in fields(self):
             value = getattr(self, item.name)
-            columns[item.name] = value[chosen] if isinstance(value, np.ndarray) else value
+            columns[item.name] = value[mask] if isinstance(value, np.ndarray) else value
         return IpPayloads(**columns)
 
 
@@ -179,17 +179,17 @@ def ipv6(
         fragment[rows] = split
         identification[rows] = np.where(split, extension["identification"], 0)
         rows = rows[(split == 0) & np.isin(following[rows], _EXTENSIONS)]
-    kept = np.flatnonzero((following == protocol) & (stop >= position + np.where(fragment, 1, UDP_BYTES)))
-    source, destination, addresses = _number(header["source"][kept], header["destination"][kept])
+    complete = np.flatnonzero((following == protocol) & (stop >= position + np.where(fragment, 1, UDP_BYTES)))
+    source, destination, addresses = _number(header["source"][complete], header["destination"][complete])
     return IpPayloads(
-        rows=kept,
-        version=np.full(len(kept), 6, dtype=np.uint8),
+        rows=complete,
+        version=np.full(len(complete), 6, dtype=np.uint8),
         source=source,
         destination=destination,
-        position=position[kept],
-        end=stop[kept],
-        fragment=fragment[kept],
-        identification=identification[kept],
+        position=position[complete],
+        end=stop[complete],
+        fragment=fragment[complete],
+        identification=identification[complete],
         addresses=addresses,
     )
 
@@ -216,14 +216,14 @@ def merge_rows(parts: list[tuple[NDArray[np.int64], IpPayloads]]) -> IpPayloads:
     Args:
         parts: the selected packets, and what was read of them; at most one part has addresses.
     """
-    chosen = [replace(part, rows=asked if part.rows is None else asked[part.rows]) for asked, part in parts]
+    selections = [replace(part, rows=rows if part.rows is None else rows[part.rows]) for rows, part in parts]
     columns = {
-        item.name: np.concatenate([getattr(part, item.name) for part in chosen])
+        item.name: np.concatenate([getattr(part, item.name) for part in selections])
         for item in fields(IpPayloads)
         if item.name not in {"addresses", "udp"}
     }
     order = np.argsort(columns["rows"], kind="stable")
-    addresses = next((part.addresses for part in chosen if part.addresses), ())
+    addresses = next((part.addresses for part in selections if part.addresses), ())
     return IpPayloads(**{name: column[order] for name, column in columns.items()}, addresses=addresses)
 
 
@@ -246,13 +246,13 @@ def transport_payloads(
         least: bytes that must be captured of each.
     """
     four, six = np.flatnonzero(version == 4), np.flatnonzero(version == 6)
-    found = merge_rows(
+    payloads = merge_rows(
         [
             (four, ipv4(data, network[four], end[four], protocol=protocols[0])),
             (six, ipv6(data, network[six], end[six], protocols[1])),
         ]
     )
-    assert found.rows is not None
-    keep = np.minimum(found.end, end[found.rows]) - found.position >= least
-    keep &= found.fragment == 0
-    return found if keep.all() else found.take(keep)
+    assert payloads.rows is not None
+    keep = np.minimum(payloads.end, end[payloads.rows]) - payloads.position >= least
+    keep &= payloads.fragment == 0
+    return payloads if keep.all() else payloads.take(keep)

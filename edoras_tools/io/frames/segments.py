@@ -50,15 +50,17 @@ def cut(frames: FrameBatch, size: NDArray[np.integer[Any]], header: NDArray[np.i
             frames.original_length[rows],
         )
     )
-    found = zip(batch.number.tolist(), network_headers(batch)[0].tolist(), batch.offset.tolist(), strict=True)
+    headers = zip(
+        batch.number.tolist(), network_headers(batch)[0].tolist(), batch.offset.tolist(), strict=True
+    )
     parts: dict[int, list[tuple[bytes, int]]] = {}
-    for (row, network, payload), findings in zip(found, batch.capture_findings.tolist(), strict=True):
+    for (row, network, payload), findings in zip(headers, batch.capture_findings.tolist(), strict=True):
         if not findings & Finding.FRAGMENT and payload - _UDP_BYTES - network == header[row]:
             start, end = int(frames.offset[row]), int(frames.offset[row] + frames.length[row])
             whole = start + int(frames.original_length[row]) - payload
             frame = frames.data[start:end].tobytes()
             parts[row] = _parts(frame, network - start, payload - start, int(size[row]), whole)
-    return _put(frames, {row: made for row, made in parts.items() if len(made) > 1})
+    return _put(frames, {row: pieces for row, pieces in parts.items() if len(pieces) > 1})
 
 
 def _parts(frame: bytes, network: int, payload: int, size: int, whole: int) -> list[tuple[bytes, int]]:
@@ -71,7 +73,7 @@ def _parts(frame: bytes, network: int, payload: int, size: int, whole: int) -> l
         size: payload bytes of a part.
         whole: payload bytes in total, captured or not.
     """
-    made = []
+    pieces = []
     four = frame[network] >> 4 == 4
     addresses = frame[network + 12 : network + 20] if four else frame[network + 8 : network + 40]
     for number, at in enumerate(range(0, whole, size)):
@@ -97,25 +99,25 @@ def _parts(frame: bytes, network: int, payload: int, size: int, whole: int) -> l
             pseudo = addresses + struct.pack(">HH", _UDP, _UDP_BYTES + length)
             value = _checksum(pseudo + bytes(header[udp:]) + body) or 0xFFFF
             struct.pack_into(">H", header, udp + 6, value)
-        made.append((bytes(header) + body, payload + length))
-    return made
+        pieces.append((bytes(header) + body, payload + length))
+    return pieces
 
 
 def _put(frames: FrameBatch, parts: dict[int, list[tuple[bytes, int]]]) -> FrameBatch:
     """Replace frames by their parts."""
     count = np.ones(len(frames), np.int64)
-    count[list(parts)] = [len(made) for made in parts.values()]
+    count[list(parts)] = [len(pieces) for pieces in parts.values()]
     row = np.repeat(np.arange(len(frames)), count)
     first = np.cumsum(count) - count
     offset, length, original = frames.offset[row], frames.length[row], frames.original_length[row]
     data, used = [frames.data], frames.data.size
-    for place, made in parts.items():
-        there = slice(int(first[place]), int(first[place]) + len(made))
-        length[there] = [len(frame) for frame, _ in made]
-        original[there] = [wire for _, wire in made]
-        offset[there] = used + np.cumsum(length[there]) - length[there]
-        used += int(length[there].sum())
-        data += [np.frombuffer(frame, np.uint8) for frame, _ in made]
+    for place, pieces in parts.items():
+        span = slice(int(first[place]), int(first[place]) + len(pieces))
+        length[span] = [len(frame) for frame, _ in pieces]
+        original[span] = [wire for _, wire in pieces]
+        offset[span] = used + np.cumsum(length[span]) - length[span]
+        used += int(length[span].sum())
+        data += [np.frombuffer(frame, np.uint8) for frame, _ in pieces]
     return replace(
         frames,
         data=np.concatenate([*data, np.zeros(PADDING, np.uint8)]),

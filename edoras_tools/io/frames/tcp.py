@@ -91,7 +91,7 @@ class _Direction:
         begin: that of the first byte after SYN; -1 if that was not captured.
         synced: whether a message starts there.
         gap: whether bytes before it are missing.
-        known: whether a message was found.
+        synchronized: whether a message was found.
         sender: what the headers of all its messages say of their sender; None if that is not known.
     """
 
@@ -102,7 +102,7 @@ class _Direction:
     begin: int = -1
     synced: bool = False
     gap: bool = False
-    known: bool = False
+    synchronized: bool = False
     sender: NDArray[np.uint8] | None = None
 
 
@@ -177,7 +177,7 @@ class StreamReassembler:
         Returns:
             The messages, and the segments that wait for more; give their frames again with the next ones.
         """
-        rows, kept = _Rows(), [np.empty(0, np.int64)]
+        rows, waiting = _Rows(), [np.empty(0, np.int64)]
         used: list[_Direction] = []
         groups = list(self._groups(segments))
         acknowledged = {key: members[segments.flags[members] & _ACK != 0] for key, members in groups}
@@ -187,10 +187,10 @@ class StreamReassembler:
             reached = segments.acknowledged[answers] if answers is not None else None
             follow = _Follow(segments, rows, way, len(used))
             used.append(way)
-            kept.append(follow.all(members, reached, final=final))
+            waiting.append(follow.all(members, reached, final=final))
         while len(self._directions) > CONNECTIONS:
             del self._directions[next(iter(self._directions))]
-        return _batch(segments, rows, used), np.unique(np.concatenate(kept))
+        return _batch(segments, rows, used), np.unique(np.concatenate(waiting))
 
     def _groups(self, segments: Segments) -> Iterator[tuple[tuple[Any, ...], NDArray[np.int64]]]:
         """Yield each direction that has segments: its key, and which they are."""
@@ -253,7 +253,7 @@ class _Follow:
         for number, first in enumerate(begin[1:]):
             places[number] = self._opened(members, int(places[number]), first)
         parts = np.split(members, np.maximum.accumulate(places))
-        kept = [members[:0]]
+        waiting = [members[:0]]
         for place, part in enumerate(parts):
             if place:
                 way.next = way.begin = begin[place]
@@ -268,8 +268,8 @@ class _Follow:
             pieces = np.split(holding, far)
             for number, piece in enumerate(pieces):
                 last = place == len(parts) - 1 and number == len(pieces) - 1
-                kept.append(self._part(piece, reached if last else None, final=final or not last))
-        return np.concatenate(kept)
+                waiting.append(self._part(piece, reached if last else None, final=final or not last))
+        return np.concatenate(waiting)
 
     def _opened(self, members: NDArray[np.int64], place: int, begin: int) -> int:
         """Return where among segments a connection begins: its first may come behind others of it."""
@@ -293,14 +293,14 @@ class _Follow:
         pieces, again = self._pieces(members, base)
         breaks = np.flatnonzero(pieces.begin > np.append(0, (pieces.begin + pieces.length)[:-1]))
         edges = [*breaks.tolist(), len(pieces)]
-        kept = members[:0]
+        waiting = members[:0]
         at = 0
         for edge in edges:
             more = edge < len(pieces)
             lost = more and (final or self._is_lost(pieces, edge, reached, base))
-            kept = self._run(pieces.part(slice(at, edge)), base, keep=not (lost or final))
+            waiting = self._run(pieces.part(slice(at, edge)), base, keep=not (lost or final))
             if more and not lost:
-                kept = np.concatenate((kept, pieces.segment[edge:]))
+                waiting = np.concatenate((waiting, pieces.segment[edge:]))
                 break
             if more:
                 way.next = (base + int(pieces.begin[edge])) % _WRAP
@@ -310,7 +310,7 @@ class _Follow:
         if len(again):
             self.rows.whole[-1][:] = True
             self.rows.findings[-1][:] = _PART | _RESENT
-        return kept
+        return waiting
 
     def _pieces(self, members: NDArray[np.int64], base: int) -> tuple[_Pieces, NDArray[np.int64]]:
         """Put segments in the order of the stream; return what is new, and the segments with what is not."""
@@ -328,25 +328,25 @@ class _Follow:
         # Runs of segments that overlap; all others are as they are.
         run = np.cumsum(~twice)
         alone = ~twice & (np.append(run[1:], -1) != run)
-        kept = np.flatnonzero(alone)
-        parts = [np.stack((kept, start[kept], stop[kept]), axis=1)]
+        single = np.flatnonzero(alone)
+        parts = [np.stack((single, start[single], stop[single]), axis=1)]
         again: list[int] = []
         apart = np.flatnonzero(~alone)
         for overlapping in np.split(apart, np.flatnonzero(np.diff(run[apart])) + 1):
-            found, resent = _first_bytes(members, start, stop, overlapping)
-            parts.append(found)
+            spans, resent = _first_bytes(members, start, stop, overlapping)
+            parts.append(spans)
             again += resent
         row, begin, end = np.concatenate(parts)[np.argsort(np.concatenate(parts)[:, 1], kind="stable")].T
-        chosen = members[row]
+        segment = members[row]
         pieces = _Pieces(
-            chosen,
-            segments.start[chosen] + begin - start[row],
+            segment,
+            segments.start[segment] + begin - start[row],
             begin,
             end - begin,
             (begin == start[row]) & (end == stop[row]),
         )
-        seen = members[np.array(sorted(again), np.int64)]
-        return pieces, seen[segments.fresh[seen]]
+        copies = members[np.array(sorted(again), np.int64)]
+        return pieces, copies[segments.fresh[copies]]
 
     def _is_lost(self, pieces: _Pieces, edge: int, reached: NDArray[np.int64] | None, base: int) -> bool:
         """Return whether the bytes before a piece will not come any more."""
@@ -369,9 +369,9 @@ class _Follow:
             return pieces.segment
         data, length = segments.frames.data, pieces.length
         if way.synced and (way.framing.lengths(data, pieces.offset, pieces.offset + length) == length).all():
-            done = np.maximum.accumulate(pieces.segment)
-            self._add(done, pieces.offset, length, base + pieces.begin)
-            self.rows.whole[-1][:] = pieces.untrimmed & (done == pieces.segment)
+            latest = np.maximum.accumulate(pieces.segment)
+            self._add(latest, pieces.offset, length, base + pieces.begin)
+            self.rows.whole[-1][:] = pieces.untrimmed & (latest == pieces.segment)
             self._mark_gap()
             way.next = (base + int(pieces.begin[-1]) + int(length[-1])) % _WRAP
             return pieces.segment[:0]
@@ -385,14 +385,14 @@ class _Follow:
         """Add rows of bytes that were put in order; ``spans`` has a row of start and length for each."""
         pieces, rows = cut.pieces, self.rows
         start, length = spans[:, 0], spans[:, 1]
-        done = np.maximum.accumulate(pieces.segment)
+        latest = np.maximum.accumulate(pieces.segment)
         last = np.searchsorted(cut.local + pieces.length, start + length)
         whole = (cut.local[last] == start) & (pieces.length[last] == length) & pieces.untrimmed[last]
-        whole &= done[last] == pieces.segment[last]
+        whole &= latest[last] == pieces.segment[last]
         used = len(self.segments.frames.data) + sum(map(len, rows.appended))
         rows.appended.append(cut.buffer)
         self._add(
-            done[last],
+            latest[last],
             np.where(whole, pieces.offset[last], used + start),
             length,
             base + pieces.begin[0] + start,
@@ -453,13 +453,13 @@ class _Cut:
             are together. The rest is the start of a message.
         """
         way, framing = self.way, self.way.framing
-        found: list[NDArray[np.int64]] = [np.empty((0, 2), np.int64)]
+        bounds: list[NDArray[np.int64]] = [np.empty((0, 2), np.int64)]
         kinds: list[NDArray[np.bool_]] = [np.empty(0, bool)]
         view = memoryview(self.buffer)  # type: ignore[arg-type]
         position = 0
 
         def put(starts: NDArray[np.int64], end: int, *, message: bool) -> None:
-            found.append(np.stack((starts, np.diff(starts, append=end)), axis=1))
+            bounds.append(np.stack((starts, np.diff(starts, append=end)), axis=1))
             kinds.append(np.full(len(starts), message))
 
         while position < self.total:
@@ -468,7 +468,7 @@ class _Cut:
                 if start is None:
                     if keep and self.total - position <= min(framing.largest, _WINDOW):
                         break
-                    if way.shared.state is not None and not way.known:
+                    if way.shared.state is not None and not way.synchronized:
                         way.shared.state.foreign = True
                     if self.total - position > _FIRST_WINDOW:
                         way.sender = None
@@ -477,7 +477,7 @@ class _Cut:
                     put(np.array([position]), start, message=False)
                 position = start
                 way.synced = position < self.total
-                way.known |= way.synced
+                way.synchronized |= way.synced
                 continue
             starts, end = walk_records(
                 position,
@@ -490,7 +490,7 @@ class _Cut:
             )
             if len(starts):
                 put(starts, end, message=True)
-                way.known, way.sender = True, self._senders(starts[:1])
+                way.synchronized, way.sender = True, self._senders(starts[:1])
             position = end
             if position < self.total:
                 if framing.length(view, position, self.total) == NOT_A_MESSAGE:
@@ -501,7 +501,7 @@ class _Cut:
                     put(np.array([position]), self.total, message=False)
                     position = self.total
                     way.synced = False
-        return np.concatenate(found), np.concatenate(kinds), position
+        return np.concatenate(bounds), np.concatenate(kinds), position
 
     def _message_start(self, position: int) -> int | None:
         """Return the first place where a message surely starts."""
@@ -534,19 +534,19 @@ class _Cut:
         framing, total = self.way.framing, self.total
         if framing.checked or not len(places):
             return np.ones(len(places), bool)
-        known = framing.sender != slice(0)
-        sender, here, sure = self._senders(places), behind, np.ones(len(places), bool)
+        fixed = framing.sender != slice(0)
+        sender, starts, sure = self._senders(places), behind, np.ones(len(places), bool)
         for _ in range(_FOLLOWERS):
-            lengths = framing.lengths(self.buffer, here, total)
-            if known:
-                same = (self._senders(here) == sender).all(axis=1)
+            lengths = framing.lengths(self.buffer, starts, total)
+            if fixed:
+                same = (self._senders(starts) == sender).all(axis=1)
             else:
-                same = (here + lengths > total) | framing.likely(self.buffer, here, total)
+                same = (starts + lengths > total) | framing.likely(self.buffer, starts, total)
             sure &= (lengths != NOT_A_MESSAGE) & (same | (lengths == NOT_YET))
-            here = np.minimum(here + np.maximum(lengths, 0), total)
+            starts = np.minimum(starts + np.maximum(lengths, 0), total)
         edges = np.append(self.local, total)
-        told = np.isin(places, edges) & np.isin(behind, edges) | (known and self.way.sender is not None)
-        return np.asarray(sure & (told | (framing.lengths(self.buffer, behind, total) != NOT_YET)))
+        senders = np.isin(places, edges) & np.isin(behind, edges) | (fixed and self.way.sender is not None)
+        return np.asarray(sure & (senders | (framing.lengths(self.buffer, behind, total) != NOT_YET)))
 
     def _senders(self, places: NDArray[np.int64]) -> NDArray[np.uint8]:
         """Return what headers say of their sender, a row for each; what is not there is zeros."""
@@ -567,28 +567,28 @@ def _first_bytes(
     Returns:
         i64 (n, 3), row, start and end of what is new; and the rows with bytes that had come before.
     """
-    found: list[tuple[int, int, int]] = []
+    spans: list[tuple[int, int, int]] = []
     again: list[int] = []
-    there = [(-_WRAP, 0)]  # in order, apart from each other
+    covered = [(-_WRAP, 0)]  # in order, apart from each other
     for row in sorted(rows.tolist(), key=lambda item: int(members[item])):
         begin, end = int(start[row]), int(stop[row])
-        first = bisect_right(there, begin, key=lambda item: item[1])
+        first = bisect_right(covered, begin, key=lambda item: item[1])
         at, last, overlaps = begin, first, 0
-        while last < len(there) and there[last][0] < end:
-            low, high = there[last]
+        while last < len(covered) and covered[last][0] < end:
+            low, high = covered[last]
             if at < low:
-                found.append((row, at, low))
+                spans.append((row, at, low))
             overlaps += min(high, end) - max(low, begin)
             at = max(at, high)
             last += 1
         if at < end:
-            found.append((row, at, end))
-        span = [begin, end, *(edge for item in there[first:last] for edge in item)]
-        there[first:last] = [(min(span), max(span))]
+            spans.append((row, at, end))
+        span = [begin, end, *(edge for item in covered[first:last] for edge in item)]
+        covered[first:last] = [(min(span), max(span))]
         # One byte that had come before keeps a connection alive (RFC 1122 section 4.2.3.6).
         if overlaps > (end - begin == 1):
             again.append(row)
-    return np.array(found, np.int64).reshape(-1, 3), again
+    return np.array(spans, np.int64).reshape(-1, 3), again
 
 
 def _from(base: int | NDArray[np.int64], sequence: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -611,21 +611,23 @@ def _batch(segments: Segments, rows: _Rows, ways: list[_Direction]) -> PacketBat
     segment, whole = column["segment"].astype(np.int64), column["whole"].astype(bool)
     findings = column["findings"].astype(np.uint32)
     data = np.concatenate((frames.data, *rows.appended))
-    made = np.flatnonzero(~whole)
-    source = SegmentBytes(data, column["offset"][made], column["length"][made], column["sequence"][made])
-    added, frame_offset, header = rebuilt(segments, segment[made], source)
+    rebuilt_rows = np.flatnonzero(~whole)
+    source = SegmentBytes(
+        data, column["offset"][rebuilt_rows], column["length"][rebuilt_rows], column["sequence"][rebuilt_rows]
+    )
+    added, frame_offset, header = rebuilt(segments, segment[rebuilt_rows], source)
     offset, length = column["offset"].copy(), column["length"].copy()
     place, size = frames.offset[segment], frames.length[segment].astype(np.int64)
-    place[made] = frame_offset + len(data)
-    size[made] = header + length[made]
-    offset[made] = place[made] + header
+    place[rebuilt_rows] = frame_offset + len(data)
+    size[rebuilt_rows] = header + length[rebuilt_rows]
+    offset[rebuilt_rows] = place[rebuilt_rows] + header
     contents = _contents(data, column, findings, ways, len(data) + len(added))
-    extra, told, offset[told], length[told], part = contents
-    findings[told[part]] |= _PART
+    extra, rest, offset[rest], length[rest], part = contents
+    findings[rest[part]] |= _PART
     foreign = np.array([way.shared.foreign for way in ways], bool)[column["direction"].astype(np.int64)]
     length[(findings & _PART) != 0] = 0
     original = frames.original_length[segment].astype(np.int64)
-    original[made] = size[made]
+    original[rebuilt_rows] = size[rebuilt_rows]
     cut = whole & segments.cut[segment]
     batch = PacketBatch(
         data=np.concatenate((data, added, *extra, np.zeros(PADDING, np.uint8))),
@@ -664,7 +666,7 @@ def _contents(
         The bytes; which rows they are of; start and length of each, from ``used`` on; and which are parts.
     """
     extra: list[NDArray[np.uint8]] = []
-    found: list[tuple[NDArray[Any], ...]] = [
+    parts: list[tuple[NDArray[Any], ...]] = [
         (np.empty(0, np.intp), np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, bool))
     ]
     talks: dict[int, list[int]] = {}
@@ -672,15 +674,15 @@ def _contents(
         if way.shared.state is not None:
             talks.setdefault(id(way.shared), []).append(index)
     for members in talks.values():
-        chosen = np.isin(column["direction"], members) & (findings & _PART == 0)
-        rows = np.flatnonzero(chosen)
+        selection = np.isin(column["direction"], members) & (findings & _PART == 0)
+        rows = np.flatnonzero(selection)
         talk = ways[members[0]].shared.state
         if not len(rows) or talk is None:
             continue
         forward = np.array([way.forward for way in ways])[column["direction"][rows].astype(np.int64)]
-        held = talk.contents(data, column["offset"][rows], column["length"][rows], forward)
-        extra.append(held.data)
-        found.append((rows, held.offset + used, held.length, held.part))
-        used += len(held.data)
-    rows, offset, length, part = (np.concatenate(items) for items in zip(*found, strict=True))
+        content = talk.contents(data, column["offset"][rows], column["length"][rows], forward)
+        extra.append(content.data)
+        parts.append((rows, content.offset + used, content.length, content.part))
+        used += len(content.data)
+    rows, offset, length, part = (np.concatenate(items) for items in zip(*parts, strict=True))
     return extra, rows, offset, length, part

@@ -140,15 +140,15 @@ def rebuilt(
     out = np.zeros(int(stride.sum()) + 1 + PADDING, np.uint8)
     copy_rows(out, place + header, contents.data, contents.offset, contents.length)
     shape = header << 16 | transport << 8 | (segments.network[rows] - offset)
-    for _, chosen in by_value(shape):
-        first = chosen[0]
+    for _, group in by_value(shape):
+        first = group[0]
         _put_headers(
             out,
             (int(header[first]), int(transport[first]), int(segments.network[rows[first]] - offset[first])),
-            gather(segments.frames.data, offset[chosen], int(header[first])),
-            place[chosen],
-            contents.length[chosen],
-            contents.sequence[chosen],
+            gather(segments.frames.data, offset[group], int(header[first])),
+            place[group],
+            contents.length[group],
+            contents.sequence[group],
         )
     return out[: len(out) - PADDING], place, header
 

@@ -67,7 +67,7 @@ class FrameChannel:
         destination: address and port, as text.
         spacecraft_id: of the frames.
         virtual_channel_id: of the frames; None of a master channel.
-        counted: whether its frames have a count; those of Type-B have none.
+        has_count: whether its frames have a count; those of Type-B have none.
         frames: that were read; without damaged ones.
         idle: frames without packets.
         packets: that were taken out.
@@ -82,7 +82,7 @@ class FrameChannel:
     destination: str
     spacecraft_id: int
     virtual_channel_id: int | None
-    counted: bool
+    has_count: bool
     frames: int = 0
     idle: int = 0
     packets: int = 0
@@ -102,14 +102,14 @@ class FrameChannel:
         return f"{self.kind.upper()} {which} of spacecraft 0x{self.spacecraft_id:03x}"
 
     def __str__(self) -> str:
-        counted = [
+        parts = [
             plural(self.frames, "frame"),
-            f"{self.lost:,} lost" if self.counted else "not counted",
+            f"{self.lost:,} lost" if self.has_count else "not counted",
             plural(self.packets, "packet"),
             *([f"{self.cut:,} cut"] if self.cut else []),
             *([f"{self.other_packets:,} no space packets"] if self.other_packets else []),
         ]
-        return f"{self.name}: {', '.join(counted)}"
+        return f"{self.name}: {', '.join(parts)}"
 
     @property
     def lost(self) -> int:
@@ -130,7 +130,7 @@ class FrameChannel:
 
     def runs(self, count: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
         """Number the runs of frames that go on where the one before ended; i64 (n,)."""
-        if not self.counted:
+        if not self.has_count:
             return np.full(len(count), self._run)
         before = np.concatenate([[self._joined], count[:-1].astype(np.int64)])
         step = (count.astype(np.int64) - before) % count_modulus(self.kind)
@@ -190,7 +190,7 @@ class Unframer:
     damaged: int = 0
     strange: int = 0
     left_out: int = 0
-    _known: dict[tuple[Any, ...], int] = field(default_factory=dict)
+    _numbers: dict[tuple[Any, ...], int] = field(default_factory=dict)
     _master_of: list[int] = field(default_factory=list)
     _streams: dict[tuple[int, int], int] = field(default_factory=dict)
     _states: list[_Stream] = field(default_factory=list)
@@ -217,15 +217,15 @@ class Unframer:
 
     def notes(self) -> list[str]:
         """Return what came, a line for each port's kind of trouble and each channel, for users."""
-        told = [f"transfer frames: {item}" for item in self.channels[:MOST_NOTES]]
-        more = len(self.channels) - len(told)
-        told += [f"transfer frames: {plural(more, 'channel')} more"] * (more > 0)
+        notes = [f"transfer frames: {item}" for item in self.channels[:MOST_NOTES]]
+        more = len(self.channels) - len(notes)
+        notes += [f"transfer frames: {plural(more, 'channel')} more"] * (more > 0)
         counts = (
             (self.damaged, "damaged (wrong CRC, or a header that does not fit)"),
             (self.strange, "to their ports of another kind or length"),
             (self.left_out, "left out: more channels than are followed"),
         )
-        return told + [f"transfer frames: {number:,} {what}" for number, what in counts if number]
+        return notes + [f"transfer frames: {number:,} {trouble}" for number, trouble in counts if number]
 
     def _read(self, batch: PacketBatch, rows: NDArray[np.int64], form: FrameFormat) -> _Frames | None:
         """Read the frames of one port, and follow their counts."""
@@ -234,21 +234,21 @@ class Unframer:
         batch.capture_findings[rows[read.error]] |= np.uint32(Finding.CHECKSUM_BAD)
         sound = (batch.capture_findings[rows] & _UNSOUND) == 0
         self.damaged += len(rows) - int(np.count_nonzero(sound))
-        rows, read = rows[sound], _chosen(read, sound)
+        rows, read = rows[sound], _selected(read, sound)
         channel = self._channels(batch, rows, read, form)
-        known = channel >= 0
-        self.left_out += len(rows) - int(np.count_nonzero(known))
-        rows, read, channel = rows[known], _chosen(read, known), channel[known]
+        kept_rows = channel >= 0
+        self.left_out += len(rows) - int(np.count_nonzero(kept_rows))
+        rows, read, channel = rows[kept_rows], _selected(read, kept_rows), channel[kept_rows]
         if not len(rows):
             return None
         again = self._follow(batch.take(rows), read, channel)
-        rows, read, channel = rows[~again], _chosen(read, ~again), channel[~again]
+        rows, read, channel = rows[~again], _selected(read, ~again), channel[~again]
         run = np.zeros(len(rows), np.int64)
         for index, at in by_value(channel):
-            found = self.channels[index]
-            found.frames += len(at)
-            found.idle += int(np.count_nonzero(read.idle[at]))
-            run[at] = found.runs(read.count[at])
+            state = self.channels[index]
+            state.frames += len(at)
+            state.idle += int(np.count_nonzero(read.idle[at]))
+            run[at] = state.runs(read.count[at])
         streams = [
             self._streams.setdefault(key, len(self._streams))
             for key in zip(channel.tolist(), read.map_id.tolist(), strict=True)
@@ -269,20 +269,20 @@ class Unframer:
             batch.destination_port,
             batch.ip_version,
         )
-        names = read.spacecraft_id, read.virtual_channel_id, read.counted.view(np.uint8)
+        names = read.spacecraft_id, read.virtual_channel_id, read.has_count.view(np.uint8)
         first, which = numbered(*(column[rows] for column in ends), *names)
         numbers = []
         for at in first.tolist():
             packet = batch[int(rows[at])]
             source, destination = str(packet.source), str(packet.destination)
-            craft, channel, counted = (int(column[at]) for column in names)
-            key = source, destination, craft, channel, counted
-            if key not in self._known and len(self.channels) < MOST_CHANNELS:
-                self._known[key] = len(self.channels)
-                made = FrameChannel(form.kind, source, destination, craft, channel, bool(counted))
-                self.channels.append(made)
-                self._master_of.append(self._master(made) if form.kind == "tm" else _NONE)
-            numbers.append(self._known.get(key, _NONE))
+            craft, channel, has_count = (int(column[at]) for column in names)
+            key = source, destination, craft, channel, has_count
+            if key not in self._numbers and len(self.channels) < MOST_CHANNELS:
+                self._numbers[key] = len(self.channels)
+                entry = FrameChannel(form.kind, source, destination, craft, channel, bool(has_count))
+                self.channels.append(entry)
+                self._master_of.append(self._master(entry) if form.kind == "tm" else _NONE)
+            numbers.append(self._numbers.get(key, _NONE))
         return np.array(numbers, np.int64)[which]
 
     def _master(self, channel: FrameChannel) -> int:
@@ -299,7 +299,7 @@ class Unframer:
     ) -> NDArray[np.bool_]:
         """Follow the counts of both levels; tell which frames came before with the same bytes."""
         again = _followed(
-            self._counts, frames, self.channels, np.where(read.counted, channel, _NONE), read.count
+            self._counts, frames, self.channels, np.where(read.has_count, channel, _NONE), read.count
         )
         master = np.array(self._master_of, np.int64)[channel]
         _followed(self._master_counts, frames, self.masters, master, read.master_count)
@@ -446,7 +446,7 @@ class _Laid:
         return np.searchsorted(self._at, self._stop[self._other], side="right") - 1
 
 
-def _chosen(read: FrameFields, rows: NDArray[np.bool_]) -> FrameFields:
+def _selected(read: FrameFields, rows: NDArray[np.bool_]) -> FrameFields:
     return FrameFields(**{item.name: getattr(read, item.name)[rows] for item in fields(FrameFields)})
 
 
@@ -485,9 +485,9 @@ def _followed(
             "packet_length": frames.length,
         }
     )
-    told = counts.follow(frames, columns)
+    result = counts.follow(frames, columns)
     for index, at in groups:
-        stream = int(told.stream[at[0]])
+        stream = int(result.stream[at[0]])
         if stream != _NONE:
             channels[index].counts = counts.streams[stream]
-    return told.duplicates > 0
+    return result.duplicates > 0

@@ -122,10 +122,10 @@ def own_address(target: Endpoint) -> str:
 def is_loopback(host: str) -> bool:
     """Return whether a host is this machine's loopback; False for an unknown name."""
     try:
-        found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
+        addresses = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError):
         return False
-    return all(_ip(str(item[4][0])).is_loopback for item in found)
+    return all(_ip(str(item[4][0])).is_loopback for item in addresses)
 
 
 def reach_note(

@@ -120,7 +120,7 @@ class DatagramBuffer:
             slots: the number of slots from 0 on, or slot numbers.
             to: the receiver; None for a connected socket.
         """
-        done = refused = 0
+        accepted = refused = 0
         errors: dict[str, int] = {}
         for slot in range(slots) if isinstance(slots, int) else slots.tolist():
             sent = send_one(opened, self.slots[slot, : int(self.length[slot])].data, to)
@@ -128,9 +128,9 @@ class DatagramBuffer:
             for reason in sent.errors:
                 errors[reason] = errors.get(reason, 0) + 1
             if sent.full:
-                return SendResult(done, refused, errors, full=True)
-            done += 1
-        return SendResult(done, refused, errors)
+                return SendResult(accepted, refused, errors, full=True)
+            accepted += 1
+        return SendResult(accepted, refused, errors)
 
     def _pack(self, family: int, host: tuple[Any, ...]) -> NDArray[np.uint64]:
         if host not in self._packed:
@@ -169,8 +169,8 @@ class VectorBuffer(DatagramBuffer):
 
     def send(self, opened: socket.socket, slots: int | NDArray[np.int64], to: Address | None) -> SendResult:
         """See ``DatagramBuffer``."""
-        chosen = slice(0, slots) if isinstance(slots, int) else slots
-        return self._outgoing.send(opened, self._base[chosen], self.length[chosen], to)
+        selection = slice(0, slots) if isinstance(slots, int) else slots
+        return self._outgoing.send(opened, self._base[selection], self.length[selection], to)
 
 
 def _read_ancillary(ancillary: list[tuple[int, int, bytes]]) -> tuple[int, bytes]:

@@ -74,7 +74,7 @@ class Direction:
 
     def count(self, sent: SendResult) -> None:
         """Count the outcome of sending datagrams."""
-        self.sent += sent.taken
+        self.sent += sent.accepted
         self.refused += sent.refused
         self.failed += sent.failed
         self.reason = ", ".join(sent.errors) or self.reason
@@ -130,7 +130,7 @@ class Outlet:
             self.direction.count(sent)
             if not sent.full:
                 return
-            first = sent.done
+            first = sent.sent
         rest = (range(slots) if isinstance(slots, int) else slots.tolist())[first:]
         self._queue(buffer.payload(slot) for slot in rest)
         self.flush()

@@ -161,24 +161,24 @@ class SendMany:
         self._base[:end], self._length[:end] = base, length
         if to is not self._to:
             self._address(to)
-        fileno, done, refused, again = opened.fileno(), 0, 0, 0
+        fileno, sent, refused, again = opened.fileno(), 0, 0, 0
         errors: dict[str, int] = {}
-        while done < end:
-            start = ctypes.c_void_p(self._first + done * _HEADER.itemsize) if done else self._start
-            count = self._call(fileno, start, end - done, self._flags)
+        while sent < end:
+            start = ctypes.c_void_p(self._first + sent * _HEADER.itemsize) if sent else self._start
+            count = self._call(fileno, start, end - sent, self._flags)
             if count > 0:
-                done, again = done + count, 0
+                sent, again = sent + count, 0
                 continue
             number = ctypes.get_errno()
             if number == errno.ECONNREFUSED and again < MOST_REFUSALS:
                 refused, again = refused + 1, again + 1
             elif number in {errno.EAGAIN, errno.ENOBUFS}:
-                return SendResult(done, refused, errors, full=True)
+                return SendResult(sent, refused, errors, full=True)
             elif number != errno.EINTR:
                 reason = os.strerror(number)
                 errors[reason] = errors.get(reason, 0) + 1
-                done, again = done + 1, 0
-        return SendResult(done, refused, errors)
+                sent, again = sent + 1, 0
+        return SendResult(sent, refused, errors)
 
     def _address(self, to: Address | None) -> None:
         self._to = to

@@ -84,8 +84,8 @@ class Sockets(Device):
         instead = "capture from the interface with -i, which sees its datagrams without taking the port"
         opened = open_bound(endpoint, instead=instead, buffer_bytes=receive_buffer, destinations=True)
         local = local_endpoint(opened)
-        given = opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-        self._smallest = min(self._smallest, given)
+        granted = opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        self._smallest = min(self._smallest, granted)
         self._bound.append(_Bound(opened, 6 if opened.family == socket.AF_INET6 else 4, local.port))
         return local
 
@@ -105,17 +105,17 @@ class Sockets(Device):
             return None
         page = self._page
         while True:
-            kept, used = page.rows, page.used
+            rows, used = page.rows, page.used
             now_ns = whole_ns = time.time_ns()  # later datagrams have later times
             emptied = True
             for bound in self._bound:
                 if not self._drain(bound, page):
                     emptied = False
                     whole_ns = min(whole_ns, int(page.time_ns[page.rows - 1]))
-            fresh = page.rows > kept
+            fresh = page.rows > rows
             if fresh:
-                filled = (page.rows - kept) * _CHARGED + page.used - used
-                within_s = (now_ns - int(page.time_ns[kept : page.rows].min())) / SECOND
+                filled = (page.rows - rows) * _CHARGED + page.used - used
+                within_s = (now_ns - int(page.time_ns[rows : page.rows].min())) / SECOND
                 longest_s = min(_LINGER_S, self._smallest / _FILL_RATE)
                 part_s = self._smallest / _FULL / filled * within_s
                 self.linger_s = min(longest_s, max(part_s, _BUSY_LINGER_S))

@@ -169,21 +169,21 @@ class SendResult(NamedTuple):
     """The result of sending datagrams.
 
     Attributes:
-        done: datagrams from the first on that were sent or failed.
+        sent: datagrams from the first on that were sent or failed.
         refused: answers that nothing listens (ICMP port unreachable); each is about an earlier datagram.
         errors: system errors of the others, with counts.
         full: whether the socket accepts no more now.
     """
 
-    done: int
+    sent: int
     refused: int = 0
     errors: Mapping[str, int] = {}
     full: bool = False
 
     @property
-    def taken(self) -> int:
+    def accepted(self) -> int:
         """Number of datagrams that the system accepted."""
-        return self.done - self.failed
+        return self.sent - self.failed
 
     @property
     def failed(self) -> int:

@@ -65,7 +65,7 @@ class SendStatistics:
 
     def add(self, sent: SendResult) -> None:
         """Add the result of sending some datagrams."""
-        self.sent += sent.taken
+        self.sent += sent.accepted
         self.refused += sent.refused
         for reason, count in sent.errors.items():
             self.errors[reason] = self.errors.get(reason, 0) + count
@@ -165,22 +165,22 @@ class Transmitter(_Port):
             if sent.full:
                 sent = _dropped(sent)
             self.statistics.add(sent)
-            at += sent.done
+            at += sent.sent
         return self.statistics.sent - before
 
     def receive(self, most: int = 256) -> list[tuple[bytes, Endpoint]]:
         """Return the datagrams that the target has answered with, ``most`` at most, and their senders."""
-        found: list[tuple[bytes, Endpoint]] = []
+        answers: list[tuple[bytes, Endpoint]] = []
         while True:
             try:
-                found.extend(received(self._socket, most - len(found)))
+                answers.extend(received(self._socket, most - len(answers)))
             except ConnectionRefusedError:
                 self.statistics.refused += 1
             except OSError as error:
                 self.statistics.add(SendResult(1, errors={error.strerror or str(error): 1}))
-                return found
+                return answers
             else:
-                return found
+                return answers
 
 
 class Listener(_Port):
@@ -222,4 +222,4 @@ def _probes() -> bool:
 def _dropped(sent: SendResult) -> SendResult:
     """Return the result for a blocking socket that accepts no more: the system is out of memory."""
     reason = os.strerror(errno.ENOBUFS)
-    return sent._replace(done=sent.done + 1, errors={**sent.errors, reason: sent.errors.get(reason, 0) + 1})
+    return sent._replace(sent=sent.sent + 1, errors={**sent.errors, reason: sent.errors.get(reason, 0) + 1})

@@ -107,7 +107,7 @@ class StreamTransmitter:
         if not more:
             raise CaptureError(f"{self._name}: closed the connection after {self.statistics.sent:,} messages")
         self._rest += more
-        found: list[tuple[bytes, Endpoint]] = []
+        answers: list[tuple[bytes, Endpoint]] = []
         at, end, padded = 0, len(self._rest), memoryview(self._rest + bytes(PADDING))
         while at < end:
             size = self._framing.length(padded, at, end)
@@ -115,10 +115,10 @@ class StreamTransmitter:
                 raise CaptureError(f"{self._name}: sends another protocol; name the target with --target")
             if size == NOT_YET or at + size > end:
                 break
-            found.append((self._rest[at : at + size], self.target))
+            answers.append((self._rest[at : at + size], self.target))
             at += size
         self._rest = self._rest[at:]
-        return found
+        return answers
 
     def _send(self, octets: bytes | memoryview, count: int) -> int:
         try:

@@ -117,8 +117,8 @@ class UdpWire:
     def wait(self, until_ns: int) -> bool:
         """Sleep until just before a time, then rehearse and spin; return early when something arrives."""
         now = self.now
-        while (left := until_ns - now() - SPIN_NS) > 0:
-            if select.select(self._watched, (), (), left / 1e9)[0]:
+        while (remaining_ns := until_ns - now() - SPIN_NS) > 0:
+            if select.select(self._watched, (), (), remaining_ns / 1e9)[0]:
                 return False
         while self._latest and until_ns - now() > _STILL_NS:
             self._transmitter.rehearse(_one(*self._latest))

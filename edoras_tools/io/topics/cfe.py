@@ -143,8 +143,8 @@ def outage_messages(outages: Sequence[InterfaceOutage], channel_id: int) -> Mess
     payload = np.zeros(len(outages), dtype=_EVENT)
     for row, outage in zip(payload, outages, strict=True):
         seconds = (outage.end_ns - outage.start_ns) / 1e9
-        what = f"was {outage.why} for {seconds:.1f} s" if outage.end_ns else f"is {outage.why} now"
-        for name, words in (("app_name", "edoras"), ("message", f"{outage.interface} {what}")):
+        state = f"was {outage.why} for {seconds:.1f} s" if outage.end_ns else f"is {outage.why} now"
+        for name, words in (("app_name", "edoras"), ("message", f"{outage.interface} {state}")):
             text = np.frombuffer(words.encode("ascii", "replace")[: row[name].size - 1], np.uint8)
             row[name][: len(text)] = text
     time_ns = np.array([outage.end_ns or outage.start_ns for outage in outages], dtype=np.int64)

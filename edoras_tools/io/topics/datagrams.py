@@ -81,8 +81,8 @@ class DatagramWriter:
             rows = np.flatnonzero(batch.original_length >= 0)
             batch, columns, published = batch.take(rows), columns.take(rows), published[rows]
 
-        def heads(chosen: slice) -> NDArray[Any]:
-            return self._fill(batch.take(chosen), columns.take(chosen), published[chosen])
+        def heads(part: slice) -> NDArray[Any]:
+            return self._fill(batch.take(part), columns.take(part), published[part])
 
         return Messages(
             rows,
@@ -157,8 +157,8 @@ def without_trailing(
     length = columns.cdr_length.copy()
     for route, picked in by_value(columns.route[rows]):
         at = rows[picked]
-        left = types.trailing(routes[route].type, batch.data, columns.cdr_offset[at], length[at])
-        length[at] -= np.maximum(left, 0)
+        trailing = types.trailing(routes[route].type, batch.data, columns.cdr_offset[at], length[at])
+        length[at] -= np.maximum(trailing, 0)
     return replace(columns, cdr_length=length)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class RecordedStreams:
             self._latched.keep(columns.take(rows), self._messages(batch.take(rows)))
         return PreparedBatch(published, [], {})
 
-    def made(self, batch: PacketBatch, columns: Columns, prepared: PreparedBatch) -> list[Messages]:  # noqa: ARG002  as Streams
+    def prepared_messages(self, batch: PacketBatch, *_: Any) -> list[Messages]:
         """Return the messages of a batch; this can be done in any order, and in any process."""
         return [self._messages(batch)]
 

@@ -118,9 +118,9 @@ class LinkStatistics:
         groups["count"] = np.diff(np.append(starts, len(order)))
         groups["bytes"] = np.add.reduceat(length, starts, dtype=np.int64)
         groups["largest"] = np.maximum.reduceat(length, starts)
-        told = self._sequences.follow(batch, columns, order)
-        if told.missing.any() or told.found.any():
-            groups["gaps"] = np.add.reduceat((told.missing - told.found)[order], starts)
+        result = self._sequences.follow(batch, columns, order)
+        if result.missing.any() or result.refilled.any():
+            groups["gaps"] = np.add.reduceat((result.missing - result.refilled)[order], starts)
         return groups
 
     def _write(
@@ -176,11 +176,11 @@ _UNKNOWN: Final = -1
 def host_messages(host: HostCounters, channel_id: int, types: TypeStore) -> Messages:
     """Return the message of one reading, in row 0."""
     seconds, rest = divmod(host.time_ns, SECOND)
-    counted = {name: getattr(host, name) for name in _COUNTERS}
+    counters = {name: getattr(host, name) for name in _COUNTERS}
     values = {
         "stamp": {"sec": seconds, "nanosec": rest},
         "sockets": [asdict(item) for item in host.sockets],
-        **{name: _UNKNOWN if value is None else value for name, value in counted.items()},
+        **{name: _UNKNOWN if value is None else value for name, value in counters.items()},
     }
     return bodies_of([types.encode(HOST_TYPE, values)[4:]], [host.time_ns], channel_id)
 
@@ -192,6 +192,6 @@ def host_counters_of(cdr: bytes, types: TypeStore) -> HostCounters:
         WireError: the message is not one of these.
     """
     values = types.decode(HOST_TYPE, cdr)
-    counted = {name: values[name] if values[name] != _UNKNOWN else None for name in _COUNTERS}
+    counters = {name: values[name] if values[name] != _UNKNOWN else None for name in _COUNTERS}
     sockets = tuple(SocketCounters(**item) for item in values["sockets"])
-    return HostCounters(values["stamp"]["sec"] * SECOND + values["stamp"]["nanosec"], sockets, **counted)
+    return HostCounters(values["stamp"]["sec"] * SECOND + values["stamp"]["nanosec"], sockets, **counters)

@@ -85,14 +85,14 @@ class MissionClock:
             return published
         mission = columns.mission_time_ns[rows]
         # Each sender's state is put before the batch as two rows: its smallest and its last offset.
-        known = len(self._link)
+        earlier = len(self._link)
         link = np.concatenate((self._link, self._link, columns.link[rows]))
         processor = np.concatenate((self._processor, self._processor, columns.processor_id[rows]))
         offset = np.concatenate((self._least, self._last, time_ns[rows] - mission))
         order = order_by(link, processor)
         least = np.empty_like(offset)
-        least[order], ends = _running_least(link[order], processor[order], offset[order], order < 2 * known)
-        published[rows] = mission + least[2 * known :]
+        least[order], ends = _running_least(link[order], processor[order], offset[order], order < 2 * earlier)
+        published[rows] = mission + least[2 * earlier :]
         last = order[ends]
         if len(last) > _MAX_SENDERS:
             last = np.sort(last)[-_MAX_SENDERS:]
@@ -110,12 +110,12 @@ def _running_least(
     link: NDArray[np.uint8],
     processor: NDArray[np.uint32],
     offset: NDArray[np.int64],
-    known: NDArray[np.bool_],
+    earlier: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the running minimum of each sender's offsets, reset at jumps, and each sender's last state."""
     changes = (link[1:] != link[:-1]) | (processor[1:] != processor[:-1])
     # There is no jump between a sender's stored smallest and last offset: the offset changed slowly.
-    jumps = (np.abs(np.diff(offset)) > _JUMP_NS) & ~(known[1:] & known[:-1])
+    jumps = (np.abs(np.diff(offset)) > _JUMP_NS) & ~(earlier[1:] & earlier[:-1])
     starts = np.concatenate(([0], np.flatnonzero(changes | jumps) + 1))
     if len(starts) <= _FEW:
         least = np.empty_like(offset)
@@ -167,18 +167,18 @@ class LatchedTopics:
             channel_ids: MCAP channel of each of ``Mission.routes``.
             time_ns: since 1970.
         """
-        kept = list(self._last.values())
-        length = np.array([len(data) for data, _, _ in kept], np.int64)
-        heads = np.empty(len(kept), np.dtype(RECORD))
-        channels = channel_ids[list(self._last)] if kept else np.zeros(0, np.uint16)
-        sequence, published = (np.array([item[at] for item in kept], np.int64) for at in (1, 2))
-        log_time = np.full(len(kept), time_ns, np.int64)
+        messages = list(self._last.values())
+        length = np.array([len(data) for data, _, _ in messages], np.int64)
+        heads = np.empty(len(messages), np.dtype(RECORD))
+        channels = channel_ids[list(self._last)] if messages else np.zeros(0, np.uint16)
+        sequence, published = (np.array([item[at] for item in messages], np.int64) for at in (1, 2))
+        log_time = np.full(len(messages), time_ns, np.int64)
         rest = (
-            np.frombuffer(b"".join(data for data, _, _ in kept), np.uint8),
+            np.frombuffer(b"".join(data for data, _, _ in messages), np.uint8),
             np.cumsum(length) - length,
             length,
         )
-        rows = np.zeros(len(kept), np.int64)
+        rows = np.zeros(len(messages), np.int64)
         return whole_messages(rows, heads, channels, sequence, log_time, published, rest, repeats=True)
 
 
@@ -305,7 +305,7 @@ class Streams:
         self._announced = 0
         self._latched = LatchedTopics(mission)
         self._bridged: BridgeMessages | None = None
-        self._files = _file_messages(mission, types) if mission.stored and add else None
+        self._files = _file_messages(mission, types) if mission.stored_topics and add else None
         self._statistics = LinkStatistics(mission, statistics, sequences)
         self._own = len(own)
         self.number(range(len(self.topics)))
@@ -339,7 +339,7 @@ class Streams:
             transforms: whether ``/tf`` is wanted now, if it is made at all.
         """
         prepared = self.prepare(batch, columns, statistics=statistics, transforms=transforms)
-        return self.made(batch, columns, prepared, datagrams=datagrams, transforms=transforms)
+        return self.prepared_messages(batch, columns, prepared, datagrams=datagrams, transforms=transforms)
 
     def prepare(
         self, batch: PacketBatch, columns: Columns, *, statistics: bool = True, transforms: bool = True
@@ -353,27 +353,27 @@ class Streams:
             transforms: see ``messages``.
         """
         published = self.clock.publish_times(batch.time_ns, columns)
-        told = [self._statistics.messages(batch, columns, self._statistics_id)] if statistics else []
+        messages = [self._statistics.messages(batch, columns, self._statistics_id)] if statistics else []
         if self._files and self._add:
-            told += self._files.messages(batch, columns, self._place_stored)
+            messages += self._files.messages(batch, columns, self._place_stored)
         if self._add and (columns.link == RACS2).any():
             self._bridged = self._bridged or self._bridge_messages()
-            told += self._bridged.messages(batch, columns)
+            messages += self._bridged.messages(batch, columns)
         if self._add and self.endpoints is not None and (columns.link == RTPS).any():
-            told += self._sample_messages(self.endpoints).messages(batch, columns, self._place_sample)
+            messages += self._sample_messages(self.endpoints).messages(batch, columns, self._place_sample)
         if self._latched.routes:
             rows = np.flatnonzero(np.isin(columns.route, self._latched.routes))
-            taken, own = batch.take(rows), columns.take(rows)
+            own_rows, own = batch.take(rows), columns.take(rows)
             self._latched.keep(
-                own, ros_messages(taken, self._trimmed(taken, own), self._routes, published[rows])
+                own, ros_messages(own_rows, self._trimmed(own_rows, own), self._routes, published[rows])
             )
         if self._add:
             self._place_structs(batch, columns)
             if self._transforms and transforms and self._transforms.are_in(columns):
                 self._place(TRANSFORMS)
-        return PreparedBatch(published, told, self._added)
+        return PreparedBatch(published, messages, self._added)
 
-    def made(
+    def prepared_messages(
         self,
         batch: PacketBatch,
         columns: Columns,
@@ -424,20 +424,20 @@ class Streams:
 
     def _place_structs(self, batch: PacketBatch, columns: Columns) -> None:
         """Add the topics of structs that come for the first time."""
-        found = payloads(self._new, partial(getattr, columns), partial(getattr, batch), batch.data)
-        for bound, _, fits in self._new.split(found):
+        samples = payloads(self._new, partial(getattr, columns), partial(getattr, batch), batch.data)
+        for bound, _, fits in self._new.split(samples):
             if fits.any():
                 self._place(Topic(bound.topic, bound.type, bound.metadata))
-        keys = np.flatnonzero(np.bincount(found.key)).tolist()
+        keys = np.flatnonzero(np.bincount(samples.key)).tolist()
         self._new = self._new.unclaimed(
             key for key in keys if all(item.topic in self._added for item in self._new.bound_to(key))
         )
 
-    def _place_stored(self, stored: StoredTopic) -> int:
+    def _place_stored(self, topic: StoredTopic) -> int:
         for index, route in enumerate(self._mission.routes):
-            if (route.topic, route.type) == (stored.topic, stored.type):
+            if (route.topic, route.type) == (topic.topic, topic.type):
                 return int(self._routes[index])
-        return self._place(Topic(stored.topic, stored.type, {"link": CFDP.label, "file": stored.file_name}))
+        return self._place(Topic(topic.topic, topic.type, {"link": CFDP.label, "file": topic.file_name}))
 
     def _bridge_messages(self) -> BridgeMessages:
         from edoras_tools.io.topics.carried.racs2 import BridgeMessages
@@ -445,13 +445,15 @@ class Streams:
         def place(name: str, type_name: str) -> int:
             return self._place(Topic(name, type_name, {"link": RACS2.label}))
 
-        return BridgeMessages(self._types, self._taken(), place)
+        return BridgeMessages(self._types, self._other_topics(), place)
 
-    def _taken(self) -> set[str]:
+    def _other_topics(self) -> set[str]:
         """Return the names of topics that other messages have, or may have."""
-        taken = {item.name for item in (*self.topics, TRANSFORMS, FAULTS, HOST_COUNTERS)}
+        names = {item.name for item in (*self.topics, TRANSFORMS, FAULTS, HOST_COUNTERS)}
         return (
-            taken | {item.topic for item in self._mission.stored} | {item.topic for item in self.structs.all}
+            names
+            | {item.topic for item in self._mission.stored_topics}
+            | {item.topic for item in self.structs.all}
         )
 
     def offer_announced(self) -> None:
@@ -467,7 +469,7 @@ class Streams:
     def _sample_messages(self, endpoints: Endpoints) -> SampleMessages:
         from edoras_tools.io.topics.carried.samples import SampleMessages
 
-        self._samples = self._samples or SampleMessages(self._types, self._taken(), endpoints)
+        self._samples = self._samples or SampleMessages(self._types, self._other_topics(), endpoints)
         return self._samples
 
     def _place_sample(self, name: str, type_name: str) -> int:

@@ -41,28 +41,28 @@ def struct_messages(
         values: NDArray[np.generic] = getattr(columns, name)
         return values
 
-    found = payloads(structs, column, partial(getattr, batch), batch.data)
-    for held in structs.held(found, column, batch.data):
-        yield _messages(held, batch, columns, channel_ids[held.bound.topic], published)
+    samples = payloads(structs, column, partial(getattr, batch), batch.data)
+    for payload in structs.payloads_of(samples, column, batch.data):
+        yield _messages(payload, batch, columns, channel_ids[payload.bound.topic], published)
 
 
 def _messages(
-    held: Held, batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
+    payload: Held, batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
 ) -> Messages:
     """Return the messages of one struct."""
-    rows = held.rows
-    encoded = None if held.size else held.encode()
+    rows = payload.rows
+    encoded = None if payload.size else payload.encode()
     # Messages of the same length are part of their heads, and are copied with them.
-    width = encoded.width if encoded else held.size
+    width = encoded.width if encoded else payload.size
     heads = np.zeros(len(rows), [*RECORD, ("message", f"V{width}")])
     if encoded is None:
-        held.fill(heads.view(np.uint8).reshape(len(rows), -1)[:, RECORD_BYTES:])
+        payload.fill(heads.view(np.uint8).reshape(len(rows), -1)[:, RECORD_BYTES:])
     elif width:
         heads["message"] = encoded.data.view(f"V{width}")
     rest = (encoded.data, encoded.start, encoded.size) if encoded and not width else None
     times = batch.time_ns[rows], published[rows]
     sequence = columns.sequence_count[rows]
-    return whole_messages(rows, heads, channel_id, sequence, *times, rest, repeats=held.repeats)
+    return whole_messages(rows, heads, channel_id, sequence, *times, rest, repeats=payload.repeats)
 
 
 def log_messages(
@@ -79,9 +79,9 @@ def log_messages(
     """
     table = structs.dictionary
     assert table is not None, "called with one"
-    found = payloads(structs, partial(getattr, columns), partial(getattr, batch), batch.data)
-    whole = table.whole(found)
-    told: list[tuple[int, int, bytes]] = []
+    samples = payloads(structs, partial(getattr, columns), partial(getattr, batch), batch.data)
+    whole = table.whole(samples)
+    logs: list[tuple[int, int, bytes]] = []
     for key, members in by_value(whole.key):
         bound = table[key]
         if bound.entry.severity is None:
@@ -102,8 +102,8 @@ def log_messages(
                 "function": name,
                 "line": 0,
             }
-            told.append((row, at, types.encode("rcl_interfaces/msg/Log", log)[ENCAPSULATION.size :]))
-    told.sort()
-    rows = np.array([row for row, _, _ in told], np.int64)
-    bodies = [body for _, _, body in told]
+            logs.append((row, at, types.encode("rcl_interfaces/msg/Log", log)[ENCAPSULATION.size :]))
+    logs.sort()
+    rows = np.array([row for row, _, _ in logs], np.int64)
+    bodies = [body for _, _, body in logs]
     return bodies_of(bodies, batch.time_ns[rows].tolist(), channel_id, rows, repeats=True)

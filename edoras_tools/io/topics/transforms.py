@@ -44,11 +44,11 @@ class Transforms:
     def __init__(self, mission: Mission, types: TypeStore) -> None:
         self._types, self._mission = types, mission
         routes = mission.routes
-        taken = any(route.topic == TF_TOPIC for route in routes)
+        has_tf = any(route.topic == TF_TOPIC for route in routes)
         self.frames = {
             place: route.topic.strip("/")
             for place, route in enumerate(routes)
-            if full_name(route.type) in _POSES and not taken
+            if full_name(route.type) in _POSES and not has_tf
         }
 
     def are_in(self, columns: Columns) -> bool:

@@ -42,12 +42,12 @@ class PublishSubscribeLink(LinkProtocol):
 
         return EVERY_RTPS_LAYOUT
 
-    def recognise(self, seen: Seen) -> Any:
+    def recognise(self, facts: Seen) -> Any:
         """Recognise the four letters that begin every message."""
         from edoras_tools.wire.rtps.headers import RTPS_HEADER
 
-        version = seen.field(RTPS_HEADER, "version_major")
-        letters = seen.field(RTPS_HEADER, "magic") == int.from_bytes(RTPS_MAGIC, "big")
+        version = facts.field(RTPS_HEADER, "version_major")
+        letters = facts.field(RTPS_HEADER, "magic") == int.from_bytes(RTPS_MAGIC, "big")
         return BY_CONTENT * (letters & (version >= 0))
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:

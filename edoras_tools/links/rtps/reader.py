@@ -91,13 +91,13 @@ class TopicSamples(NamedTuple):
     time_ns: NDArray[np.int64]
 
 
-def topic_samples(data: NDArray[np.uint8], found: Submessages) -> tuple[list[bytes], TopicSamples]:
+def topic_samples(data: NDArray[np.uint8], submessages: Submessages) -> tuple[list[bytes], TopicSamples]:
     """Return the GUIDs of writers, and their samples; keys of what is disposed of are left out.
 
     Args:
         data: u8, what the submessages point into.
     """
-    samples, own = _whole_samples(data, found)
+    samples, own = _whole_samples(data, submessages)
     fields = SubmessageFields(data, own, SubmessageKind.DATA)
     guids = fields.guid("writer_id")
     users = np.flatnonzero(_of_users(guids))
@@ -122,18 +122,18 @@ def rows_on(
         endpoints: what was announced so far.
         holds: tells of the ROS name of a topic whether it is meant.
     """
-    writers, found = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
-    told = [endpoints.find(guid) for guid in writers]
-    own = np.array([item is not None and holds(item.ros_topic) for item in told], bool)
-    known = batch.number[rows[found.row]] >= endpoints.since(writers)[found.writer]
-    return rows[found.row[own[found.writer] & known]]
+    writers, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
+    entries = [endpoints.find(guid) for guid in writers]
+    own = np.array([item is not None and holds(item.ros_topic) for item in entries], bool)
+    announced = batch.number[rows[samples.row]] >= endpoints.since(writers)[samples.writer]
+    return rows[samples.row[own[samples.writer] & announced]]
 
 
-def _whole_samples(data: NDArray[np.uint8], found: Submessages) -> tuple[SampleData, Submessages]:
+def _whole_samples(data: NDArray[np.uint8], submessages: Submessages) -> tuple[SampleData, Submessages]:
     """Return the samples in DATA that are there whole, and their submessages."""
-    samples = read_samples(data, found, SubmessageKind.DATA)
-    samples = samples.take(samples.fits & ((found.flags[samples.which] & SubmessageFlag.DATA) != 0))
-    return samples, found.take(samples.which)
+    samples = read_samples(data, submessages, SubmessageKind.DATA)
+    samples = samples.take(samples.fits & ((submessages.flags[samples.which] & SubmessageFlag.DATA) != 0))
+    return samples, submessages.take(samples.which)
 
 
 def _of_users(guids: NDArray[np.void]) -> NDArray[np.bool_]:
@@ -157,20 +157,20 @@ def rtps_messages(batch: PacketBatch, rows: NDArray[np.intp]) -> RtpsMessages:
 
 def locate_samples(batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
     """Judge messages, and learn which endpoints they announce."""
-    found, messages = Located(len(rows)), rtps_messages(batch, rows)
-    found.flag(Finding.TRUNCATED, messages.truncated)
-    found.flag(Finding.LENGTH_MISMATCH, messages.odd)
+    located, messages = Located(len(rows)), rtps_messages(batch, rows)
+    located.flag(Finding.TRUNCATED, messages.truncated)
+    located.flag(Finding.LENGTH_MISMATCH, messages.odd)
     submessages = messages.submessages
     for kind in (SubmessageKind.DATA, SubmessageKind.DATA_FRAG):
         samples = read_samples(batch.data, submessages, kind)
         odd = samples.which[~samples.fits]
-        found.findings[submessages.row[odd]] |= np.uint32(Finding.LENGTH_MISMATCH)
+        located.findings[submessages.row[odd]] |= np.uint32(Finding.LENGTH_MISMATCH)
     learn(batch.data, submessages, batch.number[rows], site.endpoints)
-    return found
+    return located
 
 
 def learn(
-    data: NDArray[np.uint8], found: Submessages, number: NDArray[np.int64], endpoints: Endpoints
+    data: NDArray[np.uint8], submessages: Submessages, number: NDArray[np.int64], endpoints: Endpoints
 ) -> None:
     """Learn what participants announce.
 
@@ -179,7 +179,7 @@ def learn(
         number: i64, of the datagram of each message.
         endpoints: is added to.
     """
-    samples, own = _whole_samples(data, found)
+    samples, own = _whole_samples(data, submessages)
     head = SubmessageFields(data, own, SubmessageKind.DATA).guid("writer_id")
     entity = head.view(np.uint8).reshape(-1, GUID_BYTES)[:, PREFIX_BYTES:]
     word = np.ascontiguousarray(entity).view(">u4")[:, 0]
@@ -201,23 +201,23 @@ def dissect_message(reading: Reading, site: Site) -> None:
     reading.read(RTPS_HEADER, 0)
     octets = np.frombuffer(data, np.uint8)
     messages = read_messages(octets, np.array([0]), np.array([len(data)]))
-    found = messages.submessages
-    learn(octets, found, np.array([reading.datagram.number]), site.endpoints)
-    inside = _insides(octets, found)
+    submessages = messages.submessages
+    learn(octets, submessages, np.array([reading.datagram.number]), site.endpoints)
+    inside = _insides(octets, submessages)
     if messages.odd[0] or any(not fits for _, _, fits in inside.values()):
         reading.findings |= Finding.LENGTH_MISMATCH
-    for index in range(len(found.row)):
-        _submessage(reading, site.endpoints, found.take(np.array([index])), inside.get(index))
+    for index in range(len(submessages.row)):
+        _submessage(reading, site.endpoints, submessages.take(np.array([index])), inside.get(index))
     if messages.truncated[0]:
-        last = int(found.end[-1]) if len(found.end) else RTPS_HEADER.size
+        last = int(submessages.end[-1]) if len(submessages.end) else RTPS_HEADER.size
         reading.truncated(SUBMESSAGE.little.name, last, SUBMESSAGE.little.size)
 
 
-def _insides(octets: NDArray[np.uint8], found: Submessages) -> dict[int, tuple[int, int, bool]]:
+def _insides(octets: NDArray[np.uint8], submessages: Submessages) -> dict[int, tuple[int, int, bool]]:
     """Return where the data of each submessage lies, and whether its headers are sound."""
     out: dict[int, tuple[int, int, bool]] = {}
     for kind in (SubmessageKind.DATA, SubmessageKind.DATA_FRAG):
-        samples = read_samples(octets, found, kind)
+        samples = read_samples(octets, submessages, kind)
         columns = (samples.start, samples.end, samples.fits)
         out |= dict(
             zip(samples.which.tolist(), zip(*(item.tolist() for item in columns), strict=True), strict=True)
@@ -252,20 +252,20 @@ def _submessage(
         reading.extend(LayerField(label, value, place, place + 8, str(value), "the sequence number"))
     if kind in WITH_SEQUENCE_SET:
         name = _TOLD_SETS[SubmessageKind(kind)]
-        told = sequence_set(
+        listed = sequence_set(
             reading.data, behind, end, little=little, base=numbers["base"], bits=values["num_bits"]
         )
         reading.extend(
-            LayerField(name, told, behind, end, _numbers_text(told), "the samples whose bits are set")
+            LayerField(name, listed, behind, end, _numbers_text(listed), "the samples whose bits are set")
         )
     fields = SubmessageFields(np.frombuffer(reading.data, np.uint8), one, SubmessageKind(kind))
     guid = fields.guid("writer_id")[0].tobytes()
     place = at + layout.by_name["writer_id"].start
-    known = endpoints.find(guid, reading.datagram.number)
+    endpoint = endpoints.find(guid, reading.datagram.number)
     told_of = {"writer": (guid_text(guid), "GUID of the writer")}
-    topic = known.ros_topic if known is not None else ""
-    if known is not None and topic:
-        told_of |= {"topic": (topic, "as it announced"), "type": (known.ros_type, "as it announced")}
+    topic = endpoint.ros_topic if endpoint is not None else ""
+    if endpoint is not None and topic:
+        told_of |= {"topic": (topic, "as it announced"), "type": (endpoint.ros_type, "as it announced")}
     for name, (text, doc) in told_of.items():
         reading.extend(LayerField(name, text, place, place + ENTITY_BYTES, text, doc))
     if kind == SubmessageKind.DATA and flags & SubmessageFlag.INLINE_QOS:
@@ -273,8 +273,8 @@ def _submessage(
         if status := read_status(reading.data[start:end], "little" if little else "big"):
             reading.extend(LayerField("status", status, start, end, status, "what became of the instance"))
     sample = kind == SubmessageKind.DATA and flags & SubmessageFlag.DATA
-    if known is not None and topic and sample and inside and inside[2]:
-        reading.sample(topic, known.ros_type, inside[0], inside[1])
+    if endpoint is not None and topic and sample and inside and inside[2]:
+        reading.sample(topic, endpoint.ros_type, inside[0], inside[1])
 
 
 def _numbers_text(numbers: list[int]) -> str:
@@ -288,24 +288,31 @@ def submessage_places(
     owner = np.flatnonzero(rows.column("link") == link)
     offset, length = rows.datagram("offset")[owner], rows.datagram("length")[owner]
     if layout is RTPS_HEADER:
-        there = length >= layout.size
-        return owner[there], offset[there]
-    found = read_messages(rows.batch.data, offset, length).submessages
-    little = found.little == (layout.byte_order == "little")
-    of_time = (found.kind == SubmessageKind.INFO_TS) & ((found.flags & SubmessageFlag.NO_TIMESTAMP) != 0)
+        present = length >= layout.size
+        return owner[present], offset[present]
+    submessages = read_messages(rows.batch.data, offset, length).submessages
+    little = submessages.little == (layout.byte_order == "little")
+    of_time = (submessages.kind == SubmessageKind.INFO_TS) & (
+        (submessages.flags & SubmessageFlag.NO_TIMESTAMP) != 0
+    )
     kinds = [kind for kind, orders in SUBMESSAGE_LAYOUTS.items() if layout in orders]
     if kinds:
-        chosen = little & (found.kind == kinds[0]) & ~of_time & (found.end - found.start >= layout.size)
+        members = (
+            little
+            & (submessages.kind == kinds[0])
+            & ~of_time
+            & (submessages.end - submessages.start >= layout.size)
+        )
     else:
-        plain = ~np.isin(found.kind, list(SUBMESSAGE_LAYOUTS)) | of_time
-        plain |= ~found.whole & (found.end - found.start < LEAST_BYTES[found.kind])
-        chosen = little & plain
-    return owner[found.row[chosen]], found.start[chosen]
+        plain = ~np.isin(submessages.kind, list(SUBMESSAGE_LAYOUTS)) | of_time
+        plain |= ~submessages.whole & (submessages.end - submessages.start < LEAST_BYTES[submessages.kind])
+        members = little & plain
+    return owner[submessages.row[members]], submessages.start[members]
 
 
 def rtps_summary(decoded: Decoded) -> str:
     """Return what the submessages are, and of which topics or built-in endpoints."""
-    told: list[str] = []
+    texts: list[str] = []
     for layer in decoded.layers:
         values = layer.values()
         if "submessage_id" not in values:
@@ -320,9 +327,9 @@ def rtps_summary(decoded: Decoded) -> str:
             text += f" {values['status']}"
         if values.get("missing"):
             text += f" missing {_numbers_text(values['missing'])}"
-        told.append(text)
-    more = len(told) - _MOST_TOLD
-    return ", ".join(told[:_MOST_TOLD]) + (f", ... {more} more" if more > 0 else "") or str(
+        texts.append(text)
+    more = len(texts) - _MOST_TOLD
+    return ", ".join(texts[:_MOST_TOLD]) + (f", ... {more} more" if more > 0 else "") or str(
         decoded.stop or ""
     )
 
@@ -364,10 +371,10 @@ class UserSubmessages(NamedTuple):
 
     def of(self, writer: int) -> UserSubmessages:
         """Return those of one writer."""
-        chosen = self.writer == writer
+        mask = self.writer == writer
         shared = {"writers", "readers", "data"}
         return self._replace(
-            **{name: getattr(self, name)[chosen] for name in self._fields if name not in shared}
+            **{name: getattr(self, name)[mask] for name in self._fields if name not in shared}
         )
 
     def numbers(self, index: int) -> list[int]:
@@ -392,11 +399,11 @@ def user_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> UserSubmessa
     Args:
         rows: those that hold RTPS.
     """
-    found = rtps_messages(batch, rows).submessages
+    submessages = rtps_messages(batch, rows).submessages
     parts: list[tuple[NDArray[Any], ...]] = []
     for kind, names in _FOLLOWED.items():
-        at = np.flatnonzero((found.kind == kind) & found.whole)
-        own = found.take(at)
+        at = np.flatnonzero((submessages.kind == kind) & submessages.whole)
+        own = submessages.take(at)
         fields = SubmessageFields(batch.data, own, kind)
         guids = fields.guid("writer_id")
         users = _of_users(guids)
@@ -447,15 +454,15 @@ def named_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> NamedSubmes
     Args:
         rows: those that hold RTPS.
     """
-    found = rtps_messages(batch, rows).submessages
+    submessages = rtps_messages(batch, rows).submessages
     parts: list[tuple[NDArray[Any], ...]] = []
     for kind, names in _NUMBERS.items():
-        at = np.flatnonzero((found.kind == kind) & found.whole)
-        fields = SubmessageFields(batch.data, found.take(at), kind)
+        at = np.flatnonzero((submessages.kind == kind) & submessages.whole)
+        fields = SubmessageFields(batch.data, submessages.take(at), kind)
         single = names == ("writer_sn",)
         number = fields.sequence_number("writer_sn") if single else np.zeros(len(at), np.int64)
         parts.append((at, fields.guid("writer_id"), number, np.full(len(at), single)))
     at, guids, number, numbered_ = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(at, kind="stable")
     writers, writer = distinct_guids(guids[order])
-    return NamedSubmessages(found.row[at[order]], writers, writer, number[order], numbered_[order])
+    return NamedSubmessages(submessages.row[at[order]], writers, writer, number[order], numbered_[order])

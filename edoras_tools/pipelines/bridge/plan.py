@@ -113,8 +113,8 @@ class BridgePlan:
             ConfigError: two bridges use one MsgId on one kind of link; a recording cannot distinguish them.
         """
         mission = load(self.settings.configs, msg_ids=self.settings.options.msg_ids)
-        known = tuple(route for route in mission.routes if self.types.has(route.type))
-        context = Context(replace(mission, routes=known), self.types, self.settings.options)
+        routes = tuple(route for route in mission.routes if self.types.has(route.type))
+        context = Context(replace(mission, routes=routes), self.types, self.settings.options)
         return Workbench(context.mission, self.types, ColumnDecoder(context), Dissector(context))
 
 
@@ -151,17 +151,17 @@ def plan_bridges(settings: Settings, request: BridgeRequest) -> BridgePlan:
         bridges += mission.bridges
     if mistakes:
         raise ConfigError(*mistakes)
-    chosen = [item for item in bridges if request.kind in {None, _kind(item)}]
-    if not chosen:
+    selection = [item for item in bridges if request.kind in {None, _kind(item)}]
+    if not selection:
         raise ConfigError(
             f"no {request.kind} bridge in {', '.join(map(str, settings.configs))}; "
             f"name the other kind, or its file with -c"
         )
-    chosen = _limited(chosen, request.limits)
+    selection = _limited(selection, request.limits)
     judge = _Judge(types, notes)
     stations = [
         StationPlan(name, replace(bridge, routes=tuple(filter(judge.takes(bridge), bridge.routes))))
-        for name, bridge in zip(_names(chosen), chosen, strict=True)
+        for name, bridge in zip(_names(selection), selection, strict=True)
     ]
     usable = tuple(item for item in stations if item.bridge.routes)
     if not usable:
@@ -254,17 +254,17 @@ def _limited(bridges: list[Bridge], limits: Sequence[str]) -> list[Bridge]:
             bridges = [replace(item, max_rate_total=float(hertz)) for item in bridges]
             continue
         wish: dict[str, Any] = {"max_rate": float(hertz), **({"keep": keep} if keep else {})}
-        found = 0
+        count = 0
         changed = []
         for bridge in bridges:
             rows = [_called(route, name) if name else route.to_cfs for route in bridge.routes]
-            found += sum(rows)
+            count += sum(rows)
             routes = (
-                replace(route, handling=replace(route.handling, **wish)) if chosen else route
-                for route, chosen in zip(bridge.routes, rows, strict=True)
+                replace(route, handling=replace(route.handling, **wish)) if limited else route
+                for route, limited in zip(bridge.routes, rows, strict=True)
             )
             changed.append(replace(bridge, routes=tuple(routes)))
-        if not found:
+        if not count:
             topics = ", ".join(route.topic for bridge in bridges for route in bridge.routes)
             raise RouteError(f"--max-rate {text}: {name or 'no topic'} is not bridged; there are {topics}")
         bridges = changed

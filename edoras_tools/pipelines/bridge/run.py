@@ -124,7 +124,7 @@ class Bridges:
         by_fileno = {item.socket.fileno(): item for item in self.stations}
         with (
             select.epoll() as poll,
-            on_interrupt(self.stop) as asked,
+            on_interrupt(self.stop) as interrupt,
             watched(self, watcher),
             threads_take_turns(),
         ):
@@ -134,7 +134,7 @@ class Bridges:
             more = True
             while not self._stopping and (now := time.monotonic_ns()) < end:
                 more = self._turn(poll, by_fileno, 0 if more else self._wait_ns(now, end))
-            self.interrupted = asked.is_set()
+            self.interrupted = interrupt.is_set()
             self._turn(poll, by_fileno, 0)
             for station in self.stations:
                 station.machine.goodbye()

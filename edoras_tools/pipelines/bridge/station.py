@@ -146,8 +146,8 @@ class Station:
             times = self._times[:count].tolist()
             for slot, length in enumerate(lengths):
                 start = slot * stride
-                found = machine.receive_datagram(bytes(flat[start : start + length]), now=now)
-                if found is not None and self._give(publish, *found):
+                message = machine.receive_datagram(bytes(flat[start : start + length]), now=now)
+                if message is not None and self._give(publish, *message):
                     late.append(time.time_ns() - times[slot])
             if late:
                 direction.sent += len(late)
@@ -243,7 +243,7 @@ class Station:
         if isinstance(bridge.link, GroundLink):
             largest = CI_LARGEST
             add = {route.msg_id: route.handling.to_limit for route in back if route.handling.to_limit}
-            address = _here(bridge.link) if request.enable else None
+            address = _local_address(bridge.link) if request.enable else None
             link = GroundSession(writer, address, add, now=now)
         else:
             largest, far = SBN_LARGEST, bridge.link
@@ -279,8 +279,8 @@ class Station:
         slots: dict[bytes, list[int]] = {}
         for slot, packed in enumerate(senders.view("V32").ravel().tolist()):
             slots.setdefault(packed, []).append(slot)
-        for packed, chosen in slots.items():
-            self.recorder.take(self._buffer, np.array(chosen), self._times, self._ends_with(packed))
+        for packed, rows in slots.items():
+            self.recorder.take(self._buffer, np.array(rows), self._times, self._ends_with(packed))
 
     def _ends_with(self, sender: bytes | None) -> NDArray[np.void]:
         """Return the endpoints of a datagram: from a socket address to us; for None from us to the target."""
@@ -315,7 +315,7 @@ def _bind(plan: StationPlan) -> socket.socket:
     return open_bound(plan.listen, f"{link.file}:{link.line}: UDP {plan.listen}", f"choose another {key}")
 
 
-def _here(link: GroundLink) -> str:
+def _local_address(link: GroundLink) -> str:
     """Return the address of this machine that Telemetry Output sends to."""
     if link.bridge_ip is not None:
         return link.bridge_ip

@@ -36,7 +36,7 @@ class Statistics:
 
     def add(self, rows: ColumnRows) -> None:
         """Add the packets of a batch."""
-        self.ledger.add(rows.batch.take(rows.chosen), rows.columns.take(rows.chosen))
+        self.ledger.add(rows.batch.take(rows.selection), rows.columns.take(rows.selection))
         network = among(rows.column("link"), lambda link: link.peers).nonzero()[0]
         if len(network):
             self._conversation.add(rows.take(network))
@@ -132,7 +132,7 @@ class Conversation:
 
     def messages(self) -> list[SequenceMessage]:
         """Return all runs in order of their start; SBN peers are named by their identity if it is known."""
-        found = [
+        messages = [
             SequenceMessage(
                 self._name(stream.source),
                 self._name(stream.destination),
@@ -145,7 +145,7 @@ class Conversation:
             for stream, runs in self._streams.items()
             for run in runs
         ]
-        return sorted(found, key=lambda message: message.first_ns)
+        return sorted(messages, key=lambda message: message.first_ns)
 
     def _follow(self, stream: _Stream, times: NDArray[np.int64], findings: NDArray[np.uint32]) -> None:
         """Extend the stream's last run up to a pause, and start another after it."""
@@ -164,7 +164,7 @@ class Conversation:
 
     def _name(self, party: Party) -> str:
         if isinstance(party, Endpoint):
-            identity = self._context.peers.known((party.address, party.port), _FOREVER)
+            identity = self._context.peers.identity((party.address, party.port), _FOREVER)
             party = Peer(*identity) if identity else party
         return f"SBN {party}" if isinstance(party, Peer) else str(party)
 
@@ -190,16 +190,16 @@ class Conversation:
         if msg_id == NO_MSG_ID:
             return MSG_TYPE_NAMES.get(kind, f"type 0x{kind:02x}") if kind >= 0 else "unreadable"
         route, code = int(rows.routes()[row]), int(columns.function_code[index])
-        known = self._context.msg_ids.known(msg_id)
-        name = self._context.mission.routes[route].topic if route != NO_ROUTE else message_name(known)
-        words = [f"0x{msg_id:04x}", name, command_name(known, code) if code >= 0 else ""]
+        standard = self._context.msg_ids.standard(msg_id)
+        name = self._context.mission.routes[route].topic if route != NO_ROUTE else message_name(standard)
+        words = [f"0x{msg_id:04x}", name, command_name(standard, code) if code >= 0 else ""]
         return " ".join(["APP"] * (kind == MsgType.APP) + [word for word in words if word])
 
 
 def _alike(rows: ColumnRows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Number the packets by everything that names their stream; return the numbers, and one row of each."""
     link = rows.column("link")
-    named = among(link, lambda item: item.peers)
+    with_peers = among(link, lambda item: item.peers)
     to_cfs = among(link, lambda item: item.only_to_cfs)
     from_cfs = among(link, lambda item: item.only_from_cfs)
     keys: list[NDArray[Any]] = [
@@ -207,8 +207,8 @@ def _alike(rows: ColumnRows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         rows.column("sbn_msg_type"),
         rows.column("msg_id"),
         rows.column("function_code"),
-        np.where(named, rows.column("processor_id"), 0),
-        np.where(named, rows.column("spacecraft_id"), 0),
+        np.where(with_peers, rows.column("processor_id"), 0),
+        np.where(with_peers, rows.column("spacecraft_id"), 0),
         rows.datagram("ip_version"),
         rows.datagram("source_address"),
         np.where(to_cfs | from_cfs, 0, rows.datagram("source_port")),

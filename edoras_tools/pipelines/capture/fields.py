@@ -78,12 +78,12 @@ def texts_of(field: FilterField, series: Series, clean: Callable[[str], str] = s
         return (
             values.astype(str).tolist() if values.itemsize < 8 else [repr(value) for value in values.tolist()]
         )
-    named = field.names
+    names = field.names
     if field.base == 16:
-        return [named.get(value) or f"0x{value:0{field.digits}x}" for value in values.tolist()]
+        return [names.get(value) or f"0x{value:0{field.digits}x}" for value in values.tolist()]
     return (
-        [named.get(value) or str(value) for value in values.tolist()]
-        if named
+        [names.get(value) or str(value) for value in values.tolist()]
+        if names
         else list(map(str, values.tolist()))
     )
 

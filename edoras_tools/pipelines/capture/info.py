@@ -45,15 +45,17 @@ class Counting:
             return rows
         keep = self._once.keep(rows.batch, rows.columns)
         keep[loop.conversations.left_out()] = False
-        kept = rows.take(np.flatnonzero(keep[rows.chosen]))
-        self.report.ledger.add(*kept.alone())
-        self.report.follow_samples(*kept.alone())
+        counted_rows = rows.take(np.flatnonzero(keep[rows.selection]))
+        self.report.ledger.add(*counted_rows.alone())
+        self.report.follow_samples(*counted_rows.alone())
         table = self._structs.dictionary
         if table is not None:
-            found = table.whole(payloads(self._structs, kept.column, kept.datagram, kept.batch.data))
-            for key, members in by_value(found.key):
+            entries = table.whole(
+                payloads(self._structs, counted_rows.column, counted_rows.datagram, counted_rows.batch.data)
+            )
+            for key, members in by_value(entries.key):
                 self.report.entries[table[key].entry] += len(members)
-        return kept
+        return counted_rows
 
     def end(self, loop: ReadLoop) -> CaptureReport:
         """Return the counts, and how the loop ended."""

@@ -171,9 +171,9 @@ class Ledger:
 
     def _add_ground(self, batch: PacketBatch, columns: Columns) -> None:
         """Follow the counts of F Prime's space packets; the account of its frames has them."""
-        known = len(self._ground.streams)
+        before = len(self._ground.streams)
         self._ground.add(batch, columns)
-        new = [item.counts for item in self._ground.streams[known:]]
+        new = [item.counts for item in self._ground.streams[before:]]
         if new:
             row = int(np.flatnonzero(columns.link == FPRIME)[0])
             self._account(columns, -1, row).sequences += new
@@ -183,10 +183,12 @@ class Ledger:
         """Notes on the figures, one line each."""
         if self.behind_ns < _TOLD_NS:
             return []
-        what = "message" if self.mission.recorded else "datagram"
-        back = f"{plural(self.behind, what)}, by up to {self.behind_ns / SECOND:.3f} s"
-        told = "jitter, gaps and reordered are counted in the file's order; edoras doctor sorts it first"
-        return [f"times run back at {back}: {told}"]
+        unit = "message" if self.mission.recorded else "datagram"
+        back = f"{plural(self.behind, unit)}, by up to {self.behind_ns / SECOND:.3f} s"
+        order_note = (
+            "jitter, gaps and reordered are counted in the file's order; edoras doctor sorts it first"
+        )
+        return [f"times run back at {back}: {order_note}"]
 
     @property
     def findings(self) -> dict[str, int]:
@@ -252,9 +254,9 @@ class Ledger:
         met = np.bitwise_or.reduceat(findings, starts)
         ends = np.append(starts[1:], len(order))
         for index in np.flatnonzero(met).tolist():
-            known, own = accounts[index].findings, findings[starts[index] : ends[index]]
+            totals, own = accounts[index].findings, findings[starts[index] : ends[index]]
             for bit, label in _bits(int(met[index])):
-                known[label] = known.get(label, 0) + int(np.count_nonzero(own & bit))
+                totals[label] = totals.get(label, 0) + int(np.count_nonzero(own & bit))
 
     def routes(self) -> list[dict[str, Any]]:
         """Return a row for every stream, in the shape of ``info --json``: configured topics first."""
@@ -270,18 +272,18 @@ class Ledger:
             ),
         )
         rows = [self._row(account) for account in accounts]
-        seen = {account.route for account in accounts}
+        observed = {account.route for account in accounts}
         silent = [
             Account(OTHER, 0, NO_MSG_ID, place, place, bytes_min=0)
             for place in self.listed
-            if place not in seen
+            if place not in observed
         ]
         return rows + [self._row(account) for account in silent]
 
     def _row(self, account: Account) -> dict[str, Any]:
         route = self.mission.routes[account.route] if account.route >= 0 else None
         recorded = bool(self.mission.recorded)
-        name = message_name(self.mission.msg_ids.known(account.msg_id))
+        name = message_name(self.mission.msg_ids.standard(account.msg_id))
         if account.msg_id == NO_MSG_ID and account.link != OTHER:
             name = table.protocol(account.link).message_name(account.kind)
         return {

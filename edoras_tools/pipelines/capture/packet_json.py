@@ -90,15 +90,15 @@ def as_json(decoded: Decoded) -> dict[str, Any]:
 
 def _layers(decoded: Decoded) -> dict[str, Any]:
     """Return the fields of each layer by its name; of those of DDS a second one is ``rtps_data#2``."""
-    found: dict[str, Any] = {}
+    by_name: dict[str, Any] = {}
     count: Counter[str] = Counter()
     for layer in decoded.layers:
         if layer.name not in {"ros", "cfs", RECORDED_LAYER}:
             count[layer.name] += 1
             again = decoded.link.samples and count[layer.name] > 1
             name = f"{layer.name}#{count[layer.name]}" if again else layer.name
-            found[name] = json_value(layer.values(), octets=bytes.hex)
-    return found
+            by_name[name] = json_value(layer.values(), octets=bytes.hex)
+    return by_name
 
 
 def _message(message: RosMessage) -> dict[str, Any]:
@@ -121,12 +121,12 @@ class PacketTexts:
             return self._of_messages(rows)
         links = {code: _text(link.label) for code, link in links_of(rows).items()}
         pairs, which = endpoints(rows)
-        named = [(_text(str(source)), _text(str(destination))) for source, destination in pairs]
+        names = [(_text(str(source)), _text(str(destination))) for source, destination in pairs]
         heads = zip(
             rows.datagram("number").tolist(),
             rows.datagram("time_ns").tolist(),
             map(links.__getitem__, rows.column("link").tolist()),
-            map(named.__getitem__, which.tolist()),
+            map(names.__getitem__, which.tolist()),
             rows.datagram("length").tolist(),
             self._contents.of(rows),
             strict=True,
@@ -176,9 +176,9 @@ def _tails(rows: ColumnRows) -> list[str | None]:
         easy[owner if texts is None else owner[~messages.valid]] = False
     ids, findings = rows.column("msg_id"), rows.column("findings")
     labels = {bits: _text(Finding(bits).labels) for bits in set(findings.tolist())}
-    there = np.flatnonzero(easy)
+    places = np.flatnonzero(easy)
     bare: dict[Path, Texts] = {("layers",): "{}"}
-    for members, parts in [(there, bare)] if shapes is None else shapes.of(there):
+    for members, parts in [(places, bare)] if shapes is None else shapes.of(places):
         parts[("msg_id",)] = "null" if recorded else [f'"0x{value:04x}"' for value in ids[members].tolist()]
         for key, values in about.items():
             parts[(key,)] = values[members].tolist()
@@ -201,15 +201,15 @@ class _Shapes:
         envelopes = [*rows.context.envelopes, None]  # the last is that of no route
         self._start, header = rows.column("packet_offset"), rows.column("header_length")
         self._body = self._start + header
-        left = rows.column("packet_length") - header
+        size = rows.column("packet_length") - header
         self._links = links_of(rows)
         fixed = [code for code, link in self._links.items() if _fixed(link) is not None]
         self.known = np.isin(rows.column("link"), fixed)
         self._inside = np.zeros(len(rows), np.uint8)
         msg_ids, bare = rows.context.msg_ids, rows.routes() == NO_ROUTE
-        for number, (known, layout) in enumerate(_INSIDE, 1):
-            there = (rows.column("msg_id") == msg_ids.of_known(known)) & (left >= layout.size) & bare
-            self._inside[there] = number
+        for number, (standard, layout) in enumerate(_INSIDE, 1):
+            inside = (rows.column("msg_id") == msg_ids.of_known(standard)) & (size >= layout.size) & bare
+            self._inside[inside] = number
         enclosed = rows.column("cdr_length") > 0
         formats = np.array([ENVELOPE_FORMATS.index(item) + 1 if item else 0 for item in envelopes])
         self._envelope = np.where(enclosed, formats[rows.routes()], 0)
@@ -255,8 +255,8 @@ class _Shapes:
         for slot in layout.slots:
             values = slot_values(layout, slot, window[:, slot.start : slot.end])
             if isinstance(values, list):
-                known = {item: item.hex() if isinstance(item, bytes) else item for item in set(values)}
-                values = np.array([known[item] for item in values], object)
+                texts = {item: item.hex() if isinstance(item, bytes) else item for item in set(values)}
+                values = np.array([texts[item] for item in values], object)
             yield ("layers", layout.name, slot.field.name), _texts(values)
 
 

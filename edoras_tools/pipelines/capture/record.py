@@ -56,7 +56,7 @@ class Target:
         jobs: how many processes share the work on a large file; 0: as many as there are processor cores,
             while these are free.
         transforms: also write ``/tf``, made of the poses, for 3D views.
-        told: called with a line if the file is removed while it is written.
+        on_warning: called with a line if the file is removed while it is written.
     """
 
     path: Path
@@ -71,7 +71,7 @@ class Target:
     replace: bool = False
     transforms: bool = False
     jobs: int = 0
-    told: Callable[[str], None] = field(default=lambda _: None, compare=False, repr=False)
+    on_warning: Callable[[str], None] = field(default=lambda _: None, compare=False, repr=False)
 
     @property
     def format(self) -> Format | None:
@@ -164,14 +164,14 @@ class CaptureReport:
         """Return the writers of DDS, and how many of their samples were captured."""
         if self._samples is None or self.endpoints is None:
             return []
-        return [item.as_json() for item in self._samples.named(self.endpoints)]
+        return [item.as_json() for item in self._samples.topic_writers(self.endpoints)]
 
     def _entries(self) -> list[dict[str, Any]]:
         """Return the entries of a dictionary, and how often each was seen."""
-        found = sorted(self.entries.items(), key=lambda item: (item[0].kind, item[0].id))
+        entries = sorted(self.entries.items(), key=lambda item: (item[0].kind, item[0].id))
         return [
             {"entry": entry.name, "is": entry.word, "id": entry.id_text, "count": count}
-            for entry, count in found
+            for entry, count in entries
         ]
 
 
@@ -225,14 +225,14 @@ def open_sink(
     source: Source,
     bench: Workbench,
     *,
-    chosen: str = "",
+    selection: str = "",
     sequences: SequenceCounts | None = None,
     topics: Collection[int] | None = None,
 ) -> WatchedSink:
     """Open a sink for a target that was checked.
 
     Args:
-        chosen: the selection, in words.
+        selection: the selection, in words.
         sequences: see ``RecordingOptions``.
         topics: see ``RecordingOptions``.
 
@@ -246,7 +246,7 @@ def open_sink(
     format_ = target.format or PCAP
     make = format_.sink()
     options = RecordingOptions(
-        chosen,
+        selection,
         target.split_bytes,
         target.split_ns,
         target.split_count,
@@ -281,9 +281,11 @@ def open_sink(
         return messages
 
     sync_s, keep = target.sync_ns / 1e9, Keep(target.keep_files, target.keep_bytes)
-    sink = WatchedSink(target.path, begin, target.told, source.statistics, sync_s=sync_s, keep=keep)
+    sink = WatchedSink(target.path, begin, target.on_warning, source.statistics, sync_s=sync_s, keep=keep)
     if isinstance(source, DeviceSource) and sink.replaces:
-        target.told(f"{target.path} is replaced at the end; until then the recording is {sink.paths[-1]}")
+        target.on_warning(
+            f"{target.path} is replaced at the end; until then the recording is {sink.paths[-1]}"
+        )
     return sink
 
 
@@ -319,7 +321,7 @@ def record(
         sequences = SequenceCounts()
         topics = loop.selection.places() if bench.mission.recorded else None
         sink = open_sink(
-            target, source, bench, chosen=str(loop.selection), sequences=sequences, topics=topics
+            target, source, bench, selection=str(loop.selection), sequences=sequences, topics=topics
         )
         report = pour(
             loop,
@@ -376,25 +378,25 @@ def pour(
     wrote = ended = False
     waiting = Waiting(patient=patient, clock=loop.limits.clock)
 
-    def write(taken: tuple[PacketBatch, Columns] | None, counters: HostCounters | None) -> None:
+    def write(pair: tuple[PacketBatch, Columns] | None, counters: HostCounters | None) -> None:
         nonlocal wrote
-        if taken is not None:
+        if pair is not None:
             wrote = True
-            sink.write(*taken)
-            flushing.took(taken[0])
+            sink.write(*pair)
+            flushing.took(pair[0])
         if note and counters:
             note(counters)
             flushing.noted()
         if live:
             flushing.look()  # first, because the rest can wait
-        if taken is not None:
+        if pair is not None:
             if by_route:
-                report.ledger.add(*taken)
-                report.follow_samples(*taken)
+                report.ledger.add(*pair)
+                report.follow_samples(*pair)
             else:
-                report.ledger.tally(taken[0])
+                report.ledger.tally(pair[0])
             if tap is not None:
-                tap(*taken)
+                tap(*pair)
 
     try:
         if host and note:

@@ -196,7 +196,7 @@ class SnapshotSink:
         self._pieces.append(piece)
         self._size += piece.size
         self._newest_ns, self._came_ns = max(self._newest_ns, piece.last_ns), self._clock()
-        for time_ns, reason in self._found(piece):
+        for time_ns, reason in self._finding_hits(piece):
             self.fire(time_ns, reason)
         self._look()
         self._forget()
@@ -234,20 +234,20 @@ class SnapshotSink:
             return
         self._closed = True
         self._rules.end()
-        for time_ns, reason in self._rules.found():
+        for time_ns, reason in self._rules.new_hits():
             self.fire(time_ns, reason)
         while self._open:
             self._advance(None)
             self._complete(self._open.popleft())
 
-    def _found(self, piece: _Piece) -> Iterator[tuple[int, str]]:
+    def _finding_hits(self, piece: _Piece) -> Iterator[tuple[int, str]]:
         """Yield when datagrams of a batch fire, and why."""
         hits = []
         if self._plan.findings:
             bits = piece.columns.findings & np.uint32(self._plan.findings)
             if bits.any():
-                told = Finding(int(np.bitwise_or.reduce(bits)))
-                hits.append((bits != 0, f"finding {', '.join(item.label for item in told)}"))
+                findings = Finding(int(np.bitwise_or.reduce(bits)))
+                hits.append((bits != 0, f"finding {', '.join(item.label for item in findings)}"))
         hits += [(where.mask(piece.batch, piece.columns), str(where)) for where in self._where]
         for hit, reason in hits:
             times = np.sort(piece.batch.time_ns[hit])
@@ -262,7 +262,7 @@ class SnapshotSink:
         for reason in self._triggers.fired():
             self.fire(now_ns, reason)
         self._rules.look(((item.batch, item.columns) for item in self._pieces), self._newest_ns)
-        for time_ns, reason in self._rules.found():
+        for time_ns, reason in self._rules.new_hits():
             self.fire(time_ns, reason)
         self._advance(self._clock() + _TURN_NS if self._live else None)
         if self._open and self._live and self._clock() - self._came_ns > _QUIET_NS:
@@ -318,16 +318,16 @@ class SnapshotSink:
             return
         sink.close(self._statistics)
         self.losses += sink.losses
-        self._target.told(told(one, self._plan))
+        self._target.on_warning(snapshot_line(one, self._plan))
         self._delete_oldest()
 
     def _delete_oldest(self) -> None:
         """Delete complete files until what is left is as much as is to be kept."""
         keep = self.keep
-        there = [item for item in self.snapshots if item.path is not None and item.path.exists()]
-        sizes = [item.path.stat().st_size for item in there if item.path is not None]
-        for place, item in enumerate(there[:-1]):
-            count, size = len(there) - place, sum(sizes[place:])
+        existing = [item for item in self.snapshots if item.path is not None and item.path.exists()]
+        sizes = [item.path.stat().st_size for item in existing if item.path is not None]
+        for place, item in enumerate(existing[:-1]):
+            count, size = len(existing) - place, sum(sizes[place:])
             if not ((keep.files and count > keep.files) or (keep.size and size > keep.size)):
                 return
             assert item.path is not None
@@ -358,7 +358,7 @@ class SnapshotSink:
         """Note that a batch is dropped because of the size; say so the first time."""
         if not self.dropped:
             holds = (self._newest_ns - oldest.first_ns) / SECOND
-            self._target.told(
+            self._target.on_warning(
                 f"--before-size {self._plan.before_bytes >> 20} MiB holds the last {holds:.1f} s of this "
                 f"traffic, not {self._plan.before_ns / SECOND:g} s; older datagrams are dropped first"
             )
@@ -366,7 +366,7 @@ class SnapshotSink:
         self._dropped_ns = max(self._dropped_ns, oldest.last_ns)
 
 
-def told(one: Snapshot, plan: SnapshotPlan) -> str:
+def snapshot_line(one: Snapshot, plan: SnapshotPlan) -> str:
     """Return the line that says what a file holds, and why it was written."""
     more = f" and {len(one.reasons) - 1} more" if len(one.reasons) > 1 else ""
     after = (one.until_ns - one.trigger_ns) / SECOND
@@ -410,7 +410,7 @@ def record_snapshots(
 
         def begin(path: Path) -> WatchedSink:
             # Kept batches must not lie in memory that is lent to the source.
-            return open_sink(replace(target, path=path, jobs=1), source, bench, chosen=about)
+            return open_sink(replace(target, path=path, jobs=1), source, bench, selection=about)
 
         sink = SnapshotSink(plan, source, bench.columns.context, target, begin, triggers=triggers)
         report = pour(loop, sink, watcher=watcher)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.merge import follow_streams
-from edoras_tools.pipelines.reading import Limits, chosen
+from edoras_tools.pipelines.reading import Limits, selected_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -27,8 +27,8 @@ def sniff(
     limits: Limits = Limits(),  # noqa: B008  frozen
     started: Callable[[int], None] = lambda _: None,
 ) -> Iterator[Decoded]:
-    """Yield the selected packets of a source, decoded; all else as ``chosen``."""
-    for rows in chosen(source, bench, selection, limits, started, most=AT_ONCE):
+    """Yield the selected packets of a source, decoded; all else as ``selected_rows``."""
+    for rows in selected_rows(source, bench, selection, limits, started, most=AT_ONCE):
         for row in rows.indices().tolist():
             yield bench.dissector.dissect(rows.batch[row])
 
@@ -56,5 +56,7 @@ def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:
     finally:
         source.close()
     word, unit = ("message", "message") if bench.mission.recorded else ("packet", "datagram")
-    what = "is not a UDP datagram" if number <= last else f"does not exist: the last {unit} is number {last}"
-    raise CaptureError(f"{source.info.name}: {word} {number} {what}")
+    problem = (
+        "is not a UDP datagram" if number <= last else f"does not exist: the last {unit} is number {last}"
+    )
+    raise CaptureError(f"{source.info.name}: {word} {number} {problem}")

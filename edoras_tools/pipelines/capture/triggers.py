@@ -54,7 +54,7 @@ class Triggers:
     def __init__(self, keys: Keyboard | None = None, listener: socket.socket | None = None) -> None:
         self._keys, self._listener = keys, listener
         self._signals: list[str] = []
-        self._asked: list[str] = []
+        self._senders: list[str] = []
 
     def signalled(self, *_: object) -> None:
         """Fire; for a signal handler."""
@@ -73,13 +73,13 @@ class Triggers:
             words = " ".join(text.decode(errors="replace").split())
             reasons.append(f"asked for: {words}" if words else "asked for on the socket")
             if sender:
-                self._asked.append(sender)
+                self._senders.append(sender)
         return reasons
 
     def answer(self, text: str) -> None:
         """Answer those who asked on the socket."""
-        asked, self._asked = self._asked, []
-        for sender in asked:
+        senders, self._senders = self._senders, []
+        for sender in senders:
             with suppress(OSError):
                 assert self._listener is not None, "it was asked there"
                 self._listener.sendto(text.encode(), sender)
@@ -96,11 +96,11 @@ def listening(keys: Keyboard | None = None, path: Path | None = None) -> Iterato
         CaptureError: it cannot be made, or another program has it.
     """
     listener = _bound(path) if path is not None else None
-    made = Triggers(keys, listener)
+    triggers = Triggers(keys, listener)
     handled = _SIGNAL is not None and threading.current_thread() is threading.main_thread()
-    before = signal.signal(_SIGNAL, made.signalled) if handled and _SIGNAL is not None else None
+    before = signal.signal(_SIGNAL, triggers.signalled) if handled and _SIGNAL is not None else None
     try:
-        yield made
+        yield triggers
     finally:
         if handled and _SIGNAL is not None:
             signal.signal(_SIGNAL, before)
@@ -157,9 +157,9 @@ def _bound(path: Path) -> socket.socket:
 
 
 def _answers(path: Path) -> bool:
-    with _unix() as there:
+    with _unix() as peer:
         try:
-            there.connect(str(path))
+            peer.connect(str(path))
         except OSError:
             return False
         return True
@@ -183,15 +183,15 @@ class RuleTrigger:
         self._known: set[tuple[str, str | None, int | None]] = set()
         self._found: deque[tuple[int, str]] = deque()
 
-    def found(self) -> list[tuple[int, str]]:
+    def new_hits(self) -> list[tuple[int, str]]:
         """Return what fired since the last call: the time, and why."""
         return [self._found.popleft() for _ in range(len(self._found))]
 
-    def look(self, kept: Iterable[tuple[PacketBatch, Columns]], newest_ns: int) -> None:
+    def look(self, batches: Iterable[tuple[PacketBatch, Columns]], newest_ns: int) -> None:
         """Start to judge what is kept, if it is time.
 
         Args:
-            kept: batches, the oldest first.
+            batches: batches, the oldest first.
             newest_ns: time of the newest datagram; what is found counts from then.
         """
         if not (self._rules or self._any) or (self._thread and self._thread.is_alive()):
@@ -199,18 +199,18 @@ class RuleTrigger:
         now = time.monotonic_ns() if self._apart else newest_ns
         if now < self._due_ns or newest_ns == self._judged_ns:
             return
-        taken: list[tuple[PacketBatch, Columns]] = []
+        waiting: list[tuple[PacketBatch, Columns]] = []
         rows = 0
-        for batch, columns in reversed(list(kept)):
+        for batch, columns in reversed(list(batches)):
             rows += len(batch)
-            if taken and rows > _JUDGE_ROWS:
+            if waiting and rows > _JUDGE_ROWS:
                 break
-            taken.append((batch, columns))
+            waiting.append((batch, columns))
         self._judged_ns, self._due_ns = newest_ns, now + _JUDGE_NS
         if not self._apart:
-            self._judge(taken[::-1], newest_ns)
+            self._judge(waiting[::-1], newest_ns)
             return
-        self._thread = threading.Thread(target=self._judge, args=(taken[::-1], newest_ns), daemon=True)
+        self._thread = threading.Thread(target=self._judge, args=(waiting[::-1], newest_ns), daemon=True)
         self._thread.start()
 
     def end(self) -> None:
@@ -218,18 +218,18 @@ class RuleTrigger:
         if self._thread is not None:
             self._thread.join()
 
-    def _judge(self, taken: list[tuple[PacketBatch, Columns]], newest_ns: int) -> None:
+    def _judge(self, batches: list[tuple[PacketBatch, Columns]], newest_ns: int) -> None:
         began = time.monotonic_ns()
         examination = Examination(self._context)
-        for batch, columns in taken:
+        for batch, columns in batches:
             examination.add(batch, columns)
-        found = {
+        reasons = {
             (item.rule, item.link, item.msg_id): item.reason
             for item in examination.diagnose(Capture()).verdicts
             if item.rule in self._rules or (self._any and item.severity >= Severity.ERROR)
         }
-        fired = [f"rule {key[0]}: {reason}" for key, reason in found.items() if key not in self._known]
-        self._known = set(found)
+        fired = [f"rule {key[0]}: {reason}" for key, reason in reasons.items() if key not in self._known]
+        self._known = set(reasons)
         self._found.extend((newest_ns, reason) for reason in fired)
         if self._apart:
             self._due_ns = time.monotonic_ns() + max(_JUDGE_NS, _JUDGE_TIMES * (time.monotonic_ns() - began))

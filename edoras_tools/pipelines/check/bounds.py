@@ -40,7 +40,7 @@ class Unit(Enum):
             raise ValueError(text)
         return float(plain)
 
-    def shown(self, value: float | None) -> str:
+    def text_of(self, value: float | None) -> str:
         """Return a value for people."""
         if value is None:
             return units.NONE
@@ -80,8 +80,8 @@ def parse_bound(text: str, unit: Unit) -> Tolerance:
     Raises:
         ValueError: with what is allowed instead.
     """
-    found = _FORM.fullmatch(text.strip())
-    word, alone, low, high, exact = found.groups() if found else ("", "", "", "", "")
+    match = _FORM.fullmatch(text.strip())
+    word, alone, low, high, exact = match.groups() if match else ("", "", "", "", "")
     numbers = [item for item in (alone, low, high, exact) if item]
     share = unit is Unit.LOSS and bool(numbers) and all(item.endswith("%") for item in numbers)
     values = []

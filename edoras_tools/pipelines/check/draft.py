@@ -143,9 +143,9 @@ class Draft:
                 yield f"{indent}{key}: 0"
                 continue
             share = min(100, _up(number / figures.sent * 100))
-            told = f"{number:,} of {figures.sent:,} {key}"
-            yield f"{indent}{key}: at most {share}%  # {told} here"
-            self.notes.append(f"{name}: {told}; the draft accepts up to {share}%")
+            share_text = f"{number:,} of {figures.sent:,} {key}"
+            yield f"{indent}{key}: at most {share}%  # {share_text} here"
+            self.notes.append(f"{name}: {share_text}; the draft accepts up to {share}%")
 
     def _allowed(self, key: str, names: list[str]) -> Iterator[str]:
         yield f"{key}: [{', '.join(names)}]"
@@ -180,8 +180,8 @@ def _up(value: float) -> float:
 def _rounded(value: float, how: Callable[[float], int]) -> float:
     digits = 2 - math.floor(math.log10(value)) if value > 0 else 0
     scale = 10.0**digits
-    made = how(value * scale) / scale
-    return int(made) if made == int(made) else made
+    rounded = how(value * scale) / scale
+    return int(rounded) if rounded == int(rounded) else rounded
 
 
 def _key(name: str) -> str:

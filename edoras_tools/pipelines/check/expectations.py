@@ -109,9 +109,9 @@ class EventExpectation:
     @property
     def where(self) -> str:
         """The filter that such an event passes."""
-        found = _EVENT.fullmatch(self.text)
-        app, number, text = found.groups() if found else ("", "", self.text)
-        tests = [f"cfe_event.app_name == {_quoted(app)}", f"cfe_event.event_id == {number}"] if found else []
+        match = _EVENT.fullmatch(self.text)
+        app, number, text = match.groups() if match else ("", "", self.text)
+        tests = [f"cfe_event.app_name == {_quoted(app)}", f"cfe_event.event_id == {number}"] if match else []
         tests += [f"cfe_event.message contains {_quoted(text)}"] if text else []
         return " and ".join(tests)
 
@@ -164,9 +164,9 @@ def load_expectations(path: Path) -> Expectations:
     document = read_document(
         path, report, _FORM, one="expectations are one document", instead="a file of expectations"
     )
-    made = _Reader(report).expectations(document) if document is not None else Expectations(str(path))
+    expectations = _Reader(report).expectations(document) if document is not None else Expectations(str(path))
     report.raise_all()
-    return made
+    return expectations
 
 
 class _Reader:
@@ -194,7 +194,7 @@ class _Reader:
                     self.report.mistake(line, key, "this version reads schema 1")
             else:
                 self._bound(bounds, key, key, WHOLE_BOUNDS[key], value)
-        made = Expectations(
+        result = Expectations(
             self.report.file,
             tuple(topics),
             tuple(events),
@@ -202,9 +202,9 @@ class _Reader:
             allowed.get("verdicts"),
             bounds,
         )
-        if made == Expectations(self.report.file) and not self.report.mistakes:
+        if result == Expectations(self.report.file) and not self.report.mistakes:
             self.report.mistake(tree.line, "", f"nothing is expected; {_FORM}")
-        return made
+        return result
 
     def _topic(self, name: str, line: int, tree: Tree) -> TopicExpectation:
         bounds: dict[str, Tolerance] = {}
@@ -216,38 +216,38 @@ class _Reader:
             elif not isinstance(value, SequenceNode):
                 self.report.mistake(value.line, place, "a list is needed, e.g. - always: linear.x < 1")
             else:
-                made = [self._field(f"{place}[{at}]", item) for at, item in enumerate(value.items)]
-                fields += [item for item in made if item is not None]
+                parsed = [self._field(f"{place}[{at}]", item) for at, item in enumerate(value.items)]
+                fields += [item for item in parsed if item is not None]
         return TopicExpectation(name, line, bounds, tuple(fields))
 
     def _field(self, place: str, tree: Tree) -> FieldExpectation | None:
-        found = {
+        values = {
             key: (line, node) for key, line, node in self._entries(tree, place, (*_SORTS, "within", "then"))
         }
-        sorts = [item for item in _SORTS if item in found]
+        sorts = [item for item in _SORTS if item in values]
         if len(sorts) != 1:
             self.report.mistake(tree.line, place, f"one of {', '.join(_SORTS)} is needed, with a filter")
             return None
-        sort, rest = sorts[0], found.keys() - set(sorts)
+        sort, rest = sorts[0], values.keys() - set(sorts)
         if rest != ({"within", "then"} if sort == "after" else set()):
-            what = (
+            problem = (
                 "after: needs within: and then:, e.g. within: 2s"
                 if sort == "after"
                 else (f"{', '.join(sorted(rest))} can only be used with after:")
             )
-            self.report.mistake(tree.line, place, what)
+            self.report.mistake(tree.line, place, problem)
             return None
-        texts = {key: self._text(node, f"{place}.{key}") for key, (_, node) in found.items()}
+        texts = {key: self._text(node, f"{place}.{key}") for key, (_, node) in values.items()}
         for key in (sort, "then"):
             if texts.get(key):
-                self._filter(texts[key], found[key][0], f"{place}.{key}")
+                self._filter(texts[key], values[key][0], f"{place}.{key}")
         within_ns = 0
         if sort == "after":
             try:
                 within_ns = time_ns(texts["within"])
             except ValueError as error:
-                self.report.mistake(found["within"][0], f"{place}.within", str(error))
-        return FieldExpectation(sort, texts[sort], found[sort][0], texts.get("then", ""), within_ns)
+                self.report.mistake(values["within"][0], f"{place}.within", str(error))
+        return FieldExpectation(sort, texts[sort], values[sort][0], texts.get("then", ""), within_ns)
 
     def _filter(self, text: str, line: int, place: str) -> None:
         try:
@@ -264,24 +264,26 @@ class _Reader:
             self.report.mistake(value.line, place, str(error))
 
     def _allowed(self, key: str, value: Tree) -> frozenset[str]:
-        known = list(rules()) if key == "verdicts" else [item.label for item in Finding]
+        allowed_names = list(rules()) if key == "verdicts" else [item.label for item in Finding]
         names = self._texts(value, key)
         for name, line in names:
-            if name not in known:
-                what = "verdict" if key == "verdicts" else "finding"
+            if name not in allowed_names:
+                kind = "verdict" if key == "verdicts" else "finding"
                 self.report.mistake(
                     line,
                     key,
-                    f"{name!r} is no {what}; {suggestion(name, known) or 'see edoras doctor, info'}",
+                    f"{name!r} is no {kind}; {suggestion(name, allowed_names) or 'see edoras doctor, info'}",
                 )
         return frozenset(name for name, _ in names)
 
     def _entries(
-        self, tree: Tree, place: str, known: Collection[str] = ()
+        self, tree: Tree, place: str, allowed: Collection[str] = ()
     ) -> Iterator[tuple[str, int, Tree]]:
         """Yield the keys of a mapping, with line and value."""
-        what = f"keys are needed: {', '.join(known)}" if known else "a name is needed, then what is expected"
-        return named_entries(tree, place, self.report, what if place else _FORM, known)
+        needed = (
+            f"keys are needed: {', '.join(allowed)}" if allowed else "a name is needed, then what is expected"
+        )
+        return named_entries(tree, place, self.report, needed if place else _FORM, allowed)
 
     def _texts(self, value: Tree, place: str) -> list[tuple[str, int]]:
         items = value.items if isinstance(value, SequenceNode) else (value,)

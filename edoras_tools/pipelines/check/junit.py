@@ -37,14 +37,14 @@ def junit(report: CheckReport) -> bytes:
     for item in report.results:
         name = printable(item.name, _LONGEST)
         case = SubElement(suite, "testcase", {"classname": printable(item.about), "name": name, "time": "0"})
-        found = printable(item.found, _LONGEST)
+        observed = printable(item.found, _LONGEST)
         if not item.passed:
             SubElement(
-                case, "failure", {"message": found, "type": "expectation"}
-            ).text = f"{printable(item.about)}: {name}; found {found}"
+                case, "failure", {"message": observed, "type": "expectation"}
+            ).text = f"{printable(item.about)}: {name}; found {observed}"
     indent(root)
-    made: bytes = tostring(root, encoding="utf-8", xml_declaration=True)
-    return made
+    document: bytes = tostring(root, encoding="utf-8", xml_declaration=True)
+    return document
 
 
 def write_junit(report: CheckReport, path: Path) -> None:

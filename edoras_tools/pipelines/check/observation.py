@@ -49,7 +49,7 @@ class Subject:
         return cls(name or f"0x{msg_id:04x}", PacketKinds(keys=frozenset({Key(msg_id)})))
 
     @classmethod
-    def named(cls, name: str, context: Context) -> Subject:
+    def of_name(cls, name: str, context: Context) -> Subject:
         """Return what a name in a file of expectations stands for.
 
         Raises:
@@ -77,7 +77,7 @@ class FilterCount:
         subject: which messages.
         where: the filter.
         then: the filter that has to pass afterwards, on any packet; or None.
-        seen: how many there were.
+        tested: how many there were.
         hits: how many passed.
         first_hit: number and time of the first that passed; None where none did.
         first_miss: likewise of the first that did not.
@@ -86,7 +86,7 @@ class FilterCount:
     subject: Subject
     where: Where
     then: Where | None = None
-    seen: int = 0
+    tested: int = 0
     hits: int = 0
     first_hit: tuple[int, int] | None = None
     first_miss: tuple[int, int] | None = None
@@ -97,7 +97,7 @@ class FilterCount:
         """Count messages of the subject, and look for what has to come afterwards in all rows."""
         passed = self.where.passing(messages)
         number, time_ns = messages.datagram("number"), messages.datagram("time_ns")
-        self.seen += len(messages)
+        self.tested += len(messages)
         self.hits += int(passed.sum())
         self.first_hit = self.first_hit or _first(number, time_ns, passed)
         self.first_miss = self.first_miss or _first(number, time_ns, ~passed)
@@ -110,8 +110,8 @@ class FilterCount:
         hits, answers = (np.sort(np.concatenate([*item])) for item in (self._hits_ns, self._then_ns))
         after = np.append(answers, np.iinfo(np.int64).max)[np.searchsorted(answers, hits, "right")]
         missed = hits[after - hits > within_ns]
-        told = missed + within_ns <= end_ns
-        return missed[told], int((~told).sum())
+        decided = missed + within_ns <= end_ns
+        return missed[decided], int((~decided).sum())
 
 
 class Observation(Counting):
@@ -134,7 +134,7 @@ class Observation(Counting):
         self.fields: list[list[FilterCount]] = []
         for topic in expected.topics:
             try:
-                subject = Subject.named(topic.name, context)
+                subject = Subject.of_name(topic.name, context)
             except RouteError as error:
                 report.mistake(topic.line, topic.name, str(error))
                 continue
@@ -146,19 +146,24 @@ class Observation(Counting):
 
     def about(self, selection: Selection) -> Expectations:
         """Leave the topics out that a prepared selection leaves out; return the other expectations."""
-        taken = [selection.overlaps(item.packets, self.report.ledger.mission) for item in self.subjects]
-        self.subjects, self.fields = list(compress(self.subjects, taken)), list(compress(self.fields, taken))
-        return replace(self._expected, topics=tuple(compress(self._expected.topics, taken)))
+        overlaps = [selection.overlaps(item.packets, self.report.ledger.mission) for item in self.subjects]
+        self.subjects, self.fields = (
+            list(compress(self.subjects, overlaps)),
+            list(compress(self.fields, overlaps)),
+        )
+        return replace(self._expected, topics=tuple(compress(self._expected.topics, overlaps)))
 
     def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
         """Count the chosen rows of a batch; return those that count."""
-        kept = super().add(rows, loop)
+        counted_rows = super().add(rows, loop)
         groups = [*zip(self.subjects, self.fields, strict=True), (EVENT_MESSAGES, self.events)]
         for subject, watches in groups:
-            messages = kept.take(np.flatnonzero(subject.mask(kept))) if watches else kept
+            messages = (
+                counted_rows.take(np.flatnonzero(subject.mask(counted_rows))) if watches else counted_rows
+            )
             for watch in watches:
-                watch.add(messages, kept)
-        return kept
+                watch.add(messages, counted_rows)
+        return counted_rows
 
 
 def _watches(
@@ -174,9 +179,9 @@ def _watches(
 
 
 def _first(
-    number: NDArray[np.int64], time_ns: NDArray[np.int64], chosen: NDArray[np.bool_]
+    number: NDArray[np.int64], time_ns: NDArray[np.int64], mask: NDArray[np.bool_]
 ) -> tuple[int, int] | None:
-    if not chosen.any():
+    if not mask.any():
         return None
-    row = int(chosen.argmax())
+    row = int(mask.argmax())
     return int(number[row]), int(time_ns[row])

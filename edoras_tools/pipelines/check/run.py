@@ -226,8 +226,8 @@ def _results(expected: Expectations, observed: Observation, findings: Examined) 
     if findings.failure is not None:
         yield CheckResult(CAPTURE, "input", "read to its end", str(findings.failure), passed=False)
     if not ledger.datagrams:
-        wanted = "messages" if diagnosis is None else "datagrams of a link"
-        yield CheckResult(CAPTURE, "input", wanted, "none", passed=False)
+        expected_input = "messages" if diagnosis is None else "datagrams of a link"
+        yield CheckResult(CAPTURE, "input", expected_input, "none", passed=False)
     for topic, subject, watches in zip(expected.topics, observed.subjects, observed.fields, strict=True):
         figures = Figures.of(subject, ledger, diagnosis)
         for key, bound in topic.bounds.items():
@@ -254,8 +254,8 @@ def _results(expected: Expectations, observed: Observation, findings: Examined) 
     if expected.verdicts is None:
         grave = [item for item in grave if item.rule in CAPTURE_RULES]
     if grave or expected.verdicts is not None:
-        found = {members[0].rule: members[0].reason for members in group_verdicts(grave)}
-        yield from _allowed("verdicts", expected.verdicts or frozenset(), found)
+        reasons = {members[0].rule: members[0].reason for members in group_verdicts(grave)}
+        yield from _allowed("verdicts", expected.verdicts or frozenset(), reasons)
     whole = Figures.whole(ledger, diagnosis)
     for key, bound in expected.bounds.items():
         yield _bounded(CAPTURE, key, bound, whole)
@@ -264,8 +264,8 @@ def _results(expected: Expectations, observed: Observation, findings: Examined) 
 def _recorded(expected: Expectations, whole: Figures) -> Iterator[CheckResult]:
     """Yield the results of expectations that are of no topic, for a recording without datagrams."""
     for event in expected.events:
-        wanted = "must appear" if event.must else "must not appear"
-        yield CheckResult("events", event.text, wanted, NOT_OBSERVABLE, passed=False)
+        expectation = "must appear" if event.must else "must not appear"
+        yield CheckResult("events", event.text, expectation, NOT_OBSERVABLE, passed=False)
     for about, allowed in {"findings": expected.findings, "verdicts": expected.verdicts}.items():
         if allowed is not None:
             yield CheckResult(about, "allowed", _only(allowed), NOT_OBSERVABLE, passed=False)
@@ -277,85 +277,85 @@ def _recorded(expected: Expectations, whole: Figures) -> Iterator[CheckResult]:
 
 
 def _bounded(about: str, key: str, bound: Tolerance, figures: Figures) -> CheckResult:
-    shown, unit = "", bound.unit
+    observed, unit = "", bound.unit
     if key in LOSS_KEYS:
         number = getattr(figures, key)
         share = number / figures.sent if figures.sent else 0.0
-        shown = f"{number:,} of {figures.sent:,} ({share:.2%})"
+        observed = f"{number:,} of {figures.sent:,} ({share:.2%})"
         passed = bound.holds(share if bound.share else number) and (figures.sent > 0 or not figures.count)
         if passed and key == "lost" and figures.not_counted:
-            shown, passed = f"{shown}; the rest is {figures.not_counted}", False
+            observed, passed = f"{observed}; the rest is {figures.not_counted}", False
     elif key == "size" and figures.size is not None:
         passed = all(map(bound.holds, figures.size))
         low, high = figures.size
-        shown = unit.shown(high) if low == high else f"{low:,} to {unit.shown(high)}"
+        observed = unit.text_of(high) if low == high else f"{low:,} to {unit.text_of(high)}"
     else:
         value = figures.silence if key == "duration" else getattr(figures, key)
         passed = value is not None and bound.holds(value)
-        shown = unit.shown(value)
+        observed = unit.text_of(value)
         if value is None:
-            shown = (
+            observed = (
                 "not seen: at least two messages are needed"
                 if key == "rate"
                 else "the capture does not show it"
             )
     if about != CAPTURE and not figures.count:
-        shown = "no message"
+        observed = "no message"
         passed = passed and key == "count"
-    return CheckResult(about, key, bound.text, shown, passed)
+    return CheckResult(about, key, bound.text, observed, passed)
 
 
 def _field(
     about: str, item: FieldExpectation, watch: FilterCount, ledger: Ledger, zero_ns: int
 ) -> CheckResult:
-    what = "message" if ledger.mission.recorded else "packet"
+    unit = "message" if ledger.mission.recorded else "packet"
 
-    def told(place: tuple[int, int] | None) -> str:
-        return f"first is {what} {place[0]:,} at {(place[1] - zero_ns) / SECOND:.3f} s" if place else ""
+    def first_place(place: tuple[int, int] | None) -> str:
+        return f"first is {unit} {place[0]:,} at {(place[1] - zero_ns) / SECOND:.3f} s" if place else ""
 
     # A datagram of DDS may be sent again, and may hold several samples.
-    of = plural(watch.seen, "datagram" if watch.subject.packets.only_samples else "message")
-    passed = watch.seen > 0
-    found = f"{watch.hits:,} of {of}"
-    if not watch.seen:
-        found = "no message"
+    of = plural(watch.tested, "datagram" if watch.subject.packets.only_samples else "message")
+    passed = watch.tested > 0
+    observed = f"{watch.hits:,} of {of}"
+    if not watch.tested:
+        observed = "no message"
     elif item.sort == "always":
-        passed = watch.hits == watch.seen
-        found += "" if passed else f" pass; of those that do not, the {told(watch.first_miss)}"
+        passed = watch.hits == watch.tested
+        observed += "" if passed else f" pass; of those that do not, the {first_place(watch.first_miss)}"
     elif item.sort == "never":
         passed = not watch.hits
-        found += "" if passed else f"; the {told(watch.first_hit)}"
+        observed += "" if passed else f"; the {first_place(watch.first_hit)}"
     elif item.sort == "at least once":
         passed = watch.hits > 0
-        found += f"; the {told(watch.first_hit)}" if passed else ""
+        observed += f"; the {first_place(watch.first_hit)}" if passed else ""
     else:
         missed, undecided = watch.unanswered(item.within_ns, ledger.end_ns)
         passed = watch.hits > undecided and not len(missed)
-        found = f"{watch.hits - len(missed) - undecided:,} of {watch.hits:,} were followed"
+        observed = f"{watch.hits - len(missed) - undecided:,} of {watch.hits:,} were followed"
         if undecided:
-            found += f"; after {undecided:,} the capture ends too early"
+            observed += f"; after {undecided:,} the capture ends too early"
         if len(missed):
-            found += f"; the first that was not is at {(int(missed[0]) - zero_ns) / SECOND:.3f} s"
-    return CheckResult(about, str(item), None, found, passed)
+            observed += f"; the first that was not is at {(int(missed[0]) - zero_ns) / SECOND:.3f} s"
+    return CheckResult(about, str(item), None, observed, passed)
 
 
 def _event(item: EventExpectation, watch: FilterCount, zero_ns: int) -> CheckResult:
-    found = f"{watch.hits:,} of {plural(watch.seen, 'event')}"
+    observed = f"{watch.hits:,} of {plural(watch.tested, 'event')}"
     if watch.first_hit is not None:
         number, time_ns = watch.first_hit
-        found += f"; the first is packet {number:,} at {(time_ns - zero_ns) / SECOND:.3f} s"
+        observed += f"; the first is packet {number:,} at {(time_ns - zero_ns) / SECOND:.3f} s"
     expected = "must appear" if item.must else "must not appear"
-    return CheckResult("events", item.text, expected, found, bool(watch.hits) == item.must)
+    return CheckResult("events", item.text, expected, observed, bool(watch.hits) == item.must)
 
 
-def _allowed(about: str, allowed: frozenset[str], found: dict[str, Any]) -> Iterator[CheckResult]:
+def _allowed(about: str, allowed: frozenset[str], observed: dict[str, Any]) -> Iterator[CheckResult]:
     """Compare what was found, a name to a count or a reason, with what is allowed: each other one fails."""
     expected = _only(allowed)
-    others = [name for name in found if name not in allowed]
+    others = [name for name in observed if name not in allowed]
     for name in others:
-        yield CheckResult(about, name, "is not allowed", str(found[name]), passed=False)
+        yield CheckResult(about, name, "is not allowed", str(observed[name]), passed=False)
     if not others:
-        yield CheckResult(about, "allowed", expected, ", ".join(found) or "none", passed=True)
+        yield CheckResult(about, "allowed", expected, ", ".join(observed) or "none", passed=True)
 
 
 def _only(allowed: frozenset[str]) -> str:

@@ -56,24 +56,24 @@ def diff(
         ConfigError: its filter has an error.
     """
     scope = scope or Scope()
-    chosen = Chosen(scope.selection, bench)
+    choices = Chosen(scope.selection, bench)
     recorders = (
-        read_capture(first, bench, scope, chosen, progress),
-        read_capture(second, bench, Scope(), chosen, progress),
+        read_capture(first, bench, scope, choices, progress),
+        read_capture(second, bench, Scope(), choices, progress),
     )
-    found, choice = compare_captures(*recorders, bench.mission), chosen.choice()
-    return found if choice is None else found.limited(choice)
+    comparison, choice = compare_captures(*recorders, bench.mission), choices.choice()
+    return comparison if choice is None else comparison.limited(choice)
 
 
 def read_capture(
-    source: Source, bench: Workbench, scope: Scope, chosen: Chosen, progress: Progress | None
+    source: Source, bench: Workbench, scope: Scope, choices: Chosen, progress: Progress | None
 ) -> Recorder:
     """Read a source to its end; see ``diff``."""
     recorder = Recorder(bench.columns.context)
     with reading(source, bench, examined=scope.period) as loop:
         for rows in loop:
             recorder.add(rows.batch, rows.columns)
-            chosen.add(rows.batch, rows.columns)
+            choices.add(rows.batch, rows.columns)
             if progress is not None:
                 progress.read(source)
     return recorder
@@ -88,17 +88,17 @@ class BagComparison(NamedTuple):
 
     Attributes:
         bag: its path.
-        found: the differences; the bag is the second of the two.
+        comparison: the differences; the bag is the second of the two.
         left_out: messages that do not fit their type, so that they are not compared.
     """
 
     bag: Path
-    found: CaptureComparison
+    comparison: CaptureComparison
     left_out: int
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --bag --json``."""
-        return {"bag": str(self.bag), **self.found.as_json(), "left_out": self.left_out}
+        return {"bag": str(self.bag), **self.comparison.as_json(), "left_out": self.left_out}
 
 
 def against_capture(
@@ -122,19 +122,21 @@ def against_capture(
         raise ConfigError(
             "--bag needs a mission that says which topic is which packet: name its files with -c"
         )
-    chosen = Chosen(scope.selection, bench)
-    rows = prepare(read_capture(source, bench, scope, chosen, progress), {}).rows
-    choice = chosen.choice()
-    found = []
+    choices = Chosen(scope.selection, bench)
+    rows = prepare(read_capture(source, bench, scope, choices, progress), {}).rows
+    choice = choices.choice()
+    comparisons = []
     for path in bags:
         bag = open_rosbag(path)
-        there = _topics(bag, {route.topic: route.type for route in bench.mission.routes})
-        heard = _rows(bag, there, bench.types)
-        routes = [_carried(rows, heard, bench.mission, place, topic) for place, topic in enumerate(there)]
+        topics_there = _topics(bag, {route.topic: route.type for route in bench.mission.routes})
+        heard = _rows(bag, topics_there, bench.types)
+        routes = [
+            _carried(rows, heard, bench.mission, place, topic) for place, topic in enumerate(topics_there)
+        ]
         keys = [(int(route.link), route.msg_id) for route in routes]
         link, msg_id = (np.array(column)[heard.msg_id] for column in zip(*keys, strict=True))
-        known = heard.msg_id != NO_MSG_ID
-        heard = replace(heard, link=link, msg_id=np.where(known, msg_id, NO_MSG_ID))
+        typed = heard.msg_id != NO_MSG_ID
+        heard = replace(heard, link=link, msg_id=np.where(typed, msg_id, NO_MSG_ID))
         routed = np.any([_of(rows, *key) for key in keys], axis=0)
         message = routed & (rows.stamped_print != 0)
         sent = replace(
@@ -144,21 +146,21 @@ def against_capture(
             missing=np.zeros_like(rows.missing),
         )
         ways = {key: route.to_cfs for key, route in zip(keys, routes, strict=True)}
-        compared = compare_messages(sent, heard, dict(zip(keys, there, strict=True)), ways)
-        left_out = int((~known).sum()) + int((routed & ~message).sum())
+        compared = compare_messages(sent, heard, dict(zip(keys, topics_there, strict=True)), ways)
+        left_out = int((~typed).sum()) + int((routed & ~message).sum())
         item = BagComparison(path, compared, left_out)
         _has_something_in_common(item, source.info.name)
-        found.append(item._replace(found=compared.limited(choice)) if choice else item)
-    return found
+        comparisons.append(item._replace(comparison=compared.limited(choice)) if choice else item)
+    return comparisons
 
 
-def bridge_counts(found: Iterable[BagComparison]) -> dict[tuple[str, int], BridgeCount]:
+def bridge_counts(comparisons: Iterable[BagComparison]) -> dict[tuple[str, int], BridgeCount]:
     """Return what bags counted inside the bridges, by link label and MsgId; of several bags the first."""
     counts: dict[tuple[str, int], BridgeCount] = {}
-    for item in found:
-        for route in item.found.routes:
-            told = BridgeCount(route.same + route.lost, route.lost, str(item.bag))
-            counts.setdefault((route.link.label, route.msg_id), told)
+    for item in comparisons:
+        for route in item.comparison.routes:
+            count = BridgeCount(route.same + route.lost, route.lost, str(item.bag))
+            counts.setdefault((route.link.label, route.msg_id), count)
     return counts
 
 
@@ -185,7 +187,7 @@ def against_bag(first: Path, others: Sequence[Path], types: TypeStore) -> list[B
     Raises:
         CaptureError: a bag cannot be read, or has nothing that can be compared.
     """
-    bag, found = open_rosbag(first), []
+    bag, comparisons = open_rosbag(first), []
     ours = bag.topics()
     for path in others:
         other = open_rosbag(path)
@@ -193,66 +195,66 @@ def against_bag(first: Path, others: Sequence[Path], types: TypeStore) -> list[B
         shared = {topic: kind for topic, kind in ours.items() if kind in theirs.values()}
         if not shared:
             raise CaptureError(f"{path}: has no topic of a type that {first} has, as {_some(ours.values())}")
-        left, right = _rows(bag, shared, types), _rows(other, theirs, types)
+        first_rows, right = _rows(bag, shared, types), _rows(other, theirs, types)
         names: dict[tuple[int, int], str] = {}
         moved = np.full(len(right), NO_MSG_ID)
         for number, (topic, kind) in enumerate(theirs.items()):
             alike = {item: place for place, (item, own) in enumerate(shared.items()) if own == kind}
-            same = topic if topic in alike else _most_alike(left, right, alike, number)
+            same = topic if topic in alike else _most_alike(first_rows, right, alike, number)
             if same and (key := (int(OTHER), alike[same])) not in names:
                 names[key] = topic if same == topic else f"{same}, {topic}"
                 moved[right.msg_id == number] = key[1]
-        compared = compare_messages(left, replace(right, msg_id=moved), names, {})
-        left_out = sum(int((side.msg_id == NO_MSG_ID).sum()) for side in (left, right))
+        compared = compare_messages(first_rows, replace(right, msg_id=moved), names, {})
+        left_out = sum(int((side.msg_id == NO_MSG_ID).sum()) for side in (first_rows, right))
         item = BagComparison(path, compared, left_out)
         _has_something_in_common(item, str(first))
-        found.append(item)
-    return found
+        comparisons.append(item)
+    return comparisons
 
 
-def _most_alike(left: Rows, right: Rows, topics: Mapping[str, int], number: int) -> str | None:
+def _most_alike(ours: Rows, right: Rows, topics: Mapping[str, int], number: int) -> str | None:
     """Return the topic of the first bag that has most of the messages of one of the second, at least half."""
     own = np.unique(right.packet_print[right.msg_id == number])
     share = {
-        topic: float(np.isin(own, left.packet_print[left.msg_id == place]).sum() / max(len(own), 1))
+        topic: float(np.isin(own, ours.packet_print[ours.msg_id == place]).sum() / max(len(own), 1))
         for topic, place in topics.items()
     }
     best = max(share, key=share.__getitem__)
     return best if share[best] >= _ALIKE else None
 
 
-def _topics(bag: Rosbag, wanted: Mapping[str, str]) -> dict[str, str]:
+def _topics(bag: Rosbag, selection: Mapping[str, str]) -> dict[str, str]:
     """Return the topics of a bag that are wanted, with their types.
 
     Raises:
         CaptureError: there is none, or its type is another.
     """
-    found = bag.topics()
-    there = {topic: kind for topic, kind in found.items() if topic in wanted}
+    topics = bag.topics()
+    there = {topic: kind for topic, kind in topics.items() if topic in selection}
     if not there:
-        has = f"it has {_some(found)}" if found else "it is empty"
-        raise CaptureError(f"{bag.path}: has none of the topics {_some(wanted)}; {has}")
+        has = f"it has {_some(topics)}" if topics else "it is empty"
+        raise CaptureError(f"{bag.path}: has none of the topics {_some(selection)}; {has}")
     for topic, kind in there.items():
-        if full_name(kind) != full_name(wanted[topic]):
-            raise CaptureError(f"{bag.path}: {topic} is {kind}, and {wanted[topic]} is wanted there")
+        if full_name(kind) != full_name(selection[topic]):
+            raise CaptureError(f"{bag.path}: {topic} is {kind}, and {selection[topic]} is wanted there")
     return there
 
 
-def _rows(bag: Rosbag, there: Mapping[str, str], types: TypeStore) -> Rows:
+def _rows(bag: Rosbag, topics: Mapping[str, str], types: TypeStore) -> Rows:
     """Return the messages of some topics in the order in which they were recorded, without a link.
 
-    MsgIds are places in ``there``; a message that does not fit its type has none.
+    MsgIds are places in ``topics``; a message that does not fit its type has none.
 
     Raises:
         CaptureError: the bag is damaged, or has no message on them.
     """
     parts: list[tuple[NDArray[Any], ...]] = []
-    places = {topic: place for place, topic in enumerate(there)}
-    for block in bag.blocks(there):
-        plain, stamped = _fingerprints(block, there[block.topic], types)
+    places = {topic: place for place, topic in enumerate(topics)}
+    for block in bag.blocks(topics):
+        plain, stamped = _fingerprints(block, topics[block.topic], types)
         parts.append((block.time_ns, np.where(stamped, places[block.topic], NO_MSG_ID), stamped, plain))
     if not parts:
-        raise CaptureError(f"{bag.path}: has no message on its topics {_some(there)}")
+        raise CaptureError(f"{bag.path}: has no message on its topics {_some(topics)}")
     names = ("time_ns", "msg_id", "packet_print", "value_print")
     columns = {
         name: np.concatenate(column) for name, column in zip(names, zip(*parts, strict=True), strict=True)
@@ -274,7 +276,7 @@ def _some(names: Iterable[str]) -> str:
 
 
 def _has_something_in_common(item: BagComparison, other: str) -> None:
-    if not item.found.common:
+    if not item.comparison.common:
         raise CaptureError(
             f"{item.bag}: no message in common with {other}; name a bag that was recorded beside it"
         )

@@ -79,9 +79,9 @@ class _Judge:
         """Judge what was kept; return the diagnosis, pickled: its arrays stay valid."""
         recorder, self._recorder = self._recorder, Recorder(self._examination.context)
         recorder.conversations.flows, recorder.left_out = chapter.flows, chapter.left_out
-        self._examination.progress = lambda _done, _of: None  # one process shows the progress
-        found = self._examination.judged(recorder, chapter)
-        return pickle.dumps(replace(found, capture=Capture(), case=None))
+        self._examination.progress = lambda _position, _of: None  # one process shows the progress
+        diagnosis = self._examination.judged(recorder, chapter)
+        return pickle.dumps(replace(diagnosis, capture=Capture(), case=None))
 
     def _work(self, name: str, *values: Any) -> Any:
         return getattr(self, name)(*values)
@@ -112,17 +112,17 @@ class _Judges:
         wait = judge.ask(judge.judge, chapter)
 
         @cache
-        def told() -> Diagnosis:
-            found: Diagnosis = pickle.loads(wait())  # noqa: S301  from our own process
-            return replace(found, capture=chapter.capture)
+        def received() -> Diagnosis:
+            diagnosis: Diagnosis = pickle.loads(wait())  # noqa: S301  from our own process
+            return replace(diagnosis, capture=chapter.capture)
 
-        return told
+        return received
 
 
 def _own(table: _Table) -> _Table:
     """Return a batch or its columns with all arrays but the bytes in memory of this process."""
-    found = {item.name: getattr(table, item.name) for item in fields(table) if item.name != "data"}
-    arrays: Any = {name: value.copy() for name, value in found.items() if isinstance(value, np.ndarray)}
+    columns = {item.name: getattr(table, item.name) for item in fields(table) if item.name != "data"}
+    arrays: Any = {name: value.copy() for name, value in columns.items() if isinstance(value, np.ndarray)}
     return replace(table, **arrays)
 
 
@@ -143,8 +143,8 @@ def judged_apart(examination: Examination, source: Source, jobs: int) -> Iterato
         if judges:
             for judge in judges:
                 ends.enter_context(closing(judge.workers))
-            found = _Judges(examination, judges)
+            judges_ = _Judges(examination, judges)
             if isinstance(source, RecordSource):
-                source.borrow(found.lend)
-            examination.let(found)
+                source.borrow(judges_.lend)
+            examination.let(judges_)
         yield

@@ -131,7 +131,7 @@ def examine(
         examination.progress = partial(progress.step, "judging")
     scope = scope or Scope()
     try:
-        chosen = Chosen(scope.selection, bench)
+        choices = Chosen(scope.selection, bench)
     except EdorasError:
         source.close()
         raise
@@ -151,8 +151,8 @@ def examine(
             frames=bench.frames,
             lacking=tuple(statistics.cut),
         )
-        found, choice = examination.diagnose(capture), chosen.choice()
-        return found.limited(choice) if choice else found
+        diagnosis, choice = examination.diagnose(capture), choices.choice()
+        return diagnosis.limited(choice) if choice else diagnosis
 
     judged, pause = pace.clock(), pace.every_ns
     limits = Limits(duration_ns=pace.duration_ns, clock=pace.clock)
@@ -177,9 +177,9 @@ def examine(
                     examination.faults = [item for item in faults if period.holds(item.time_ns - begin_ns)]
                     faults = []
                 examination.add(rows.batch, rows.columns)
-                chosen.add(rows.batch, rows.columns)
+                choices.add(rows.batch, rows.columns)
             if counting is not None:
-                some = rows.take(chosen.rows(rows.batch, rows.columns)) if scope.selection else rows
+                some = rows.take(choices.rows(rows.batch, rows.columns)) if scope.selection else rows
                 counting.add(some, loop)
             if progress is not None:
                 progress.read(source)
@@ -204,16 +204,16 @@ def profile_with(constants: Sequence[str]) -> SimProfile:
         CaptureError: the table image cannot be read.
     """
     profile = SimProfile()
-    known = {item.name for item in fields(profile) if type(getattr(profile, item.name)) is int}
+    names = {item.name for item in fields(profile) if type(getattr(profile, item.name)) is int}
     changes: dict[str, Any] = {}
     for text in constants:
         name, _, value = text.partition("=")
         if name in _TABLES:
             changes[name] = _TABLES[name](Path(value))
             continue
-        if name not in known:
+        if name not in names:
             hint = (
-                did_you_mean(name, sorted({*known, *_TABLES}), 1) or f"there are {', '.join(sorted(known))}"
+                did_you_mean(name, sorted({*names, *_TABLES}), 1) or f"there are {', '.join(sorted(names))}"
             )
             raise ConfigError(f"constant {name!r} is not known; {hint}")
         try:
@@ -238,18 +238,18 @@ def list_missing(
         progress: updated while the source is read.
     """
     choice = diagnosis.choice
-    found = [item for item in diagnosis.missing if choice is None or choice.takes(*item.concerns)]
-    wanted = {item.number: place for place, item in enumerate(found) if item.number is not None}
+    rows = [item for item in diagnosis.missing if choice is None or choice.takes(*item.concerns)]
+    places = {item.number: place for place, item in enumerate(rows) if item.number is not None}
     dissector = Dissector(bench.columns.context, detail=False)
     follow_streams(source, bench.columns.context.framings)
     try:
-        for batch in source.batches() if wanted else ():
+        for batch in source.batches() if places else ():
             if progress is not None:
                 progress.read(source)
-            for row in np.flatnonzero(np.isin(batch.number, list(wanted))).tolist():
+            for row in np.flatnonzero(np.isin(batch.number, list(places))).tolist():
                 message = dissector.dissect(batch[row]).message
-                place = wanted[int(batch.number[row])]
-                found[place] = replace(found[place], message=json_value(message.values) if message else None)
+                place = places[int(batch.number[row])]
+                rows[place] = replace(rows[place], message=json_value(message.values) if message else None)
     finally:
         source.close()
-    return found
+    return rows

@@ -41,7 +41,7 @@ class Runs:
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``compare --json``."""
 
-        def told(run: Run) -> dict[str, Any]:
+        def run_json(run: Run) -> dict[str, Any]:
             return {
                 "source": run.info["source"],
                 "datagrams": run.info["datagrams"],
@@ -50,8 +50,8 @@ class Runs:
             }
 
         return {
-            "good": told(self.good),
-            "bad": told(self.bad),
+            "good": run_json(self.good),
+            "bad": run_json(self.bad),
             "worse": self.worse,
             "changes": [asdict(item) for item in self.changes],
         }

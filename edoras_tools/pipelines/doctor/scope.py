@@ -78,4 +78,4 @@ class Chosen:
             return True
         if of_samples:
             return any(topic == topic_of(guid, self._endpoints) for guid in self._writers)
-        return any(msg_id == there and link in {None, label} for label, there in self._seen)
+        return any(msg_id == observed and link in {None, label} for label, observed in self._seen)

@@ -24,7 +24,7 @@ class TopicBlock:
         message: the fields.
         publish_ns: i64, publish time in the packet; None if the input has none.
         sequence: packet sequence counts; None if there are none.
-        there: the rows that have a field, by field; a field that is not listed is in all rows.
+        present: the rows that have a field, by field; a field that is not listed is in all rows.
     """
 
     topic: str
@@ -32,7 +32,7 @@ class TopicBlock:
     message: MessageColumns
     publish_ns: NDArray[np.int64] | None = None
     sequence: NDArray[np.unsignedinteger] | None = None
-    there: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    present: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time_ns)

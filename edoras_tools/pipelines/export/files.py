@@ -153,10 +153,10 @@ def take_out(
         report.left_out, report.corrupt = follower.left_out, follower.corrupt
         report.failure = loop.failure
         for item in follower.transactions:
-            taken = TakenFile(item, item.checksum_right)
+            file = TakenFile(item, item.checksum_right)
             if spool:
-                spool.finish(taken)
-            report.files.append(taken)
+                spool.finish(file)
+            report.files.append(file)
     return report
 
 
@@ -209,26 +209,26 @@ class _Spool:
         except OSError as error:
             raise self._failed(error) from error
 
-    def finish(self, taken: TakenFile) -> None:
+    def finish(self, file: TakenFile) -> None:
         """Give a file its name.
 
         Raises:
             CaptureError: it cannot be renamed.
         """
-        item = taken.transaction
+        item = file.transaction
         if item not in self._files and not item.complete:
             return
         place = self._place(item)
         name = item.destination_file_name or item.source_file_name
         path = safe_path(name)
-        taken.refused = path is None and name is not None
+        file.refused = path is None and name is not None
         own = Path(item.name.replace(":", "_"))
         try:
             try:
-                taken.path = self._free(path or own, item.complete)
+                file.path = self._free(path or own, item.complete)
             except (FileExistsError, NotADirectoryError):  # a file is where a folder is needed
-                taken.path = self._free(own, item.complete)
-            place.rename(taken.path)
+                file.path = self._free(own, item.complete)
+            place.rename(file.path)
         except OSError as error:
             raise self._failed(error) from error
 
@@ -238,6 +238,6 @@ class _Spool:
         path.parent.mkdir(parents=True, exist_ok=True)
         number, free = 2, path
         suffix = "" if complete else ".incomplete"
-        while (found := free.with_name(free.name + suffix)).exists():
+        while (candidate := free.with_name(free.name + suffix)).exists():
             free, number = path.with_name(f"{path.name}.{number}"), number + 1
-        return found
+        return candidate

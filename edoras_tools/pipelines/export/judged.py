@@ -62,7 +62,7 @@ JUDGED: Final = frozenset(_FIELDS)
 
 
 def judged_blocks(
-    wanted: Collection[str],
+    topics: Collection[str],
     paths: Sequence[Path],
     settings: Settings,
     scope: Scope,
@@ -71,7 +71,7 @@ def judged_blocks(
     """Examine captures, and yield the requested results.
 
     Args:
-        wanted: topics of ``JUDGED``.
+        topics: topics of ``JUDGED``.
         paths: the captures; they are read again.
         settings: missions, types and options.
         scope: what is examined and shown.
@@ -83,26 +83,26 @@ def judged_blocks(
 
     source = opened()
     bench = settings.workbench(source.info)
-    listing = LOST_TOPIC in wanted
+    listing = LOST_TOPIC in topics
     diagnosis = examine(source, bench, scope=scope, progress=progress, listing=listing).diagnosis
-    if VERDICTS_TOPIC in wanted:
+    if VERDICTS_TOPIC in topics:
         yield judged_block(VERDICTS_TOPIC, [item.as_json() for item in diagnosis.verdicts])
     if listing:
-        found = list_missing(diagnosis, opened(), bench, progress)
-        yield judged_block(LOST_TOPIC, [item.as_json() for item in found])
+        result = list_missing(diagnosis, opened(), bench, progress)
+        yield judged_block(LOST_TOPIC, [item.as_json() for item in result])
 
 
 def judged_block(topic: str, rows: Sequence[Mapping[str, Any]] = ()) -> TopicBlock:
     """Return rows of JSON as a block; its times are the start of each."""
     fields: dict[str, NDArray[Any] | Ragged] = {}
-    there: dict[str, NDArray[np.bool_]] = {}
+    present: dict[str, NDArray[np.bool_]] = {}
     for name, kind in _FIELDS[topic].items():
         values = [row[name] for row in rows]
         fields[name] = _MAKE[kind](values)
         if kind != _TEXTS:
-            there[name] = np.array([value is not None for value in values], bool)
+            present[name] = np.array([value is not None for value in values], bool)
     time_ns = np.array([row[_TIME[topic]] for row in rows], np.int64)
-    return TopicBlock(topic, time_ns, MessageColumns("", np.ones(len(rows), bool), fields), there=there)
+    return TopicBlock(topic, time_ns, MessageColumns("", np.ones(len(rows), bool), fields), present=present)
 
 
 def _texts(values: Sequence[Any]) -> NDArray[Any]:

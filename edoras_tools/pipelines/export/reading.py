@@ -52,8 +52,8 @@ class TopicTable:
 
     def __repr__(self) -> str:
         names = ", ".join(item.name for item in self.columns)
-        told = f"{self.topic}, {self.type}" if self.type else self.topic
-        return f"<{len(self):,} rows of {told}: {names}>"
+        title = f"{self.topic}, {self.type}" if self.type else self.topic
+        return f"<{len(self):,} rows of {title}: {names}>"
 
     def to_numpy(self) -> dict[str, NDArray[Any]]:
         """Return an array for each column.
@@ -63,8 +63,8 @@ class TopicTable:
         """
         return {
             item.name: _array(item.values)
-            if item.there is None
-            else np.ma.masked_array(_array(item.values), ~item.there)
+            if item.present is None
+            else np.ma.masked_array(_array(item.values), ~item.present)
             for item in self.columns
         }
 
@@ -93,14 +93,14 @@ class TopicTable:
             pandas = import_module("pandas")
         except ImportError as error:
             raise ConfigError("to_pandas() needs pandas: pip install pandas; to_numpy() does not") from error
-        made = {}
+        columns = {}
         for item in self.columns:
             values = _array(item.values)
             series = pandas.Series(values if values.ndim == 1 else list(values))
             if values.dtype.kind == "M":
                 series = series.dt.tz_localize("UTC")
-            made[item.name] = series if item.there is None else series.where(item.there)
-        return pandas.DataFrame(made)
+            columns[item.name] = series if item.present is None else series.where(item.present)
+        return pandas.DataFrame(columns)
 
 
 class NoTopicError(RouteError, KeyError):
@@ -218,20 +218,22 @@ def read(
     """
     if time not in list(TimeForm):
         raise ConfigError(f"time={time!r} is not a time format; use {', '.join(TimeForm)}")
-    given = settings or Settings()
+    configured = settings or Settings()
     if configs := _paths(config):
-        given = Settings(configs, given.distro, given.msg_paths, given.options, given.structs)
+        configured = Settings(
+            configs, configured.distro, configured.msg_paths, configured.options, configured.structs
+        )
     scope = Scope(Selection(where=where), Period(int(start * 1e9), int(end * 1e9)))
     form = TableForm(explode=explode, time=TimeForm(time))
-    made = RecordingTables(_paths(paths), given, scope, form)
-    made._open().close()  # noqa: SLF001  what is wrong is told now
-    return made
+    tables = RecordingTables(_paths(paths), configured, scope, form)
+    tables._open().close()  # noqa: SLF001  what is wrong is told now
+    return tables
 
 
-def _paths(given: Paths) -> tuple[Path, ...]:
-    if isinstance(given, (str, os.PathLike)):
-        return (Path(given),)
-    return tuple(map(Path, given))
+def _paths(paths: Paths) -> tuple[Path, ...]:
+    if isinstance(paths, (str, os.PathLike)):
+        return (Path(paths),)
+    return tuple(map(Path, paths))
 
 
 def _find_topic(source: TopicSource, pattern: str) -> str:
@@ -264,9 +266,9 @@ def _warn(source: TopicSource) -> None:
 def _joined(pieces: Sequence[TableColumn]) -> TableColumn:
     """Return the rows of several pieces of one column."""
     first = pieces[0]
-    there = None
-    if first.there is not None:
-        there = np.concatenate([item.there for item in pieces if item.there is not None])
+    present = None
+    if first.present is not None:
+        present = np.concatenate([item.present for item in pieces if item.present is not None])
     values: NDArray[Any] | Ragged
     if isinstance(first.values, Ragged):
         lists = [item.values for item in pieces if isinstance(item.values, Ragged)]
@@ -274,13 +276,13 @@ def _joined(pieces: Sequence[TableColumn]) -> TableColumn:
         values = Ragged(np.concatenate([item.values for item in lists]), offsets)
     else:
         values = np.concatenate([item.values for item in pieces if not isinstance(item.values, Ragged)])
-    return TableColumn(first.name, values, there, first.unit)
+    return TableColumn(first.name, values, present, first.unit)
 
 
 def _array(values: NDArray[Any] | Ragged) -> NDArray[Any]:
     if not isinstance(values, Ragged):
         return values
-    made = np.empty(len(values), object)
+    result = np.empty(len(values), object)
     for row in range(len(values)):
-        made[row] = values[row]
-    return made
+        result[row] = values[row]
+    return result

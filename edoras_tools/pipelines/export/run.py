@@ -63,16 +63,18 @@ class ExportTarget:
         Raises:
             ConfigError: the suffix names another format, or none.
         """
-        named = written_as(Path(f"x.{name}"), table=True) if name else None
+        by_name = written_as(Path(f"x.{name}"), table=True) if name else None
         folder |= path.is_dir()
-        told = None if folder else written_as(path, table=True)
-        if told is not None and named not in {None, told}:
-            raise ConfigError(f"{path}: is {told.name} by its suffix, and --format says {name}; choose one")
+        by_suffix = None if folder else written_as(path, table=True)
+        if by_suffix is not None and by_name not in {None, by_suffix}:
+            raise ConfigError(
+                f"{path}: is {by_suffix.name} by its suffix, and --format says {name}; choose one"
+            )
         special = path.exists() and not path.is_file() and not folder  # as /dev/stdout
-        if told is None and (special or path.suffix) and not folder and not (special and named):
+        if by_suffix is None and (special or path.suffix) and not folder and not (special and by_name):
             what = f"{path.suffix} is not a table format" if path.suffix else "name its --format"
             raise ConfigError(f"{path}: {what}; use {TABLES_WRITTEN}; a folder ends with /")
-        return cls(path, told or named or TABLE_FORMATS[0], told is None and not special, force)
+        return cls(path, by_suffix or by_name or TABLE_FORMATS[0], by_suffix is None and not special, force)
 
     def check(self, inputs: Sequence[Path]) -> None:
         """Refuse to overwrite files without permission.
@@ -158,38 +160,40 @@ def export(
     """
     with closing(source):
         usual = {*source.topics} - ({DATAGRAMS_TOPIC, *JUDGED} if target.folder else _OWN)
-        known = {*source.topics}
-        there = {topic: _names(source.empty(topic)) for topic in chosen_topics(source, patterns, usual)}
+        before = {*source.topics}
+        fields_of = {topic: _names(source.empty(topic)) for topic in chosen_topics(source, patterns, usual)}
         if (
             not patterns
             and form.fields
-            and not all(has_field([item], *there.values()) for item in form.fields)
+            and not all(has_field([item], *fields_of.values()) for item in form.fields)
         ):
             source.look()
-            there |= {topic: _names(source.empty(topic)) for topic in source.topics if topic not in known}
-        wanted = check_fields(form.fields, there)
+            fields_of |= {
+                topic: _names(source.empty(topic)) for topic in source.topics if topic not in before
+            }
+        selection = check_fields(form.fields, fields_of)
         source.wants_new = not patterns
-        make, made = _writer(target)
+        make, folders = _writer(target)
         report, tables = ExportReport(source), dict[str, TableFile]()
 
         def piece(block: TopicBlock, zero_ns: int) -> Any:
-            fits = block.topic in there or has_field(form.fields, _names(block))
+            fits = block.topic in fields_of or has_field(form.fields, _names(block))
             return make.piece(form.columns(block, zero_ns)) if len(block) and fits else None
 
         writing = _Writing(apart=target.folder and source.shared(jobs))
         try:
-            for topic, rows, item in source.made(wanted, piece, progress, jobs):
+            for topic, rows, item in source.pieces(selection, piece, progress, jobs):
                 if item is None:
                     continue
                 if topic not in tables:
                     target.check_alone(topic, tables)
                     none = source.empty(topic)  # it has the columns of all blocks
-                    head = TableHead(topic, none.message.type, _told(source, topic))
+                    head = TableHead(topic, none.message.type, _description(source, topic))
                     columns = form.columns(none, 0)
                     tables[topic] = TableFile(target.place(topic), make, head, columns)
                 writing.do(tables[topic].write, item, rows)
             writing.wait()
-            source.check_found(tables, wanted)
+            source.check_found(tables, selection)
             for place, table in enumerate(tables.values()):
                 if place % 2:
                     table.complete()
@@ -203,7 +207,7 @@ def export(
             writing.stop()
             for table in tables.values():
                 table.remove()
-            for folder in made:
+            for folder in folders:
                 with suppress(OSError):  # something else is in it
                     folder.rmdir()
             raise
@@ -224,19 +228,19 @@ class _Writing:
         self._apart = apart
         self._failure: BaseException | None = None
 
-    def do(self, work: Callable[..., None], *given: Any) -> None:
+    def do(self, work: Callable[..., None], *arguments: Any) -> None:
         """Do it now or soon.
 
         Raises:
             CaptureError: this, or what came before, cannot be written.
         """
         if not self._apart:
-            work(*given)
+            work(*arguments)
             return
         if self._tasks is None:
             self._tasks = queue.Queue(_TASKS)
             threading.Thread(target=self._run, args=[self._tasks], daemon=True).start()
-        self._tasks.put((work, given))
+        self._tasks.put((work, arguments))
         self._raise()
 
     def wait(self) -> None:
@@ -261,10 +265,10 @@ class _Writing:
 
     def _run(self, tasks: queue.Queue[tuple[Callable[..., None], tuple[Any, ...]]]) -> None:
         while True:
-            work, given = tasks.get()
+            work, arguments = tasks.get()
             try:
                 if self._failure is None:
-                    work(*given)
+                    work(*arguments)
             except BaseException as error:  # noqa: BLE001  raised where the next thing is to be done
                 self._failure = error
             finally:
@@ -291,13 +295,13 @@ def _writer(target: ExportTarget) -> tuple[Any, list[Path]]:
             "pip install 'edoras-tools[analysis]', or write CSV or JSON Lines"
         ) from error
     folder = target.path if target.folder else target.path.parent
-    made = [item for item in (folder, *folder.parents) if not item.exists()]
+    new_folders = [item for item in (folder, *folder.parents) if not item.exists()]
     with os_errors(f"{folder}: the folder cannot be created"):
         check_links(folder)
         folder.mkdir(parents=True, exist_ok=True)
-    return make, made
+    return make, new_folders
 
 
-def _told(source: TopicSource, topic: str) -> dict[str, str]:
+def _description(source: TopicSource, topic: str) -> dict[str, str]:
     """Return a table's metadata besides topic and type."""
     return {"edoras.source": source.name, "edoras.definition": source.definition(topic)}

@@ -121,21 +121,21 @@ class TopicSource(ABC):
         kind = self.topics[topic]
         return self.types(topic).definition(kind) if kind else ""
 
-    def blocks(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:
+    def blocks(self, topics: Collection[str], progress: Progress | None = None) -> Iterator[TopicBlock]:
         """Yield the messages of some topics; see ``made``."""
-        for _, _, block in self.made(wanted, lambda block, _: block, progress):
+        for _, _, block in self.pieces(topics, lambda block, _: block, progress):
             yield block
 
     @abstractmethod
-    def made(
-        self, wanted: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
+    def pieces(
+        self, topics: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
     ) -> Iterator[Made]:
         """Yield what is made of the messages of some topics, block by block.
 
         A failure of the input is kept in ``failure``.
 
         Args:
-            wanted: the topics.
+            topics: the topics.
             make: makes something of a block and ``zero_ns``, in any process.
             progress: updated while the input is read.
             jobs: how many processes share the work, see ``jobs_for``.
@@ -147,7 +147,7 @@ class TopicSource(ABC):
 
     def _shared(
         self,
-        given: Callable[[PacketBatch, Columns], tuple[Any, ...]],
+        arguments_of: Callable[[PacketBatch, Columns], tuple[Any, ...]],
         work: Callable[..., list[Made]],
         progress: Progress | None,
         jobs: int,
@@ -155,7 +155,7 @@ class TopicSource(ABC):
         """Read the source; yield what a function returns for each batch, in order.
 
         Args:
-            given: returns the arguments of ``work``; called here, batch after batch.
+            arguments_of: returns the arguments of ``work``; called here, batch after batch.
             work: may run in other processes.
             progress: see ``made``.
             jobs: see ``made``.
@@ -170,7 +170,7 @@ class TopicSource(ABC):
                     workers = ends.enter_context(closing(Workers(count - 1, work, killed, yields=not jobs)))
                     if isinstance(source, RecordSource):
                         source.borrow(workers.lend)
-            made = InOrder(work, workers)
+            results = InOrder(work, workers)
             loop = ends.enter_context(
                 reading(source, bench, scope.selection, examined=scope.period, keeps_failure=True)
             )
@@ -180,9 +180,9 @@ class TopicSource(ABC):
                 if loop.begin_ns is not None:
                     self.zero_ns, self.last_ns = loop.begin_ns, loop.last_ns
                 if len(rows):
-                    made.add(*given(*rows.alone()), alone=source.statistics.ended)
-                    yield from chain.from_iterable(made.results(_MOST_MADE))
-            yield from chain.from_iterable(made.results(0))
+                    results.add(*arguments_of(*rows.alone()), alone=source.statistics.ended)
+                    yield from chain.from_iterable(results.results(_MOST_MADE))
+            yield from chain.from_iterable(results.results(0))
             self.failure = loop.failure
             loop.note()
             self.unnamed = bench.columns.context.unnamed
@@ -191,20 +191,20 @@ class TopicSource(ABC):
         """Tell whether several processes share the work; see ``made``."""
         return jobs_for(self._source, jobs, fixed=False) > 1
 
-    def check_found(self, found: Collection[object], wanted: Collection[str]) -> None:
+    def check_found(self, topics_found: Collection[object], selection: Collection[str]) -> None:
         """Check, once the whole input was read, that there was a message on a wanted topic.
 
         Raises:
             CaptureError: there was none, and why.
         """
-        if found:
+        if topics_found:
             return
         if self.failure is not None:
             raise self.failure
         after = ""
         if self.last_ns >= 0:
             after = f"; its times go from 0 to {(self.last_ns - self.zero_ns) / SECOND:.3f} s"
-        topics = listed(sorted(wanted)) or "any topic"
+        topics = listed(sorted(selection)) or "any topic"
         raise CaptureError(f"{self.name}: no message on {topics} in the selected part{after}")
 
     def close(self) -> None:
@@ -261,8 +261,8 @@ class CaptureTopics(TopicSource):
     def look(self) -> None:
         """Add the topics of RACS2, of DDS and of files that were transferred."""
         if self._seek is not None:
-            found, failure = self._seek()
-            self.topics = {**found, **self.topics}
+            topics, failure = self._seek()
+            self.topics = {**topics, **self.topics}
             self.damage, self._seek = str(failure or ""), None
 
     def types(self, topic: str) -> TypeStore:
@@ -273,36 +273,38 @@ class CaptureTopics(TopicSource):
         structs = self._structs
         return structs.types if kind in structs.definitions else self._bench.types
 
-    def made(
-        self, wanted: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
+    def pieces(
+        self, requested: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
     ) -> Iterator[Made]:
         """Yield what is made of the messages of some topics."""
         routed = {item.topic for item in self._bench.mission.routes}
-        claimed = [place for place, item in enumerate(self._bench.mission.routes) if item.topic in wanted]
-        statistics = STATISTICS_TOPIC in wanted
+        claimed = [place for place, item in enumerate(self._bench.mission.routes) if item.topic in requested]
+        statistics = STATISTICS_TOPIC in requested
         scope, source, streams = self._scope, self._source, self._streams
 
-        def given(batch: PacketBatch, columns: Columns) -> tuple[Any, ...]:
+        def arguments(batch: PacketBatch, columns: Columns) -> tuple[Any, ...]:
             self.left_out += int(np.isin(columns.route, claimed).sum())
             prepared = streams.prepare(batch, columns, statistics=statistics)
-            chosen = {*wanted, *self._new} if self.wants_new else wanted
-            return batch, columns, prepared, chosen, tuple(self._places), self.zero_ns
+            selection = {*requested, *self._new} if self.wants_new else requested
+            return batch, columns, prepared, selection, tuple(self._places), self.zero_ns
 
         def work(
             batch: PacketBatch,
             columns: Columns,
             prepared: PreparedBatch,
-            chosen: Collection[str],
+            selection: Collection[str],
             places: Sequence[Topic],
             zero_ns: int,
         ) -> list[Made]:
-            found = streams.made(batch, columns, prepared, datagrams=DATAGRAMS_TOPIC in chosen)
+            of_topics = streams.prepared_messages(
+                batch, columns, prepared, datagrams=DATAGRAMS_TOPIC in selection
+            )
             return [
                 (block.topic, len(block), make(block, zero_ns))
-                for block in self._blocks(found, len(batch), chosen, places)
+                for block in self._blocks(of_topics, len(batch), selection, places)
             ]
 
-        for item in self._shared(given, work, progress, jobs):
+        for item in self._shared(arguments, work, progress, jobs):
             if item[0] in routed:
                 self.left_out -= item[1]
             yield item
@@ -312,11 +314,15 @@ class CaptureTopics(TopicSource):
         faults = [item for item in recorded_faults(source) if period.holds(item.time_ns - self.zero_ns)]
         rest.append(fault_messages(faults, self._places.index(FAULTS)))
         for messages in rest:
-            for block in self._blocks([messages], len(messages), wanted, self._places):
+            for block in self._blocks([messages], len(messages), requested, self._places):
                 yield block.topic, len(block), make(block, self.zero_ns)
-        if self._judge is not None and JUDGED & set(wanted) and not isinstance(self.failure, InterruptError):
+        if (
+            self._judge is not None
+            and JUDGED & set(requested)
+            and not isinstance(self.failure, InterruptError)
+        ):
             try:
-                for block in self._judge(JUDGED & set(wanted), progress):
+                for block in self._judge(JUDGED & set(requested), progress):
                     yield block.topic, len(block), make(block, self.zero_ns)
             except CaptureError as error:
                 self.failure = self.failure or error
@@ -329,12 +335,12 @@ class CaptureTopics(TopicSource):
         return len(self._places) - 1
 
     def _blocks(
-        self, streams: Sequence[Messages], rows: int, wanted: Collection[str], topics: Sequence[Topic]
+        self, streams: Sequence[Messages], rows: int, requested: Collection[str], topics: Sequence[Topic]
     ) -> Iterator[TopicBlock]:
         for messages in streams:
             places = by_value(np.broadcast_to(messages.channel_id, len(messages)))
-            chosen = [item for item in places if topics[item[0]].name in wanted]
-            if not chosen:
+            selection = [item for item in places if topics[item[0]].name in requested]
+            if not selection:
                 continue
             if messages.head_bytes == RECORD_BYTES:  # the bytes behind the head are the message
                 data, start, length = messages.data, messages.offset, messages.length
@@ -342,17 +348,17 @@ class CaptureTopics(TopicSource):
                 laid = lay_out([messages], rows)
                 data, start, length = np.frombuffer(laid.data, np.uint8), laid.start, laid.end - laid.start
             heads = messages.heads(slice(0, len(messages)))
-            for place, here in chosen:
+            for place, positions in selection:
                 topic = topics[place]
                 columns = self._types(topic.type).columns(
-                    topic.type, data, start[here], length[here].astype(np.int32)
+                    topic.type, data, start[positions], length[positions].astype(np.int32)
                 )
                 yield TopicBlock(
                     topic.name,
-                    messages.log_time[here],
+                    messages.log_time[positions],
                     columns,
-                    heads["publish_time"][here].astype(np.int64),
-                    heads["sequence"][here],
+                    heads["publish_time"][positions].astype(np.int64),
+                    heads["sequence"][positions],
                 )
 
 
@@ -392,29 +398,31 @@ class BagTopics(TopicSource):
         """Return the types that include a topic's."""
         return self._bench.types
 
-    def made(
-        self, wanted: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
+    def pieces(
+        self, requested: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
     ) -> Iterator[Made]:
         """Yield what is made of the messages of some topics."""
         types = self._bench.types
-        places = {place: topic for place, topic in self._places.items() if topic in wanted}
+        places = {place: topic for place, topic in self._places.items() if topic in requested}
 
-        def given(batch: PacketBatch, columns: Columns) -> tuple[Any, ...]:
+        def arguments(batch: PacketBatch, columns: Columns) -> tuple[Any, ...]:
             self.left_out += int((_invalid(columns) & np.isin(columns.route, [*places])).sum())
             return batch, columns, self.zero_ns
 
         def work(batch: PacketBatch, columns: Columns, zero_ns: int) -> list[Made]:
-            made, invalid = [], _invalid(columns)
+            results, invalid = [], _invalid(columns)
             for place, rows in by_value(columns.route):
                 if place in places:
-                    here = rows[~invalid[rows]]
+                    valid_rows = rows[~invalid[rows]]
                     kind = self.topics[places[place]]
-                    found = types.columns(kind, batch.data, batch.offset[here], batch.length[here])
-                    block = TopicBlock(places[place], batch.time_ns[here], found)
-                    made.append((block.topic, len(block), make(block, zero_ns)))
-            return made
+                    values = types.columns(
+                        kind, batch.data, batch.offset[valid_rows], batch.length[valid_rows]
+                    )
+                    block = TopicBlock(places[place], batch.time_ns[valid_rows], values)
+                    results.append((block.topic, len(block), make(block, zero_ns)))
+            return results
 
-        return self._shared(given, work, progress, jobs)
+        return self._shared(arguments, work, progress, jobs)
 
 
 def _invalid(columns: Columns) -> NDArray[np.bool_]:
@@ -439,15 +447,15 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
     if bench.mission.recorded:
         return BagTopics(source, bench, scope)
 
-    def judge(wanted: Collection[str], progress: Progress | None) -> Iterator[TopicBlock]:
-        return judged_blocks(wanted, paths, settings, scope or Scope(), progress)
+    def judge(requested: Collection[str], progress: Progress | None) -> Iterator[TopicBlock]:
+        return judged_blocks(requested, paths, settings, scope or Scope(), progress)
 
     def seek() -> tuple[dict[str, str], EdorasError | None]:
-        found: dict[str, str] = {}
+        topics: dict[str, str] = {}
 
         def add(topic: Topic) -> int:
-            found[topic.name] = topic.type
-            return len(found)
+            topics[topic.name] = topic.type
+            return len(topics)
 
         again = open_files(paths)
         bench = settings.workbench(again.info)
@@ -457,7 +465,7 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
         with reading(again, bench, keeps_failure=True) as loop:
             for rows in loop:
                 streams.prepare(*rows.alone(), statistics=False)
-        return found, loop.failure
+        return topics, loop.failure
 
     again = all(path.is_file() or path.is_dir() for path in paths)
     return CaptureTopics(source, bench, scope, *((judge, seek) if again else ()))

@@ -48,12 +48,12 @@ class TableForm:
             block: the messages.
             zero_ns: what seconds count from.
         """
-        made = [
+        columns = [
             column
             for place, column in enumerate(self._all(block, zero_ns))
             if not place or not self.fields or any(fits_field(column.name, item) for item in self.fields)
         ]
-        return exploded(made) if self.explode else made
+        return exploded(columns) if self.explode else columns
 
     def _all(self, block: TopicBlock, zero_ns: int) -> Iterator[TableColumn]:
         fields = block.message.fields
@@ -64,7 +64,7 @@ class TableForm:
         if block.sequence is not None:
             yield TableColumn(_free("sequence", fields), block.sequence)
         for name in fields:
-            yield TableColumn(name, fields[name], block.there.get(name))
+            yield TableColumn(name, fields[name], block.present.get(name))
 
     def _time(self, name: str, time_ns: NDArray[np.int64], zero_ns: int) -> TableColumn:
         if self.time is TimeForm.UTC:
@@ -86,8 +86,8 @@ def chosen_topics(source: TopicSource, patterns: Sequence[str], usual: Collectio
         RouteError: a pattern fits no topic.
     """
     if not source.topics and source.unread:
-        told = listed([f"{topic}: {why}" for topic, why in source.unread.items()], 3)
-        raise RouteError(f"{source.name}: {told}")
+        reasons = listed([f"{topic}: {why}" for topic, why in source.unread.items()], 3)
+        raise RouteError(f"{source.name}: {reasons}")
     if not patterns:
         return [topic for topic in source.topics if topic in usual]
     if any(sign in item for item in patterns for sign in "*?["):
@@ -113,22 +113,22 @@ def _no_topic(source: TopicSource, pattern: str) -> RouteError:
     return RouteError(f"no topic of {source.name} matches {pattern!r}; {hint}")
 
 
-def check_fields(patterns: Sequence[str], there: Mapping[str, Sequence[str]]) -> list[str]:
+def check_fields(patterns: Sequence[str], names_of: Mapping[str, Sequence[str]]) -> list[str]:
     """Return the topics that have a requested field.
 
     Args:
         patterns: see ``TableForm.fields``.
-        there: the columns of each topic.
+        names_of: the columns of each topic.
 
     Raises:
         ConfigError: a pattern fits no field of any topic.
     """
-    names = sorted({name for columns in there.values() for name in columns})
+    names = sorted({name for columns in names_of.values() for name in columns})
     for pattern in patterns:
         if not any(fits_field(name, pattern) for name in names):
             hint = did_you_mean(pattern, names, cutoff=0.5) or f"there are {', '.join(names[:12])}"
-            raise ConfigError(f"--fields: {pattern!r} is no field of {', '.join(sorted(there))}; {hint}")
-    return [topic for topic, columns in there.items() if has_field(patterns, columns)]
+            raise ConfigError(f"--fields: {pattern!r} is no field of {', '.join(sorted(names_of))}; {hint}")
+    return [topic for topic, columns in names_of.items() if has_field(patterns, columns)]
 
 
 def has_field(patterns: Sequence[str], *columns: Sequence[str]) -> bool:
@@ -160,29 +160,29 @@ def exploded(columns: Sequence[TableColumn]) -> list[TableColumn]:
     rows = np.maximum(most, 1)
     owner = np.repeat(np.arange(len(rows)), rows)
     element = np.arange(len(owner)) - np.repeat(np.cumsum(rows) - rows, rows)
-    made = []
+    result = []
     for column in flat:
         values: NDArray[Any] | Ragged = column.values
         if not isinstance(values, Ragged):
-            kept = None if column.there is None else column.there[owner]
-            made.append(TableColumn(column.name, values[owner], kept, column.unit))
+            present = None if column.present is None else column.present[owner]
+            result.append(TableColumn(column.name, values[owner], present, column.unit))
             continue
-        there = element < np.diff(values.offsets)[owner]
+        inside = element < np.diff(values.offsets)[owner]
         spread = (
             np.full(len(owner), "", object)
             if values.values.dtype.kind == "O"
             else np.zeros(len(owner), values.values.dtype)
         )
-        spread[there] = values.values
-        made.append(TableColumn(column.name, spread, there, column.unit))
+        spread[inside] = values.values
+        result.append(TableColumn(column.name, spread, inside, column.unit))
     name = _free(ELEMENT, {column.name: None for column in flat})
-    counted = TableColumn(name, element.astype(np.uint32), (most > 0)[owner])
-    return [made[0], counted, *made[1:]]
+    ordinal = TableColumn(name, element.astype(np.uint32), (most > 0)[owner])
+    return [result[0], ordinal, *result[1:]]
 
 
-def _free(name: str, taken: Mapping[str, object]) -> str:
+def _free(name: str, used: Mapping[str, object]) -> str:
     """Return a name for a column of this package that no field of the message has."""
-    while name in taken:
+    while name in used:
         name = f"_{name}"
     return name
 

@@ -123,13 +123,13 @@ def open_recording(
     for path in paths:
         if path.is_fifo() or path.is_char_device():
             raise CaptureError(f"{path}: playback reads it several times; save it to a file first")
-    kept = [kept_recording(path) if str(path) == "-" else SettledFile(path, str(path)) for path in paths]
-    source, bench = open_inputs([item.path for item in kept], settings)
+    files = [kept_recording(path) if str(path) == "-" else SettledFile(path, str(path)) for path in paths]
+    source, bench = open_inputs([item.path for item in files], settings)
     source.close()
-    info = replace(source.info, name=", ".join(item.name for item in kept))
+    info = replace(source.info, name=", ".join(item.name for item in files))
 
     def reopen() -> Source:  # it also keeps the temporary copies
-        again = [item.path for item in kept]
+        again = [item.path for item in files]
         return open_inputs(again, settings)[0] if bench.mission.recorded else open_files(again)
 
     return info, bench, reopen
@@ -232,7 +232,7 @@ class RecordingPlayer:
         pieces, piece = self._read(0, sink), None
         before, settled_ns = (0, 0), 0
         try:
-            with on_interrupt(self.stop) as asked:
+            with on_interrupt(self.stop) as interrupt:
                 while not self._stopping and self._clock() < until:
                     came = len(sink.server.clients), sink.server.subscriptions
                     with self._lock:
@@ -242,15 +242,15 @@ class RecordingPlayer:
                             if came != before:
                                 before, settled_ns = came, now + (_SETTLED_NS if came[1] else _PATIENCE_NS)
                             self._held = not came[0] or now < settled_ns
-                        held, position, seek_ns = self._held, self._position(now), playback.seek_ns
+                        paused, position, seek_ns = self._held, self._position(now), playback.seek_ns
                         playback.seek_ns = None
                     if seek_ns is not None:
                         pieces.close()
                         sink.restart()
                         pieces, piece = self._read(seek_ns, sink), None
-                    if not held:
+                    if not paused:
                         piece = self._play(sink, pieces, piece, position)
-                    self._tell(sink, position, over=not held and piece is None)
+                    self._tell(sink, position, over=not paused and piece is None)
                     for key in split_keys(keys()):
                         self._press(key, sink)
                     show(self.state)
@@ -259,7 +259,7 @@ class RecordingPlayer:
         finally:
             pieces.close()
             sink.server.close()
-        return asked.is_set()
+        return interrupt.is_set()
 
     def _press(self, key: str, sink: ServedSink) -> None:
         """Do what a key asks for, and tell the clients."""
@@ -322,7 +322,7 @@ class RecordingPlayer:
                 if len(batch) and self._begin_ns is None:
                     self._begin_ns = int(batch.time_ns[0])
                     self._period = self._period.since(self._begin_ns)
-                times = self._chosen(batch)[0].time_ns
+                times = self._selected(batch)[0].time_ns
                 if len(times):
                     first, last = min(first, int(times.min())), max(last, int(times.max()))
         except CaptureError as error:
@@ -332,11 +332,11 @@ class RecordingPlayer:
         if last < 0 and self._period and self._begin_ns is not None and self.failure is None:
             raise outside(source.info.name, self._begin_ns, last_ns)
         if last < 0:
-            what = "message" if self._bench.mission.recorded else "datagram"
-            raise self.failure or CaptureError(f"{source.info.name}: it contains no selected {what}")
+            unit = "message" if self._bench.mission.recorded else "datagram"
+            raise self.failure or CaptureError(f"{source.info.name}: it contains no selected {unit}")
         return first, last
 
-    def _chosen(self, batch: PacketBatch, fragmented: FragmentedSamples | None = None) -> _Piece:
+    def _selected(self, batch: PacketBatch, fragmented: FragmentedSamples | None = None) -> _Piece:
         columns = self._bench.columns.decode(batch)
         if fragmented is not None and (columns.link == RTPS).any():
             batch, columns = fragmented.take(batch, columns, self._bench.columns)
@@ -354,7 +354,7 @@ class RecordingPlayer:
         before, fragmented = True, FragmentedSamples()
         try:
             for whole in source.batches():
-                batch, columns = self._chosen(whole, fragmented)
+                batch, columns = self._selected(whole, fragmented)
                 first = int(np.searchsorted(np.maximum.accumulate(batch.time_ns), start_ns)) if before else 0
                 routes, places = np.unique(columns.route[:first][::-1], return_index=True)
                 for route, place in zip(routes.tolist(), places.tolist(), strict=True):

@@ -129,8 +129,8 @@ class CommandPublisher(Publisher):
         routes = [route for to in (Receiver.CI, Receiver.SBN) for route in routes_towards(to, mission)]
         for pattern in allow:
             if not any(fits(pattern, route.msg_id, mission) for route in routes):
-                there = ", ".join(route.topic for route in routes) or "none; name a mission with -c"
-                raise RouteError(f"--allow-publish {pattern!r} matches no topic that goes to cFS: {there}")
+                existing = ", ".join(route.topic for route in routes) or "none; name a mission with -c"
+                raise RouteError(f"--allow-publish {pattern!r} matches no topic that goes to cFS: {existing}")
 
 
 def _allowed(bench: Workbench, to: Receiver, allow: Sequence[str]) -> list[Route]:

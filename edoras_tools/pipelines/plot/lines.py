@@ -36,7 +36,7 @@ class Values:
 
     _seconds: list[NDArray[np.float64]] = field(default_factory=list)
     _values: list[NDArray[np.float64]] = field(default_factory=list)
-    _held: int = 0
+    _count: int = 0
     _read: int = 0
     _not_finite: int = 0
 
@@ -50,12 +50,12 @@ class Values:
         self._seconds.append(seconds)
         self._values.append(numbers)
         self._read += len(numbers)
-        self._held += len(numbers)
-        if self._held > _MOST:
+        self._count += len(numbers)
+        if self._count > _MOST:
             self._join()
             seconds, numbers = self._seconds[0], self._values[0]
-            kept = extremes(seconds, numbers, _COLUMNS, (seconds[0], seconds[-1]))
-            self._seconds, self._values, self._held = [seconds[kept]], [numbers[kept]], len(kept)
+            rows = extremes(seconds, numbers, _COLUMNS, (seconds[0], seconds[-1]))
+            self._seconds, self._values, self._count = [seconds[rows]], [numbers[rows]], len(rows)
 
     def _join(self) -> None:
         seconds, values = np.concatenate(self._seconds), np.concatenate(self._values)
@@ -104,11 +104,11 @@ class RateCounts:
             numbers: how many each row stands for.
         """
         first, last = (np.floor(item / _FINEST).astype(np.int64) for item in (begin, end))
-        known = first == last
-        self.add(begin[known], numbers[known])
-        if known.all():
+        exact = first == last
+        self.add(begin[exact], numbers[exact])
+        if exact.all():
             return
-        first, last, counts = first[~known], last[~known], numbers[~known]
+        first, last, counts = first[~exact], last[~exact], numbers[~exact]
         self.spread += int(counts.sum())
         start = int(first.min())
         coarse = (int(last.max()) - start) // _MOST_PARTS + 1
@@ -169,13 +169,13 @@ def numbers(
         index: only this element of lists.
     """
     values = column.values
-    rows = np.arange(len(values)) if column.there is None else np.flatnonzero(column.there)
+    rows = np.arange(len(values)) if column.present is None else np.flatnonzero(column.present)
     if isinstance(values, Ragged):
         starts, lengths = values.offsets[:-1], np.diff(values.offsets)
-        wanted = range(int(lengths.max(initial=0))) if index is None else (index,)
-        for place in wanted:
-            kept = rows[lengths[rows] > place]
-            yield place, kept, values.values[starts[kept] + place]
+        elements = range(int(lengths.max(initial=0))) if index is None else (index,)
+        for place in elements:
+            holders = rows[lengths[rows] > place]
+            yield place, holders, values.values[starts[holders] + place]
     elif values.ndim == 2:
         for place in range(values.shape[1]) if index is None else (index,):
             yield place, rows, values[rows, place]

@@ -65,11 +65,13 @@ class PlotRequest:
         """
         for pattern in narrowed:
             chosen_topics(source, [pattern], ())
-        found = chosen_topics(source, [self.topic], ())
-        left = [topic for topic in found if not narrowed or any(fits_topic(topic, item) for item in narrowed)]
-        if not left:
-            raise RouteError(f"{self.text}: --topic leaves out {listed(found, 3)}; leave out --topic")
-        return left
+        fitting = chosen_topics(source, [self.topic], ())
+        selection = [
+            topic for topic in fitting if not narrowed or any(fits_topic(topic, item) for item in narrowed)
+        ]
+        if not selection:
+            raise RouteError(f"{self.text}: --topic leaves out {listed(fitting, 3)}; leave out --topic")
+        return selection
 
     def fields(self, source: TopicSource, topics: Sequence[str]) -> dict[str, list[str]]:
         """Return the fields with numbers that are meant, by topic.
@@ -77,8 +79,8 @@ class PlotRequest:
         Raises:
             ConfigError: there is none, or the index does not fit.
         """
-        there = {topic: _columns(source, topic, self.field) for topic in topics}
-        names = {name: column for columns in there.values() for name, column in columns.items()}
+        columns_of = {topic: _columns(source, topic, self.field) for topic in topics}
+        names = {name: column for columns in columns_of.values() for name, column in columns.items()}
         meant = {
             name: column for name, column in names.items() if not self.field or fits_field(name, self.field)
         }
@@ -91,7 +93,7 @@ class PlotRequest:
             raise ConfigError(f"{self.text}: {listed([*meant], 3)} of {where} holds text, not numbers")
         for name, column in numbers.items():
             self._check_index(name, column)
-        return {topic: [name for name in columns if name in numbers] for topic, columns in there.items()}
+        return {topic: [name for name in columns if name in numbers] for topic, columns in columns_of.items()}
 
     def _check_index(self, name: str, column: TableColumn) -> None:
         """Check that an index fits a column.

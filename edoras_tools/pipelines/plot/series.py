@@ -71,7 +71,7 @@ class _Recording:
 
     @classmethod
     def of(
-        cls, source: TopicSource, wanted: Sequence[PlotRequest], narrowed: Sequence[str], *, bare: bool
+        cls, source: TopicSource, requests: Sequence[PlotRequest], narrowed: Sequence[str], *, bare: bool
     ) -> _Recording:
         """Find out what is to be read.
 
@@ -80,7 +80,7 @@ class _Recording:
             RouteError: a topic is not there.
         """
         recording = cls(source, {})
-        for item in wanted:
+        for item in requests:
             topics = item.topics(source, narrowed)
             if item.quantity is Quantity.FIELD:
                 recording.topics[item] = item.fields(source, topics)
@@ -108,10 +108,10 @@ class _Recording:
         self.log_topics = [topic for topic, kind in source.topics.items() if kind == _LOG]
 
     @property
-    def wanted(self) -> set[str]:
+    def topics_to_read(self) -> set[str]:
         """The topics that must be read."""
-        named = {topic for item in self.topics.values() for topic, names in item.items() if names}
-        return named | {*self.rates, *self.log_topics} | ({LOST_TOPIC} if self.losses else set())
+        with_fields = {topic for item in self.topics.values() for topic, names in item.items() if names}
+        return with_fields | {*self.rates, *self.log_topics} | ({LOST_TOPIC} if self.losses else set())
 
     def take(self, block: TopicBlock) -> None:
         """Add a block of messages."""
@@ -120,10 +120,10 @@ class _Recording:
         if block.topic in self.rates:
             self.rates[block.topic].add(seconds)
         if block.topic in self.log_topics:
-            told = (_array(block, name).tolist() for name in ("level", "name", "msg"))
+            texts = (_array(block, name).tolist() for name in ("level", "name", "msg"))
             self.marks += [
                 (moment, level, f"{name}: {text}")
-                for moment, level, name, text in zip(seconds.tolist(), *told, strict=True)
+                for moment, level, name, text in zip(seconds.tolist(), *texts, strict=True)
             ]
         if block.topic == LOST_TOPIC:
             topics, counts = _array(block, "topic"), _array(block, "count")
@@ -131,12 +131,14 @@ class _Recording:
             for topic, losses in self.losses.items():
                 rows = np.flatnonzero(topics == topic)
                 losses.add_spans(seconds[rows], until[rows], counts[rows])
-        asked: dict[str, set[int | None]] = {}
-        for item, there in self.topics.items():
-            for name in there.get(block.topic, ()):
-                asked.setdefault(name, set()).add(item.index)
-        columns = {item.name: item for item in TableForm(time=TimeForm.NS).columns(block, 0)} if asked else {}
-        for name, elements in asked.items():
+        indexes: dict[str, set[int | None]] = {}
+        for item, name_of in self.topics.items():
+            for name in name_of.get(block.topic, ()):
+                indexes.setdefault(name, set()).add(item.index)
+        columns = (
+            {item.name: item for item in TableForm(time=TimeForm.NS).columns(block, 0)} if indexes else {}
+        )
+        for name, elements in indexes.items():
             for index in {None} if None in elements else elements:
                 for element, rows, values in numbers(columns[name], index):
                     self._values(block.topic, name, element).add(seconds[rows], values)
@@ -188,7 +190,7 @@ class PlotReport:
                 {
                     "title": panel.title,
                     "unit": panel.unit or None,
-                    "lines": [_told(self.figure, line) for line in panel.lines],
+                    "lines": [_line_json(self.figure, line) for line in panel.lines],
                 }
                 for panel in self.figure.panels
             ],
@@ -198,7 +200,7 @@ class PlotReport:
         }
 
 
-def _told(figure: Figure, line: PlotLine) -> dict[str, Any]:
+def _line_json(figure: Figure, line: PlotLine) -> dict[str, Any]:
     some = len(line.values) > 0
     return {
         "label": line.label,
@@ -232,7 +234,7 @@ def open_recordings(paths: Sequence[Path], settings: Settings, scope: Scope) -> 
 def read_plot(
     sources: Sequence[TopicSource],
     names: Sequence[str],
-    asked: Sequence[Sequence[PlotRequest]],
+    panels_requested: Sequence[Sequence[PlotRequest]],
     scope: Scope,
     *,
     bare: bool = False,
@@ -243,7 +245,7 @@ def read_plot(
     Args:
         sources: the inputs; each is drawn from its own start on.
         names: of the inputs, for legends.
-        asked: the requests of each panel; none for the rates of all topics.
+        panels_requested: the requests of each panel; none for the rates of all topics.
         scope: the topics to which requests are narrowed, and the time; all else the inputs apply themselves.
         bare: without rates, losses and events beneath.
 
@@ -252,14 +254,14 @@ def read_plot(
         ConfigError: a field is not there, is no number, or there are too many.
         RouteError: a topic is not there.
     """
-    panels = asked or [[PlotRequest("rate:*", Quantity.RATE, "*")]]
-    wanted = [item for panel in panels for item in panel]
+    panels = panels_requested or [[PlotRequest("rate:*", Quantity.RATE, "*")]]
+    requests = [item for panel in panels for item in panel]
     with ExitStack() as stack:
         for source in sources:
             stack.enter_context(closing(source))
-        read = [_Recording.of(source, wanted, scope.selection.topics, bare=bare) for source in sources]
+        read = [_Recording.of(source, requests, scope.selection.topics, bare=bare) for source in sources]
         for recording in read:
-            for block in filter(len, recording.source.blocks(recording.wanted, progress)):
+            for block in filter(len, recording.source.blocks(recording.topics_to_read, progress)):
                 recording.take(block)
             if isinstance(recording.source.failure, InterruptError):
                 break
@@ -274,25 +276,25 @@ class _Assembly:
     names: Sequence[str]
     scope: Scope
 
-    def figure(self, asked: Sequence[Sequence[PlotRequest]]) -> Figure:
+    def figure(self, requested: Sequence[Sequence[PlotRequest]]) -> Figure:
         """Return the figure.
 
         Raises:
             CaptureError: there is nothing to draw.
             ConfigError: no list has an element that is asked for.
         """
-        panels = [self._panel(panel) for panel in asked]
-        named = [item for panel in asked for item in panel]
-        for item, recording in product(named, self.read):
+        panels = [self._panel(panel) for panel in requested]
+        requests = [item for panel in requested for item in panel]
+        for item, recording in product(requests, self.read):
             lines = [line for _, line in self._lines(item, 0, recording)]
             if item.index is not None and lines and not any(line.read + line.not_finite for line in lines):
                 raise ConfigError(f"{item.text}: no list of {recording.source.name} has so many elements")
-        found = [line for panel in panels for line in panel.lines if line.read]
-        if all(item.quantity is not Quantity.LOSS for item in named):  # no loss is a result, too
+        lines_read = [line for panel in panels for line in panel.lines if line.read]
+        if all(item.quantity is not Quantity.LOSS for item in requests):  # no loss is a result, too
             for recording in self.read:
                 topics = {topic for item in recording.topics.values() for topic in item}
-                recording.source.check_found(found, topics)
-        beneath = self._rates(named)
+                recording.source.check_found(lines_read, topics)
+        beneath = self._rates(requests)
         marks = [mark for place in range(len(self.read)) for mark in self._marks(place)]
         return Figure(
             self.names,
@@ -313,64 +315,64 @@ class _Assembly:
     def _width(self) -> float:
         return bar_seconds(self._span(*self.read))
 
-    def _panel(self, wanted: Sequence[PlotRequest]) -> Panel:
+    def _panel(self, requests: Sequence[PlotRequest]) -> Panel:
         """Return a panel that was asked for."""
-        made: list[tuple[str, PlotLine]] = []
-        for item in wanted:
+        lines: list[tuple[str, PlotLine]] = []
+        for item in requests:
             for place, recording in enumerate(self.read):
-                made += [
+                lines += [
                     (name, line)
                     for name, line in self._lines(item, place, recording)
-                    if line.read or len(wanted) == 1
+                    if line.read or len(requests) == 1
                 ]
-        title = ", ".join(item.text for item in wanted)
-        if len(made) > MOST_LINES:  # only rates and losses; there may be hundreds of topics
-            made = sorted(made, key=lambda item: -item[1].read)[:MOST_LINES]
+        title = ", ".join(item.text for item in requests)
+        if len(lines) > MOST_LINES:  # only rates and losses; there may be hundreds of topics
+            lines = sorted(lines, key=lambda item: -item[1].read)[:MOST_LINES]
             title += f", the {MOST_LINES} largest"
-        return _panel(title, made, self.names, _unit({item.quantity for item in wanted}))
+        return _panel(title, lines, self.names, _unit({item.quantity for item in requests}))
 
     def _lines(self, item: PlotRequest, place: int, recording: _Recording) -> Iterator[tuple[str, PlotLine]]:
         for topic, names in recording.topics[item].items():
             if item.quantity is not Quantity.FIELD:
                 counts = recording.rates if item.quantity is Quantity.RATE else recording.losses
-                named = topic if item.quantity is Quantity.RATE else f"{topic} lost"
+                label = topic if item.quantity is Quantity.RATE else f"{topic} lost"
                 if counts[topic].total or len(recording.topics[item]) == 1:
-                    yield named, counts[topic].line(place, self._span(recording), self._width)
+                    yield label, counts[topic].line(place, self._span(recording), self._width)
                 continue
-            for (there, name, element), values in recording.fields.items():
-                if there == topic and name in names and item.index in {None, element}:
+            for (owner, name, element), values in recording.fields.items():
+                if owner == topic and name in names and item.index in {None, element}:
                     full = f"{topic}.{name}"
                     yield full if element is None else f"{full}[{element}]", values.line(place)
 
-    def _rates(self, named: Sequence[PlotRequest]) -> Panel:
+    def _rates(self, requests: Sequence[PlotRequest]) -> Panel:
         """Return the rates and losses beneath."""
-        shown = {
-            (item.quantity, topic) for read in self.read for item in named for topic in read.topics[item]
+        drawn = {
+            (item.quantity, topic) for read in self.read for item in requests for topic in read.topics[item]
         }
-        made = []
+        lines = []
         for place, recording in enumerate(self.read):
             span = self._span(recording)
             for topic, counts in recording.rates.items():
-                if (Quantity.RATE, topic) not in shown:
-                    made.append((topic, counts.line(place, span, self._width)))
+                if (Quantity.RATE, topic) not in drawn:
+                    lines.append((topic, counts.line(place, span, self._width)))
             for topic, counts in recording.losses.items():
-                if (Quantity.LOSS, topic) not in shown and counts.total:
-                    made.append((f"{topic} lost", counts.line(place, span, self._width)))
-        return _panel("rates", made, self.names, _PER_SECOND, beneath=True)
+                if (Quantity.LOSS, topic) not in drawn and counts.total:
+                    lines.append((f"{topic} lost", counts.line(place, span, self._width)))
+        return _panel("rates", lines, self.names, _PER_SECOND, beneath=True)
 
     def _marks(self, place: int) -> Iterator[EventMark]:
         """Yield the events of a recording; of many close to each other the most severe one."""
         recording = self.read[place]
-        found = sorted(recording.marks)
-        if len(found) > MOST_MARKS:
+        marks = sorted(recording.marks)
+        if len(marks) > MOST_MARKS:
             begin, end = self._span(recording)
             worst: dict[int, tuple[float, int, str]] = {}
-            for item in found:
+            for item in marks:
                 part = int((item[0] - begin) / (end - begin) * MOST_MARKS)
                 if part not in worst or item[1] > worst[part][1]:
                     worst[part] = item
-            found = list(worst.values())
-        for moment, level, text in found:
+            marks = list(worst.values())
+        for moment, level, text in marks:
             yield EventMark(moment, place, level >= _ERROR, text)
 
     def _notes(self, panels: Sequence[Panel], beneath: Panel) -> list[str]:
@@ -406,18 +408,18 @@ def _unit(quantities: set[Quantity]) -> str:
 
 def _panel(
     title: str,
-    made: Sequence[tuple[str, PlotLine]],
+    named_lines: Sequence[tuple[str, PlotLine]],
     names: Sequence[str],
     unit: str,
     *,
     beneath: bool = False,
 ) -> Panel:
     """Return a panel; its legend leaves out what all lines share."""
-    full = list(dict.fromkeys(name for name, _ in made))
+    full = list(dict.fromkeys(name for name, _ in named_lines))
     topics = {name.partition(".")[0] for name in full}
     same = f"{topics.pop()}." if len(topics) == 1 and all("." in name for name in full) else ""
     lines = []
-    for name, line in made:
+    for name, line in named_lines:
         words = [name.removeprefix(same)] if len(full) > 1 or len(names) == 1 else []
         words += [names[line.recording]] if len(names) > 1 else []
         lines.append(replace(line, label=" · ".join(words), colour=full.index(name)))

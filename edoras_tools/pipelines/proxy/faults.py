@@ -84,18 +84,18 @@ class FaultStage:
         """
         machine, buffer, link = self.machine, self._buffer, self._link
         outbox = Outbox(buffer, send)
-        chosen = slots.tolist()
-        if len(chosen) <= _FEW:
-            for slot in chosen:
+        selection = slots.tolist()
+        if len(selection) <= _FEW:
+            for slot in selection:
                 payload = buffer.payload(slot)
-                done = machine.apply(payload, link=link, to_cfs=to_cfs, now=now, stream=stream)
-                self._take(outbox, slot, payload, done)
+                result = machine.apply(payload, link=link, to_cfs=to_cfs, now=now, stream=stream)
+                self._take(outbox, slot, payload, result)
             outbox.flush()
             return
         verdicts = machine.decide(
             buffer.slots[slots, :HEAD_BYTES],
             buffer.length[slots],
-            lambda index: buffer.payload(chosen[index]),
+            lambda index: buffer.payload(selection[index]),
             link=link,
             to_cfs=to_cfs,
             now=now,
@@ -106,20 +106,20 @@ class FaultStage:
             return
         after = 0
         for index in np.flatnonzero(verdicts.any(axis=0)).tolist():
-            outbox.add(chosen[after:index])
+            outbox.add(selection[after:index])
             after = index + 1
-            payload = buffer.payload(chosen[index])
-            done = machine.strike(
+            payload = buffer.payload(selection[index])
+            result = machine.strike(
                 payload, verdicts[:, index], index, link=link, to_cfs=to_cfs, now=now, stream=stream
             )
-            self._take(outbox, chosen[index], payload, done)
-        outbox.add(chosen[after:])
+            self._take(outbox, selection[index], payload, result)
+        outbox.add(selection[after:])
         outbox.flush()
 
     def _take(
-        self, outbox: Outbox, slot: int, payload: bytes, done: tuple[list[Delivery], list[Fault]]
+        self, outbox: Outbox, slot: int, payload: bytes, result: tuple[list[Delivery], list[Fault]]
     ) -> None:
-        deliveries, faults = done
+        deliveries, faults = result
         for delivery in deliveries:
             if delivery.payload is payload:
                 outbox.add((slot,))

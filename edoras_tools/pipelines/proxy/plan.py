@@ -111,7 +111,10 @@ def limit_rule(text: str, mission: Mission) -> Rule:
     rule, mistakes = make_rule("rate", words, written)
     if rule is None:
         raise ConfigError(
-            *(f"--limit {text}: {what}; write 30, /cmd_vel=30,latest or all=100" for _, what in mistakes)
+            *(
+                f"--limit {text}: {problem}; write 30, /cmd_vel=30,latest or all=100"
+                for _, problem in mistakes
+            )
         )
     return rule
 

@@ -164,10 +164,15 @@ class Proxy:
             self._poll.register(keys.fileno(), select.POLLIN)
         began = self._now()
         end = began + duration_ns if duration_ns else 1 << 63
-        with on_interrupt(self.stop) as asked, watched(self, watcher), threads_take_turns(), self._precedence:
+        with (
+            on_interrupt(self.stop) as interrupt,
+            watched(self, watcher),
+            threads_take_turns(),
+            self._precedence,
+        ):
             while not self._stopping and (now := self._now()) < end:
                 self._turn(now, min(end, self._upkeep_ns), keys)
-            self.interrupted = asked.is_set()
+            self.interrupted = interrupt.is_set()
             self._finish()
 
     def close(self) -> None:
@@ -206,7 +211,7 @@ class Proxy:
                 {"rule": rule.text, "kind": rule.kind.name, "on": on, "struck": struck}
                 for rule, on, struck in zip(machine.rules, machine.enabled, machine.struck, strict=True)
             ],
-            "held": machine.held,
+            "held": machine.waiting,
             "held_overflowed": machine.overflowed,
             "recorded": recorded.datagrams if recorded else None,
             "unrecorded": recorder.missed if recorder else 0,
@@ -263,8 +268,8 @@ class Proxy:
                 slots: dict[bytes, list[int]] = {}
                 for slot, packed in enumerate(senders.view("V32").ravel().tolist()):
                     slots.setdefault(packed, []).append(slot)
-                for packed, chosen in slots.items():
-                    self._to_target(self.clients.at(packed, now), np.array(chosen), now)
+                for packed, rows in slots.items():
+                    self._to_target(self.clients.at(packed, now), np.array(rows), now)
             if count < SLOTS:
                 return
 
@@ -314,12 +319,12 @@ class Proxy:
             self._send(client, slots, to_target=to_target)
             return
 
-        def send(chosen: NDArray[np.int64]) -> None:
-            self._send(client, chosen, to_target=to_target)
+        def send(selection: NDArray[np.int64]) -> None:
+            self._send(client, selection, to_target=to_target)
 
         self._times[SLOTS:] = now
-        chosen = np.arange(slots) if isinstance(slots, int) else slots
-        self._faults.apply(chosen, to_cfs=to_cfs, now=now, stream=client.number, send=send)
+        selection = np.arange(slots) if isinstance(slots, int) else slots
+        self._faults.apply(selection, to_cfs=to_cfs, now=now, stream=client.number, send=send)
 
     def _send(self, client: ProxyClient, slots: int | NDArray[np.int64], *, to_target: bool) -> None:
         outlets = client.to_target if to_target else [client.to_client]

@@ -56,7 +56,7 @@ class _Pipe:
     waiting: deque[tuple[int, bytes]] = field(default_factory=deque)
     size: int = 0
     ended: bool = False
-    told: bool = False
+    reported: bool = False
     full: bool = False
 
     def receive(self, now: int) -> None:
@@ -102,8 +102,8 @@ class _Pipe:
                 self.full = True
                 return
             self.waiting.popleft()
-        if self.ended and not self.waiting and not self.told:
-            self.told = True
+        if self.ended and not self.waiting and not self.reported:
+            self.reported = True
             with suppress(OSError):  # it may be closed already
                 self.target.shutdown(socket.SHUT_WR)
 
@@ -123,13 +123,13 @@ class StreamCounts:
 class _Connection:
     """A client, and the target once it is connected: ``pipes`` begins with the way to the target.
 
-    ``asked`` is when the target was asked for a connection, ``there`` what is to become it.
+    ``asked_ns`` is when the target was asked for a connection, ``target`` what is to become it.
     """
 
     pipes: list[_Pipe]
     opened: int
-    asked: int = 0
-    there: socket.socket | None = None
+    asked_ns: int = 0
+    target: socket.socket | None = None
 
 
 class StreamProxy:
@@ -224,7 +224,7 @@ class StreamProxy:
             pipe.waiting[0][0]
             for item in self._open
             for pipe in item.pipes
-            if pipe.waiting and not pipe.full and (pipe.target or not item.there)
+            if pipe.waiting and not pipe.full and (pipe.target or not item.target)
         ]
         return min(_WAIT_S, max(0.0, (min(due) - self._now()) / 1e9)) if due else _WAIT_S
 
@@ -245,25 +245,25 @@ class StreamProxy:
     def _connect(self, connection: _Connection, now: int) -> bool:
         """Connect the target for a client, or go on with it; return whether it may take the connection."""
         target = self._plan.targets[0]
-        there = connection.there
-        if there is None:
-            there = socket.socket(socket.AF_INET6 if ":" in target.address else socket.AF_INET)
-            connection.there, connection.asked = there, now
-            self._prepare(there)
+        opened = connection.target
+        if opened is None:
+            opened = socket.socket(socket.AF_INET6 if ":" in target.address else socket.AF_INET)
+            connection.target, connection.asked_ns = opened, now
+            self._prepare(opened)
         try:
-            error = there.connect_ex((target.address, target.port))
+            error = opened.connect_ex((target.address, target.port))
         except OSError:  # its name is not known
             error = errno.EHOSTUNREACH
-        if error in _PENDING and now - connection.asked < _CONNECT_NS:
+        if error in _PENDING and now - connection.asked_ns < _CONNECT_NS:
             return True
         if error not in {0, errno.EISCONN}:
             self.refused += 1
             return False
         self.connections += 1
         (to_target,) = connection.pipes
-        to_target.target = there
+        to_target.target = opened
         faults = StreamFaults(self._rules, to_cfs=not self._plan.to_cfs)
-        connection.pipes.append(_Pipe(there, faults, self.to_client, to_target.source))
+        connection.pipes.append(_Pipe(opened, faults, self.to_client, to_target.source))
         return True
 
     def _move(self, connection: _Connection) -> None:
@@ -276,8 +276,8 @@ class StreamProxy:
         try:
             first.receive(now)
             if first.target is None:
-                left = first.ended and not first.waiting
-                if left or (first.due(now) and not self._connect(connection, now)):
+                over = first.ended and not first.waiting
+                if over or (first.due(now) and not self._connect(connection, now)):
                     self._end(connection)
                     return
             for pipe in connection.pipes:
@@ -287,20 +287,20 @@ class StreamProxy:
             self._end(connection, abort=True)
             return
         self._watch(connection)
-        if all(pipe.told for pipe in connection.pipes):
+        if all(pipe.reported for pipe in connection.pipes):
             self._end(connection)
 
     def _watch(self, connection: _Connection) -> None:
         """Wait for a source while there is room and it sends, and for a target while it is full."""
-        wanted: dict[socket.socket, int] = {}
+        events_of: dict[socket.socket, int] = {}
         for pipe in connection.pipes:
             reads = pipe.size < _MOST_BYTES and not pipe.ended
-            wanted[pipe.source] = wanted.get(pipe.source, 0) | reads * selectors.EVENT_READ
-            target = pipe.target or connection.there
+            events_of[pipe.source] = events_of.get(pipe.source, 0) | reads * selectors.EVENT_READ
+            target = pipe.target or connection.target
             if target is not None:
                 writes = pipe.full or pipe.target is None
-                wanted[target] = wanted.get(target, 0) | writes * selectors.EVENT_WRITE
-        for end, events in wanted.items():
+                events_of[target] = events_of.get(target, 0) | writes * selectors.EVENT_WRITE
+        for end, events in events_of.items():
             known = self._selector.get_map().get(end)
             if known is None and events:
                 self._selector.register(end, events)
@@ -314,7 +314,7 @@ class StreamProxy:
         for place in range(len(self._struck)):
             self._struck[place] += sum(pipe.faults.struck[place] for pipe in connection.pipes)
         ends = {pipe.source for pipe in connection.pipes}
-        for end in ends | ({connection.there} if connection.there else set()):
+        for end in ends | ({connection.target} if connection.target else set()):
             with suppress(KeyError, ValueError):
                 self._selector.unregister(end)
             if abort:  # what waits is lost, and the peers are told: RST

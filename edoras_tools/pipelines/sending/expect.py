@@ -25,22 +25,22 @@ class Expectation:
     """One thing that has to come.
 
     Attributes:
-        what: as it was written.
+        words: as it was written.
         msg_ids: the packets that can show it.
         text: in an event; empty where it is no event.
         field: path of a counter; empty where it is no counter.
         growth: by how much the counter has to grow at least.
         met: whether it has come.
-        found: what has come instead, or as expected.
+        outcome: what has come instead, or as expected.
     """
 
-    what: str
+    words: str
     msg_ids: frozenset[int]
     text: str = ""
     field: str = ""
     growth: int = 1
     met: bool = False
-    found: str = "nothing came"
+    outcome: str = "nothing came"
     _count: int = 0
     _base: int | None = None
 
@@ -59,16 +59,16 @@ class Expectation:
         elif counts:
             self._count += 1
             self.met = True
-            self.found = f"came {self._count:,} times" if self._count > 1 else "came once"
+            self.outcome = f"came {self._count:,} times" if self._count > 1 else "came once"
 
     def _event(self, data: bytes, *, counts: bool) -> None:
         if not counts or self.met:
             return
         values = cfe.EVENT.parse(data, cfe.TELEMETRY_HEADER_BYTES)
-        told = f"{values['app_name']} {values['event_id']}: {values['message'].strip()}"
+        text = f"{values['app_name']} {values['event_id']}: {values['message'].strip()}"
         self._count += 1
-        self.met = self.text in told
-        self.found = told if self.met else f"other events came: {self._count:,}"
+        self.met = self.text in text
+        self.outcome = text if self.met else f"other events came: {self._count:,}"
 
     def _counter(self, data: bytes, structs: Structs, *, counts: bool) -> None:
         body = data[cfe.TELEMETRY_HEADER_BYTES :]
@@ -81,7 +81,7 @@ class Expectation:
         value = int(values)
         if not counts or self._base is None:
             self._base = value
-        self.found = f"{self._base} → {value}"
+        self.outcome = f"{self._base} → {value}"
         self.met = self.met or (counts and value - self._base >= self.growth)
 
 
@@ -97,7 +97,7 @@ class AwaitedResults:
     items: Sequence[Expectation] = ()
     within_ns: int = 0
     _structs: Structs = field(default_factory=Structs)
-    _begun: bool = False
+    _running: bool = False
 
     @classmethod
     def of(cls, texts: Sequence[str], within_ns: int, context: Context) -> AwaitedResults:
@@ -116,7 +116,7 @@ class AwaitedResults:
 
     def begin(self) -> None:
         """Note that from now on something is sent."""
-        self._begun = True
+        self._running = True
 
     def take(self, data: bytes) -> None:
         """Take a packet that was received; any bytes are accepted."""
@@ -124,48 +124,48 @@ class AwaitedResults:
         for item in self.items:
             if msg_id in item.msg_ids:
                 try:
-                    item.take(data, self._structs, counts=self._begun)
+                    item.take(data, self._structs, counts=self._running)
                 except TruncatedError:
                     continue
 
     def as_json(self) -> list[dict[str, Any]]:
         """Return ``expected`` of ``replay --json``."""
-        return [{"expect": item.what, "met": item.met, "found": item.found} for item in self.items]
+        return [{"expect": item.words, "met": item.met, "found": item.outcome} for item in self.items]
 
 
-def _read(what: str, context: Context) -> Expectation:
-    kind, colon, rest = what.partition(":")
+def _read(words: str, context: Context) -> Expectation:
+    kind, colon, rest = words.partition(":")
     if kind == "event" and rest:
-        return Expectation(what, frozenset({context.msg_ids.of_known(cfe.EVENT_MSG_ID)}), text=rest)
+        return Expectation(words, frozenset({context.msg_ids.of_known(cfe.EVENT_MSG_ID)}), text=rest)
     if kind == "counter" and rest:
-        return _counter(what, rest, context)
-    if colon or not what:
+        return _counter(words, rest, context)
+    if colon or not words:
         raise ConfigError(
-            f"--expect {what!r} is not known; there are event:TEXT, counter:NAME.FIELD[+N], "
+            f"--expect {words!r} is not known; there are event:TEXT, counter:NAME.FIELD[+N], "
             "and topics, MsgIds and names that tables show"
         )
-    found = find_packets(what, context)
+    found = find_packets(words, context)
     ids = frozenset(found.msg_ids(context.mission))
     if not ids:
-        raise ConfigError(f"--expect {what!r}: it has no MsgId, so nothing that is received can show it")
-    return Expectation(what, ids)
+        raise ConfigError(f"--expect {words!r}: it has no MsgId, so nothing that is received can show it")
+    return Expectation(words, ids)
 
 
-def _counter(what: str, text: str, context: Context) -> Expectation:
+def _counter(words: str, text: str, context: Context) -> Expectation:
     path, plus, number = text.partition("+")
     name, dot, member = path.partition(".")
     form = "write counter:TO_HK.command_counter, or +3 behind it"
     if not (dot and member) or (plus and not number.isdecimal()):
-        raise ConfigError(f"--expect {what!r} names no counter: {form}")
+        raise ConfigError(f"--expect {words!r} names no counter: {form}")
     ids = frozenset(find_packets(name, context).msg_ids(context.mission))
     bound = next((item for item in context.structs.all if item.key.msg_id in ids), None)
     if bound is None:
         raise ConfigError(
-            f"--expect {what!r}: no C struct is known for {name}; name its layout with --structs"
+            f"--expect {words!r}: no C struct is known for {name}; name its layout with --structs"
         )
     values = context.structs.types.decode(bound.type, bound.encode_one(bytes(bound.size), _NOBODY))
     fields = [path for path, value, *_ in bound.spans(values, bound.size) if isinstance(value, int)]
     if member not in fields:
         hint = did_you_mean(member, fields, 1) or f"there are {', '.join(fields)}"
-        raise ConfigError(f"--expect {what!r}: {member!r} is no counter of {bound.name}; {hint}")
-    return Expectation(what, ids, field=member, growth=int(number or 1))
+        raise ConfigError(f"--expect {words!r}: {member!r} is no counter of {bound.name}; {hint}")
+    return Expectation(words, ids, field=member, growth=int(number or 1))

@@ -36,9 +36,9 @@ class Injection:
     """What to inject.
 
     Attributes:
-        what: a topic, a key, a MsgId; or a command's name, e.g. ``to-enable`` or ``noop``.
+        subject: a topic, a key, a MsgId; or a command's name, e.g. ``to-enable`` or ``noop``.
         values: a message as YAML or JSON, ``@FILE`` with one; or a command's argument.
-        command: a MsgId and a function code, instead of ``what``.
+        command: a MsgId and a function code, instead of ``subject``.
         payload: bytes after the command header.
         function_code: of a message that is sent as a command.
         count: how often; 0 for no end.
@@ -47,7 +47,7 @@ class Injection:
         limit: of ``to-add``: how many messages of its MsgId may wait; None for as many as usual.
     """
 
-    what: str = ""
+    subject: str = ""
     values: str = ""
     command: tuple[int, int] | None = None
     payload: bytes = b""
@@ -77,8 +77,8 @@ def make(injection: Injection, bench: Workbench, options: SendOptions) -> tuple[
     passes = injection.count
     if injection.command is not None:
         packets = [Packet(_command(*injection.command, injection.payload, options.headers))]
-    elif (named := _named(injection, bench.mission, options)) is not None:
-        packets = [Packet(named)]
+    elif (command := _named_command(injection, bench.mission, options)) is not None:
+        packets = [Packet(command)]
     else:
         packets = list(_messages(injection, bench, options))
         passes = passes // len(packets)
@@ -91,7 +91,7 @@ def injection_receiver(injection: Injection, mission: Mission) -> Receiver:
     """Return the receiver of an injection by its route; commands and unknown names go to Command Ingest."""
     if injection.command is None:
         for to in Receiver:
-            if any(injection.what in names for names in _all_names(routes_towards(to, mission))):
+            if any(injection.subject in names for names in _all_names(routes_towards(to, mission))):
                 return to
     return Receiver.CI
 
@@ -101,9 +101,9 @@ def command_names() -> list[str]:
     return [ENABLE_OUTPUT, "noop", *NAMED]
 
 
-def _named(injection: Injection, mission: Mission, options: SendOptions) -> bytes | None:
+def _named_command(injection: Injection, mission: Mission, options: SendOptions) -> bytes | None:
     """Return the packet of a named command; None if it is not the name of a command."""
-    name, argument = injection.what.lower().replace("_", "-"), injection.values
+    name, argument = injection.subject.lower().replace("_", "-"), injection.values
     if f"{name}-{argument.lower()}" in NAMED:  # "sbn noop" is "sbn-noop"
         name, argument = f"{name}-{argument.lower()}", ""
     if injection.limit is not None and not (name in NAMED and NAMED[name].has_limit):
@@ -132,11 +132,11 @@ def _named(injection: Injection, mission: Mission, options: SendOptions) -> byte
 def _noop(text: str, msg_ids: MsgIds) -> int:
     """Return the MsgId for a no-op: given as a number, or by the name of its app."""
     apps = {name.removesuffix("-noop"): item.msg_id for name, item in NAMED.items() if name.endswith("-noop")}
-    wanted = text.strip().lower()
-    if wanted in apps:
-        return msg_ids.of_known(apps[wanted])
+    app = text.strip().lower()
+    if app in apps:
+        return msg_ids.of_known(apps[app])
     try:
-        return int(wanted, 0)
+        return int(app, 0)
     except ValueError:
         said = f"not {text!r}" if text else "and none is named"
         raise ConfigError(f"noop takes a MsgId or an app ({', '.join(apps)}), {said}") from None
@@ -149,7 +149,7 @@ def _command(msg_id: int, function_code: int, payload: bytes, headers: cfe.Heade
 
 
 def _messages(injection: Injection, bench: Workbench, options: SendOptions) -> Iterator[Packet]:
-    route = _route(injection.what, bench.mission, options.to)
+    route = _route(injection.subject, bench.mission, options.to)
     if not bench.types.has(route.type):
         raise RouteError(f"{route.topic}: {bench.types.check(route.type)}")
     encoder = Encoder.of(route, bench, injection.function_code)
@@ -159,9 +159,9 @@ def _messages(injection: Injection, bench: Workbench, options: SendOptions) -> I
     if injection.values:
         raise ConfigError("--every-field-random sets all values; leave the message out")
     dice = Random(injection.seed)  # noqa: S311  for tests, and reproducible
-    wanted = injection.count or _MOST
+    number = injection.count or _MOST
     # A divisor of the count, so that whole passes give exactly that count.
-    count = wanted if wanted <= _MOST else next(n for n in range(_MOST, 0, -1) if wanted % n == 0)
+    count = number if number <= _MOST else next(n for n in range(_MOST, 0, -1) if number % n == 0)
     for _ in range(count):
         values = arbitrary(bench.types, route.type, dice)
         yield encoder.packet(bench.types.encode(route.type, values), 0)
@@ -173,18 +173,18 @@ def _route(name: str, mission: Mission, to: Receiver) -> Route:
     try:
         route = mission.find(name)
     except RouteError as error:
-        wanted = "/" + name.removeprefix("/")
-        fitting = [item for item in towards if wanted == item.topic or name == item.key]
+        topic = "/" + name.removeprefix("/")
+        fitting = [item for item in towards if topic == item.topic or name == item.key]
         if len(fitting) == 1:
             return fitting[0]
         if not any(name in item for item in _all_names(mission.routes)):
             raise RouteError(f"{error}; commands with a name: {', '.join(command_names()[:3])} ...") from None
         raise
     if route not in towards:
-        there = ", ".join(item.topic for item in towards) or "none"
+        existing = ", ".join(item.topic for item in towards) or "none"
         where = next((item for item in Receiver if route in routes_towards(item, mission)), None)
         hint = f"--to {where}" if where else "it comes from cFS"
-        raise RouteError(f"{route.topic} does not go to {to}: {hint}; topics that go to {to}: {there}")
+        raise RouteError(f"{route.topic} does not go to {to}: {hint}; topics that go to {to}: {existing}")
     return route
 
 

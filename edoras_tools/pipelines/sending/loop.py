@@ -134,13 +134,13 @@ class SendReport:
         """
         seconds = self.responses.expected.within_ns / SECOND
         reasons = [
-            f"--expect {item.what}: not within {seconds:g} s after sending; {item.found}"
+            f"--expect {item.words}: not within {seconds:g} s after sending; {item.outcome}"
             for item in self.responses.expected.missing
         ]
         if most is None:
             return reasons
         ingest = self.responses.ingest
-        if not (ingest.is_known and ingest.is_counted if self.to_ci else self.responses.counted):
+        if not (ingest.is_known and ingest.is_counted if self.to_ci else self.responses.ingest_counted):
             reasons.append(
                 "--max-loss: what was lost is not known: no counter came; see --wait-for to-enabled"
             )
@@ -230,7 +230,7 @@ class Sending:
         Every error on the way is in ``SendReport.failure``.
         """
         report = self.report
-        with on_interrupt(self.stop) as asked, self._keys or nullcontext(), self._precedence:
+        with on_interrupt(self.stop) as interrupt, self._keys or nullcontext(), self._precedence:
             try:
                 self._wait_for(wait_for, timeout_ns)
                 if not self.stopped:
@@ -243,7 +243,7 @@ class Sending:
             except KeyboardInterrupt:  # the second Ctrl-C
                 self.stopped = True
             report.interrupted = self.stopped and report.failure is None
-            report.signalled = report.interrupted and asked.is_set()
+            report.signalled = report.interrupted and interrupt.is_set()
             for data in self._session.goodbye() if self._session else ():
                 self._wire.put(data)
         statistics = self._wire.statistics
@@ -274,15 +274,17 @@ class Sending:
         out, changes, passes = self._schedule.out, self._schedule.changes, self._schedule.passes
         self._refused = self._wire.statistics.refused
         start = self._wire.now() + _LEAD_NS
-        done = 0
-        while not self.stopped and (not passes or done < passes):
+        passes_sent = 0
+        while not self.stopped and (not passes or passes_sent < passes):
             batch = (
-                changes.each(out, sent=done, start_ns=start + self._epoch_ns, due_ns=self._table.due_ns)
+                changes.each(
+                    out, sent=passes_sent, start_ns=start + self._epoch_ns, due_ns=self._table.due_ns
+                )
                 if changes.differ
                 else out
             )
             start = self._one_pass(batch, start) + self._table.period_ns
-            done += 1
+            passes_sent += 1
         while not self.stopped and (held_ns := self._held_ns()) is not None:
             self._pass_time(held_ns)
 

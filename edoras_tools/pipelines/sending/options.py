@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 def names_of(msg_id: int, mission: Mission) -> list[str]:
     """Return all names of a MsgId: hex, cFE's, topics with and without the leading slash, keys."""
-    found = [f"0x{msg_id:04x}", f"0x{msg_id:x}", message_name(mission.msg_ids.known(msg_id)) or "-"]
+    names = [f"0x{msg_id:04x}", f"0x{msg_id:x}", message_name(mission.msg_ids.standard(msg_id)) or "-"]
     for route in mission.routes:
         if route.msg_id == msg_id:
-            found += [route.topic, route.topic.removeprefix("/"), route.key]
-    return found
+            names += [route.topic, route.topic.removeprefix("/"), route.key]
+    return names
 
 
 def fits(pattern: str, msg_id: int, mission: Mission) -> bool:
@@ -274,17 +274,17 @@ class SendOptions:
         """
         assert self.target is not None
         cap = self.max_rate_hz or (0.0 if is_loopback(self.target.address) else CAP_HZ)
-        there = sorted(set(out.msg_id[numbered(out.msg_id)[0]].tolist()) - {NO_MSG_ID})
+        msg_ids = sorted(set(out.msg_id[numbered(out.msg_id)[0]].tolist()) - {NO_MSG_ID})
         streams: dict[int, float] = {}
         total = 0.0
         for pattern, rate in self.rates:
             if pattern == "*":
                 total = rate
                 continue
-            found = [item for item in there if fits(pattern, item, mission)]
-            if not found:
+            fitting = [item for item in msg_ids if fits(pattern, item, mission)]
+            if not fitting:
                 raise RouteError(f"--rate {pattern}={rate:g}: no datagram to send matches {pattern!r}")
-            streams |= dict.fromkeys(found, rate)
+            streams |= dict.fromkeys(fitting, rate)
         if total and streams:
             raise ConfigError(
                 "--rate HZ sets the interval of all messages; it cannot be combined with the rate of a route"

@@ -85,10 +85,10 @@ class SentRecording:
     def send(self, out: Outgoing, first: int, last: int) -> int:
         """Send datagrams ``first`` up to ``last``, not included; return how many left."""
         now = self.now()
-        left = self._wire.send(out, first, last)
+        sent = self._wire.send(out, first, last)
         for index in range(first, last):
             self._keep(now, *self.ends, out[index])
-        return left
+        return sent
 
     def put(self, payload: bytes) -> bool:
         """Send one datagram of the caller's own; return whether it left."""

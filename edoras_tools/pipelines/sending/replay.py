@@ -73,9 +73,9 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
     """
     parts: list[Outgoing] = []
     notes: list[str] = []
-    wanted: set[int] = set()
+    subscriptions: set[int] = set()
     links = np.zeros(256, np.int64)
-    first_ns, left, size, there, over_tcp, period = -1, choice.count, 0, 0, 0, Period()
+    first_ns, remaining, size, seen_towards, over_tcp, period = -1, choice.count, 0, 0, 0, Period()
     try:
         selection = choice.selection.over(bench)
         follow_streams(source, bench.columns.context.framings)
@@ -88,22 +88,22 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
                 first_ns = int(batch.time_ns[0])
                 period = choice.period.since(first_ns)
             towards = _towards(batch, columns, options, bench.mission)
-            there += int(np.count_nonzero(towards))
+            seen_towards += int(np.count_nonzero(towards))
             if options.has_session:
-                wanted |= _subscriptions(batch, columns, towards)
+                subscriptions |= _subscriptions(batch, columns, towards)
                 towards &= columns.sbn_msg_type == sbn.MsgType.APP
             elapsed = batch.time_ns - first_ns
             towards &= period.holds(elapsed)
             towards &= _routes(columns, choice.routes, bench.mission)
             rows = np.flatnonzero(towards)
-            chosen, columns = selection.apply(batch.take(rows), columns.take(rows))
+            mask, columns = selection.apply(batch.take(rows), columns.take(rows))
             if choice.count:
-                chosen, columns = chosen.take(slice(0, left)), columns.take(slice(0, left))
-                left -= len(chosen)
-            if len(chosen):
-                parts.append(Outgoing.of(options.to.link, chosen, columns))
-                cut = int(np.count_nonzero(chosen.capture_findings & np.uint32(Finding.CAPTURE_CUT)))
-                streams = 0 if chosen.streams is None else int(np.count_nonzero(chosen.streams))
+                mask, columns = mask.take(slice(0, remaining)), columns.take(slice(0, remaining))
+                remaining -= len(mask)
+            if len(mask):
+                parts.append(Outgoing.of(options.to.link, mask, columns))
+                cut = int(np.count_nonzero(mask.capture_findings & np.uint32(Finding.CAPTURE_CUT)))
+                streams = 0 if mask.streams is None else int(np.count_nonzero(mask.streams))
                 over_tcp += streams
                 if cut:
                     notes.append(f"{cut:,} datagrams were cut by the capture, and are sent cut")
@@ -112,17 +112,19 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
                 raise CaptureError(
                     f"{source.info.name}: more than 4 GiB to send; select less with --start, --end"
                 )
-            if (choice.count and not left) or (period.end_ns and int(elapsed[-1]) > period.end_ns + 10**9):
+            if (choice.count and not remaining) or (
+                period.end_ns and int(elapsed[-1]) > period.end_ns + 10**9
+            ):
                 break
     finally:
         source.close()
     if not parts:
-        raise CaptureError(f"{source.info.name}: {_nothing(options.to, links, there)}")
+        raise CaptureError(f"{source.info.name}: {_nothing(options.to, links, seen_towards)}")
     if over_tcp and not options.tcp:
         notes.append(
             f"{over_tcp:,} of them came over TCP, and are sent as datagrams; --tcp sends them over TCP"
         )
-    return Loaded(join_datagrams(parts), tuple(sorted(wanted)), tuple(notes))
+    return Loaded(join_datagrams(parts), tuple(sorted(subscriptions)), tuple(notes))
 
 
 def _towards(
@@ -131,17 +133,17 @@ def _towards(
     towards: NDArray[np.bool_] = columns.link == options.to.link
     if options.to is Receiver.SBN:
         ports = [link.peer_port for link in mission.flight] or [_SBN_PORT]
-        here = np.isin(batch.destination_port, ports)
+        on_port = np.isin(batch.destination_port, ports)
         if batch.streams is not None:  # cFS connects to peers of a higher ProcessorID: they listen
             theirs = [link.udp_receive_port for link in mission.flight] or [BRIDGE_PORT]
-            here |= batch.streams & np.isin(batch.source_port, theirs)
-        towards = towards & here
+            on_port |= batch.streams & np.isin(batch.source_port, theirs)
+        towards = towards & on_port
     return towards
 
 
 def _subscriptions(batch: PacketBatch, columns: Columns, towards: NDArray[np.bool_]) -> set[int]:
     """Return what the captured peer subscribed to."""
-    found: set[int] = set()
+    msg_ids: set[int] = set()
     for row in np.flatnonzero(towards & (columns.sbn_msg_type == sbn.MsgType.SUB)).tolist():
         start = int(batch.offset[row]) + sbn.HEADER.size
         payload = batch.data[start : int(batch.offset[row] + batch.length[row])].tobytes()
@@ -150,25 +152,25 @@ def _subscriptions(batch: PacketBatch, columns: Columns, towards: NDArray[np.boo
         except WireError:
             continue
         if ident == sbn.IDENT:
-            found |= {item.msg_id for item in entries}
-    return found
+            msg_ids |= {item.msg_id for item in entries}
+    return msg_ids
 
 
 def _routes(columns: Columns, patterns: Sequence[str], mission: Mission) -> NDArray[np.bool_]:
     if not patterns:
         return np.ones(len(columns), bool)
-    there = np.unique(columns.msg_id).tolist()
+    msg_ids = np.unique(columns.msg_id).tolist()
     fitting = [
         item
-        for item in there
+        for item in msg_ids
         if item != NO_MSG_ID and any(fits(pattern, item, mission) for pattern in patterns)
     ]
     return np.isin(columns.msg_id, fitting)
 
 
-def _nothing(to: Receiver, links: NDArray[np.int64], there: int) -> str:
-    if there:
-        return f"none of its {there:,} {_WHAT[to]} was selected; remove some of the selection options"
+def _nothing(to: Receiver, links: NDArray[np.int64], number: int) -> str:
+    if number:
+        return f"none of its {number:,} {_WHAT[to]} was selected; remove some of the selection options"
     others = [
         f"{int(links[item.link]):,} for --to {item}"
         for item in Receiver
@@ -242,7 +244,7 @@ def remapped(
         ConfigError: a command would become telemetry or the reverse, whose header has another length.
         RouteError: a topic is not configured.
     """
-    found: dict[int, int] = {}
+    pairs_of: dict[int, int] = {}
     other = mission.numbered(target or mission.msg_ids)
     for old, new in pairs:
         before, after = _msg_id(old, mission), _msg_id(new, other)
@@ -252,8 +254,8 @@ def remapped(
                 f"--remap {old}:={new}: of {called(before, mission)} and {called(after, other)} one is a "
                 "command, one telemetry; their headers differ"
             )
-        found[before] = after
-    return found
+        pairs_of[before] = after
+    return pairs_of
 
 
 def _msg_id(name: str, mission: Mission) -> int:

@@ -117,11 +117,11 @@ class IngestCount:
             state = "partly" if self.read else "unknown"
         else:
             state = "missing" if self.is_final else "waiting"
-        told = state in {"all", "missing", "waiting", "partly"}
+        decided = state in {"all", "missing", "waiting", "partly"}
         return {
             "state": state,
             "sent": self.expected,
-            "read": self.read if told else None,
+            "read": self.read if decided else None,
             "missing": self.missing if state in {"all", "missing"} else None,
         }
 
@@ -199,12 +199,12 @@ class Responses:
         self.counts[link, msg_id] = self.counts.get((link, msg_id), 0) + 1
         self.expected.take(data)
         try:
-            known = self._mission.msg_ids.known(msg_id)
-            if known == cfe.EVENT_MSG_ID:
+            standard = self._mission.msg_ids.standard(msg_id)
+            if standard == cfe.EVENT_MSG_ID:
                 self._event(data, now)
-            elif known == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID:
+            elif standard == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID:
                 self._bus(data)
-            elif known == command_ingest.HOUSEKEEPING_MSG_ID and len(data) in _INGEST:
+            elif standard == command_ingest.HOUSEKEEPING_MSG_ID and len(data) in _INGEST:
                 values = _INGEST[len(data)].parse(data, cfe.TELEMETRY_HEADER_BYTES)
                 self.ingest.reported(values["ingest_packets"] + values["ingest_errors"])
         except TruncatedError:
@@ -235,7 +235,7 @@ class Responses:
         return sum(count for (link, _), count in self.counts.items() if link.only_from_cfs)
 
     @property
-    def counted(self) -> bool:
+    def ingest_counted(self) -> bool:
         """Whether the software bus told its counters."""
         return self.counters is not None
 
@@ -265,7 +265,7 @@ class Responses:
                     "link": link.label,
                     "msg_id": f"0x{msg_id:04x}",
                     "topic": routes.get((link, msg_id)),
-                    "name": message_name(self._mission.msg_ids.known(msg_id)) or None,
+                    "name": message_name(self._mission.msg_ids.standard(msg_id)) or None,
                     "count": count,
                 }
                 for (link, msg_id), count in sorted(self.counts.items())

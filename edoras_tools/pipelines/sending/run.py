@@ -44,17 +44,19 @@ class Loaded:
 
     Attributes:
         out: the datagrams, in the order of the recording.
-        wanted: MsgIds that the recording's own SBN peer subscribed to.
+        subscriptions: MsgIds that the recording's own SBN peer subscribed to.
         notes: for the user, one line each.
     """
 
     out: Outgoing
-    wanted: tuple[int, ...] = ()
+    subscriptions: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
 
     def numbered(self, old: MsgIds, new: MsgIds) -> Loaded:
         """Return it with what was subscribed to by the MsgIds of another version."""
-        return replace(self, wanted=tuple(sorted(new.of_known(old.known(item)) for item in self.wanted)))
+        return replace(
+            self, subscriptions=tuple(sorted(new.of_known(old.standard(item)) for item in self.subscriptions))
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,7 @@ class Transmission:
         options: with defaults filled in, and checked.
         mission: provides names for what is sent and received.
         changes: what is changed in each pass.
-        wanted: MsgIds that an SBN session subscribes to.
+        subscriptions: MsgIds that an SBN session subscribes to.
         notes: for the user, one line each.
     """
 
@@ -76,7 +78,7 @@ class Transmission:
     options: SendOptions
     mission: Mission
     changes: Changes
-    wanted: tuple[int, ...] = ()
+    subscriptions: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -98,12 +100,12 @@ class Transmission:
         table = options.pacing(out, mission).timetable(out.time_ns, out.msg_id)
         ready = changes.once(in_order(out, table))
         check_allowed(ready, options.allow, mission)
-        found = ready.headers[(ready.msg_id != NO_MSG_ID) & ready.command]
+        builds = ready.headers[(ready.msg_id != NO_MSG_ID) & ready.command]
         for headers in (cfe.WITH_EXTENDED, cfe.WITH_EXTENDED_2):
-            if (found == cfe.HEADERS.index(headers)).any():
+            if (builds == cfe.HEADERS.index(headers)).any():
                 options = replace(options, headers=headers)
-        wanted = tuple(sorted(subscribed)) or loaded.wanted
-        return cls(ready, table, options, mission, changes, wanted, loaded.notes)
+        subscriptions = tuple(sorted(subscribed)) or loaded.subscriptions
+        return cls(ready, table, options, mission, changes, subscriptions, loaded.notes)
 
     @property
     def total(self) -> int | None:
@@ -255,7 +257,7 @@ class Transmission:
         habits = PUBLIC_BRIDGE if self.options.role is Role.BRIDGE else CLIENT
         if self.options.tcp:
             habits = TCP_CLIENT
-        return SbnConnection(self.options.identity(self.mission), self.wanted, habits=habits, now=now)
+        return SbnConnection(self.options.identity(self.mission), self.subscriptions, habits=habits, now=now)
 
 
 def _transmitter(options: SendOptions) -> Transmitter | StreamTransmitter:

@@ -108,23 +108,23 @@ def load_topics(
     if choice.selection.where:
         raise ConfigError("--where reads datagrams and has no effect with --from-topics: leave one out")
     selection = choice.selection.over(bench)
-    there = bag.topics()
+    topics = bag.topics()
     encoders: dict[str, Encoder] = {}
-    for topic, name in there.items():
-        wanted = "/" + rename.get(topic, topic).removeprefix("/")
-        route = routes.get(wanted)
+    for topic, name in topics.items():
+        topic_ = "/" + rename.get(topic, topic).removeprefix("/")
+        route = routes.get(topic_)
         if route is None or not selection.about(route.link.label, route.msg_id, mission):
             continue
         if choice.routes and not any(fits(pattern, route.msg_id, mission) for pattern in choice.routes):
             continue
         if name != route.type:
             raise ConfigError(
-                f"{bag.path}: {topic} is {name}, but {wanted} of the mission needs {route.type}"
+                f"{bag.path}: {topic} is {name}, but {topic_} of the mission needs {route.type}"
             )
         encoders[topic] = Encoder.of(route, bench)
     if not encoders:
         raise CaptureError(
-            f"{bag.path}: none of its topics ({', '.join(sorted(there)) or 'none'}) goes to {options.to}; "
+            f"{bag.path}: none of its topics ({', '.join(sorted(topics)) or 'none'}) goes to {options.to}; "
             f"configured are {', '.join(routes)}; --remap A:=B renames a topic"
         )
     packets, short = [], 0

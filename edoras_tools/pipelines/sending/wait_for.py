@@ -93,7 +93,7 @@ def _peer(
     wire: Wire,
     local: Endpoint,
 ) -> Condition:
-    wanted = set(np.unique(out.msg_id[out.msg_id != NO_MSG_ID]).tolist())
+    msg_ids = set(np.unique(out.msg_id[out.msg_id != NO_MSG_ID]).tolist())
 
     own = session.own._asdict()
     refusals = [
@@ -107,17 +107,17 @@ def _peer(
         else ""
     )
 
-    def said() -> str | None:
-        return next((told for told in refusals if told in responses.events), None)
+    def complaint() -> str | None:
+        return next((text for text in refusals if text in responses.events), None)
 
     def unknown() -> bool:
-        return session.answered is None and said() is not None
+        return session.answered is None and complaint() is not None
 
     def explain(seconds: float) -> str:
         if unknown():
             return (
-                f"no SBN peer answered at {options.target} within {seconds:.1f} s: cFS says {said()!r}: its "
-                f"SBN peer table has no such peer; set --as SC:CPU as in the table{crash}"
+                f"no SBN peer answered at {options.target} within {seconds:.1f} s: cFS says {complaint()!r}: "
+                f"its SBN peer table has no such peer; set --as SC:CPU as in the table{crash}"
             )
         if session.answered is None:
             place = (
@@ -132,7 +132,7 @@ def _peer(
                 f"SUB, once a second, as {session.own} from {local}; usually cFS is not running, or its SBN "
                 f"peer table has no {session.own}{place} as in the table{crash}"
             )
-        missing = sorted(wanted - session.subscribed)
+        missing = sorted(msg_ids - session.subscribed)
         some = ", ".join(called(msg_id, mission) for msg_id in missing[:_MOST_NAMED])
         more = f" and {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
         return (
@@ -142,7 +142,7 @@ def _peer(
         )
 
     return Condition(
-        "peer", lambda: session.connected and wanted <= session.subscribed, explain, hopeless=unknown
+        "peer", lambda: session.connected and msg_ids <= session.subscribed, explain, hopeless=unknown
     )
 
 
@@ -190,8 +190,8 @@ def leaves_at_once(out: Outgoing, options: SendOptions) -> bool:
 
 def only_enables(out: Outgoing, headers: cfe.Headers) -> bool:
     """Return whether the command that enables telemetry is all that is sent."""
-    asked = headers.msg_ids.of_known(telemetry_output.COMMAND_MSG_ID)
-    if len(out) != 1 or out.msg_id[0] != asked:
+    enable = headers.msg_ids.of_known(telemetry_output.COMMAND_MSG_ID)
+    if len(out) != 1 or out.msg_id[0] != enable:
         return False
     return bool(headers.command.parse(out[0][headers.start :])["function_code"] == telemetry_output.ENABLE)
 

@@ -77,10 +77,10 @@ def interface_link(interface: str) -> Link:
     Raises:
         ConfigError: there is no such interface.
     """
-    known: dict[str, Link] = {f"edoras-{link.label}": link for link in table.links()}
-    if interface not in known:
-        raise ConfigError(f"{interface or 'no interface'}: there are {', '.join(known)}")
-    return known[interface]
+    by_name: dict[str, Link] = {f"edoras-{link.label}": link for link in table.links()}
+    if interface not in by_name:
+        raise ConfigError(f"{interface or 'no interface'}: there are {', '.join(by_name)}")
+    return by_name[interface]
 
 
 def link_types() -> list[str]:
@@ -121,13 +121,13 @@ def capture(wish: CaptureRequest, fifo: Path) -> None:
     source = _source(wish, ports, streams)
     try:
         # Wireshark needs the handshake as well, which is of no link.
-        chosen = Selection(links=(wish.link,)) if wish.link.transport.udp else Selection()
-        with _opened(fifo) as file, reading(source, bench, chosen, patient=True) as loop:
-            gone = _watch(file)
+        selection = Selection(links=(wish.link,)) if wish.link.transport.udp else Selection()
+        with _opened(fifo) as file, reading(source, bench, selection, patient=True) as loop:
+            reader_left = _watch(file)
             sink = PcapngSink(file)
             sink.flush()
             for rows in loop:
-                if gone():
+                if reader_left():
                     return
                 if len(rows):
                     sink.write(*rows.alone())

@@ -163,7 +163,7 @@ def _members(
     layout: StructLayout, struct: Struct, structs: dict[str, Any], enums: dict[str, Any]
 ) -> list[dict[str, Any]]:
     """Return the values of a struct of a dictionary; note the structs and enumerations in it."""
-    found = []
+    members = []
     for name, member, _ in parts(layout, struct, whole=False):
         inner, enum, basic = layout.structs.get(str(member.type)), layout.enumeration(member), None
         if inner is not None:
@@ -173,7 +173,7 @@ def _members(
         if enum is not None:
             enums[enum.name] = dict(enum.names)
         kind = "string" if member.text else inner.name if inner else _KINDS.get(str(basic), str(basic))
-        found.append(
+        members.append(
             {
                 "name": name,
                 "kind": kind,
@@ -183,20 +183,20 @@ def _members(
                 "enum": enum.name if enum else None,
             }
         )
-    return found
+    return members
 
 
 _KINDS: Final = {"float32": "float", "float64": "double"}
 
 
 def _finding(item: Finding) -> FindingText:
-    told = EXPLANATIONS[item]
+    explanation = EXPLANATIONS[item]
     return FindingText(
         bit=int(item),
         label=item.label,
-        severity=told.severity.label,
-        short=told.short if told.severity > Level.NOTE else "",
-        meaning=told.meaning,
+        severity=explanation.severity.label,
+        short=explanation.short if explanation.severity > Level.NOTE else "",
+        meaning=explanation.meaning,
         unknowable=item in UNKNOWABLE,
     )
 
@@ -230,7 +230,7 @@ def _step(step: PrimitiveRun | Text | Repeat) -> dict[str, Any]:
     if isinstance(step, Text):
         return {"name": step.name, "bound": step.bound, "width": step.width}
     uniform, first = step.plan.uniform, step.plan.steps[0]
-    named = first.leaves[0].name if isinstance(first, PrimitiveRun) else first.name
+    label = first.leaves[0].name if isinstance(first, PrimitiveRun) else first.name
     return {
         "name": step.name,
         "count": step.count,
@@ -238,6 +238,6 @@ def _step(step: PrimitiveRun | Text | Repeat) -> dict[str, Any]:
         "least": step.plan.least,
         "element": step.plan.element is not None or None,
         "uniform": {"alignment": uniform.alignment, "size": uniform.size} if uniform else None,
-        "unnamed": not named or None,
+        "unnamed": not label or None,
         "steps": _steps(step.plan),
     }

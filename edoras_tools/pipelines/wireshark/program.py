@@ -38,24 +38,24 @@ def find_program(*names: str) -> str:
     Raises:
         CaptureError: none is installed, or it is too old or without Lua.
     """
-    found = next((path for path in map(shutil.which, names) if path), None)
-    if found is None:
+    program = next((path for path in map(shutil.which, names) if path), None)
+    if program is None:
         raise CaptureError(
             f"{' or '.join(names)} is not installed; on Debian and Ubuntu: apt install {names[0]}"
         )
-    told = _ask(found, "--version")
-    version = re.search(r"(\d+)\.(\d+)\.\d+", told)
+    output = _ask(program, "--version")
+    version = re.search(r"(\d+)\.(\d+)\.\d+", output)
     if version is None:
-        raise CaptureError(f"{found}: does not print its version; is it from Wireshark?")
+        raise CaptureError(f"{program}: does not print its version; is it from Wireshark?")
     if (int(version[1]), int(version[2])) < OLDEST:
         raise CaptureError(
-            f"{found}: version {version[0]} is too old; {OLDEST[0]}.{OLDEST[1]} or newer is needed"
+            f"{program}: version {version[0]} is too old; {OLDEST[0]}.{OLDEST[1]} or newer is needed"
         )
-    if not re.search(r"with\s+Lua", told):
+    if not re.search(r"with\s+Lua", output):
         raise CaptureError(
-            f"{found}: version {version[0]} was built without Lua; install a build that has it"
+            f"{program}: version {version[0]} was built without Lua; install a build that has it"
         )
-    return found
+    return program
 
 
 def folders() -> dict[str, Path]:
@@ -69,13 +69,13 @@ def folders() -> dict[str, Path]:
     return {name.strip(): Path(path.strip()) for name, colon, path in pairs if colon and path.strip()}
 
 
-def _own_folder(*names: str, what: str) -> Path:
+def _own_folder(*names: str, noun: str) -> Path:
     """Return the first of Wireshark's folders that it has."""
-    known = folders()
+    by_name = folders()
     for name in names:
-        if name in known:
-            return known[name]
-    raise CaptureError(f"this Wireshark has no folder for {what}; name one with --to")
+        if name in by_name:
+            return by_name[name]
+    raise CaptureError(f"this Wireshark has no folder for {noun}; name one with --to")
 
 
 def install(text: str, folder: Path | None = None, *, force: bool = False) -> Path:
@@ -89,7 +89,7 @@ def install(text: str, folder: Path | None = None, *, force: bool = False) -> Pa
         CaptureError: Wireshark is not installed, or the file cannot be written.
         ConfigError: another one is there.
     """
-    folder = folder or _own_folder("Personal Lua Plugins", "Personal Plugins", what="plugins")
+    folder = folder or _own_folder("Personal Lua Plugins", "Personal Plugins", noun="plugins")
     return _write(folder / SCRIPT, text, force=force)
 
 
@@ -104,7 +104,7 @@ def install_extcap(folder: Path | None = None, *, force: bool = False) -> Path:
         CaptureError: Wireshark is not installed, or the file cannot be written.
         ConfigError: another one is there.
     """
-    folder = folder or _own_folder("Personal Extcap path", "Extcap path", what="extcap programs")
+    folder = folder or _own_folder("Personal Extcap path", "Extcap path", noun="extcap programs")
     text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m edoras_tools.cli.extcap "$@"\n'
     try:
         path = _write(folder / LAUNCHER, text, force=force)

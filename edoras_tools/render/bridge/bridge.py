@@ -66,33 +66,33 @@ def plan(bridges: Sequence[Mapping[str, Any]], ros: str, output: Path | None, wi
 
 def losses(summary: Mapping[str, Any]) -> list[str]:
     """Return what was lost, refused or could not be sent, a line each."""
-    found = []
+    lines = []
     for item in summary["bridges"]:
         name = item["name"]
         for route in item["routes"]:
             for reason, count in route["refused"].items():
-                what = plural(count, "message")
-                found.append(f"{name}: {route['topic']}: {what} refused: {reason}")
+                number = plural(count, "message")
+                lines.append(f"{name}: {route['topic']}: {number} refused: {reason}")
         for reason, count in item["refused"].items():
-            found.append(f"{name}: {plural(count, 'datagram')} refused: {reason}")
+            lines.append(f"{name}: {plural(count, 'datagram')} refused: {reason}")
         if item["unreadable"]:
-            found.append(f"{name}: {plural(item['unreadable'], 'datagram')} too short for a packet")
+            lines.append(f"{name}: {plural(item['unreadable'], 'datagram')} too short for a packet")
         ways = item["to_cfs"], item["from_cfs"]
         if ways[0]["failed"]:
             count = plural(ways[0]["failed"], "datagram")
-            found.append(f"{name}: {count} not sent: {ways[0]['reason']}")
+            lines.append(f"{name}: {count} not sent: {ways[0]['reason']}")
         if ways[0]["overflowed"]:
             count = plural(ways[0]["overflowed"], "datagram")
-            found.append(f"{name}: {count} lost: the socket took no more")
+            lines.append(f"{name}: {count} lost: the socket took no more")
         if ways[1]["kernel_drops"]:
             count = plural(ways[1]["kernel_drops"], "datagram")
-            found.append(f"{name}: {count} lost before the bridge read them: the receive buffer was full")
+            lines.append(f"{name}: {count} lost before the bridge read them: the receive buffer was full")
     if summary["inbox_overflowed"]:
         count = plural(summary["inbox_overflowed"], "message")
-        found.append(f"{count} lost: ROS 2 was faster than the bridge")
+        lines.append(f"{count} lost: ROS 2 was faster than the bridge")
     if summary["unrecorded"]:
-        found.append(f"{plural(summary['unrecorded'], 'datagram')} bridged, but not recorded")
-    return found
+        lines.append(f"{plural(summary['unrecorded'], 'datagram')} bridged, but not recorded")
+    return lines
 
 
 def _title(item: Mapping[str, Any]) -> str:

@@ -40,9 +40,9 @@ def playback_line(state: PlaybackState, range_ns: tuple[int, int], clients: int,
         waiting: whether it waits for the first client.
     """
     start, end = range_ns
-    what = "waits for a client at" if waiting else state.status.lower()
+    status = "waits for a client at" if waiting else state.status.lower()
     return (
-        f"{what} {_clock(state.time_ns - start)} of {_clock(end - start)}, {state.speed:g}x, "
+        f"{status} {_clock(state.time_ns - start)} of {_clock(end - start)}, {state.speed:g}x, "
         f"{plural(clients, 'client')}"
     )
 

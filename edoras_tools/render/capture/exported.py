@@ -34,10 +34,10 @@ def files_lines(report: Mapping[str, Any]) -> Iterator[str]:
         yield from _not_taken(report)
         return
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    left = {0, 1, 2, len(_HEAD) - 1}
+    left_aligned = {0, 1, 2, len(_HEAD) - 1}
     for row in rows:
         cells = (
-            text.ljust(width) if index in left else text.rjust(width)
+            text.ljust(width) if index in left_aligned else text.rjust(width)
             for index, (text, width) in enumerate(zip(row, widths, strict=True))
         )
         yield clean("  ".join(cells).rstrip())

@@ -66,45 +66,45 @@ def choose(decoded: Decoded, name: str) -> tuple[int, int]:
     Raises:
         ConfigError: the packet holds none of that name.
     """
-    wanted, _, field = name.partition(".")
-    layer = decoded.layer(wanted)
+    owner, _, field = name.partition(".")
+    layer = decoded.layer(owner)
     if layer is None:
-        there = ", ".join(dict.fromkeys(item.name for item in decoded.layers)) or "no layers"
-        raise ConfigError(f"packet {decoded.datagram.number} has no layer {wanted!r}; there are {there}")
+        existing = ", ".join(dict.fromkeys(item.name for item in decoded.layers)) or "no layers"
+        raise ConfigError(f"packet {decoded.datagram.number} has no layer {owner!r}; there are {existing}")
     if not field:
         return layer.start, layer.end
     found = [item for item in layer.fields if item.name == field or item.name.startswith(f"{field}.")]
     if not found:
-        there = ", ".join(item.name for item in layer.fields) or "no fields"
+        existing = ", ".join(item.name for item in layer.fields) or "no fields"
         raise ConfigError(
-            f"layer {wanted} of packet {decoded.datagram.number} has no field {field!r}; there are {there}"
+            f"layer {owner} of packet {decoded.datagram.number} has no field {field!r}; there are {existing}"
         )
     return min(item.start for item in found), max(item.end for item in found)
 
 
 def dump_lines(
     data: bytes,
-    shown: Sequence[Region],
+    coloured: Sequence[Region],
     width: int,
     paint: palette.Paint,
     *,
-    chosen: tuple[int, int] | None = None,
+    highlight: tuple[int, int] | None = None,
 ) -> list[str]:
     """Return a dump of bytes: offset, hex, ASCII.
 
     Args:
         data: the bytes.
-        shown: regions to colour; later ones cover earlier ones.
+        coloured: regions to colour; later ones cover earlier ones.
         width: cells that no line exceeds; 16 bytes a line from ``DUMP_WIDTH`` on, else 8.
-        chosen: first byte and one past the last of the highlight: in reverse, or in
+        highlight: first byte and one past the last of the highlight: in reverse, or in
             brackets without colour.
     """
     per_line = 16 if width >= DUMP_WIDTH else 8
     styles = [palette.DIM] * len(data)
-    for item in shown:
+    for item in coloured:
         for at in range(max(0, item.start), min(len(data), item.end)):
             styles[at] = item.style
-    first, last = chosen or (0, 0)
+    first, last = highlight or (0, 0)
     if paint.colour:
         for at in range(max(0, first), min(len(data), last)):
             styles[at] = f"{styles[at]} {palette.CHOSEN}".removeprefix(f"{palette.DIM} ")
@@ -112,11 +112,11 @@ def dump_lines(
     return [rows.line(at) for at in range(0, len(data), per_line)]
 
 
-def legend(shown: Sequence[Region], width: int, paint: palette.Paint) -> list[str]:
+def legend(coloured: Sequence[Region], width: int, paint: palette.Paint) -> list[str]:
     """Return which bytes are which layer, in the layers' colours, as lines of at most ``width`` cells."""
     out: list[str] = []
     used = width
-    for item in shown:
+    for item in coloured:
         if item.end <= item.start:
             continue
         label = clip(f"■ {clean(item.name)} {item.start}-{item.end - 1}", width)

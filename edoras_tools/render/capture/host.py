@@ -37,8 +37,8 @@ def host_lines(
         head = ("port", "link", "address", "waiting", "dropped")
         widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
         for row in (head, *rows):
-            left = f"{row[0]:>{widths[0]}}  {row[1]:<{widths[1]}}  {row[2]:<{widths[2]}}"
-            yield f"{left}  {row[3]:>{widths[3]}}  {row[4]:>{widths[4]}}"
+            first_columns = f"{row[0]:>{widths[0]}}  {row[1]:<{widths[1]}}  {row[2]:<{widths[2]}}"
+            yield f"{first_columns}  {row[3]:>{widths[3]}}  {row[4]:>{widths[4]}}"
     else:
         yield "no program here listens on a UDP port of the links"
     yield ""

@@ -156,7 +156,7 @@ def route_text(route: Mapping[str, Any]) -> Text:
 
 
 def _link(route: Mapping[str, Any]) -> Link | None:
-    return table.named(route["link"]) if route.get("link") else None
+    return table.link_of_label(route["link"]) if route.get("link") else None
 
 
 def link_text(route: Mapping[str, Any]) -> Text:
@@ -171,10 +171,10 @@ def msg_id_text(route: Mapping[str, Any]) -> Text:
     return plain(route.get("msg_id") or units.NONE, link.colour if link else "")
 
 
-def departures(found: Mapping[str, int]) -> Text:
+def departures(counts: Mapping[str, int]) -> Text:
     """Return how many errors and warnings there are, as ``✗ 3 ! 12``."""
     totals: dict[Level, int] = {}
-    for label, count in found.items():
+    for label, count in counts.items():
         severity = explain(label).severity
         totals[severity] = totals.get(severity, 0) + count
     out = Text()
@@ -235,8 +235,8 @@ def findings(counts: Mapping[str, int], datagrams: int, *, meaning: bool = True)
     table.add_column("", justify="right", no_wrap=True, style=palette.DIM)
     if meaning:
         table.add_column("Meaning", overflow="fold")
-    told = [(label, count, explain(label)) for label, count in counts.items()]
-    for label, count, it in sorted(told, key=lambda item: (-item[2].severity, -item[1])):
+    explained = [(label, count, explain(label)) for label, count in counts.items()]
+    for label, count, it in sorted(explained, key=lambda item: (-item[2].severity, -item[1])):
         name = plain(f"{it.severity.mark} {label}", it.severity.style)
         share = (
             "" if not datagrams else "<1%" if 200 * count < datagrams else f"{100 * count / datagrams:.0f}%"

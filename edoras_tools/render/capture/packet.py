@@ -17,14 +17,14 @@ _GAP: Final = 3
 
 
 def packet_lines(
-    decoded: Decoded, width: int, *, colour: bool, chosen: str = "", base: hexdump.Base = "payload"
+    decoded: Decoded, width: int, *, colour: bool, highlight: str = "", base: hexdump.Base = "payload"
 ) -> list[str]:
     """Return a packet's tree, its bytes and which of them are which layer.
 
     Args:
         width: cells that no line exceeds, at least 44.
         colour: whether to use ANSI styles.
-        chosen: a layer or ``LAYER.FIELD`` to highlight in the bytes; empty for none.
+        highlight: a layer or ``LAYER.FIELD`` to highlight in the bytes; empty for none.
         base: dump the payload, or the whole frame.
 
     Raises:
@@ -32,36 +32,38 @@ def packet_lines(
     """
     paint = palette.Paint(colour)
     if width < SIDE_BY_SIDE:
-        return [*tree.tree_lines(decoded, width, paint), "", *_bytes(decoded, width, paint, chosen, base)]
+        return [*tree.tree_lines(decoded, width, paint), "", *_bytes(decoded, width, paint, highlight, base)]
     room = width - hexdump.DUMP_WIDTH - _GAP
-    left = tree.tree_lines(decoded, room, paint)
+    tree_part = tree.tree_lines(decoded, room, paint)
     if width >= FILE_WIDTH:
-        room = max(map(plain_cells, left))
-    right = _bytes(decoded, hexdump.DUMP_WIDTH, paint, chosen, base)
+        room = max(map(plain_cells, tree_part))
+    right = _bytes(decoded, hexdump.DUMP_WIDTH, paint, highlight, base)
     return [
         f"{a}{' ' * (room + _GAP - plain_cells(a))}{b}" if b else a
-        for a, b in zip_longest(left, right, fillvalue="")
+        for a, b in zip_longest(tree_part, right, fillvalue="")
     ]
 
 
-def _bytes(decoded: Decoded, width: int, paint: palette.Paint, chosen: str, base: hexdump.Base) -> list[str]:
+def _bytes(
+    decoded: Decoded, width: int, paint: palette.Paint, highlight: str, base: hexdump.Base
+) -> list[str]:
     datagram = decoded.datagram
     data = datagram.payload if base == "payload" else datagram.frame
-    shown = hexdump.regions(decoded, base)
+    coloured = hexdump.regions(decoded, base)
     span = None
-    if chosen:
+    if highlight:
         shift = 0 if base == "payload" else datagram.payload_offset
-        start, end = hexdump.choose(decoded, chosen)
+        start, end = hexdump.choose(decoded, highlight)
         # A payload reassembled from fragments is not in a single frame.
         span = (start + shift, end + shift) if shift >= 0 else None
     content = "TCP message" if datagram.stream else "UDP payload"
     if datagram.topic != NO_ROUTE:
         content = "Message"
     title = content if base == "payload" else "Frame"
-    pointed = f", {chosen} at {span[0]}-{span[1] - 1}" if span and span[1] > span[0] else ""
+    pointed = f", {highlight} at {span[0]}-{span[1] - 1}" if span and span[1] > span[0] else ""
     head = paint(f"{title}, {len(data):,} bytes{pointed}", palette.STRONG)
     return [
         head,
-        *hexdump.dump_lines(data, shown, width, paint, chosen=span),
-        *hexdump.legend(shown, width, paint),
+        *hexdump.dump_lines(data, coloured, width, paint, highlight=span),
+        *hexdump.legend(coloured, width, paint),
     ]

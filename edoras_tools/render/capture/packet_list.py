@@ -56,12 +56,12 @@ _SHORT_KINDS: Final = {"NO_MSG": "NONE", "HEARTBEAT": "BEAT", "ANNOUNCE": "ANNC"
 
 
 @lru_cache(maxsize=64)
-def _widths(width: int, time_format: TimeFormat, shown: tuple[str, ...], added: tuple[int, ...]) -> _Widths:
+def _widths(width: int, time_format: TimeFormat, names: tuple[str, ...], added: tuple[int, ...]) -> _Widths:
     """Return the widths of the columns that are shown, beside some others that were added."""
     narrow, medium, wide = _TIME_CELLS[time_format]
     columns = (7, wide, _FULL, 14, 6, 28, 5)
     if width < 64:
-        topic = 0 if "packet" in shown else 14  # else it is told by nothing but its topic
+        topic = 0 if "packet" in names else 14  # else it is told by nothing but its topic
         columns = (5, narrow if width >= 48 else 0, 0, 7, 0, topic, 0)
     elif width < 100:
         columns = (5, narrow, 0, _KIND_CELLS, 6, width // 6 - 1, 4)
@@ -71,7 +71,7 @@ def _widths(width: int, time_format: TimeFormat, shown: tuple[str, ...], added: 
         columns = (7, medium, _COMPACT, _KIND_CELLS, 6, 24, 5)
     number, *rest = columns
     time, ports, kind, msg_id, name, length = left = [
-        cells if item in shown else 0 for cells, item in zip(rest, COLUMNS, strict=True)
+        cells if item in names else 0 for cells, item in zip(rest, COLUMNS, strict=True)
     ]
     gap = " " if width < 120 else "  "
     info = width - sum(cells + len(gap) for cells in (number, *left, *added) if cells)
@@ -87,7 +87,7 @@ class PacketList:
         names: MsgId to a name, where neither a message nor the layers have one.
         verbose: show notes too, not only warnings and errors.
         begin_ns: what relative times count from; None: the first packet shown.
-        shown: which of ``COLUMNS`` are shown, if there is room for them.
+        columns: which of ``COLUMNS`` are shown, if there is room for them.
         added: titles of columns in front of the message, and whether they are aligned right.
     """
 
@@ -100,7 +100,7 @@ class PacketList:
         names: Mapping[int, str] | None = None,
         verbose: bool = False,
         begin_ns: int | None = None,
-        shown: Sequence[str] = COLUMNS,
+        columns: Sequence[str] = COLUMNS,
         added: Sequence[tuple[str, bool]] = (),
     ) -> None:
         self._names = names
@@ -109,7 +109,7 @@ class PacketList:
         self._at_least = Level.NOTE if verbose else Level.WARNING
         self._first_ns = begin_ns
         self._previous_ns: int | None = None
-        self._shown = tuple(shown)
+        self._columns = tuple(columns)
         least, most = _ADDED_CELLS
         self._added = [(title, right, max(least, min(most, len(title)))) for title, right in added]
         self.resize(width)
@@ -122,7 +122,7 @@ class PacketList:
         """Lay the columns out for another width; the lines that follow have it."""
         self._width = max(20, width)
         cells = tuple(cells for *_, cells in self._added)
-        self._widths = _widths(self._width, self._time_format, self._shown, cells)
+        self._widths = _widths(self._width, self._time_format, self._columns, cells)
         self._endpoints: dict[tuple[int, int], tuple[str, Endpoint, Endpoint]] = {}
         self._badges: dict[Finding, tuple[str, int]] = {}
         self._known: dict[tuple[Link, str, int, str], str] = {}
@@ -170,17 +170,17 @@ class PacketList:
             before += f"{size.gap}{self._time(packet.time_ns):>{size.time}}"
         if size.endpoints:
             before += size.gap + self._route(packet.source, packet.destination)
-        middle = self._what(packet.link, kind, msg_id, name)
+        middle = self._identity(packet.link, kind, msg_id, name)
         before += size.gap * bool(middle)
         after = size.gap + f"{packet.length:>{size.length}}" if size.length else ""
 
         # A number or a length beyond its column is shown whole, and the message gives the room.
         room = size.info - (len(number) - size.number) - max(0, len(after) - len(size.gap) - size.length)
         after += "".join(size.gap + self._cell(value, place) for place, value in enumerate(values))
-        badge, taken = self._badge(packet.findings, room)
+        badge, badge_width = self._badge(packet.findings, room)
         # For a packet of which only the name is known, the column of names shows everything.
         summary = clean(packet.text) if packet.text != name else ""
-        summary = clip(summary, room - taken)
+        summary = clip(summary, room - badge_width)
         if not self._paint.colour:
             return f"{before}{middle}{after}{size.gap}{badge}{summary}".rstrip()
         colour = palette.layer("ros") if packet.type else packet.link.colour
@@ -189,12 +189,12 @@ class PacketList:
             f"{paint(after, palette.DIM)}{size.gap}{badge}{summary}"
         ).rstrip()
 
-    def _what(self, link: Link, kind: str, msg_id: int, name: str) -> str:
+    def _identity(self, link: Link, kind: str, msg_id: int, name: str) -> str:
         """Return the columns that tell which packet it is."""
         key = link, kind, msg_id, name
-        known = self._known.get(key)
-        if known is not None:
-            return known
+        cached = self._known.get(key)
+        if cached is not None:
+            return cached
         size = self._widths
         if size.kind <= _KIND_CELLS:
             kind = _SHORT_KINDS.get(kind, kind)
@@ -227,13 +227,13 @@ class PacketList:
 
     def _route(self, source: Endpoint, destination: Endpoint) -> str:
         key = id(source), id(destination)  # to hash them takes as long as the rest of a line
-        known = self._endpoints.get(key)
-        if known is None:
+        cached = self._endpoints.get(key)
+        if cached is None:
             if len(self._endpoints) > _MOST_KNOWN:
                 self._endpoints.clear()
             text = _endpoints(source, destination, self._widths.endpoints)
-            known = self._endpoints[key] = text, source, destination  # which keeps the ids theirs
-        return known[0]
+            cached = self._endpoints[key] = text, source, destination  # which keeps the ids theirs
+        return cached[0]
 
     def _badge(self, findings: Finding, room: int) -> tuple[str, int]:
         """Return the painted findings that fit in at most half of the room, and the cells they take."""
@@ -242,28 +242,28 @@ class PacketList:
         key = findings if room == self._widths.info else None
         if key in self._badges:
             return self._badges[key]
-        made = self._make_badge(ranked(findings, at_least=self._at_least), room)
+        badge = self._make_badge(ranked(findings, at_least=self._at_least), room)
         if key is not None:
-            self._badges[key] = made
-        return made
+            self._badges[key] = badge
+        return badge
 
-    def _make_badge(self, shown: list[Finding], room: int) -> tuple[str, int]:
-        if not shown or room < 4:
+    def _make_badge(self, findings: list[Finding], room: int) -> tuple[str, int]:
+        if not findings or room < 4:
             return "", 0
-        painted, taken = "", 0
-        for index, item in enumerate(shown):
+        painted, used = "", 0
+        for index, item in enumerate(findings):
             told = EXPLANATIONS[item]
             label = clip(f"{told.severity.mark} {told.short}", room - 2)
-            if index and taken + 1 + len(label) > room // 2:
-                more = f" +{len(shown) - index}"
-                if taken + len(more) <= room - 2:
+            if index and used + 1 + len(label) > room // 2:
+                more = f" +{len(findings) - index}"
+                if used + len(more) <= room - 2:
                     painted += self._paint(more, palette.DIM)
-                    taken += len(more)
+                    used += len(more)
                 break
             gap = " " if index else ""
             painted += gap + self._paint(label, told.severity.style)
-            taken += len(gap) + len(label)
-        return painted + "  ", taken + 2
+            used += len(gap) + len(label)
+        return painted + "  ", used + 2
 
 
 def _endpoints(source: Endpoint, destination: Endpoint, width: int) -> str:
@@ -271,14 +271,14 @@ def _endpoints(source: Endpoint, destination: Endpoint, width: int) -> str:
         return fit(f"{source.port:>5}→{destination.port}", width)
     if width == _FULL:
         half = (width - 3) // 2
-        left, right = clip_left(clean(str(source)), half), clip_left(clean(str(destination)), half)
-        return f"{fit_right(left, half)} → {fit(right, half)}"
+        sender, right = clip_left(clean(str(source)), half), clip_left(clean(str(destination)), half)
+        return f"{fit_right(sender, half)} → {fit(right, half)}"
     if source.address == destination.address:
         ports = f" {source.port}→{destination.port}"
         return fit(clip_left(clean(source.address), width - len(ports)) + ports, width)
     half = (width - 1) // 2
-    left, right = clip_left(clean(str(source)), half), clip_left(clean(str(destination)), half)
-    return fit(f"{left}→{right}", width)
+    sender, right = clip_left(clean(str(source)), half), clip_left(clean(str(destination)), half)
+    return fit(f"{sender}→{right}", width)
 
 
 def _rounded(text: str, room: int) -> str:

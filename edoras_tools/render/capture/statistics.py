@@ -40,16 +40,16 @@ _NETWORK: Final = (
 )
 
 
-def statistics(kind: str, found: Any, datagrams: int, width: int) -> Table:
+def statistics(kind: str, figures: Any, datagrams: int, width: int) -> Table:
     """Return one table.
 
     Args:
         kind: one of ``STATISTICS``.
-        found: rows, or counts by label for ``findings``, as the pipeline gives them.
+        figures: rows, or counts by label for ``findings``, as the pipeline gives them.
     """
     if kind == "routes":
-        return info.routes(found, width)
+        return info.routes(figures, width)
     if kind == "findings":
-        return info.findings(found, datagrams)
-    rows: Sequence[Mapping[str, Any]] = found
+        return info.findings(figures, datagrams)
+    rows: Sequence[Mapping[str, Any]] = figures
     return build(_SIZES if kind == "sizes" else _NETWORK, rows, width)

@@ -89,21 +89,21 @@ def _packet(decoded: Decoded) -> Iterator[TreeRow]:
     if not recorded:
         length += f" in a {frame}"
     value = f"{units.utc(datagram.time_ns)} UTC  {length}"
-    what = "Message" if recorded else "Packet"
-    yield TreeRow("packet", 0, f"{what} {datagram.number}", value, style=style)
+    title = "Message" if recorded else "Packet"
+    yield TreeRow("packet", 0, f"{title} {datagram.number}", value, style=style)
     if recorded:
         yield TreeRow("packet", 0, "", clean("  ".join(recorded_topic(decoded))), style=style)
         return
     line = line_of(decoded)
     msg_id = f"0x{line.msg_id:04x}" if line.msg_id != NO_MSG_ID else ""
-    what = " ".join(word for word in (decoded.link_name, line.kind, msg_id, line.name) if word)
-    yield TreeRow("packet", 0, "", clean(f"{what}  {datagram.source} → {datagram.destination}"), style=style)
+    title = " ".join(word for word in (decoded.link_name, line.kind, msg_id, line.name) if word)
+    yield TreeRow("packet", 0, "", clean(f"{title}  {datagram.source} → {datagram.destination}"), style=style)
 
 
 def _departures(decoded: Decoded) -> Iterator[TreeRow]:
-    told = [(item.label, EXPLANATIONS[item]) for item in ranked(decoded.findings)]
-    align = max((cells(label) + 2 for label, _ in told), default=0)
-    for label, it in told:
+    explained = [(item.label, EXPLANATIONS[item]) for item in ranked(decoded.findings)]
+    align = max((cells(label) + 2 for label, _ in explained), default=0)
+    for label, it in explained:
         yield TreeRow(
             "finding", 0, f"{it.severity.mark} {label}", it.meaning, style=it.severity.style, align=align
         )

@@ -102,13 +102,13 @@ class Followed:
 def byte_progress(path: Path, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
     """Show on standard error how many bytes of a file are checked: yield what takes them and all."""
     if quiet or not look(sys.stderr).interactive:
-        yield lambda _done, _all: None
+        yield lambda _count, _all: None
         return
     from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
 
     with FileProgress(path.name, console=error_console()) as bar:
-        yield lambda done, of: bar.step("checking", done, of, units.size)
+        yield lambda count, of: bar.step("checking", count, of, units.size)
 
 
 def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | None = None) -> str:
@@ -121,8 +121,8 @@ def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | N
     """
     topics = [row for row in summary.get("routes", ()) if row.get("topic")]
     messages = sum(row.get("count", 0) for row in topics)
-    counted = summary.get("messages") or summary.get("datagrams")
-    over = f" over {units.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}" if counted else ""
+    total = summary.get("messages") or summary.get("datagrams")
+    over = f" over {units.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}" if total else ""
     on = f"{plural(messages, 'message')} on {plural(len(topics), 'topic')}"
     if samples := summary.get("samples"):
         on += f", {plural(sum(row['count'] for row in samples), 'sample')} of DDS"

@@ -37,13 +37,13 @@ FIGURES: Final = {
 _ALWAYS: Final = frozenset({"in", "out", "lost"})
 
 
-def shown_rows(found: Diagnosis) -> list[dict[str, Any]]:
+def shown_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Return the rows to show: packets of cFS itself are one row if nothing is missing."""
-    balance = [row.as_json(found.topics.get(row.route)) for row in found.balance]
-    for item, told in zip(found.balance, balance, strict=True):
+    balance = [row.as_json(diagnosis.topics.get(row.route)) for row in diagnosis.balance]
+    for item, row_json in zip(diagnosis.balance, balance, strict=True):
         if not item.observed:
-            told.update(lost=None, not_counted=item.counted["lost"])
-    rows = _with_ends(found, balance)
+            row_json.update(lost=None, not_counted=item.counted["lost"])
+    rows = _with_ends(diagnosis, balance)
     quiet = [row for row in rows if not row["topic"] and row["name"] and row["in"] == row["out"]]
     if len(quiet) < 2:
         return rows
@@ -58,17 +58,17 @@ def shown_rows(found: Diagnosis) -> list[dict[str, Any]]:
     return [*kept, {**others, "msg_id": None, "link": None, "instance": None, "name": name, "hop": "all"}]
 
 
-def _with_ends(found: Diagnosis, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _with_ends(diagnosis: Diagnosis, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the rows, and in front of each command's and behind them the hops that were not counted."""
     before: dict[int, dict[str, Any]] = {}
     behind: dict[int, dict[str, Any]] = {}
-    for chain in found.chains:
+    for chain in diagnosis.chains:
         key = ("ci", f"0x{chain.msg_id:04x}", chain.instance)
         own = [at for at, row in enumerate(rows) if (row["link"], row["msg_id"], row["instance"]) == key]
         for ends, hop, at in ((before, chain.hops[0], own[0]), (behind, chain.hops[-1], own[-1])):
             if not hop.observed and hop.hop != PEER_TO_ROBOT:
-                told = hop.as_json()
-                ends[at] = {**rows[at], **dict.fromkeys(FIGURES), **told, "lost_by": {}}
+                hop_json = hop.as_json()
+                ends[at] = {**rows[at], **dict.fromkeys(FIGURES), **hop_json, "lost_by": {}}
                 ends[at]["not_counted"] = hop.counted
     return [
         item
@@ -94,8 +94,8 @@ def _figure(name: str) -> Any:
     style = Level.ERROR.style if name in {"lost", "unaccounted"} else ""
 
     def cell(row: Mapping[str, Any]) -> Text:
-        told = figure_text(row[name]) if row[name] or name in _ALWAYS else ""
-        return Text(told, style if row[name] else palette.DIM if name == "lost" else "")
+        text = figure_text(row[name]) if row[name] or name in _ALWAYS else ""
+        return Text(text, style if row[name] else palette.DIM if name == "lost" else "")
 
     return cell
 
@@ -104,17 +104,17 @@ def _msg_id(row: Mapping[str, Any]) -> Text:
     return msg_id_text(row) if row["msg_id"] else Text("")
 
 
-def balance_table(found: Diagnosis, width: int) -> RenderableType:
+def balance_table(diagnosis: Diagnosis, width: int) -> RenderableType:
     """Return the table, without the columns that are empty in every row."""
     last = "Lost by", causes
-    return _table(shown_rows(found), FIGURES, {"lost"}, last, width, lambda row: row["msg_id"])
+    return _table(shown_rows(diagnosis), FIGURES, {"lost"}, last, width, lambda row: row["msg_id"])
 
 
-def chain_table(found: Sequence[Chain], width: int) -> RenderableType:
+def chain_table(chains: Sequence[Chain], width: int) -> RenderableType:
     """Return the way of each command, a row a hop."""
     rows = [
         {**hop.as_json(), "msg_id": f"0x{item.msg_id:04x}", "topic": item.topic, "name": item.instance}
-        for item in found
+        for item in chains
         for hop in item.hops
     ]
     figures = {"in": "In", "entered": "Entered", **FIGURES}
@@ -125,7 +125,7 @@ def chain_table(found: Sequence[Chain], width: int) -> RenderableType:
 def _table(
     rows: Sequence[dict[str, Any]],
     figures: Mapping[str, str],
-    kept: Collection[str],
+    always: Collection[str],
     last: tuple[str, Callable[[Any], Any]],
     width: int,
     apart: Callable[[Any], Any],
@@ -134,7 +134,7 @@ def _table(
 
     Args:
         figures: name of each figure to its head.
-        kept: the figures that have a column even if they are empty in every row.
+        always: the figures that have a column even if they are empty in every row.
         last: head of the last column, and what gives its text.
         apart: as ``build`` takes it.
     """
@@ -145,7 +145,7 @@ def _table(
         *(
             Column(head, _figure(name), rank=0 if name in _ALWAYS else 1)
             for name, head in figures.items()
-            if name in kept or any(row[name] for row in rows)
+            if name in always or any(row[name] for row in rows)
         ),
         Column(last[0], lambda row: plain(last[1](row)), rank=2, justify="left"),
     ]

@@ -56,7 +56,7 @@ _STATES: Final = {
 }
 
 
-def screen(found: Diagnosis, width: int, words: str = "", lines: int = _SCREEN) -> RenderableType:
+def screen(diagnosis: Diagnosis, width: int, words: str = "", lines: int = _SCREEN) -> RenderableType:
     """Return what a person reads first, on one screen.
 
     Args:
@@ -64,10 +64,14 @@ def screen(found: Diagnosis, width: int, words: str = "", lines: int = _SCREEN) 
         words: what follows the command's name to examine the same again; empty where that cannot be done.
         lines: the most that it may take, where fewer problems than three make that possible.
     """
-    summary, width = summarize(found), min(width, _WIDEST)
-    head = _wrapped(plain(summary.headline, f"{_style(found)} {palette.STRONG}".strip()), width)
+    summary, width = summarize(diagnosis), min(width, _WIDEST)
+    head = _wrapped(plain(summary.headline, f"{_style(diagnosis)} {palette.STRONG}".strip()), width)
     notes = plural(summary.notes, "note") + "." if summary.notes else ""
-    tail = [plain(item) for item in (" ".join(filter(None, (summary.fine, notes))), *_chosen(found)) if item]
+    tail = [
+        plain(item)
+        for item in (" ".join(filter(None, (summary.fine, notes))), *_selection_notes(diagnosis))
+        if item
+    ]
     more = f"More: edoras doctor -v {words}"
     if len(f"{more} | edoras report {words}") <= width:
         more += f" | edoras report {words}"
@@ -96,18 +100,18 @@ def _problem(item: Problem, remedied: bool, width: int, words: str) -> list[Text
     """
     grade = _STYLES[item.severity]
     start = units.count(item.lost) if item.lost else grade.mark
-    found = _hanging(plain(f"{start:>{_COUNT}}", grade.style), item.text, width)
+    lines = _hanging(plain(f"{start:>{_COUNT}}", grade.style), item.text, width)
     if remedied:
         first, *commands = re.split(r"\s+(?=edoras [a-z])", item.remedy)
-        found += _hanging(Text("  do", palette.GOOD), first.rstrip(), width)
+        lines += _hanging(Text("  do", palette.GOOD), first.rstrip(), width)
         if words:
             commands += [f"edoras doctor {option} {words}" for option in re.findall(r"--port \S+", first)]
         for line in commands:
             text = clean(f"{'':{_COUNT + 2}}{line.rstrip('; ')}")
-            found.append(Text(text, palette.STRONG))
+            lines.append(Text(text, palette.STRONG))
         if item.promise:
-            found += _hanging(Text("  left", palette.GOOD), item.promise, width)
-    return found
+            lines += _hanging(Text("  left", palette.GOOD), item.promise, width)
+    return lines
 
 
 def _hanging(start: Text, text: str, width: int) -> list[Text]:
@@ -121,76 +125,80 @@ def _wrapped(text: Text, width: int) -> list[Text]:
     return [Text(line, text.style) for line in wrap(text.plain, width)]
 
 
-def diagnosis(found: Diagnosis, name: str, width: int) -> RenderableType:
+def diagnosis(result: Diagnosis, name: str, width: int) -> RenderableType:
     """Return the whole view: the first screen, then verdicts with their evidence, then tables."""
-    parts: list[RenderableType] = [_head(found, name), *(plain(line) for line in limits(found)), Text()]
-    parts += [screen(found, width), Text()]
-    for several in alike(group_verdicts(found.verdicts)):
+    parts: list[RenderableType] = [_head(result, name), *(plain(line) for line in limits(result)), Text()]
+    parts += [screen(result, width), Text()]
+    for several in alike(group_verdicts(result.verdicts)):
         if len(several) >= (_MANY_ERRORS if several[0][0].severity is Severity.ERROR else _ALIKE):
-            parts += [_alike(found, [item for group in several for item in group]), Text()]
+            parts += [_alike(result, [item for group in several for item in group]), Text()]
         else:
-            parts += [part for group in several for part in (_verdict(found, group), Text())]
-    if found.balance:
-        parts += [balance.balance_table(found, width), Text()]
-    if found.routes:
-        parts += [_routes(found.routes, width), Text()]
-    if found.peers:
-        parts += [_peers(found), Text()]
-    if found.habits:
+            parts += [part for group in several for part in (_verdict(result, group), Text())]
+    if result.balance:
+        parts += [balance.balance_table(result, width), Text()]
+    if result.routes:
+        parts += [_routes(result.routes, width), Text()]
+    if result.peers:
+        parts += [_peers(result), Text()]
+    if result.habits:
         parts.append(Text("Normal for these senders", palette.STRONG))
         parts += [
-            Padding(Text(item.reason, palette.DIM), (0, 0, 0, 2), expand=False) for item in found.habits
+            Padding(Text(item.reason, palette.DIM), (0, 0, 0, 2), expand=False) for item in result.habits
         ]
         parts.append(Text())
     return Group(*parts[:-1])
 
 
-def _head(found: Diagnosis, name: str) -> Text:
-    line = Text.assemble(plain(name, palette.STRONG), f"  {plural(found.datagrams, 'datagram')}")
-    if found.datagrams:
-        seconds = (found.end_ns - found.start_ns) / 1e9
-        line.append(f" over {units.duration(seconds)}, from {units.utc(found.start_ns, digits=3)} UTC")
+def _head(diagnosis: Diagnosis, name: str) -> Text:
+    line = Text.assemble(plain(name, palette.STRONG), f"  {plural(diagnosis.datagrams, 'datagram')}")
+    if diagnosis.datagrams:
+        seconds = (diagnosis.end_ns - diagnosis.start_ns) / 1e9
+        line.append(f" over {units.duration(seconds)}, from {units.utc(diagnosis.start_ns, digits=3)} UTC")
     return line
 
 
-def limits(found: Diagnosis) -> list[str]:
+def limits(diagnosis: Diagnosis) -> list[str]:
     """Return what was outside the chosen time, and what is not shown, one line each."""
-    lines = [item.told for item in found.unnamed]
-    if other := found.left_out - found.capture.cut - sum(item.datagrams for item in found.unnamed):
+    lines = [item.advice for item in diagnosis.unnamed]
+    if (
+        other := diagnosis.left_out
+        - diagnosis.capture.cut
+        - sum(item.datagrams for item in diagnosis.unnamed)
+    ):
         lines.append(f"{plural(other, 'datagram')} skipped: robot states, or of no known link")
-    return [*lines, *_chosen(found)]
+    return [*lines, *_selection_notes(diagnosis)]
 
 
-def _chosen(found: Diagnosis) -> list[str]:
+def _selection_notes(diagnosis: Diagnosis) -> list[str]:
     """Return what of the capture is neither examined nor shown because it was not chosen."""
     lines = []
-    if found.capture.cut:
+    if diagnosis.capture.cut:
         lines.append(
-            f"{plural(found.capture.cut, 'datagram')} outside the chosen time not examined; what began "
+            f"{plural(diagnosis.capture.cut, 'datagram')} outside the chosen time not examined; what began "
             "before it or ended after it is not followed"
         )
-    if found.choice and (rest := found.not_shown):
+    if diagnosis.choice and (rest := diagnosis.not_shown):
         lines.append(
-            f"Only {found.choice.text} is shown, counted from all traffic; not shown: "
+            f"Only {diagnosis.choice.text} is shown, counted from all traffic; not shown: "
             f"{plural(rest['verdicts'], 'verdict')}, {plural(rest['routes'], 'route')} "
             f"with {rest['lost']:,} lost"
         )
     return lines
 
 
-def _verdict(found: Diagnosis, group: Sequence[Verdict]) -> RenderableType:
+def _verdict(diagnosis: Diagnosis, group: Sequence[Verdict]) -> RenderableType:
     """Return one problem: its worst time span in full, all of its spans in a table."""
     worst = max(group, key=lambda item: item.lost or 0)
     grade = _STYLES[worst.severity]
     title = Text.assemble((f"{grade.mark} {worst.rule}", grade.style))
     if len(group) == 1:
-        title.append(f"  {_when(found, worst)}, confidence {worst.confidence}", palette.DIM)
+        title.append(f"  {_when(diagnosis, worst)}, confidence {worst.confidence}", palette.DIM)
     else:
         lost, of = sum(item.lost or 0 for item in group), sum(item.of or 0 for item in group)
         title.append(f"  {lost:,} of {of:,} lost, in {len(group)} periods", palette.DIM)
     body: list[RenderableType] = [plain(told_of(group), palette.STRONG)]
     if len(group) > 1:
-        body.append(_spans(found, group))
+        body.append(_spans(diagnosis, group))
     body += [Text.assemble(("· ", palette.DIM), plain(line)) for line in worst.evidence]
     if worst.remedy:
         body.append(Text.assemble(("→ ", "green"), plain(worst.remedy)))
@@ -203,17 +211,17 @@ def told_of(group: Sequence[Verdict]) -> str:
     return worst.reason if len(group) == 1 else f"the worst: {worst.reason}"
 
 
-def _alike(found: Diagnosis, several: Sequence[Verdict]) -> RenderableType:
+def _alike(diagnosis: Diagnosis, several: Sequence[Verdict]) -> RenderableType:
     """Return many verdicts of one rule as one entry."""
     first = several[0]
     grade = _STYLES[first.severity]
     lost = sum(item.lost or 0 for item in several)
-    told = f"  {len(several):,} times" + (f", {lost:,} lost in all" if lost else "")
-    title = Text.assemble((f"{grade.mark} {first.rule}", grade.style), (told, palette.DIM))
+    count_text = f"  {len(several):,} times" + (f", {lost:,} lost in all" if lost else "")
+    title = Text.assemble((f"{grade.mark} {first.rule}", grade.style), (count_text, palette.DIM))
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, show_header=False)
     table.add_column(no_wrap=True, style=palette.DIM)
     for item in sorted(several, key=lambda item: item.start_ns)[:_MOST_SPANS]:
-        table.add_row(_when(found, item), plain(item.reason))
+        table.add_row(_when(diagnosis, item), plain(item.reason))
     body: list[RenderableType] = [table]
     if len(several) > _MOST_SPANS:
         body.append(Text(f"... {len(several) - _MOST_SPANS:,} more, in --json", palette.DIM))
@@ -224,12 +232,12 @@ def _alike(found: Diagnosis, several: Sequence[Verdict]) -> RenderableType:
     return Group(title, *(Padding(item, (0, 0, 0, 2), expand=False) for item in body))
 
 
-def _when(found: Diagnosis, verdict: Verdict) -> str:
-    start, end = ((time_ns - found.zero_ns) / 1e9 for time_ns in (verdict.start_ns, verdict.end_ns))
+def _when(diagnosis: Diagnosis, verdict: Verdict) -> str:
+    start, end = ((time_ns - diagnosis.zero_ns) / 1e9 for time_ns in (verdict.start_ns, verdict.end_ns))
     return f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
 
 
-def _spans(found: Diagnosis, group: Sequence[Verdict]) -> Table:
+def _spans(diagnosis: Diagnosis, group: Sequence[Verdict]) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.DIM)
     for title in ("when", "lost", "of", "", "sent at", "confidence"):
         table.add_column(title, justify="left" if title in {"when", "confidence"} else "right", no_wrap=True)
@@ -238,7 +246,7 @@ def _spans(found: Diagnosis, group: Sequence[Verdict]) -> Table:
         seconds = (item.end_ns - item.start_ns) / 1e9
         rate = units.rate(item.of / seconds) if item.of and seconds > 0 else units.NONE
         cells = (units.count(item.lost), units.count(item.of), share, rate, item.confidence)
-        table.add_row(_when(found, item), *cells)
+        table.add_row(_when(diagnosis, item), *cells)
     if len(group) > _MOST_SPANS:
         table.add_row(f"... {len(group) - _MOST_SPANS} more")
     return table
@@ -297,16 +305,16 @@ def _routes(rows: Sequence[Mapping[str, Any]], width: int) -> Table:
     return build(columns, rows, width, apart=lambda row: "topic" if row.get("topic") else row.get("link"))
 
 
-def _peers(found: Diagnosis) -> Table:
+def _peers(diagnosis: Diagnosis) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
     table.add_column("SBN peer", no_wrap=True)
     table.add_column("seen by", no_wrap=True)
     table.add_column("")
-    for row in found.peers:
+    for row in diagnosis.peers:
         line = Text()
         for change in row["states"]:
             state = change["state"]
-            at = (change["time_ns"] - found.zero_ns) / 1e9
+            at = (change["time_ns"] - diagnosis.zero_ns) / 1e9
             line.append(f"{at:.1f} s ", palette.DIM).append(state.replace("_", " "), _STATES[state]).append(
                 "  "
             )
@@ -314,14 +322,18 @@ def _peers(found: Diagnosis) -> Table:
     return table
 
 
-def _style(found: Diagnosis) -> str:
+def _style(diagnosis: Diagnosis) -> str:
     """Return the style of the headline."""
-    if found.lost or found.unaccounted or found.worst is Severity.ERROR:
+    if diagnosis.lost or diagnosis.unaccounted or diagnosis.worst is Severity.ERROR:
         return Level.ERROR.style
-    return Level.WARNING.style if not found.datagrams or found.worst >= Severity.WARNING else palette.GOOD
+    return (
+        Level.WARNING.style
+        if not diagnosis.datagrams or diagnosis.worst >= Severity.WARNING
+        else palette.GOOD
+    )
 
 
-def verdict_table(found: Diagnosis, title: str, height: int) -> RenderableType:
+def verdict_table(diagnosis: Diagnosis, title: str, height: int) -> RenderableType:
     """Return the table that a live diagnosis keeps current."""
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
     for head, side in (
@@ -332,32 +344,32 @@ def verdict_table(found: Diagnosis, title: str, height: int) -> RenderableType:
         ("Verdict", "left"),
     ):
         table.add_column(head, justify="right" if side == "right" else "left", no_wrap=head != "Verdict")
-    merged = merge_spans(found.verdicts)
+    merged = merge_spans(diagnosis.verdicts)
     for item in merged[: max(3, (height - 4) // 2)]:
         grade = _STYLES[item.severity]
-        since = f"{(item.start_ns - found.zero_ns) / 1e9:.0f} s"
+        since = f"{(item.start_ns - diagnosis.zero_ns) / 1e9:.0f} s"
         lost = units.count(item.lost) if item.lost is not None else ""
         of = units.count(item.of) if item.of is not None else ""
         table.add_row(Text(grade.mark, grade.style), lost, of, since, plain(item.reason))
     quiet = Text("nothing wrong so far", "green")
-    total = plain(summarize(found).headline, _style(found))
-    return Group(_head(found, title), table if merged else quiet, total)
+    total = plain(summarize(diagnosis).headline, _style(diagnosis))
+    return Group(_head(diagnosis, title), table if merged else quiet, total)
 
 
 def merge_spans(verdicts: Sequence[Verdict]) -> list[Verdict]:
     """Return one verdict for each problem: the last of its spans, with the losses of all."""
-    found: dict[tuple[Any, ...], Verdict] = {}
+    by_key: dict[tuple[Any, ...], Verdict] = {}
     for item in verdicts:
-        known = found.get(item.key)
-        if known is None:
-            found[item.key] = item
+        earlier = by_key.get(item.key)
+        if earlier is None:
+            by_key[item.key] = item
             continue
-        last = max(known, item, key=lambda verdict: verdict.end_ns)
-        lost = (known.lost or 0) + (item.lost or 0) if known.lost or item.lost else None
-        of = (known.of or 0) + (item.of or 0) if known.of or item.of else None
-        span = min(known.start_ns, item.start_ns), last.end_ns
-        found[item.key] = replace(last, span=span, lost=lost, of=of)
-    return list(found.values())
+        last = max(earlier, item, key=lambda verdict: verdict.end_ns)
+        lost = (earlier.lost or 0) + (item.lost or 0) if earlier.lost or item.lost else None
+        of = (earlier.of or 0) + (item.of or 0) if earlier.of or item.of else None
+        span = min(earlier.start_ns, item.start_ns), last.end_ns
+        by_key[item.key] = replace(last, span=span, lost=lost, of=of)
+    return list(by_key.values())
 
 
 def verdict_line(verdict: Verdict) -> str:
@@ -376,13 +388,13 @@ _BUDGET: Final = (
 )
 
 
-def budgets(found: Sequence[Budget], width: int) -> RenderableType:
+def budgets(routes: Sequence[Budget], width: int) -> RenderableType:
     """Return the table of what every route can carry."""
-    rows = [item.as_json() for item in found]
+    rows = [item.as_json() for item in routes]
     parts: list[RenderableType] = [build(_BUDGET, rows, width, apart=lambda row: row["link"])]
     parts += [
         Text.assemble((f"{Level.WARNING.mark} ", Level.WARNING.style), plain(f"{item.route.topic}: {trap}"))
-        for item in found
+        for item in routes
         for trap in item.traps
     ]
     return Group(*parts)
@@ -408,11 +420,13 @@ _DIFF: Final = (
 )
 
 
-def comparison_table(found: CaptureComparison, width: int) -> RenderableType:
+def comparison_table(comparison: CaptureComparison, width: int) -> RenderableType:
     """Return the table that compares one capture with another."""
-    rows = found.as_json()["routes"]
-    drift = f" at the start, and drift by {found.drift * 1e6:+.1f} ppm" if found.drift else ""
-    offset = f"clocks differ by {units.milliseconds(found.offset_ns / 1e6)}{drift}; latencies are beyond that"
+    rows = comparison.as_json()["routes"]
+    drift = f" at the start, and drift by {comparison.drift * 1e6:+.1f} ppm" if comparison.drift else ""
+    offset = (
+        f"clocks differ by {units.milliseconds(comparison.offset_ns / 1e6)}{drift}; latencies are beyond that"
+    )
     lost, neither = (sum(row[name] for row in rows) for name in ("lost", "neither"))
     end = f"Lost between the two: {plural(lost, 'message')}." if lost else "Nothing lost between the two."
     style = Level.ERROR.style if lost else "green"

@@ -23,24 +23,24 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.runs import Run, RunDifference
 
 
-def check_view(told: Mapping[str, Any]) -> RenderableType:
+def check_view(report: Mapping[str, Any]) -> RenderableType:
     """Return the view of a check.
 
     Args:
-        told: the report, in the form of ``check --json``.
+        report: the report, in the form of ``check --json``.
     """
-    head = plain(told["source"], palette.STRONG)
-    head.append(f"  {units.duration(told['seconds'])}", palette.DIM)
+    head = plain(report["source"], palette.STRONG)
+    head.append(f"  {units.duration(report['seconds'])}", palette.DIM)
     parts: list[RenderableType] = [head, Text()]
-    for item in told["results"]:
+    for item in report["results"]:
         mark, style = ("✓", "green") if item["passed"] else (Level.ERROR.mark, Level.ERROR.style)
         expected = "" if item["expected"] is None else f" {item['expected']}"
         line = Text.assemble((f"{mark} ", style), plain(f"{item['about']}  {item['expectation']}{expected}"))
         line.append_text(plain(f"  {item['found']}", palette.DIM if item["passed"] else style))
         parts.append(line)
-    of = plural(len(told["results"]), "expectation")
-    if told["failed"]:
-        end = Text(f"{told['failed']:,} of {of} not met.", Level.ERROR.style)
+    of = plural(len(report["results"]), "expectation")
+    if report["failed"]:
+        end = Text(f"{report['failed']:,} of {of} not met.", Level.ERROR.style)
     else:
         end = Text(f"{of} met.", "green")
     return Group(*parts, Text(), end)
@@ -76,13 +76,13 @@ _MOST_LINES: Final = 1000
 """Lines on a terminal; CSV and JSON have all."""
 
 
-def missing_table(found: Sequence[Missing], start_ns: int, width: int) -> RenderableType:
+def missing_table(missing: Sequence[Missing], start_ns: int, width: int) -> RenderableType:
     """Return the table.
 
     Args:
         start_ns: the first datagram: times count from it.
     """
-    lines = [list(alike) for _, alike in groupby(found, key=_same)]
+    lines = [list(alike) for _, alike in groupby(missing, key=_same)]
     rows = [
         {
             "when": f"{(first.time_ns - start_ns) / 1e9:.3f} s",
@@ -90,7 +90,7 @@ def missing_table(found: Sequence[Missing], start_ns: int, width: int) -> Render
             "msg_id": "" if first.msg_id == NO_MSG_ID else f"0x{first.msg_id:04x}",
             "topic": first.topic or "",
             "count": units.count(sum(item.count for item in alike)),
-            "what": _what(alike),
+            "what": _message_text(alike),
             "values": value_text(first.message) if first.message else "",
         }
         for alike in lines[:_MOST_LINES]
@@ -108,13 +108,13 @@ def missing_table(found: Sequence[Missing], start_ns: int, width: int) -> Render
     parts: list[RenderableType] = [build(columns, rows, width)]
     if rest := sum(item.count for alike in lines[_MOST_LINES:] for item in alike):
         parts.append(Text(f"and {rest:,} more: --list-lost csv", palette.DIM))
-    parts.append(Text(f"{plural(sum(item.count for item in found), 'message')} lost."))
+    parts.append(Text(f"{plural(sum(item.count for item in missing), 'message')} lost."))
     return Group(*parts)
 
 
 def _same(item: Missing) -> tuple[Any, ...]:
     """Return what messages on one line have in common; one that is a packet has a line of its own."""
-    counted = item.first is not None
+    has_number = item.first is not None
     return (
         item.number,
         item.time_ns,
@@ -124,11 +124,11 @@ def _same(item: Missing) -> tuple[Any, ...]:
         item.topic,
         item.what,
         item.one_of,
-        counted,
+        has_number,
     )
 
 
-def _what(alike: Sequence[Missing]) -> str:
+def _message_text(alike: Sequence[Missing]) -> str:
     first, last = alike[0], alike[-1]
     if first.one_of is not None:
         return f"{first.what}; which of {first.one_of:,} is not known"

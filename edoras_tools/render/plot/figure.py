@@ -48,8 +48,8 @@ class PlotLine:
 
     def thinned(self, columns: int, span: tuple[float, float]) -> PlotLine:
         """Return the line with at most two values in each column: the least and the greatest."""
-        kept = extremes(self.seconds, self.values, columns, span)
-        return replace(self, seconds=self.seconds[kept], values=self.values[kept])
+        rows = extremes(self.seconds, self.values, columns, span)
+        return replace(self, seconds=self.seconds[rows], values=self.values[rows])
 
 
 def extremes(
@@ -94,7 +94,7 @@ class Panel:
         return f"{self.title}, {self.unit}" if self.unit else self.title
 
     @property
-    def named(self) -> bool:
+    def has_names(self) -> bool:
         """Whether it needs a legend."""
         return len(self.lines) > 1 or any(line.label != self.title for line in self.lines)
 
@@ -159,23 +159,23 @@ class Figure:
     @property
     def event_title(self) -> str:
         """Heading of the events."""
-        told = plural(self.events, "event")
-        return told if len(self.marks or ()) == self.events else f"{told}, {len(self.marks or ()):,} drawn"
+        title = plural(self.events, "event")
+        return title if len(self.marks or ()) == self.events else f"{title}, {len(self.marks or ()):,} drawn"
 
     def footnotes(self, columns: int) -> list[str]:
         """Return the notes, and what thinning to so many columns left out."""
         thinned = any(len(line.values) > 2 * columns for panel in self.panels for line in panel.lines)
-        told = [f"long lines: least and greatest value in each of {columns:,} columns of time"] * thinned
-        return [*self.notes, *told]
+        notes = [f"long lines: least and greatest value in each of {columns:,} columns of time"] * thinned
+        return [*self.notes, *notes]
 
 
 def tick_texts(low: float, high: float, most: int) -> list[tuple[float, str]]:
     """Return round numbers of an axis, and their texts."""
-    found = ticks_between(low, high, most)
-    step = found[1] - found[0] if len(found) > 1 else high - low
+    ticks = ticks_between(low, high, most)
+    step = ticks[1] - ticks[0] if len(ticks) > 1 else high - low
     largest = max(abs(low), abs(high))
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     if largest >= 1e7 or decimals > 5:
         digits = min(17, max(1, math.ceil(math.log10(largest / step))) + 1)
-        return [(value, f"{value:.{digits}g}") for value in found]
-    return [(value, f"{value if round(value, decimals) else 0.0:,.{decimals}f}") for value in found]
+        return [(value, f"{value:.{digits}g}") for value in ticks]
+    return [(value, f"{value if round(value, decimals) else 0.0:,.{decimals}f}") for value in ticks]

@@ -71,11 +71,11 @@ def _data(figure: Figure) -> dict[str, Any]:
 
 
 def _line(line: PlotLine, figure: Figure) -> dict[str, Any]:
-    kept = line.thinned(_COLUMNS, figure.span)
+    thinned = line.thinned(_COLUMNS, figure.span)
     return {
         "label": clean(line.label),
         "colour": f"var(--c{line.colour % len(LIGHT_COLOURS)})",
         "dashes": DASHES[line.recording % len(DASHES)],
-        "t": [round(value, 6) for value in kept.seconds.tolist()],
-        "v": [float(f"{value:.9g}") for value in kept.values.tolist()],
+        "t": [round(value, 6) for value in thinned.seconds.tolist()],
+        "v": [float(f"{value:.9g}") for value in thinned.values.tolist()],
     }

@@ -102,7 +102,7 @@ class _Drawing:
         self.y += 8
         if panel.heading != self._figure.title:
             self._line(panel.heading, 'font-weight="bold"', 20)
-        if panel.named:
+        if panel.has_names:
             self._legend(panel.lines)
         self.y += 6
         height = _HEIGHT_BENEATH if panel.beneath else _HEIGHT

@@ -61,12 +61,12 @@ def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0) -> li
 def _split(panel: Panel) -> Iterator[Panel]:
     for line in panel.lines:
         title = line.label if line.label.startswith(panel.title) else f"{panel.title}: {line.label}"
-        yield type(panel)(title if panel.named else panel.title, [line], panel.unit, panel.beneath)
+        yield type(panel)(title if panel.has_names else panel.title, [line], panel.unit, panel.beneath)
 
 
 def _heading(panel: Panel, width: int, *, colour: bool) -> list[Text]:
     lines = [Text(clip(clean(panel.heading), width), palette.STRONG)]
-    if not colour or not panel.named:
+    if not colour or not panel.has_names:
         return lines
     legend = Text()
     for place, line in enumerate(panel.lines):

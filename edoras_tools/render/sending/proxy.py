@@ -71,33 +71,33 @@ def plan(summary: Mapping[str, Any], output: Path | None) -> Group:
 
 def notes(summary: Mapping[str, Any]) -> list[str]:
     """Return notes, a line each: refusals, losses, datagrams not delivered at the end."""
-    found = []
+    lines = []
     for way in summary["ways"]:
         if way["refused"]:
             answers = plural(way["refused"], "time")
-            found.append(
+            lines.append(
                 f"{way['name']}: refused {answers}: nothing listens there; start it, or see --target"
             )
         if way["failed"]:
-            found.append(f"{way['name']}: {plural(way['failed'], 'datagram')} not sent: {way['reason']}")
+            lines.append(f"{way['name']}: {plural(way['failed'], 'datagram')} not sent: {way['reason']}")
         if way["unclaimed"]:
-            found.append(f"{way['name']}: {plural(way['unclaimed'], 'datagram')} for no client")
+            lines.append(f"{way['name']}: {plural(way['unclaimed'], 'datagram')} for no client")
         if way["kernel_drops"]:
             drops = plural(way["kernel_drops"], "datagram")
-            found.append(
+            lines.append(
                 f"{way['name']}: {drops} lost before the proxy read them: the receive buffer was full"
             )
         if way["overflowed"]:
-            found.append(f"{way['name']}: {plural(way['overflowed'], 'datagram')} lost: the queue was full")
+            lines.append(f"{way['name']}: {plural(way['overflowed'], 'datagram')} lost: the queue was full")
     if summary["held"]:
-        found.append(f"{plural(summary['held'], 'datagram')} still held back on purpose at the end")
+        lines.append(f"{plural(summary['held'], 'datagram')} still held back on purpose at the end")
     if summary["held_overflowed"]:
-        found.append(f"{plural(summary['held_overflowed'], 'datagram')} lost: too much was held back")
+        lines.append(f"{plural(summary['held_overflowed'], 'datagram')} lost: too much was held back")
     if summary["unrecorded"]:
-        found.append(f"{plural(summary['unrecorded'], 'datagram')} relayed, but not recorded")
+        lines.append(f"{plural(summary['unrecorded'], 'datagram')} relayed, but not recorded")
     if summary["clients_evicted"]:
-        found.append(f"{plural(summary['clients_evicted'], 'client')} forgotten: too many clients")
-    return found
+        lines.append(f"{plural(summary['clients_evicted'], 'client')} forgotten: too many clients")
+    return lines
 
 
 def _title(summary: Mapping[str, Any]) -> str:
@@ -110,10 +110,10 @@ def _view(moment: Moment) -> list[RenderableType]:
     columns = [item for item in _WAYS if rates is not None or item.title != "Rate"]
     parts: list[RenderableType] = [title_line(_title(summary), moment), build(columns, ways, width)]
     if summary["clients"]:
-        shown: Sequence[Mapping[str, Any]] = summary["clients"][:_MOST_CLIENTS]
-        parts += [Text(), build(_CLIENTS, shown, width)]
-        if len(summary["clients"]) > len(shown):
-            parts.append(Text(f"and {len(summary['clients']) - len(shown):,} more clients", palette.DIM))
+        clients: Sequence[Mapping[str, Any]] = summary["clients"][:_MOST_CLIENTS]
+        parts += [Text(), build(_CLIENTS, clients, width)]
+        if len(summary["clients"]) > len(clients):
+            parts.append(Text(f"and {len(summary['clients']) - len(clients):,} more clients", palette.DIM))
     if summary["faults"]:
         faults = [dict(item, key=index) for index, item in enumerate(summary["faults"], 1)]
         parts += [Text(), build(_FAULTS, faults, width)]

@@ -52,8 +52,8 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
     ended = "  (ended early)" if summary["interrupted"] else ""
     facts.add_row("sent", f"{plural(summary['sent'], 'datagram')} to {target}{over}{ended}")
     if summary["rate_achieved_hz"] is not None:
-        asked = _rate(summary["rate_asked_hz"])
-        facts.add_row("rate", f"{units.rate(summary['rate_achieved_hz'])}, asked: {asked}")
+        target_rate = _rate(summary["rate_asked_hz"])
+        facts.add_row("rate", f"{units.rate(summary['rate_achieved_hz'])}, asked: {target_rate}")
     late = summary["lateness_us"]
     if late["p50"] is not None:
         facts.add_row(
@@ -63,8 +63,8 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
     for why, count in summary["errors"].items():
         facts.add_row("not sent", Text(f"{count:,}: {why}", Level.ERROR.style))
     if summary["faults"]:
-        what = ", ".join(f"{name} {count:,}" for name, count in sorted(summary["faults"].items()))
-        facts.add_row("faults", plain(what, palette.STRONG))
+        faults = ", ".join(f"{name} {count:,}" for name, count in sorted(summary["faults"].items()))
+        facts.add_row("faults", plain(faults, palette.STRONG))
     for note in summary["notes"]:
         facts.add_row("note", plain(note))
     if told := _ingested(summary["ingest"]):
@@ -95,10 +95,12 @@ def _ingested(ingest: Mapping[str, Any] | None) -> Text | None:
         return None
     read, sent, missing = ingest["read"], ingest["sent"], ingest["missing"]
     of = f"{units.count(read)} of {units.count(sent)}" if read is not None else ""
-    gone = f"{units.count(missing or 0)} never came to it: its socket was full, or they were lost on the way"
+    never_came = (
+        f"{units.count(missing or 0)} never came to it: its socket was full, or they were lost on the way"
+    )
     text, style = {
         "all": (f"all {units.count(sent)} by Command Ingest", ""),
-        "missing": (f"{of} by Command Ingest; {gone}", Level.ERROR.style),
+        "missing": (f"{of} by Command Ingest; {never_came}", Level.ERROR.style),
         "waiting": (
             f"{of} by Command Ingest when listening ended; the others may wait in its socket",
             Level.WARNING.style,

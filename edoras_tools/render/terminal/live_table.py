@@ -126,12 +126,12 @@ def background(console: Console) -> Iterator[BackgroundStream | None]:
     if not stream.isatty():
         yield None
         return
-    made = BackgroundStream(stream)
-    console.file = cast("IO[str]", made)  # all that rich needs of it
+    background_stream = BackgroundStream(stream)
+    console.file = cast("IO[str]", background_stream)  # all that rich needs of it
     try:
-        yield made
+        yield background_stream
     finally:
-        made.finish()
+        background_stream.finish()
         console.file = stream
 
 

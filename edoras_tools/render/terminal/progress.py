@@ -82,19 +82,21 @@ class FileProgress:
             self._since = self._clock()  # the next of several
         self._source = source
         total = statistics.total_bytes
-        done = min(statistics.position, total) if total else 0
-        self._draw(lambda now: figures(statistics, max(now - self._since, _REFRESH_S)), done, total or None)
+        position = min(statistics.position, total) if total else 0
+        self._draw(
+            lambda now: figures(statistics, max(now - self._since, _REFRESH_S)), position, total or None
+        )
 
-    def step(self, what: str, done: int, of: int, shown: Callable[[int], str] = str) -> None:
+    def step(self, activity: str, count: int, of: int, number_text: Callable[[int], str] = str) -> None:
         """Draw how far other work is, if the last drawing is long enough ago."""
-        self._draw(lambda _: f"{what}, {shown(done)} of {shown(of)}", done, of)
+        self._draw(lambda _: f"{activity}, {number_text(count)} of {number_text(of)}", count, of)
 
-    def _draw(self, text: Callable[[float], str], done: int, of: int | None) -> None:
+    def _draw(self, text: Callable[[float], str], position: int, of: int | None) -> None:
         now = self._clock()
         if self._progress is None or now - self._drawn < _REFRESH_S or now - self._began < _PATIENCE_S:
             return
         self._drawn = now
-        self._progress.update(self._task, total=of, completed=done, figures=text(now))
+        self._progress.update(self._task, total=of, completed=position, figures=text(now))
         self._progress.start()
         self._progress.refresh()
 

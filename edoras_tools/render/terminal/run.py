@@ -35,7 +35,7 @@ class Progress(Protocol):
         """Take how far a source is read."""
         ...
 
-    def step(self, what: str, done: int, of: int) -> None:
+    def step(self, activity: str, count: int, of: int) -> None:
         """Take how far other work is, as ``judging``, 3, 57."""
         ...
 

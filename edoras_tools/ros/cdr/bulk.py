@@ -69,10 +69,10 @@ class Bytes:
         dtype = np.dtype("u1" if code == "?" else "<" + code)
         if not len(start):
             return np.empty((0, count), bool if code == "?" else dtype)
-        found = self.gather(start, dtype.itemsize * count).view(dtype).reshape(-1, count)
+        numbers = self.gather(start, dtype.itemsize * count).view(dtype).reshape(-1, count)
         if swap is not None and dtype.itemsize > 1:
-            found[swap] = found[swap].byteswap()
-        return found != 0 if code == "?" else found
+            numbers[swap] = numbers[swap].byteswap()
+        return numbers != 0 if code == "?" else numbers
 
 
 class Collector(Protocol):
@@ -130,13 +130,15 @@ class Cursor:
         """The offset of each row's position in the buffer."""
         return self.base + self.position
 
-    def take(self, chosen: NDArray[np.int64]) -> Self:
+    def take(self, selection: NDArray[np.int64]) -> Self:
         """Return a cursor over some rows, given by index."""
-        position = self.position if isinstance(self.position, int) else self.position[chosen]
-        swap = None if self.swap is None else self.swap[chosen]
-        taken = type(self)(self.bytes, self.rows[chosen], self.base[chosen], self.end[chosen], swap, position)
-        taken.parent = chosen
-        return taken
+        position = self.position if isinstance(self.position, int) else self.position[selection]
+        swap = None if self.swap is None else self.swap[selection]
+        part = type(self)(
+            self.bytes, self.rows[selection], self.base[selection], self.end[selection], swap, position
+        )
+        part.parent = selection
+        return part
 
     def keep(self, good: NDArray[np.bool_], carried: Position = 0) -> Position:
         """Drop the rows that are not good; return a carried column without them."""
@@ -303,19 +305,23 @@ def _walk_elements(
             break
         walk_plan(plan, running, collector, name)
         index += 1
-        done = count[running.parent] == index
-        if done.any():
-            rows = running.parent[done]
+        complete = count[running.parent] == index
+        if complete.any():
+            rows = running.parent[complete]
             whole[rows] = True
-            position[rows] = running.position if isinstance(running.position, int) else running.position[done]
-            running.keep(~done)
+            position[rows] = (
+                running.position if isinstance(running.position, int) else running.position[complete]
+            )
+            running.keep(~complete)
     cursor.position = position
     cursor.keep(whole)
 
 
-def _finish_elements(plan: CdrPlan, cursor: Cursor, left: NDArray[np.int64]) -> None:
+def _finish_elements(plan: CdrPlan, cursor: Cursor, remaining: NDArray[np.int64]) -> None:
     """Move few rows past their remaining elements one by one, so that one long row costs little."""
     position = np.broadcast_to(cursor.position, len(cursor))
-    ends = [skip(plan, *cursor.body(row), int(position[row]), int(left[row])) for row in range(len(cursor))]
+    ends = [
+        skip(plan, *cursor.body(row), int(position[row]), int(remaining[row])) for row in range(len(cursor))
+    ]
     cursor.position = np.array([-1 if end is None else end for end in ends], np.int64)
     cursor.keep(cursor.position >= 0)

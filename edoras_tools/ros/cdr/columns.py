@@ -228,14 +228,14 @@ def _strings(
     swap: NDArray[np.bool_] | None,
 ) -> NDArray[Any]:
     """Decode strings, each distinct one once."""
-    found = np.full(len(start), "", object)
+    texts = np.full(len(start), "", object)
     order = np.zeros(len(start), np.int64) if swap is None else swap.astype(np.int64)
     for units in np.unique(length):
         for big in np.unique(order):
-            chosen = np.flatnonzero((length == units) & (order == big))
-            if units == 0 or not len(chosen):
+            members = np.flatnonzero((length == units) & (order == big))
+            if units == 0 or not len(members):
                 continue
-            raw = source.gather(start[chosen], int(units) * text.width).tolist()
+            raw = source.gather(start[members], int(units) * text.width).tolist()
             decoded = {item: reader.string_value(text, int(big), item) for item in set(raw)}
-            found[chosen] = [decoded[item] for item in raw]
-    return found
+            texts[members] = [decoded[item] for item in raw]
+    return texts

@@ -77,9 +77,9 @@ def value_spans(name: str, plan: CdrPlan, cdr: bytes) -> list[ValueSpan]:
         WireError: the representation is not CDR.
     """
     order = encapsulation_order(name, cdr)
-    found: list[ValueSpan] = []
-    _Walk(name, cdr, order, found).plan(plan, "", ENCAPSULATION_BYTES)
-    return found
+    spans: list[ValueSpan] = []
+    _Walk(name, cdr, order, spans).plan(plan, "", ENCAPSULATION_BYTES)
+    return spans
 
 
 def skip(plan: CdrPlan, order: int, body: bytes, position: int, times: int) -> int | None:
@@ -212,11 +212,11 @@ def string_value(step: Text, order: int, data: bytes) -> str:
 class _Walk:
     """Reads field by field and records positions, counted from the encapsulation's first byte."""
 
-    def __init__(self, name: str, cdr: bytes, order: int, found: list[ValueSpan]) -> None:
+    def __init__(self, name: str, cdr: bytes, order: int, spans: list[ValueSpan]) -> None:
         self._name = name
         self._cdr = cdr
         self._order = order
-        self._found = found
+        self._spans = spans
 
     def plan(self, plan: CdrPlan, path: str, position: int) -> int:
         """Append the spans of one plan; return where it ends."""
@@ -235,7 +235,7 @@ class _Walk:
             start, end = position + leaf.offset, position + leaf.end
             self._need(path + leaf.name, start, end)
             values = _numbers(leaf, self._order, self._cdr[start:end])
-            self._found.append(
+            self._spans.append(
                 ValueSpan(path + leaf.name, values[0] if leaf.count is None else values, start, end)
             )
         return position + step.size
@@ -248,7 +248,7 @@ class _Walk:
             self._refuse(path, f"{length} characters at byte {start}; at most {step.bound} may be there")
         if _unterminated(step, self._cdr, end, length):
             self._refuse(path, f"the string of {length} bytes at byte {start} does not end in NUL")
-        self._found.append(
+        self._spans.append(
             ValueSpan(path, string_value(step, self._order, self._cdr[start:end]), start - 4, end)
         )
         return end
@@ -266,10 +266,10 @@ class _Walk:
             start = _aligned(position, leaf.size) if count else position
             end = start + count * leaf.size
             self._need(path, start, end)
-            self._found.append(ValueSpan(path, _numbers(leaf, self._order, self._cdr[start:end]), begin, end))
+            self._spans.append(ValueSpan(path, _numbers(leaf, self._order, self._cdr[start:end]), begin, end))
             return end
         if not count:
-            self._found.append(ValueSpan(path, [], begin, position))
+            self._spans.append(ValueSpan(path, [], begin, position))
         dot = "" if _unnamed(plan) else "."
         for index in range(count):
             position = self.plan(plan, f"{path}[{index}]{dot}", position)

@@ -56,8 +56,8 @@ class _Pattern:
         self._end = row.end[0]
         self._swap = None if cursor.swap is None else cursor.swap[0]
         body = cursor.bytes.data[cursor.base[0] :]
-        left = _finish(plan, row)
-        self.left = int(left[0]) if len(left) else _INVALID
+        rest = _finish(plan, row)
+        self.rest = int(rest[0]) if len(rest) else _INVALID
         joined = _joined(row.seen)
         self._usable = len(row.seen) <= MOST_SEEN and sum(end - first for first, end in joined) <= _MOST
         self._windows = [_window(body, first, end, row.seen) for first, end in joined] if self._usable else []
@@ -75,11 +75,11 @@ class _Pattern:
             if begin.max() > last:
                 alike &= begin <= last
                 begin = np.minimum(begin, last)
-            found = cursor.bytes.gather(begin, window.size).view("<u8").reshape(len(cursor), -1)
-            found ^= window.want[: len(found)]
-            found &= window.mask[: len(found)]
-            if found.any():
-                alike &= ~found.any(axis=1)
+            differences = cursor.bytes.gather(begin, window.size).view("<u8").reshape(len(cursor), -1)
+            differences ^= window.want[: len(differences)]
+            differences &= window.mask[: len(differences)]
+            if differences.any():
+                alike &= ~differences.any(axis=1)
         return alike
 
 
@@ -94,7 +94,7 @@ def trailing(
         length: i32, bytes of each message; any value.
     """
     data = np.ascontiguousarray(data)
-    found = np.full(len(offset), _INVALID, np.int32)
+    result = np.full(len(offset), _INVALID, np.int32)
     pattern, patience = None, _MOST_PATTERNS
     for first in range(0, len(offset), _CHUNK_ROWS):
         cursor = start_cursor(
@@ -106,31 +106,31 @@ def trailing(
             pattern, patience = _Pattern(plan, cursor), patience - 1
         if pattern is not None:
             alike = pattern.matches(cursor)
-            found[first + cursor.rows[alike]] = pattern.left
+            result[first + cursor.rows[alike]] = pattern.rest
             if 2 * np.count_nonzero(alike) < len(cursor):
                 pattern = None
             cursor.keep(~alike)
-        left = _finish(plan, cursor)
-        found[first + cursor.rows] = left
-    return found
+        rest = _finish(plan, cursor)
+        result[first + cursor.rows] = rest
+    return result
 
 
 def _finish(plan: CdrPlan, cursor: Cursor) -> NDArray[np.int64]:
     """Walk a cursor to the end, dropping the rows that are not valid; return what the others have left."""
     if len(cursor) <= FEW and cursor.seen is None:
         rows = range(len(cursor))
-        left = np.fromiter((bytes_left(plan, *cursor.body(row)) for row in rows), np.int64, len(cursor))
+        rest = np.fromiter((bytes_left(plan, *cursor.body(row)) for row in rows), np.int64, len(cursor))
     else:
         walk_plan(plan, cursor, None)
-        left = cursor.end - cursor.position
-    cursor.keep(left >= 0)
-    return left[left >= 0]
+        rest = cursor.end - cursor.position
+    cursor.keep(rest >= 0)
+    return rest[rest >= 0]
 
 
-def _joined(seen: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _joined(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Return ascending ranges with those joined that lie close together."""
     joined: list[tuple[int, int]] = []
-    for first, end in seen:
+    for first, end in ranges:
         if joined and first - joined[-1][1] <= _GAP:
             joined[-1] = (joined[-1][0], end)
         else:
@@ -138,11 +138,11 @@ def _joined(seen: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return joined
 
 
-def _window(body: NDArray[np.uint8], first: int, end: int, seen: list[tuple[int, int]]) -> _Window:
+def _window(body: NDArray[np.uint8], first: int, end: int, ranges: list[tuple[int, int]]) -> _Window:
     size = -(-(end - first) // 8) * 8
     want, mask = np.zeros(size, np.uint8), np.zeros(size, np.uint8)
     want[: end - first] = body[first:end]
-    for begin, stop in seen:
+    for begin, stop in ranges:
         if first <= begin < end:
             mask[begin - first : stop - first] = 0xFF
     return _Window(first, size, _rows(want), _rows(mask))

@@ -60,13 +60,13 @@ class Writer:
     def _compile(self, name: str) -> Callable[[bytearray, Any], None]:
         definition = self._find(name)
         fields = [(item.name, self._field(item), self._default(item)) for item in definition.fields]
-        known = {item.name for item in definition.fields}
+        names = {item.name for item in definition.fields}
         listed = ", ".join(item.name for item in definition.fields) or "no field"
 
         def write(body: bytearray, values: Any) -> None:
             if not isinstance(values, Mapping):
-                raise _Misfit(f"takes a mapping of {listed}, not {_shown(values)}")
-            if unknown := values.keys() - known:
+                raise _Misfit(f"takes a mapping of {listed}, not {_printed(values)}")
+            if unknown := values.keys() - names:
                 raise _Misfit(f"{name} has no field {', '.join(sorted(map(str, unknown)))}; it has {listed}")
             for item, write_field, default in fields:
                 try:
@@ -96,7 +96,7 @@ class Writer:
             is_bytes = isinstance(values, bytes | bytearray | memoryview) and field.type in _BYTES
             values = bytes(values) if is_bytes else values
             if not is_bytes and not isinstance(values, list | tuple):
-                raise _Misfit(f"{takes}{' or bytes' if field.type in _BYTES else ''}, not {_shown(values)}")
+                raise _Misfit(f"{takes}{' or bytes' if field.type in _BYTES else ''}, not {_printed(values)}")
             if is_array and len(values) != count:
                 raise _Misfit(f"{takes} of {count} values, not {len(values)}")
             if bound and len(values) > bound:
@@ -138,11 +138,11 @@ class Writer:
             if type(value) is not kind:
                 value = _plain(value)
                 if type(value) is not kind and not (kind is float and type(value) is int):
-                    raise _Misfit(f"{takes}, not {_shown(value)}")
+                    raise _Misfit(f"{takes}, not {_printed(value)}")
             try:
                 packed = pack(value)
             except (struct.error, OverflowError):
-                raise _Misfit(f"{takes}, not {_shown(value)}") from None
+                raise _Misfit(f"{takes}, not {_printed(value)}") from None
             body += _ZEROS[-len(body) & mask]
             body += packed
 
@@ -155,11 +155,11 @@ class Writer:
 
         def write(body: bytearray, value: Any) -> None:
             if not isinstance(value, str):
-                raise _Misfit(f"{takes}, not {_shown(value)}")
+                raise _Misfit(f"{takes}, not {_printed(value)}")
             try:
                 data = value.encode("utf-8" if narrow else "utf-16-le")
             except UnicodeEncodeError:
-                raise _Misfit(f"{takes} of Unicode characters, not {_shown(value)}") from None
+                raise _Misfit(f"{takes} of Unicode characters, not {_printed(value)}") from None
             length = len(data) if narrow else len(data) // 2
             if bound and length > bound:
                 raise _Misfit(f"{takes}, not {length}")
@@ -204,7 +204,7 @@ def _plain(value: Any) -> Any:
     return kind(value) if kind else value
 
 
-def _shown(value: Any) -> str:
+def _printed(value: Any) -> str:
     """Return a value as error messages show it: its type and a short text."""
     text = repr(value)
     return f"{type(value).__name__} {text if len(text) <= 60 else text[:57] + '...'}"

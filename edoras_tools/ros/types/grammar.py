@@ -79,10 +79,10 @@ def parse_definition(name: str, text: str, file: str, first_line: int = 1) -> De
             continue
         try:
             item = _line(name, code)
-            known: dict[str, Any] = fields if isinstance(item, MessageField) else constants
-            if item.name in known:
+            members: dict[str, Any] = fields if isinstance(item, MessageField) else constants
+            if item.name in members:
                 _refuse(f"{item.name}: the name is taken already")
-            known[item.name] = item
+            members[item.name] = item
         except ValueError as error:
             mistakes.append(f"{file}:{number}: {error}")
     if mistakes:

@@ -47,7 +47,7 @@ class Library:
         self, distro: str, msg_paths: Iterable[str | os.PathLike[str]], schemas: Mapping[str, str]
     ) -> None:
         self.distro = distro
-        self._release = _known(distro)
+        self._release = _distro(distro)
         self._files = _index(msg_paths)
         self._sections: dict[str, tuple[str, Section]] = {}
         for name, text in schemas.items():
@@ -69,8 +69,8 @@ class Library:
                 self._from_distro,
                 self._sourced,
             ):
-                if found := place(name):
-                    self._found[name] = found
+                if definition := place(name):
+                    self._found[name] = definition
                     break
         return self._found.get(name)
 
@@ -109,20 +109,20 @@ def _read_if_there(name: str, folder: Path) -> Definition | None:
     """Read a type's definition from a folder of packages; None where it is not there."""
     file = folder / f"{name}.msg"
     try:
-        there = file.is_file()
+        exists = file.is_file()
     except OSError:  # longer than any file name may be
         return None
-    return _read(name, file) if there else None
+    return _read(name, file) if exists else None
 
 
-def _known(distro: str) -> str:
+def _distro(distro: str) -> str:
     """Return the distribution that a name stands for."""
-    known = distros()
+    names = distros()
     if distro in {"latest", "rolling"}:
-        return known[-1]
-    if distro not in known:
+        return names[-1]
+    if distro not in names:
         raise ConfigError(
-            f"--distro: {distro!r} is not a ROS 2 distribution; known: {', '.join(known)}, latest, rolling"
+            f"--distro: {distro!r} is not a ROS 2 distribution; known: {', '.join(names)}, latest, rolling"
         )
     return distro
 
@@ -131,24 +131,24 @@ def _index(paths: Iterable[str | os.PathLike[str]]) -> dict[str, Path]:
     """List the definitions below some folders by type name; the first of a name wins."""
     index: dict[str, Path] = {}
     mistakes = []
-    for given in map(Path, paths):
-        path = given.absolute()
+    for folder in map(Path, paths):
+        path = folder.absolute()
         if not path.exists():
-            mistakes.append(f"--msg-path: {given}: no such file or folder")
+            mistakes.append(f"--msg-path: {folder}: no such file or folder")
             continue
         candidates = (
             [path] if path.is_file() else [*sorted(path.rglob("*.msg")), *sorted(path.rglob("*.idl"))]
         )
-        found = {
+        entries = {
             _type_of(file): file
             for file in reversed(candidates)
             if file.parent.name in {"msg", "srv", "action"}
         }
-        if not found:
+        if not entries:
             mistakes.append(
-                f"--msg-path: {given}: no definition there; expected PACKAGE/msg/NAME.msg or NAME.idl"
+                f"--msg-path: {folder}: no definition there; expected PACKAGE/msg/NAME.msg or NAME.idl"
             )
-        index = found | index
+        index = entries | index
     if mistakes:
         raise ConfigError(*mistakes)
     return index
@@ -205,15 +205,15 @@ def text_of_idl(name: str, text: str) -> str:
     Raises:
         ConfigError: it is not the IDL that ROS 2 writes.
     """
-    found: dict[str, Definition] = {}
+    by_name: dict[str, Definition] = {}
     for part in _IDL_PARTS.split(text):
         if part.strip():
             types = _idl_types(part, f"schema of {name}")
-            found.update((item, converted(item, types)) for item in types)
-    if full_name(name) not in found:
-        raise ConfigError(f"schema of {name}: defines {', '.join(found) or 'no type'}")
-    head = found.pop(full_name(name))
-    return complete_text([head, *found.values()])
+            by_name.update((item, converted(item, types)) for item in types)
+    if full_name(name) not in by_name:
+        raise ConfigError(f"schema of {name}: defines {', '.join(by_name) or 'no type'}")
+    head = by_name.pop(full_name(name))
+    return complete_text([head, *by_name.values()])
 
 
 def _idl_line(error: Exception) -> int:

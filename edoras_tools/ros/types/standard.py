@@ -50,12 +50,12 @@ def standard(distro: str) -> dict[str, str]:
     """
     table = _table()
     until = table["distros"].index(distro) + 1
-    found = {}
+    texts_by_name = {}
     for name, texts in table["types"].items():
-        for known in table["distros"][:until]:
-            if known in texts:
-                found[name] = texts[known]
-    return {name: text for name, text in found.items() if text is not None}
+        for distro_ in table["distros"][:until]:
+            if distro_ in texts:
+                texts_by_name[name] = texts[distro_]
+    return {name: text for name, text in texts_by_name.items() if text is not None}
 
 
 @cache
@@ -92,11 +92,11 @@ def write_standard() -> None:
 def converted(name: str, types: Typesdict) -> Definition:
     """Return a definition as rosbags holds it as one of ours."""
     constants, fields = types[name]
-    named = {"", *(item for item, _, _ in constants)}
+    constants_named = {"", *(item for item, _, _ in constants)}
     defaults = {
         field: value
         for (owner, field), (value, constant) in _STANDARD_DEFAULTS.items()
-        if owner == name and constant in named
+        if owner == name and constant in constants_named
     }
     return Definition(
         name,

@@ -57,20 +57,20 @@ class Limiter(Generic[Item]):
     Args:
         limits: of each lane.
         total_hz: most messages a second of the counted lanes together; None for no limit.
-        counted: which lanes the total counts; all by default.
+        in_total: which lanes the total counts; all by default.
 
     Attributes: held: for each lane, messages that never pass: dropped, or replaced by a newer one.
     """
 
     def __init__(
-        self, limits: Sequence[Limit], total_hz: float | None = None, counted: Sequence[bool] | None = None
+        self, limits: Sequence[Limit], total_hz: float | None = None, in_total: Sequence[bool] | None = None
     ) -> None:
         self.held = [0] * len(limits)
         self._latest = [limit.keep == "latest" for limit in limits]
         self._clocks = [_Clock(limit.rate_hz) for limit in limits]
         free = _Clock(None)
         total = _Clock(total_hz)
-        self._totals = [total if count else free for count in counted or [True] * len(limits)]
+        self._totals = [total if count else free for count in in_total or [True] * len(limits)]
         self._waiting: dict[int, Item] = {}  # in the order in which the lanes began to wait
         self._free = [
             limit.rate_hz is None and (mine is free or total_hz is None)
@@ -108,12 +108,12 @@ class Limiter(Generic[Item]):
 
     def due(self, *, now: int) -> list[tuple[int, Item]]:
         """Return the lanes and messages that are due, the longest waiting first."""
-        found = []
+        messages = []
         for lane in list(self._waiting):
             if self._may(lane, now):
                 self._pass(lane, now)
-                found.append((lane, self._waiting.pop(lane)))
-        return found
+                messages.append((lane, self._waiting.pop(lane)))
+        return messages
 
     def _may(self, lane: int, now: int) -> bool:
         return now >= self._clocks[lane].due_ns and now >= self._totals[lane].due_ns
@@ -266,9 +266,9 @@ class BridgeSession:
         self.others = self.unreadable = 0
         handlings = [route.handling for route in routes]
         # The total protects cFS; what comes from cFS does not count.
-        chosen = [Limit(item.max_rate, item.keep or "latest") for item in handlings]
+        limits = [Limit(item.max_rate, item.keep or "latest") for item in handlings]
         self.limiter: Limiter[bytes] = Limiter(
-            chosen, options.max_rate_total, [route.to_cfs for route in routes]
+            limits, options.max_rate_total, [route.to_cfs for route in routes]
         )
         self._writer, self._headers = writer, options.headers
         self._envelopes = [
@@ -393,4 +393,4 @@ def describe(route: Route) -> dict[str, Any]:
 
 
 def _format(name: str) -> EnvelopeFormat | None:
-    return None if name == "auto" else EnvelopeFormat.named(name)
+    return None if name == "auto" else EnvelopeFormat.of_name(name)

@@ -78,8 +78,8 @@ class PacketWriter:
         head = self._headers.emit(msg_id, self._headers.size(msg_id), 0, 0)
         between = head[ccsds.PRIMARY.size :]
         command = bool(self._headers.msg_ids.is_command(msg_id))
-        self._starts[msg_id] = found = int.from_bytes(head[:2], "big"), between, command
-        return found
+        self._starts[msg_id] = start = int.from_bytes(head[:2], "big"), between, command
+        return start
 
 
 class Envelope:
@@ -133,9 +133,9 @@ class Envelope:
             return "no CDR in the envelope"
         if not CDR_BE <= (data[at] << 8 | data[at + 1]) <= CDR_LE:
             return "the content of the envelope is not CDR"
-        wanted = self._cdr_bytes
-        if wanted is not None and not wanted <= length <= wanted + _PADDING:
-            return f"not the {wanted} bytes of a {self._type}"
+        expected = self._cdr_bytes
+        if expected is not None and not expected <= length <= expected + _PADDING:
+            return f"not the {expected} bytes of a {self._type}"
         return data[at : at + length]
 
 

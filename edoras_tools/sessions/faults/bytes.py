@@ -78,16 +78,16 @@ def corrupt(payload: bytes, struck: Struck) -> Altered:
     data = bytearray(payload)
     for place in places:
         data[place // 8] ^= 0x80 >> place % 8
-    shown = ", ".join(map(str, sorted(places)[:8])) + (" ..." if len(places) > 8 else "")
-    return Altered(bytes(data), f"bit {shown} turned over") if places else Altered(payload, "")
+    listed = ", ".join(map(str, sorted(places)[:8])) + (" ..." if len(places) > 8 else "")
+    return Altered(bytes(data), f"bit {listed} turned over") if places else Altered(payload, "")
 
 
 def truncate(payload: bytes, struck: Struck) -> Altered:
     """Cut the datagram."""
-    left = struck.values["bytes"]
-    if len(payload) <= left:
+    size = struck.values["bytes"]
+    if len(payload) <= size:
         return Altered(payload, "")
-    return Altered(payload[:left], f"cut from {len(payload)} to {left} bytes")
+    return Altered(payload[:size], f"cut from {len(payload)} to {size} bytes")
 
 
 def pad(payload: bytes, struck: Struck) -> Altered:
@@ -133,8 +133,8 @@ def _envelope(payload: bytes, struck: Struck) -> tuple[int, Layout]:
         return -1, envelope.DEFAULT.layout
     command = VERSION_1.is_command(VERSION_1.of(payload, at))
     at += struck.headers.command_bytes if command else struck.headers.telemetry_bytes
-    found = envelope.detect(payload, at)
-    return (-1, envelope.DEFAULT.layout) if found is None else (at, found.layout)
+    form = envelope.detect(payload, at)
+    return (-1, envelope.DEFAULT.layout) if form is None else (at, form.layout)
 
 
 def _encapsulation(payload: bytes, struck: Struck) -> tuple[int, Layout]:
@@ -200,5 +200,5 @@ def _written(
 ) -> Altered:
     if payload[start : start + len(data)] == data:
         return Altered(payload, "")
-    shown = [f"0x{item:02x}" if base == 16 else str(item) for item in (before, after)]
-    return Altered(payload[:start] + data + payload[start + len(data) :], f"{name} {shown[0]} -> {shown[1]}")
+    texts = [f"0x{item:02x}" if base == 16 else str(item) for item in (before, after)]
+    return Altered(payload[:start] + data + payload[start + len(data) :], f"{name} {texts[0]} -> {texts[1]}")

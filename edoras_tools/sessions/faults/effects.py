@@ -31,7 +31,7 @@ class Pending:
         stream: number of its sender.
         to_cfs: its direction.
         room: memory that it takes while it is held back; 0 otherwise.
-        gone: it was already sent.
+        sent: it was already sent.
     """
 
     payload: bytes
@@ -39,7 +39,7 @@ class Pending:
     stream: int
     to_cfs: bool
     room: int = 0
-    gone: bool = False
+    sent: bool = False
 
 
 class Received(NamedTuple):
@@ -217,7 +217,7 @@ class _Rate(Effect):
         if self.values["keep"] == "first":
             return Outcome([], f"dropped: {limit}")
         waiting = self._waiting.get(key)
-        if waiting is not None and waiting.room and not waiting.gone:
+        if waiting is not None and waiting.room and not waiting.sent:
             lost, waiting.payload = waiting.payload, item.payload
             return Outcome([], f"dropped for a later one: {limit}", lost)
         item.due_ns = due
@@ -255,12 +255,12 @@ class _Reorder(Effect):
                 waiting.append((item, [self.values["by"]]))
             return Outcome(items, f"held back until {self.values['by']} overtook it")
         if items:
-            for item, left in list(waiting):
-                left[0] -= 1
-                if item.gone or not left[0]:
-                    waiting.remove((item, left))
-                    if not item.gone:
-                        item.gone = True
+            for item, countdown in list(waiting):
+                countdown[0] -= 1
+                if item.sent or not countdown[0]:
+                    waiting.remove((item, countdown))
+                    if not item.sent:
+                        item.sent = True
                         items.append(Pending(item.payload, received.now, received.stream, received.to_cfs))
         return Outcome(items)
 
@@ -274,7 +274,7 @@ class _Bandwidth(Effect):
 
     def act(self, items: list[Pending], received: Received) -> Outcome:
         rate, queue = self.values["rate"], self.values["queue"]
-        kept, detail = [], ""
+        passed, detail = [], ""
         for item in items:
             begins = max(item.due_ns, self._free.get(received.to_cfs, 0))
             waiting = (begins - item.due_ns) * rate / 8e9
@@ -284,8 +284,8 @@ class _Bandwidth(Effect):
             ends = begins + int((len(item.payload) + _HEADERS) * 8e9 / rate)
             detail = detail or f"{(ends - item.due_ns) / 1e6:.3f} ms on the line"
             self._free[received.to_cfs] = item.due_ns = ends
-            kept.append(item)
-        return Outcome(kept, detail)
+            passed.append(item)
+        return Outcome(passed, detail)
 
 
 class _Delay(Effect):

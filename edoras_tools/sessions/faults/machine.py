@@ -135,10 +135,10 @@ class FaultMachine:
         self._serial = 0
         self._heap: list[tuple[int, int, Pending]] = []
         self._counters: dict[tuple[int, bool, int], list[StreamCounter]] = {}
-        seen: dict[str, int] = {}
+        ordinals: dict[str, int] = {}
         self._active: list[ActiveRule] = []
         for index, rule in enumerate(self.rules):
-            ordinal = seen[rule.kind.name] = seen.get(rule.kind.name, -1) + 1
+            ordinal = ordinals[rule.kind.name] = ordinals.get(rule.kind.name, -1) + 1
             matches = None
             if rule.scope.where:
                 if where is None:
@@ -148,14 +148,14 @@ class FaultMachine:
             self._active.append(ActiveRule(index, rule, ordinal, matches, effect, headers.msg_ids))
 
     @property
-    def held(self) -> int:
+    def waiting(self) -> int:
         """Datagrams held back now."""
-        return sum(not item.gone for _, _, item in list(self._heap))
+        return sum(not item.sent for _, _, item in list(self._heap))
 
     @property
     def next_ns(self) -> int | None:
         """When ``due`` returns something; None while nothing is held back."""
-        while self._heap and self._heap[0][2].gone:
+        while self._heap and self._heap[0][2].sent:
             self._pop()
         return self._heap[0][0] if self._heap else None
 
@@ -221,10 +221,10 @@ class FaultMachine:
             return None
         elapsed = self._elapsed(now)
         verdicts = np.zeros((len(self.rules), len(length)), np.uint8)
-        seen = BatchHeads(heads, length, link)
+        facts = BatchHeads(heads, length, link)
         for counter in counters:
             active = counter.active
-            inside = seen.inside(active, payload)
+            inside = facts.inside(active, payload)
             places = np.flatnonzero(inside)
             first, counter.count = counter.count, counter.count + len(places)
             if not len(places) or not self.enabled[active.index]:
@@ -287,8 +287,8 @@ class FaultMachine:
         deliveries = []
         while self._heap and self._heap[0][0] <= now:
             item = self._pop()
-            if not item.gone:
-                item.gone = True
+            if not item.sent:
+                item.sent = True
                 deliveries.append(Delivery(item.payload, item.due_ns, item.stream, item.to_cfs))
         return deliveries
 

@@ -108,10 +108,10 @@ def _msg_id(text: str) -> int:
 
 
 def _link(text: str) -> Link:
-    known = {link.label: link for link in table.links() if link.bridge}
-    if text.lower() not in known:
-        raise ValueError(f"one of {', '.join(known)} is needed")
-    return known[text.lower()]
+    by_label = {link.label: link for link in table.links() if link.bridge}
+    if text.lower() not in by_label:
+        raise ValueError(f"one of {', '.join(by_label)} is needed")
+    return by_label[text.lower()]
 
 
 def _direction(text: str) -> bool:
@@ -173,7 +173,7 @@ def parse_rule(text: str) -> Rule:
         words.append((key or ",", value if equals else None))
     rule, mistakes = make_rule(name, words, text)
     if rule is None:
-        raise ConfigError(*(f"fault {text}: {what}" for _, what in mistakes))
+        raise ConfigError(*(f"fault {text}: {text_}" for _, text_ in mistakes))
     return rule
 
 
@@ -193,25 +193,25 @@ def make_rule(
     if kind is None:
         return None, [(name, f"no such fault {name!r}; {_choices(name, FAULT_KINDS)}")]
     options = {**COMMON, **kind.options}
-    given: dict[str, Any] = {}
+    parsed: dict[str, Any] = {}
     mistakes = []
     for word, value in words:
         key = word or kind.value
         if key not in options:
             mistakes.append((word, f"{name} takes no {key!r}; {_choices(key, options)}"))
-        elif key in given:
+        elif key in parsed:
             mistakes.append((word, f"{key} is given twice; once is enough"))
         elif value is None:
             mistakes.append((word, f"{key} has no value; write {key}=VALUE"))
         else:
-            given[key] = options[key].default
+            parsed[key] = options[key].default
             try:
-                given[key] = options[key].read(value)
+                parsed[key] = options[key].read(value)
             except ValueError as error:
                 mistakes.append((word, f"{key} {value!r}: {error}"))
-    missing = [key for key, option in options.items() if option.default is REQUIRED and key not in given]
+    missing = [key for key, option in options.items() if option.default is REQUIRED and key not in parsed]
     mistakes += [("", f"{name} needs {key}: {options[key].doc}") for key in missing]
-    values = {key: given.get(key, option.default) for key, option in options.items()}
+    values = {key: parsed.get(key, option.default) for key, option in options.items()}
     if not mistakes:
         mistakes += _contradictions(values)
     if mistakes:

@@ -123,9 +123,9 @@ class BatchHeads:
         if self._msg_id is None:
             at = sbn.HEADER.size if self._link.peers else 0
             heads = self._heads
-            found = msg_ids.column(heads[:, at:], self._length - at)
-            there = self._length >= at + ccsds.PRIMARY.size
+            numbers = msg_ids.column(heads[:, at:], self._length - at)
+            whole = self._length >= at + ccsds.PRIMARY.size
             if self._link.peers:
-                there &= heads[:, sbn.MSG_TYPE_AT] == sbn.MsgType.APP
-            self._msg_id = np.where(there, found, NO_MSG_ID).astype(np.int32)
+                whole &= heads[:, sbn.MSG_TYPE_AT] == sbn.MsgType.APP
+            self._msg_id = np.where(whole, numbers, NO_MSG_ID).astype(np.int32)
         return self._msg_id

@@ -46,12 +46,12 @@ def compiled(source: Path, include: Sequence[Path], flags: Sequence[str]) -> Deb
     with tempfile.TemporaryDirectory(prefix="edoras-") as folder:
         unit = Path(folder, "structs.cc" if source.suffix.lower() in _CLASSES else "structs.c")
         unit.write_text(_UNIT, encoding="utf-8")
-        made = Path(folder, "structs.o")
+        target = Path(folder, "structs.o")
         command = [*compiler, "-g", "-gdwarf-4", "-fno-eliminate-unused-debug-types", *flags]
         command += [*(f"-I{path}" for path in include), "-include", str(source.resolve())]
         try:
-            done = subprocess.run(  # noqa: S603  the user's own compiler, with the user's own options
-                [*command, "-c", str(unit), "-o", str(made)],
+            result = subprocess.run(  # noqa: S603  the user's own compiler, with the user's own options
+                [*command, "-c", str(unit), "-o", str(target)],
                 capture_output=True,
                 text=True,
                 errors="replace",
@@ -63,11 +63,13 @@ def compiled(source: Path, include: Sequence[Path], flags: Sequence[str]) -> Deb
             raise ConfigError(
                 f"{compiler[0]}: {why}; install a C compiler or name one in CC, or give an ELF file"
             ) from error
-        if done.returncode:
-            said = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()
+        if result.returncode:
+            errors = [
+                line for line in result.stderr.splitlines() if "error" in line
+            ] or result.stderr.splitlines()
             raise ConfigError(
-                f"{source}: does not compile: {said[0].strip() if said else 'no word from the compiler'}"
+                f"{source}: does not compile: {errors[0].strip() if errors else 'no word from the compiler'}"
             )
-        if not made.exists():
+        if not target.exists():
             raise ConfigError(f"{source}: the compiler makes no object file; look at --cflag and CC")
-        return DebugInfo(made, source)
+        return DebugInfo(target, source)

@@ -122,8 +122,8 @@ class DebugInfo:
         try:
             yield
         except (*self._broken, RuntimeError, AssertionError, OverflowError, MemoryError) as error:
-            what = str(error).partition("\n")[0] or type(error).__name__
-            raise ConfigError(f"{self.path}: its debug information cannot be read: {what}") from error
+            reason = str(error).partition("\n")[0] or type(error).__name__
+            raise ConfigError(f"{self.path}: its debug information cannot be read: {reason}") from error
 
     def _stripped(self, elf: Any) -> None:
         if elf.get_section_by_name(".gnu_debuglink") is not None:
@@ -160,12 +160,12 @@ class DebugInfo:
             for die in types_in(top, 0):
                 name = name_of(die)
                 if die.tag == "DW_TAG_typedef":
-                    made = underlying_type(type_of(die))
-                    if name and made is not None and made.tag == "DW_TAG_enumeration_type":
-                        self._named.setdefault(made.offset, name)
-                    elif name and made is not None and made.tag in STRUCTS:
-                        self._named.setdefault(made.offset, name)
-                        self._found_as(name, made, self._found)
+                    die_type = underlying_type(type_of(die))
+                    if name and die_type is not None and die_type.tag == "DW_TAG_enumeration_type":
+                        self._named.setdefault(die_type.offset, name)
+                    elif name and die_type is not None and die_type.tag in STRUCTS:
+                        self._named.setdefault(die_type.offset, name)
+                        self._found_as(name, die_type, self._found)
                 elif die.tag in STRUCTS and name and "DW_AT_declaration" not in die.attributes:
                     self._found_as(name, die, tags)
         for name, die in tags.items():
@@ -203,16 +203,18 @@ class DebugInfo:
         Raises:
             ConfigError: there is no such struct, or it cannot be read.
         """
-        made = Maker(self)
+        maker = Maker(self)
         with self._reading():
-            named = {name: self.find(name) for name in [*names, *bindings.values()]}
-            called = {name: made.struct(die) for name, die in named.items()}
-            made.check()
-            for die in dict.fromkeys(named.values()):
+            entries = {name: self.find(name) for name in [*names, *bindings.values()]}
+            called = {name: maker.struct(die) for name, die in entries.items()}
+            maker.check()
+            for die in dict.fromkeys(entries.values()):
                 self._told_apart(die)
-        self.warnings += made.warnings
+        self.warnings += maker.warnings
         bound = {key: called[name] for key, name in bindings.items()}
-        return StructLayout(made.structs, made.enums, bound, self.byte_order, package, str(self.path)), called
+        return StructLayout(
+            maker.structs, maker.enums, bound, self.byte_order, package, str(self.path)
+        ), called
 
     def _told_apart(self, die: Die) -> None:
         """Warn where a named struct differs between compilation units."""
@@ -230,9 +232,9 @@ class DebugInfo:
         Raises:
             ConfigError: there is none of that name; with similar names.
         """
-        for known in (name, f"{name}_t", name.removesuffix("_t"), spelled(name)):
-            if known in self._found:
-                return self._found[known]
+        for spelling in (name, f"{name}_t", name.removesuffix("_t"), spelled(name)):
+            if spelling in self._found:
+                return self._found[spelling]
 
         hint = did_you_mean(name, self._found) or f"'edoras structs {self.path}' lists all"
         raise ConfigError(f"{self.path}: no struct {name!r}; {hint}")

@@ -110,8 +110,8 @@ def members_of(die: Die) -> list[Die]:
 
 def name_of(die: Die) -> str:
     """Return an entry's name as a C identifier; empty if it has none."""
-    found = die.attributes.get("DW_AT_name")
-    return spelled(found.value.decode(errors="replace")) if found else ""
+    entry = die.attributes.get("DW_AT_name")
+    return spelled(entry.value.decode(errors="replace")) if entry else ""
 
 
 def spelled(name: str) -> str:
@@ -126,8 +126,8 @@ def type_of(die: Die) -> Die | None:
 
 def number_attribute(die: Die, attribute: str) -> int:
     """Return an attribute that is a number; 0 where there is none."""
-    found = die.attributes.get(attribute)
-    return found.value if found is not None and isinstance(found.value, int) else 0
+    entry = die.attributes.get(attribute)
+    return entry.value if entry is not None and isinstance(entry.value, int) else 0
 
 
 def offset_of(item: Die) -> int:
@@ -136,12 +136,12 @@ def offset_of(item: Die) -> int:
     Raises:
         ValueError: it is another expression.
     """
-    found = item.attributes.get("DW_AT_data_member_location")
-    if found is None:
+    entry = item.attributes.get("DW_AT_data_member_location")
+    if entry is None:
         return 0
-    if isinstance(found.value, int):
-        return found.value
-    operation, *operand = found.value
+    if isinstance(entry.value, int):
+        return entry.value
+    operation, *operand = entry.value
     if operation != _ADD:
         raise ValueError(f"the place of {name_of(item) or 'a virtual base class'} is computed at run time")
     value = 0

@@ -81,10 +81,10 @@ class Maker:
             raise ConfigError(f"{self._info.path}: {self._info.called(die) or 'a struct'} contains itself")
         self._open.add(die.offset)
         name = self._info.called(die) or wish or "Anonymous"
-        found = list(self._members(die, 0, name))
+        listed = list(self._members(die, 0, name))
         # Only the last extends to the end of the packet; elsewhere an array without a size is empty.
-        members = [item for at, item in enumerate(found, 1) if OPEN not in item.dims[at == len(found) :]]
-        made = Struct(
+        members = [item for at, item in enumerate(listed, 1) if OPEN not in item.dims[at == len(listed) :]]
+        struct = Struct(
             name,
             number_attribute(die, "DW_AT_byte_size"),
             tuple(members),
@@ -92,7 +92,7 @@ class Maker:
             header=self._info.header(die),
         )
         self._open.discard(die.offset)
-        name = self._kept(made)
+        name = self._keep_struct(struct)
         self._names[die.offset] = name
         return name
 
@@ -104,31 +104,33 @@ class Maker:
         """
         for item in self.structs.values():
             if item.size >= _LARGEST_STRUCT:
-                what = f"{item.size} bytes are more than any packet holds; take a smaller struct"
-                raise ConfigError(f"{self._info.path}: {item.name}: {what}")
+                text = f"{item.size} bytes are more than any packet holds; take a smaller struct"
+                raise ConfigError(f"{self._info.path}: {item.name}: {text}")
             for member in item.members:
                 width = (member.bit + member.bits + 7) // 8 or self._size(member) * count_of(member)
                 if not 0 <= member.offset <= member.offset + width <= item.size:
                     raise ConfigError(f"{self._info.path}: {item.name}.{member.name} lies outside its struct")
 
-    def _kept(self, made: Struct) -> str:
+    def _keep_struct(self, struct: Struct) -> str:
         """Add a struct; a different one of the same name gets a number."""
-        name = self._keep(made, self.structs, self.enums)
-        if name != made.name:
-            self.warnings.append(f"{made.name} is declared in more than one way; the other is called {name}")
+        name = self._keep(struct, self.structs, self.enums)
+        if name != struct.name:
+            self.warnings.append(
+                f"{struct.name} is declared in more than one way; the other is called {name}"
+            )
         return name
 
     @staticmethod
-    def _keep(made: _Kept, alike: dict[str, _Kept], others: Mapping[str, object]) -> str:
+    def _keep(declared: _Kept, alike: dict[str, _Kept], others: Mapping[str, object]) -> str:
         """Keep a type under its name, or under one with a number where that is another's; return that."""
-        name, copy = made.name, 2
-        while name in BASIC or name in others or alike.get(name) not in (None, replace(made, name=name)):
-            name, copy = f"{made.name}_{copy}", copy + 1
-        alike[name] = replace(made, name=name)
+        name, copy = declared.name, 2
+        while name in BASIC or name in others or alike.get(name) not in (None, replace(declared, name=name)):
+            name, copy = f"{declared.name}_{copy}", copy + 1
+        alike[name] = replace(declared, name=name)
         return name
 
     def _members(self, die: Die, base: int, owner: str) -> Iterator[Member]:
-        taken: set[str] = set()
+        names: set[str] = set()
         before: Member | None = None
         for item in children(die):
             if item.tag == "DW_TAG_inheritance":
@@ -138,10 +140,10 @@ class Maker:
                 inner = self._member(item, base, owner)
             else:
                 continue
-            for made in inner:
-                member = made if before is None or STRUCTS[die.tag] else self._behind(before, made)
+            for part in inner:
+                member = part if before is None or STRUCTS[die.tag] else self._behind(before, part)
                 before = member
-                name = unique(member.name, taken)  # C++: a class may have one that its base has, too
+                name = unique(member.name, names)  # C++: a class may have one that its base has, too
                 yield replace(member, name=name) if name != member.name else member
 
     def _member(self, item: Die, base: int, owner: str) -> Iterator[Member]:
@@ -156,16 +158,16 @@ class Maker:
         width = number_attribute(item, "DW_AT_bit_size")
         if width:
             size = number_attribute(item, "DW_AT_byte_size") or self._size(member)
-            found = bit_place(item, at, base, size, width, self._info.byte_order)
+            place = bit_place(item, at, base, size, width, self._info.byte_order)
             if member.dims:  # of __int128, which no ROS type holds: the bytes that have some of it
-                found = {"offset": found["offset"], "dims": ((found["bit"] + width + 7) // 8,)}
-                yield replace(member, **found)
+                place = {"offset": place["offset"], "dims": ((place["bit"] + width + 7) // 8,)}
+                yield replace(member, **place)
                 return
             if member.type == BASIC["char"]:
                 sign = DWARF_ENCODINGS.get(number_attribute(kind, "DW_AT_encoding"))
                 member = replace(member, type=BASIC["int8" if sign is BasicKind.INT else "uint8"])
-            whole = width == 8 * self._size(member) and not found["bit"]
-            member = replace(member, **({"offset": found["offset"]} if whole else found))
+            whole = width == 8 * self._size(member) and not place["bit"]
+            member = replace(member, **({"offset": place["offset"]} if whole else place))
         yield member
 
     def _behind(self, before: Member, member: Member) -> Member:
@@ -182,8 +184,8 @@ class Maker:
 
     def extent(self, item: Die) -> int:
         """Return the bytes of a member."""
-        found = list(self._member(item, 0, ""))
-        return max((self._size(member) * count_of(member) for member in found), default=0)
+        members = list(self._member(item, 0, ""))
+        return max((self._size(member) * count_of(member) for member in members), default=0)
 
     def _size(self, member: Member) -> int:
         if isinstance(member.type, Basic):
@@ -218,12 +220,12 @@ class Maker:
         if encoding == 0x03 and size in {8, 16}:  # a complex number: real, then imaginary
             return replace(member, type=BASIC[f"float{4 * size}"], dims=(2,))
         kind = DWARF_ENCODINGS.get(encoding)
-        found = BASIC.get(str(Basic(kind, size))) if kind else None
+        basic = BASIC.get(str(Basic(kind, size))) if kind else None
         turned = BYTE_ORDERS.get(number_attribute(die, "DW_AT_endianity"), self._info.byte_order)
-        if found is None or turned != self._info.byte_order:
+        if basic is None or turned != self._info.byte_order:
             # No ROS type holds it, as a long double, or one struct has both byte orders.
             return replace(member, type=BASIC["byte"], dims=(size,))
-        return replace(member, type=found)
+        return replace(member, type=basic)
 
     def _enumeration(self, die: Die, wish: str) -> str:
         size = number_attribute(die, "DW_AT_byte_size") or 4
@@ -239,8 +241,8 @@ class Maker:
         low = -(1 << (bits - 1)) if signed else 0
         names = {(value - low) % (1 << bits) + low: name for value, name in names.items()}
         basic = BASIC[f"{'' if signed else 'u'}int{bits}"]
-        made = Enumeration(self._info.called(die) or wish or "Enumeration", basic, names)
-        return self._keep(made, self.enums, self.structs)
+        enumeration = Enumeration(self._info.called(die) or wish or "Enumeration", basic, names)
+        return self._keep(enumeration, self.enums, self.structs)
 
 
 def count_of(member: Member) -> int:

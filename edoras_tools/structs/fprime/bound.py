@@ -116,16 +116,16 @@ class BoundEntry(Bound):
         data, size = np.frombuffer(payload or b"\0", np.uint8), np.array([len(payload)])
         _, _, places = self._walk(data, np.array([0]), size)
         texts = iter(zip(self.texts, places, strict=True))
-        found, shift = [], 0
+        spans, shift = [], 0
         for leaf in self.plan(0).leaves:
             if not leaf.member.text:
-                found.append((leaf.start + shift, leaf.end + shift))
+                spans.append((leaf.start + shift, leaf.end + shift))
                 continue
             (_, most), (cursor, length) = next(texts)
             begin, end = int(cursor[0]), int(cursor[0] + length[0])
-            found.append((begin - _LENGTH_BYTES, end))
+            spans.append((begin - _LENGTH_BYTES, end))
             shift = (begin + most if self.entry.padded else end) - leaf.end
-        return found
+        return spans
 
     @property
     def time_bytes(self) -> int:
@@ -136,14 +136,14 @@ class BoundEntry(Bound):
         """Tell whether a field of a message is of the time in front of its values."""
         return self.entry.timed and path.startswith("time.")
 
-    def told(self, values: Mapping[str, Any]) -> str:
+    def line(self, values: Mapping[str, Any]) -> str:
         """Return a message in a line: its name, and the text of an event, else the values."""
         return f"{self.name}: {self._words(values)}".removesuffix(": ")
 
     def _words(self, values: Mapping[str, Any]) -> str:
         members = self.struct.members[int(self.entry.timed) :]
-        named = list(values.items())[int(self.entry.timed) :]
-        pairs = list(zip(members, named, strict=False))
+        arguments = list(values.items())[int(self.entry.timed) :]
+        pairs = list(zip(members, arguments, strict=False))
         words = [self._word(member, value) for member, (_, value) in pairs]
         if self.entry.severity is not None:
             return f"{self.entry.severity.name} {self.text_of(values)}".strip()

@@ -125,7 +125,7 @@ class _DictionaryReader:
     mistakes: list[str] = field(default_factory=list)
     enums: dict[str, Enumeration] = field(default_factory=dict)
     structs: dict[str, Struct] = field(default_factory=dict)
-    known: dict[str, _Type | None] = field(default_factory=dict)
+    types: dict[str, _Type | None] = field(default_factory=dict)
     entries: dict[tuple[int, int], tuple[Entry, Struct]] = field(default_factory=dict)
 
     def layout(self) -> StructLayout:
@@ -177,10 +177,10 @@ class _DictionaryReader:
         where, item = self.definitions.get("ComCfg.Apid", ("", {}))
         constants = item.get("enumeratedConstants", [])
         for place, constant in self._items(f"{where}.enumeratedConstants", constants):
-            meant = _APIDS.get(str(constant.get("name")))
-            if meant is not None and constant.get("value") != meant:
-                said = f"{constant['name']} is {_short(constant.get('value'))}"
-                self._mistake(place, f"{said}; only {int(meant)}, the default, can be read")
+            expected = _APIDS.get(str(constant.get("name")))
+            if expected is not None and constant.get("value") != expected:
+                text = f"{constant['name']} is {_short(constant.get('value'))}"
+                self._mistake(place, f"{text}; only {int(expected)}, the default, can be read")
 
     def _entry(
         self, where: str, item: Mapping[str, Any], kind: PacketType, id_name: str, values: list[Wanted | None]
@@ -204,9 +204,9 @@ class _DictionaryReader:
             self._mistake(where, f"{id_name} {number:#x} of {name} is that of {other[0].name}, too")
             return
         entry = Entry(kind, number, name, severity, str(form))
-        wanted = [item for item in values if item is not None]
+        readable = [item for item in values if item is not None]
         time = Wanted(Member("time", TIME.name, 0), TIME.size, 1, placed=False)
-        members, size, _ = arrange([*[time] * entry.timed, *wanted], packed=True)
+        members, size, _ = arrange([*[time] * entry.timed, *readable], packed=True)
         if size > _LARGEST:
             self._mistake(where, f"{size} bytes are more than any packet holds")
             return
@@ -251,15 +251,15 @@ class _DictionaryReader:
         if name == "string":
             size = self._number(where, raw, "size", 1, _LARGEST)
             return None if size is None else _Type(BASIC["char"], size, (), size)
-        if name in self.known:
-            return self.known[name]
+        if name in self.types:
+            return self.types[name]
         if name not in self.definitions:
             self._mistake(where, f"there is no type {name!r} in typeDefinitions")
         elif name in within or len(within) > 64:
             self._mistake(self.definitions[name][0], f"{name} contains itself")
         else:
-            self.known[name] = self._definition(*self.definitions[name], name, (*within, name))
-        return self.known.setdefault(name, None)
+            self.types[name] = self._definition(*self.definitions[name], name, (*within, name))
+        return self.types.setdefault(name, None)
 
     def _definition(
         self, where: str, item: Mapping[str, Any], name: str, within: tuple[str, ...]
@@ -311,7 +311,7 @@ class _DictionaryReader:
         if not isinstance(raw, dict) or not raw:
             self._mistake(where, f"members of {name}: expected {{NAME: {{type: ..., index: ...}}}}")
             return None
-        found: dict[int, Wanted | None] = {}
+        by_index: dict[int, Wanted | None] = {}
         for label, one in raw.items():
             place = f"{where}.members.{label}"
             if not isinstance(one, dict) or not _NAME.fullmatch(label):
@@ -321,15 +321,15 @@ class _DictionaryReader:
             if one.get("size") is not None:
                 kind = self._array(place, kind, one)
             index = self._number(place, one, "index")
-            if index in found:
+            if index in by_index:
                 self._mistake(place, f"index {index} is there twice")
-            found[-1 if index is None else index] = (
+            by_index[-1 if index is None else index] = (
                 None if kind is None else kind.member(label, self._doc(one))
             )
-        wanted = [found[index] for index in sorted(found)]
-        if None in wanted:
+        ordered = [by_index[index] for index in sorted(by_index)]
+        if None in ordered:
             return None
-        members, size, _ = arrange([one for one in wanted if one is not None], packed=True)
+        members, size, _ = arrange([one for one in ordered if one is not None], packed=True)
         if size > _LARGEST:
             self._mistake(where, f"{size} bytes are more than any packet holds")
             return None
@@ -367,15 +367,15 @@ class _DictionaryReader:
         value = item.get(key)
         if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most:
             return value
-        said = f"{key} is missing" if value is None else f"{key} {_short(value)}"
-        self._mistake(where, f"{said}; expected a number of {least} to {most}")
+        text = f"{key} is missing" if value is None else f"{key} {_short(value)}"
+        self._mistake(where, f"{text}; expected a number of {least} to {most}")
         return None
 
     def _doc(self, item: Mapping[str, Any]) -> str:
         return " ".join(str(item.get("annotation") or "").split())
 
-    def _mistake(self, where: str, what: str) -> None:
-        self.mistakes.append(f"{self.name}: {where + ': ' if where else ''}{what}")
+    def _mistake(self, where: str, text: str) -> None:
+        self.mistakes.append(f"{self.name}: {where + ': ' if where else ''}{text}")
 
 
 def _plain(name: str) -> str:

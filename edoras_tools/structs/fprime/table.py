@@ -52,10 +52,10 @@ class EntryTable:
         """Return the entry of a key."""
         return self.bounds[key - FPRIME_KEY]
 
-    def whole(self, found: StructPayloads) -> StructPayloads:
+    def whole(self, payloads: StructPayloads) -> StructPayloads:
         """Return those of payloads that are entries and not cut."""
-        known = (found.key >= FPRIME_KEY) & (found.key < self.unknown)
-        return found.take(known & (found.length >= 0))
+        described = (payloads.key >= FPRIME_KEY) & (payloads.key < self.unknown)
+        return payloads.take(described & (payloads.length >= 0))
 
     def in_packet(self, data: bytes, kind: int, at: int, end: int) -> StructPayloads:
         """Return what one packet holds.
@@ -80,28 +80,28 @@ class EntryTable:
         some = np.flatnonzero(packets.whole & np.isin(packets.kind, list(DESCRIBED)))
         row, cursor, end = packets.row[some], packets.start[some] + fprime.PACKET.size, packets.end[some]
         kind = packets.kind[some]
-        found = [StructPayloads(row[:0], kind[:0], kind[:0], cursor[:0], kind[:0])]
+        parts = [StructPayloads(row[:0], kind[:0], kind[:0], cursor[:0], kind[:0])]
         while len(row):
             width = _ID_BYTES[kind]
             whole = cursor + width <= end
             key, length = np.full(len(row), self.odd, np.int32), end - cursor
             offset = np.where(whole, cursor + width, cursor)
             self._identify(data, cursor, whole, kind, key)
-            known = np.flatnonzero(key < self.unknown)
-            length[known] = self._measure(data, key[known], offset[known], end[known])
-            found.append(
+            described = np.flatnonzero(key < self.unknown)
+            length[described] = self._measure(data, key[described], offset[described], end[described])
+            parts.append(
                 StructPayloads(row, key, np.zeros(len(row), np.int32), offset, length.astype(np.int32))
             )
             cursor = offset + length
-            left = (key < self.unknown) & (length >= 0) & (cursor < end)
-            once = left & ~np.isin(kind, _REPEATED)
+            open_ = (key < self.unknown) & (length >= 0) & (cursor < end)
+            once = open_ & ~np.isin(kind, _REPEATED)
             rest = np.flatnonzero(once)
             odd = np.full(len(rest), self.odd, np.int32)
             size = (end - cursor)[rest].astype(np.int32)
-            found.append(StructPayloads(row[rest], odd, odd * 0, cursor[rest], size))
-            left &= ~once
-            row, cursor, end, kind = row[left], cursor[left], end[left], kind[left]
-        every = StructPayloads(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
+            parts.append(StructPayloads(row[rest], odd, odd * 0, cursor[rest], size))
+            open_ &= ~once
+            row, cursor, end, kind = row[open_], cursor[open_], end[open_], kind[open_]
+        every = StructPayloads(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
         return every.take(np.lexsort((every.offset, every.row)))
 
     def _identify(
@@ -118,8 +118,8 @@ class EntryTable:
         number >>= np.where(_ID_BYTES[kind] == 2, 16, 0)
         code = kind.astype(np.int64) << 32 | number
         place = np.searchsorted(self._codes, code)
-        known = self._codes[place] == code
-        key[whole] = np.where(known, FPRIME_KEY + place, self.unknown)[whole]
+        matches = self._codes[place] == code
+        key[whole] = np.where(matches, FPRIME_KEY + place, self.unknown)[whole]
 
     def _measure(
         self,

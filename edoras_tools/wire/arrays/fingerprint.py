@@ -56,10 +56,10 @@ def matches(
     first: NDArray[np.uint64], second: NDArray[np.uint64]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the places of the keys that are there once in each, and not 0."""
-    found = []
+    sides = []
     for keys in (first, second):
         values, at, count = np.unique(keys, return_index=True, return_counts=True)
         once = (count == 1) & (values != 0)
-        found.append((values[once], at[once]))
-    _, ours, theirs = np.intersect1d(found[0][0], found[1][0], assume_unique=True, return_indices=True)
-    return found[0][1][ours], found[1][1][theirs]
+        sides.append((values[once], at[once]))
+    _, ours, theirs = np.intersect1d(sides[0][0], sides[1][0], assume_unique=True, return_indices=True)
+    return sides[0][1][ours], sides[1][1][theirs]

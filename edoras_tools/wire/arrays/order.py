@@ -113,12 +113,12 @@ def groups(values: NDArray[Any], rows: NDArray[np.intp]) -> Iterator[tuple[int, 
 def quantiles(values: NDArray[Any], *shares: float) -> list[float]:
     """Return ``numpy.quantile`` of at least one value, several times as fast while values are few."""
     ranked = np.sort(values)
-    found = []
+    values_at = []
     for share in shares:
         place = (len(ranked) - 1) * share
         low = int(place)
         below, above = ranked[low], ranked[min(low + 1, len(ranked) - 1)]
         part = place - low
         step = above - below
-        found.append(float(above - step * (1 - part) if part >= 0.5 else below + step * part))
-    return found
+        values_at.append(float(above - step * (1 - part) if part >= 0.5 else below + step * part))
+    return values_at

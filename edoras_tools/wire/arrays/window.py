@@ -101,8 +101,10 @@ def copy_rows(
     for width, rows in _widths(lengths):
         to, start = positions[rows], offsets[rows]
         if width >= _LARGE:
-            for here, there, size in zip(to.tolist(), start.tolist(), lengths[rows].tolist(), strict=True):
-                target[here : here + size] = source[there : there + size]
+            for target_at, source_at, size in zip(
+                to.tolist(), start.tolist(), lengths[rows].tolist(), strict=True
+            ):
+                target[target_at : target_at + size] = source[source_at : source_at + size]
         elif width:
             writable, readable = at_every_byte(target, width), at_every_byte(source, width)
             writable[to] = readable[start]

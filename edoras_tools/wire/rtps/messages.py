@@ -66,9 +66,9 @@ class Submessages(NamedTuple):
     time_ns: NDArray[np.int64]
     whole: NDArray[np.bool_]
 
-    def take(self, chosen: NDArray[Any]) -> Submessages:
+    def take(self, mask: NDArray[Any]) -> Submessages:
         """Return some of them."""
-        return Submessages(*(column[chosen] for column in self))
+        return Submessages(*(column[mask] for column in self))
 
     @property
     def little(self) -> NDArray[np.bool_]:
@@ -125,11 +125,11 @@ def read_messages(
         whole |= no_time & (stop <= end[active])
         truncated[active[~whole]] = True
         stop = np.minimum(stop, end[active])
-        for told, target, inside in (
+        for standard, target, inside in (
             (SubmessageKind.INFO_SRC, source, _SOURCE_AT),
             (SubmessageKind.INFO_DST, destination, _DESTINATION_AT),
         ):
-            some = (kind == told) & whole
+            some = (kind == standard) & whole
             target[active[some]] = at[some] + inside
         _note_times(data, at, kind, whole, little, no_time, time_ns, active)
         steps.append(
@@ -168,8 +168,8 @@ def _joined(steps: list[tuple[NDArray[Any], ...]]) -> Submessages:
         none = np.zeros(0, np.int64)
         octets = np.zeros(0, np.uint8)
         return Submessages(none, none, none, octets, octets, none, none, none, np.zeros(0, bool))
-    found = Submessages(*(np.concatenate(column) for column in zip(*steps, strict=True)))
-    return found if len(steps) == 1 else found.take(np.argsort(found.row, kind="stable"))
+    joined = Submessages(*(np.concatenate(column) for column in zip(*steps, strict=True)))
+    return joined if len(steps) == 1 else joined.take(np.argsort(joined.row, kind="stable"))
 
 
 def _least() -> NDArray[np.int64]:
@@ -198,14 +198,14 @@ class SubmessageFields:
 
     Args:
         data: u8, what they point into.
-        found: submessages of that kind, all whole.
+        submessages: submessages of that kind, all whole.
         kind: which.
     """
 
-    def __init__(self, data: NDArray[np.uint8], found: Submessages, kind: SubmessageKind) -> None:
-        self._orders, self._little = SUBMESSAGE_LAYOUTS[kind], found.little
-        self._data, self._found = data, found
-        self._head = gather(data, found.start, self._orders.little.size)
+    def __init__(self, data: NDArray[np.uint8], submessages: Submessages, kind: SubmessageKind) -> None:
+        self._orders, self._little = SUBMESSAGE_LAYOUTS[kind], submessages.little
+        self._data, self._submessages = data, submessages
+        self._head = gather(data, submessages.start, self._orders.little.size)
 
     def number(self, name: str) -> NDArray[np.int64]:
         """Return a number, i64 (n,)."""
@@ -220,14 +220,14 @@ class SubmessageFields:
 
         Where nothing says which participant it is for, its prefix is zero.
         """
-        prefix = self._found.source if name == "writer_id" else self._found.destination
+        prefix = self._submessages.source if name == "writer_id" else self._submessages.destination
         # The other way round: an ACKNACK is from the reader, and for the writer.
         if self._orders in _FROM_READERS:
-            prefix = self._found.destination if name == "writer_id" else self._found.source
+            prefix = self._submessages.destination if name == "writer_id" else self._submessages.source
         slot = self._orders.little.by_name[name]
         out = np.zeros((len(prefix), GUID_BYTES), np.uint8)
-        known = prefix != NOWHERE
-        out[known, :PREFIX_BYTES] = gather(self._data, prefix[known], PREFIX_BYTES)
+        named_source = prefix != NOWHERE
+        out[named_source, :PREFIX_BYTES] = gather(self._data, prefix[named_source], PREFIX_BYTES)
         out[:, PREFIX_BYTES:] = self._head[:, slot.start : slot.start + ENTITY_BYTES]
         return out.view(f"V{GUID_BYTES}")[:, 0]
 
@@ -253,24 +253,24 @@ class SampleData(NamedTuple):
     end: NDArray[np.int64]
     fits: NDArray[np.bool_]
 
-    def take(self, chosen: NDArray[Any]) -> SampleData:
+    def take(self, mask: NDArray[Any]) -> SampleData:
         """Return some of them."""
-        return SampleData(*(column[chosen] for column in self))
+        return SampleData(*(column[mask] for column in self))
 
 
-def read_samples(data: NDArray[np.uint8], found: Submessages, kind: SubmessageKind) -> SampleData:
+def read_samples(data: NDArray[np.uint8], submessages: Submessages, kind: SubmessageKind) -> SampleData:
     """Find the data of submessages, behind inline QoS.
 
     Args:
         data: u8, what they point into.
-        found: all submessages of some messages.
+        submessages: all submessages of some messages.
         kind: ``DATA`` or ``DATA_FRAG``; those that are cut, and DATA without data, are left out.
     """
-    chosen = (found.kind == kind) & found.whole
+    members = (submessages.kind == kind) & submessages.whole
     if kind == SubmessageKind.DATA:
-        chosen &= (found.flags & (SubmessageFlag.DATA | SubmessageFlag.KEY)) != 0
-    which = np.flatnonzero(chosen)
-    some = found.take(which)
+        members &= (submessages.flags & (SubmessageFlag.DATA | SubmessageFlag.KEY)) != 0
+    which = np.flatnonzero(members)
+    some = submessages.take(which)
     inline = SubmessageFields(data, some, kind).number("octets_to_inline_qos")
     start = some.start + INLINE_AT + inline
     # 8.3.7.2: fields of later versions may stand in between; fewer bytes than those of now may not.

@@ -127,8 +127,8 @@ def read_announcement(data: bytes) -> Announcement | None:
             kind = _text(value, order)
         elif parameter == ParameterId.ENTITY_NAME:
             name = _text(value, order)
-    found = guid or participant
-    return Announcement(found, topic, kind, name) if found else None
+    owner = guid or participant
+    return Announcement(owner, topic, kind, name) if owner else None
 
 
 def _text(value: bytes, order: Literal["big", "little"]) -> str:

@@ -138,7 +138,7 @@ def test_a_bucket_is_indexed_as_a_folder(s3, scheduler, tmp_path):
     s3.files.pipe_file("fleet/day 1/new.pcap", b"")
     s3.files.rm_file("fleet/day 1/e_ci_errors.pcap")
     report = updated(index, "s3://fleet/day 1/", scheduler)
-    assert (report.found, report.read, report.same, report.gone) == (4, 2, 0, 1)
+    assert (report.listed, report.read, report.same, report.missing) == (4, 2, 0, 1)
     assert report.bad == ["s3://fleet/day 1/new.pcap: is empty; a capture has at least a header"]
 
 
@@ -183,7 +183,7 @@ def test_a_server_that_goes_away_is_told_and_the_next_update_goes_on(s3, schedul
         opened.replace([], [{"captures": TABLES["captures"].arrow(list(rows.values()))}])
     s3.start()
     report = updated(index, "s3://fleet", scheduler)
-    assert (report.found, report.read, report.bad) == (4, 4, [])
+    assert (report.listed, report.read, report.bad) == (4, 4, [])
     with open_index(index) as opened:
         assert opened.ask("SELECT state, count(*) FROM captures GROUP BY ALL") == [("whole", 4)]
 

@@ -71,7 +71,7 @@ def made(updated):
     with TemporaryDirectory() as folder:
         index = Path(folder) / "x.duckdb"
         done = updated(index, *(CAPTURES / f"{name}.pcap" for name in NAMES))
-        assert (done.report.found, done.report.read, done.report.bad) == (4, 4, [])
+        assert (done.report.listed, done.report.read, done.report.bad) == (4, 4, [])
         yield index
 
 
@@ -175,7 +175,7 @@ def test_only_what_is_new_or_changed_is_read(folder, updated):
     shutil.copy(CAPTURES / "a_rover.pcap", folder / "b_arm_single.pcap")
     shutil.copy(CAPTURES / "a_rover.pcap", folder / "new.pcap")
     changed = updated(index, folder)
-    assert (changed.report.read, changed.report.found) == (2, 3)
+    assert (changed.report.read, changed.report.listed) == (2, 3)
     assert rows(index, "SELECT lost FROM captures") == [(92,)] * 3
     afresh = updated(folder / "y.duckdb", folder)
     assert afresh.tables == changed.tables
@@ -196,7 +196,7 @@ def test_what_is_no_longer_there_is_marked_or_forgotten(folder, updated):
     updated(index, folder)
     (folder / "a_rover.pcap").rename(folder / "away")
     away = updated(index, folder)
-    assert (away.report.gone, away.report.found) == (1, 1)
+    assert (away.report.missing, away.report.listed) == (1, 1)
     assert rows(index, "SELECT parse_filename(capture) FROM captures WHERE gone") == [("a_rover.pcap",)]
     (folder / "away").rename(folder / "a_rover.pcap")
     updated(index, folder)
@@ -218,7 +218,7 @@ def test_what_cannot_be_read_stops_nothing(folder, updated):
     (folder / "nowhere.pcap").symlink_to(folder / "nothing")
     index = folder / "x.duckdb"
     done = updated(index, folder)
-    assert (done.report.found, done.report.read) == (5, 5)
+    assert (done.report.listed, done.report.read) == (5, 5)
     assert [line.partition(": ")[0] for line in done.report.bad] == [
         str(folder / name) for name in ("cut.pcap", "empty.pcap", "text.mcap")
     ]
@@ -319,7 +319,7 @@ def test_what_loses_workers_is_read_alone_then_listed(folder):
     """A group in which workers die is divided; the capture that did it is listed."""
     died = KilledWorker("task", SimpleNamespace(), 3)
     with open_index(folder / "x.duckdb", write=True) as index:
-        report = UpdateReport(left=2)
+        report = UpdateReport(unfinished=2)
         run = _Run(index, SimpleNamespace(), report, set(), print)
         waiting = []
         several = Task((("/one.pcap", ""), ("/two.pcap", "")), SETTINGS, "x")
@@ -329,7 +329,7 @@ def test_what_loses_workers_is_read_alone_then_listed(folder):
         run._tasks["b"] = waiting[0]
         run._write([SimpleNamespace(key="b", status="error", exception=lambda: died)], waiting)
         ((url, state, error),) = index.ask("SELECT capture, state, error FROM captures")
-    assert (url, state, report.read, report.left) == ("/one.pcap", "unreadable", 1, 1)
+    assert (url, state, report.read, report.unfinished) == ("/one.pcap", "unreadable", 1, 1)
     assert error == "/one.pcap: cannot be read: 4 workers were lost with it, perhaps out of memory"
 
 

@@ -62,8 +62,8 @@ def test_definitions_are_told_by_their_hash():
 )
 def test_which_types(types, wanted):
     made = generate(TypeStore(), LibraryOrder(types)).library
-    assert {message.ros_name for message in made.wanted} == wanted
-    assert [message.ros_name for message in made.wanted] == sorted(wanted)
+    assert {message.ros_name for message in made.requested} == wanted
+    assert [message.ros_name for message in made.requested] == sorted(wanted)
 
 
 def test_types_stand_behind_what_they_nest():
@@ -121,7 +121,7 @@ def test_packages_called_as_other_files(package):
 
 def test_fields_are_renamed_only_where_they_must():
     types = TypeStore(definitions={"a/msg/A": "int8 class\nint8 class_\nint8 name\n"})
-    members = generate(types, LibraryOrder(("a/A",))).library.wanted[0].members
+    members = generate(types, LibraryOrder(("a/A",))).library.requested[0].members
     assert [member.name for member in members] == ["class__", "class_", "name"]
 
 

@@ -47,18 +47,18 @@ def test_longest(distro, fields, nested, strings):
     store = TypeStore(distro, definitions=definitions)
     library = generate(store, LibraryOrder(("a/Outer",), Bounds(strings, 1))).library
     longest = max(len(store.encode("a/Outer", values)) for values in _messages(store, "a/Outer", strings, 1))
-    assert library.wanted[0].most_bytes == longest
+    assert library.requested[0].most_bytes == longest
 
 
 @pytest.mark.parametrize("kind", PRIMITIVES)
 def test_arrays_are_not_walked(kind):
     """An array of a million takes no longer than one of two."""
     store = TypeStore(definitions={"a/msg/A": f"uint8 a\n{kind}[1000003] b\nfloat64 c\n"})
-    made = generate(store, LibraryOrder(("a/A",))).library.wanted[0]
+    made = generate(store, LibraryOrder(("a/A",))).library.requested[0]
     assert made.most_bytes == store.fixed_size("a/A")
 
 
 def test_sequences_in_sequences_do_not_overflow():
     definitions = {"a/msg/A": "uint8[<=16777216] a\n", "a/msg/B": "A[<=3] a\n", "a/msg/C": "B[<=1] b\n"}
-    made = generate(TypeStore(definitions=definitions), LibraryOrder(("a/C",))).library.wanted[0]
+    made = generate(TypeStore(definitions=definitions), LibraryOrder(("a/C",))).library.requested[0]
     assert made.most_bytes == 4 + 4 + 4 + 3 * (4 + (1 << 24))

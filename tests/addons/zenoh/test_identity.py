@@ -47,13 +47,13 @@ def test_keys_as_the_design_has_them(topic, domain, key):
 
 
 def test_tokens_as_the_design_has_them():
-    node = NodeTokens.named("listener", 2, "aac3178e146ba6f1fc6e6a4085e77f21")
+    node = NodeTokens.of_node("listener", 2, "aac3178e146ba6f1fc6e6a4085e77f21")
     assert node.token == "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener"
     assert node.entity_token(TokenKind.SUBSCRIPTION, 10, CHATTER, Qos()) == (
         "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/10/MS/%/%/listener/%chatter/"
         f"std_msgs::msg::dds_::String_/{HASH}/::,10:,:,:,,"
     )
-    talker = NodeTokens.named("talker", 2, "8b20917502ee955ac4476e0266340d5c")
+    talker = NodeTokens.of_node("talker", 2, "8b20917502ee955ac4476e0266340d5c")
     assert talker.entity_token(TokenKind.PUBLISHER, 10, CHATTER, Qos(depth=7)) == (
         "@ros2_lv/2/8b20917502ee955ac4476e0266340d5c/0/10/MP/%/%/talker/%chatter/"
         f"std_msgs::msg::dds_::String_/{HASH}/::,7:,:,:,,"
@@ -61,7 +61,7 @@ def test_tokens_as_the_design_has_them():
 
 
 def test_a_namespace_is_one_chunk():
-    node = NodeTokens.named("/arm/left/bridge", 0, "ab")
+    node = NodeTokens.of_node("/arm/left/bridge", 0, "ab")
     assert node.token == "@ros2_lv/0/ab/0/0/NN/%/%arm%left/bridge"
 
 

@@ -201,7 +201,7 @@ def test_a_device_that_cannot_hold_more_is_read_before_a_batch_is_due(source_of)
 def test_an_interface_that_goes_away_is_told(source_of):
     """When it goes and when it is back, each once, in order."""
     device, told = Fake(), []
-    source = source_of(device, told=told.append)
+    source = source_of(device, on_outage=told.append)
     batches = source.batches()
     next(batches)
     away = [InterfaceOutage("eth1", "down", 10 * number) for number in range(3)]

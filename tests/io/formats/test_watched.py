@@ -34,7 +34,7 @@ class Recording:
         self.now, self.told = 0.0, []
         self._bench = Settings().workbench()
         self._source = open_file(CAPTURE)
-        target = Target(path, rosbag2=not path.suffix, told=self.told.append, **options)
+        target = Target(path, rosbag2=not path.suffix, on_warning=self.told.append, **options)
         with closing(self._source) as kept:
             self.sink = open_sink(target, kept, self._bench)
         self.sink._clock, self.sink._looked, self.sink._synced = lambda: self.now, 0.0, 0.0
@@ -96,7 +96,7 @@ def test_what_is_taken_away(name, how, fate, batches, tmp_path):
     recording.write(batches[2])
     recording.end()
     assert recording.sink.paths == [beside]
-    assert recording.sink.losses == [OutputLoss(file_of(path), fate, 200, kept=False)]
+    assert recording.sink.losses == [OutputLoss(file_of(path), fate, 200, recoverable=False)]
     assert count(beside) == 100
     if how is replace:
         assert file_of(path).read_bytes() == b"other"
@@ -114,7 +114,7 @@ def test_what_is_moved_is_whole_where_it_is(name, batches, tmp_path):
     recording.end()
     (loss,) = recording.sink.losses
     place = moved / file_of(path).name if not path.suffix else moved
-    assert (loss.fate, loss.datagrams, loss.kept) == (f"was moved to {place}", 200, True)
+    assert (loss.fate, loss.datagrams, loss.recoverable) == (f"was moved to {place}", 200, True)
     assert count(recording.sink.paths[0]) == 100
     source = open_file(place)
     assert sum(len(batch) for batch in source.batches()) == 200
@@ -135,7 +135,7 @@ def test_what_is_moved_out_of_sight_is_whole_there(name, batches, tmp_path):
     recording.end()
     (loss,) = recording.sink.losses
     fate = "was moved to where this program cannot see it"
-    assert (loss.fate, loss.datagrams, loss.kept) == (fate, 100, True)
+    assert (loss.fate, loss.datagrams, loss.recoverable) == (fate, 100, True)
     assert count(moved) == 100
 
 
@@ -193,7 +193,7 @@ def test_a_finished_file_that_is_taken_away_is_told_at_the_end(name, how, fate, 
     recording.later()
     assert not recording.told
     recording.end()
-    assert recording.sink.losses == [OutputLoss(first, fate, 1, kept=False, complete=True)]
+    assert recording.sink.losses == [OutputLoss(first, fate, 1, recoverable=False, complete=True)]
     assert str(recording.sink.losses[0]) == f"{first} {fate} when it was complete: it held 1 datagram"
     assert recording.sink.paths == (others if name == "x.mcap" else [tmp_path / name])
 

@@ -70,7 +70,7 @@ class Wire:
     def take(self, most):
         """Have so many bytes taken at most; tell whether there were any."""
         data = b"".join(self.client.to_send())[:most]
-        self.client.taken(len(data))
+        self.client.advance(len(data))
         self.other.receive_data(data)
         self.received += [item for item in self.other.events_received() if hasattr(item, "opcode")]
         return bool(data)

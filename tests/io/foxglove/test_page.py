@@ -130,7 +130,7 @@ def test_who_asks_and_never_reads_disturbs_nobody(serve):
             idle = opened.enter_context(socket.create_connection(place, waiting.PATIENCE_S))
             idle.sendall(b"GET /live.json HTTP/1.1\r\nHost: localhost\r\n\r\n")
         client.subscribe("/a")
-        waiting.until(lambda: server.wanted(0))
+        waiting.until(lambda: server.has_subscribers(0))
         for number in range(50):
             none, time_ns = np.zeros(1, np.int64), np.full(1, number, np.uint64)
             server.publish(Records(np.zeros(1, np.uint16), time_ns, none, none, b""))

@@ -68,7 +68,7 @@ def test_a_client_gets_what_it_subscribed_to_and_nothing_else(serve):
     with peer.Client(server.url, 2) as client, peer.Client(server.url, 2) as other:
         client.subscribe("/b")
         other.subscribe("/a", "/b")
-        waiting.until(lambda: server.wanted(0) and all(item.wants(1) for item in server.clients))
+        waiting.until(lambda: server.has_subscribers(0) and all(item.wants(1) for item in server.clients))
         server.publish(records([0, 1, 0, 1], 10, 20))
         client.until(lambda: len(client.messages) == 2)
         other.until(lambda: len(other.messages) == 4)
@@ -87,7 +87,7 @@ def test_a_topic_may_come_later(serve, types):
         assert server.add(Topic("/late", STRING)) == 2
         client.until(lambda: "/late" in client.channels)
         client.subscribe("/late")
-        waiting.until(lambda: server.wanted(2))
+        waiting.until(lambda: server.has_subscribers(2))
         server.publish(records([2], 1, 30))
         client.until(lambda: client.on("/late"))
     with peer.Client(server.url, 3) as client:
@@ -132,7 +132,7 @@ def test_no_more_bytes_wait_than_there_is_room_for(serve, monkeypatch):
     server = serve()
     with peer.Client(server.url, 2) as client:
         client.subscribe("/a")
-        waiting.until(lambda: server.wanted(0))
+        waiting.until(lambda: server.has_subscribers(0))
         server.publish(records([0] * 50, 0, 10_000))
         client.until(lambda: len(client.messages) == 10)
         assert [item.time_ns for item in client.messages] == list(range(40, 50))
@@ -432,7 +432,7 @@ def test_who_left_long_ago_is_added_up(serve, monkeypatch):
     for number in range(3):
         with peer.Client(server.url, 2) as client:
             client.subscribe("/a")
-            waiting.until(lambda: server.wanted(0))
+            waiting.until(lambda: server.has_subscribers(0))
             server.publish(records([0], number, 8))
             client.until(lambda: client.messages)
         waiting.until(lambda: not server.clients)

@@ -29,7 +29,7 @@ from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.live.player import PlaybackOptions, RecordingPlayer, open_recording
 from edoras_tools.pipelines.live.run import attach, attach_player
-from edoras_tools.pipelines.reading import chosen
+from edoras_tools.pipelines.reading import selected_rows
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.faults.fault import Fault
@@ -143,7 +143,7 @@ def show(sink, read, meanwhile=lambda: None):
     topics = len(sink.server._channels)
     with peer.Client(sink.server.url, topics) as client:
         client.subscribe()
-        peer.wait(lambda: all(sink.server.wanted(place) for place in range(topics)))
+        peer.wait(lambda: all(sink.server.has_subscribers(place) for place in range(topics)))
         for batch, columns in read.pairs:
             sink.write(batch, columns)
         # Messages come in order: once this one is there, all are.
@@ -240,7 +240,7 @@ def test_what_was_done_on_purpose_is_told(serve, capture):
     sink.write_faults([fault])
     with peer.Client(sink.server.url, OWN + 3) as client:
         client.subscribe("/edoras/faults")
-        peer.wait(lambda: sink.server.wanted(OWN + 2))
+        peer.wait(lambda: sink.server.has_subscribers(OWN + 2))
         sink.write_faults([fault])
         client.until(lambda: client.messages)
         told = decoded(client, client.messages[0])
@@ -280,14 +280,14 @@ def test_a_batch_of_none_is_a_batch(serve, capture):
 def test_samples_of_dds_are_offered_and_sent():
     source = open_files([ROOT / "samples/rtps/cyclone_sender.pcap.gz"])
     bench = Settings().workbench(source.info)
-    read = [(rows.batch, rows.columns) for rows in chosen(source, bench, selection=Selection())]
+    read = [(rows.batch, rows.columns) for rows in selected_rows(source, bench, selection=Selection())]
     sink = attach(bench, source.info, listen=ANY.listen)
     try:
         own = {item["topic"]: item for item in sink.server._channels}  # before the first sample
         assert own["/cmd_vel"]["schemaName"] == "geometry_msgs/msg/Twist"
         with peer.Client(sink.server.url, len(sink.server._channels)) as client:
             client.subscribe("/cmd_vel")
-            peer.wait(lambda: sink.server.wanted(own["/cmd_vel"]["id"]))
+            peer.wait(lambda: sink.server.has_subscribers(own["/cmd_vel"]["id"]))
             for batch, columns in read:
                 sink.write(batch, columns)
             client.until(lambda: len(client.messages) == 100)
@@ -315,7 +315,7 @@ def played(path, places, **selection):
     try:
         with peer.Client(sink.server.url, places) as client:
             client.subscribe(*client.channels)
-            peer.wait(lambda: all(sink.server.wanted(place) for place in range(places)))
+            peer.wait(lambda: all(sink.server.has_subscribers(place) for place in range(places)))
             client.control(play=True)
             client.until(lambda: client.states and client.states[-1][0] == "ended")
             client.drain()

@@ -162,7 +162,7 @@ def test_frames_of_type_b_are_not_counted():
         frames.append(bytes([plain[0] | 0x20]) + plain[1:-2])
     found, _ = taken([with_crc(frame) for frame in frames], [2], reader := unframer(maker))
     assert len(found) == 4
-    assert (reader.channels[0].counted, reader.channels[0].counts) == (False, None)
+    assert (reader.channels[0].has_count, reader.channels[0].counts) == (False, None)
 
 
 F_PRIME = (
@@ -179,7 +179,7 @@ def test_tc_frames_of_an_independent_package():
     assert [packet.hex() for packet, _ in found] == [frame[10:-4] for frame in F_PRIME]
     assert not any(rows)
     (channel,) = reader.channels
-    assert (channel.spacecraft_id, channel.virtual_channel_id, channel.counted) == (0x44, 1, False)
+    assert (channel.spacecraft_id, channel.virtual_channel_id, channel.has_count) == (0x44, 1, False)
 
 
 def test_a_pointer_is_believed_more_than_the_length_of_a_packet():

@@ -63,7 +63,7 @@ def test_what_comes_in_goes_out(buffer, datagrams, large, place):
             sender.send(datagram)
         count = buffer.receive(port)
         assert payloads(buffer, count) == datagrams
-        assert buffer.send(on, count, None).done == count
+        assert buffer.send(on, count, None).sent == count
         assert drain(other) == datagrams
 
 
@@ -100,9 +100,9 @@ def test_rows_go_out_in_the_order_asked_for_and_to_whom(buffer, ends):
     buffer.put(SLOTS + SPARE - 1, b"spare")
     back = address_of(socket.AF_INET, sender.getsockname())
     rows = np.array([2, 0, SLOTS + SPARE - 1, 0])
-    assert buffer.send(port, rows, back).done == 4
+    assert buffer.send(port, rows, back).sent == 4
     assert drain(sender) == [b"ccc", b"a", b"spare", b"a"]
-    assert buffer.send(port, 3, back).done == 3
+    assert buffer.send(port, 3, back).sent == 3
     assert drain(sender) == [b"a", b"bb", b"ccc"]
 
 
@@ -114,7 +114,7 @@ def test_a_refusal_is_news_and_loses_nothing_that_comes_after(buffer, ends):
     assert buffer.send(sender, 1, None).refused == 0  # the answer comes later
     with open_bound(Endpoint(*nobody)) as again:
         sent = buffer.send(sender, 1, None)
-        assert (sent.done, sent.refused) == (1, 1)
+        assert (sent.sent, sent.refused) == (1, 1)
         assert drain(again) == [b"x"]
     buffer.send(sender, 1, None)
     assert buffer.receive(sender) == -1
@@ -126,7 +126,7 @@ def test_what_the_system_will_not_send_is_told_and_the_rest_goes(buffer, ends):
     for row, payload in enumerate((b"a", bytes(65508), b"c")):
         buffer.put(row, payload)
     sent = buffer.send(sender, 3, None)
-    assert (sent.done, sent.errors) == (3, {"Message too long": 1})
+    assert (sent.sent, sent.errors) == (3, {"Message too long": 1})
     assert drain(port) == [b"a", b"c"]
 
 
@@ -141,7 +141,7 @@ def test_ipv6_addresses_go_both_ways(buffer):
         assert buffer.receive(port) == 1
         back = host_of(buffer.senders(1)[0].tobytes())
         assert back == address_of(socket.AF_INET6, sender.getsockname())
-        assert buffer.send(port, 1, back).done == 1
+        assert buffer.send(port, 1, back).sent == 1
         assert drain(sender) == [b"six"]
 
 

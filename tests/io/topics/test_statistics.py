@@ -49,7 +49,7 @@ def expected(batch, columns, routes):
         group["count"] += 1
         group["bytes"] += size
         group["largest"] = max(group["largest"], size)
-        group["gaps"] += int(told.missing[row] - told.found[row])
+        group["gaps"] += int(told.missing[row] - told.refilled[row])
     for (_, link, msg_id), group in sorted(groups.items()):
         label = table.link(link).label
         other = f"{label}/0x{msg_id:04x}" if msg_id >= 0 else label

@@ -11,7 +11,7 @@ from places import ROOT
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.links.sbn import SBN
 from edoras_tools.pipelines.capture.conversation import Conversation, Statistics
-from edoras_tools.pipelines.reading import chosen
+from edoras_tools.pipelines.reading import selected_rows
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 
@@ -21,7 +21,7 @@ SECOND = 10**9
 def whole(name, *missions, where=""):
     bench = Settings([ROOT / f"samples/missions/{item}.yaml" for item in missions]).workbench()
     source = open_files([ROOT / f"samples/captures/{name}.pcap"])
-    (rows,) = chosen(source, bench, selection=Selection(where=where))
+    (rows,) = selected_rows(source, bench, selection=Selection(where=where))
     return bench, rows
 
 

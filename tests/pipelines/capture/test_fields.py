@@ -9,7 +9,7 @@ from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.pipelines.capture.fields import column_texts, is_number
 from edoras_tools.pipelines.capture.packet_json import as_json
-from edoras_tools.pipelines.reading import Limits, chosen
+from edoras_tools.pipelines.reading import Limits, selected_rows
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 
@@ -28,7 +28,7 @@ CASES += [("b_arm_single", "single_arm_ground", name) for name in ARM]
 def rows_of(captures, capture, *missions):
     bench = Settings([MISSIONS / f"{name}.yaml" for name in missions]).workbench()
     source = open_files([captures(capture)])
-    (rows,) = chosen(source, bench, selection=Selection())
+    (rows,) = selected_rows(source, bench, selection=Selection())
     return bench, rows
 
 
@@ -132,7 +132,9 @@ def test_count_ends_it(count, captures, made_up):
     bench = Settings().workbench()
     whole = next(open_files([captures("a_rover")]).batches())
     source = made_up([whole.take(slice(at, at + 30)) for at in range(0, len(whole), 30)])
-    blocks = list(chosen(source, bench, selection=Selection(where="link == sbn"), limits=Limits(count)))
+    blocks = list(
+        selected_rows(source, bench, selection=Selection(where="link == sbn"), limits=Limits(count))
+    )
     assert sum(map(len, blocks)) == min(count, 72)
     assert source.closed
 
@@ -140,14 +142,14 @@ def test_count_ends_it(count, captures, made_up):
 def test_a_mistaken_filter_closes_its_source(made_up):
     source = made_up([])
     with pytest.raises(WhereError):
-        list(chosen(source, Settings().workbench(), selection=Selection(where="nothing == 1")))
+        list(selected_rows(source, Settings().workbench(), selection=Selection(where="nothing == 1")))
     assert source.closed
 
 
 def test_time_counts_from_the_first_datagram_chosen_or_not(captures):
     bench = Settings().workbench()
     source = open_files([captures("a_rover")])
-    (rows,) = chosen(source, bench, selection=Selection(where="msg_id == 0x1880"))
+    (rows,) = selected_rows(source, bench, selection=Selection(where="msg_id == 0x1880"))
     assert rows.begin_ns < int(rows.datagram("time_ns")[0])
     elapsed = (int(rows.datagram("time_ns")[0]) - rows.begin_ns) // 1000
     assert texts(bench, rows, "time") == [[f"{elapsed / 1e6:.6f}"]]

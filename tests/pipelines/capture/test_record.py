@@ -163,10 +163,10 @@ def test_files_are_watched_with_several_processes_too(bench, made_up, tmp_path, 
         yield batch
 
     source = made_up(endless(), total_bytes=1)
-    target = Target(path, told=told.write_text, jobs=2)
+    target = Target(path, on_warning=told.write_text, jobs=2)
     report = record(source, bench, target, limits=STILL)
     (loss,) = report.losses
-    assert (loss.path, loss.fate, loss.kept) == (path, "was deleted", False)
+    assert (loss.path, loss.fate, loss.recoverable) == (path, "was deleted", False)
     assert loss.datagrams >= len(batch)
     assert report.outputs == [beside]
     assert told.read_text() == f"{loss}; continuing in {beside}"
@@ -217,7 +217,7 @@ def test_ctrl_c_while_it_reads_a_file_leaves_the_older_recording(bench, tmp_path
     report = record(
         open_files([CAPTURE]),
         bench,
-        Target(path, replace=True, told=told.append),
+        Target(path, replace=True, on_warning=told.append),
         tap=lambda *_: os.kill(os.getpid(), signal.SIGINT),
     )
     assert isinstance(report.failure, InterruptError)

@@ -58,7 +58,7 @@ class Recorder:
 
     def __init__(self, folder, *, live=False, target=None, triggers=None, **plan):
         self.files, self.said = [], []
-        target = replace(target or Target(folder / "a.pcap"), told=self.said.append)
+        target = replace(target or Target(folder / "a.pcap"), on_warning=self.said.append)
         source = SimpleNamespace(statistics=SourceStatistics())
         self.sink = SnapshotSink(
             SnapshotPlan(**plan), source, BENCH.columns.context, target, self.begin, triggers=triggers
@@ -224,7 +224,7 @@ def test_what_fires(plan, reason, count, tmp_path):
     plan["findings"] = plan.get("findings", 0) & 0xFFFFFFFF
     said = []
     source = open_files([CAPTURE])
-    target = Target(tmp_path / "a.mcap", told=said.append)
+    target = Target(tmp_path / "a.mcap", on_warning=said.append)
     report, sink = record_snapshots(source, Settings().workbench(source.info), target, SnapshotPlan(**plan))
     assert report.ledger.datagrams == 1544
     assert len(report.outputs) == len(sink.snapshots) == count

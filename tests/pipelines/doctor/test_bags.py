@@ -140,7 +140,7 @@ def compared(folder, *bags, configs=MISSIONS):
 def test_each_loss_is_found_in_its_bridge(recorded):
     folder, lost, crossed = recorded
     found = compared(folder, "ground.mcap", "robot")
-    rows = {row.topic: row for item in found for row in item.found.routes}
+    rows = {row.topic: row for item in found for row in item.comparison.routes}
     assert {topic: row.lost for topic, row in rows.items()} == lost
     assert sum(lost.values()) > 40
     assert len([number for number in lost.values() if number]) == len(EVERY)
@@ -173,7 +173,7 @@ def test_the_chain_of_each_command_has_what_each_bridge_lost(recorded):
 
 
 def test_delays_are_those_of_each_bridge_and_clocks_are_aligned(recorded):
-    ground, robot = (item.found for item in compared(recorded[0], "ground.mcap", "robot"))
+    ground, robot = (item.comparison for item in compared(recorded[0], "ground.mcap", "robot"))
     assert ground.offset_ns == 0  # clocks that may be equal are taken as equal
     assert {row.latency.p50 for row in ground.routes} == {2, 7}
     # Of another clock the offset is known within the shortest way there and back: 14 ms.
@@ -191,8 +191,8 @@ def test_what_does_not_fit_its_type_is_counted_and_not_called_lost(recorded, tmp
     short = [(kept[40].time_ns + number, topic, TWIST, b"\0\1\0\0" + bytes(7)) for number in range(3)]
     write_mcap(tmp_path / "bag.mcap", [*whole, *short])
     (item,) = compared(folder, tmp_path / "bag.mcap")
-    assert (item.left_out, item.found.lost) == (3, lost[topic])
-    assert item.found.routes[0].second == len(whole)
+    assert (item.left_out, item.comparison.lost) == (3, lost[topic])
+    assert item.comparison.routes[0].second == len(whole)
 
 
 def test_of_routes_with_one_topic_that_is_taken_which_the_messages_crossed(recorded, tmp_path):
@@ -203,7 +203,7 @@ def test_of_routes_with_one_topic_that_is_taken_which_the_messages_crossed(recor
     for path, text in zip(configs, texts, strict=True):
         path.write_text(text)
     (item,) = compared(folder, "robot", configs=configs)
-    rows = {(row.link.label, row.topic): row.lost for row in item.found.routes}
+    rows = {(row.link.label, row.topic): row.lost for row in item.comparison.routes}
     assert rows == {("sbn", topic): lost[topic] for topic in lost if "ground" not in topic}
 
 
@@ -225,7 +225,7 @@ def test_topics_of_two_bags_are_the_same_by_what_is_on_them(recorded):
     """From the ground to the robots and back, through cFS: other names, the same values."""
     folder, lost, crossed = recorded
     (item,) = against_bag(folder / "ground.mcap", [folder / "robot"], Settings().workbench().types)
-    rows = {row.topic: row for row in item.found.routes}
+    rows = {row.topic: row for row in item.comparison.routes}
     pairs = ("ground/cmd_vel", "cmd_vel"), ("ground/pose", "pose")
     assert rows.keys() == {f"/robot_{n}/{a}, /robot_{n}/{b}" for n in (1, 2) for a, b in pairs}
     for topic, row in rows.items():
@@ -243,7 +243,11 @@ def test_equal_values_are_counted_all_the_same(recorded, tmp_path):
     kept = [at + MILLISECOND for row, at in enumerate(times) if row not in {30, 31, 32, 70}]
     second = write_mcap(tmp_path / "b.mcap", [(at, "/cmd_vel", TWIST, twist(0.5)) for at in kept])
     (item,) = against_bag(first, [second], Settings().workbench().types)
-    assert (item.found.lost, item.found.routes[0].same, item.found.routes[0].extra) == (4, 96, 0)
+    assert (item.comparison.lost, item.comparison.routes[0].same, item.comparison.routes[0].extra) == (
+        4,
+        96,
+        0,
+    )
 
 
 def test_bad_input_is_one_line_each(recorded, tmp_path):

@@ -30,7 +30,7 @@ def rows_of(table):
     columns = {item.name: item for item in table.columns}
     for row in range(len(table)):
         yield {
-            name: None if item.there is not None and not item.there[row] else item.values[row]
+            name: None if item.present is not None and not item.present[row] else item.values[row]
             for name, item in columns.items()
         }
 

@@ -148,7 +148,7 @@ def test_a_table_that_cannot_be_written_leaves_nothing(tmp_path, monkeypatch, jo
 
 
 def test_what_is_read_no_more_is_written_no_more(tmp_path, monkeypatch):
-    real = CaptureTopics.made
+    real = CaptureTopics.pieces
 
     def interrupted(self, *given):
         for number, item in enumerate(real(self, *given)):
@@ -156,7 +156,7 @@ def test_what_is_read_no_more_is_written_no_more(tmp_path, monkeypatch):
                 raise KeyboardInterrupt
             yield item
 
-    monkeypatch.setattr(CaptureTopics, "made", interrupted)
+    monkeypatch.setattr(CaptureTopics, "pieces", interrupted)
     with pytest.raises(KeyboardInterrupt):
         exported(tmp_path, 2, ROVER, settings("a_rover"))
     assert not list(tmp_path.iterdir())

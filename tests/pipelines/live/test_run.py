@@ -107,7 +107,7 @@ def test_any_pipeline_can_be_looked_at(tmp_path):
     sink = attach(bench, source.info, listen=ANY, statistics=source.statistics)
     with peer.Client(sink.server.url, 7) as client:
         client.subscribe("/cmd_vel")
-        peer.wait(lambda: sink.server.wanted(4))
+        peer.wait(lambda: sink.server.has_subscribers(4))
         record(source, bench, Target(tmp_path / "a.mcap"), tap=sink.write)
         client.until(lambda: len(client.messages) == 600)
     sink.close(source.statistics)

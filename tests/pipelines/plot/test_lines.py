@@ -51,7 +51,7 @@ def test_long_lines_are_held_in_bounded_memory_and_keep_their_peaks(monkeypatch)
         values = np.zeros(500)
         values[77] = start
         made.add(np.arange(start, start + 500) / 100, values)
-        assert made._held <= 1000
+        assert made._count <= 1000
     line = made.line(0)
     assert line.read == 20_000
     assert line.values.max() == 19_500

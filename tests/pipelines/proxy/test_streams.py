@@ -167,7 +167,7 @@ def test_a_target_that_does_not_answer_holds_up_no_other_connection(connected, m
                 waiting.connect_ex(server.getsockname())
             late = filled.enter_context(socket.create_connection(("127.0.0.1", made.endpoint.port)))
             late.sendall(b"!")
-            until(lambda: len(made._open) == 2 and made._open[1].there is not None)
+            until(lambda: len(made._open) == 2 and made._open[1].target is not None)
             accepted.sendall(b"goes on")
             assert client.recv(7) == b"goes on"
             assert (made.connections, made.refused) == (1, 0)

@@ -97,7 +97,7 @@ def test_a_session_takes_application_messages_and_learns_the_subscriptions(two_r
     every = [payload for _, payload in payloads("f_sbn_disconnect", to=2234)]
     wanted = [payload for payload in every if len(payload) >= 11 and payload[2] == 3]
     assert [found.out[row] for row in range(len(found.out))] == wanted
-    assert found.wanted == (0x82A, 0x82B)
+    assert found.subscriptions == (0x82A, 0x82B)
 
 
 @pytest.mark.parametrize(

@@ -39,19 +39,21 @@ def test_ascii_stands_in_one_column():
     ],
 )
 def test_what_is_chosen_stands_in_brackets_without_colour(chosen, expected):
-    (line,) = hexdump.dump_lines(bytes(range(8)), [], 80, PLAIN, chosen=chosen)
+    (line,) = hexdump.dump_lines(bytes(range(8)), [], 80, PLAIN, highlight=chosen)
     assert line[5:].startswith(expected)
 
 
 def test_brackets_close_at_the_end_of_a_line():
-    first, second = hexdump.dump_lines(bytes(32), [], 80, PLAIN, chosen=(8, 16))
+    first, second = hexdump.dump_lines(bytes(32), [], 80, PLAIN, highlight=(8, 16))
     assert first[5:55] == " 00 00 00 00 00 00 00 00 [00 00 00 00 00 00 00 00]"
     assert "[" not in second
     assert "]" not in second
 
 
 def test_what_is_chosen_is_reversed_edge_to_edge_with_colour():
-    (line,) = hexdump.dump_lines(bytes(range(8)), [Region("a", 0, 8, "cyan")], 80, Paint(True), chosen=(2, 5))
+    (line,) = hexdump.dump_lines(
+        bytes(range(8)), [Region("a", 0, 8, "cyan")], 80, Paint(True), highlight=(2, 5)
+    )
     assert "\x1b[7;36m02 03 04\x1b[0m" in line
     assert "[02" not in re.sub(r"\x1b\[[0-9;]*m", "", line)
 
@@ -124,5 +126,5 @@ def test_legend_keeps_the_width(packets, width):
 
 
 def test_empty():
-    assert hexdump.dump_lines(b"", [], 80, PLAIN, chosen=(0, 0)) == []
+    assert hexdump.dump_lines(b"", [], 80, PLAIN, highlight=(0, 0)) == []
     assert hexdump.legend([], 80, PLAIN) == []

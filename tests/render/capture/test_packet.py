@@ -13,7 +13,7 @@ from edoras_tools.render.terminal.text import plain_cells
 def test_looks_as_drawn(packets, golden, width):
     views = [
         "\n".join(
-            packet.packet_lines(item, width, colour=False, chosen="ccsds" if item.layer("ccsds") else "")
+            packet.packet_lines(item, width, colour=False, highlight="ccsds" if item.layer("ccsds") else "")
         )
         for item in packets.values()
     ]
@@ -40,17 +40,17 @@ def test_never_exceeds_the_width(packets, width, base, colour):
 
 
 def test_points_into_the_frame(packets):
-    shown = packet.packet_lines(packets["twist"], 80, colour=False, chosen="cfe_command", base="frame")
+    shown = packet.packet_lines(packets["twist"], 80, colour=False, highlight="cfe_command", base="frame")
     assert "Frame, 118 bytes, cfe_command at 48-49" in shown
     assert any("[01 00]" in line for line in shown)
 
 
 def test_a_payload_of_fragments_has_no_place_in_its_frame(packets):
     fragment = replace(packets["twist"], datagram=replace(packets["twist"].datagram, payload_offset=-1))
-    shown = packet.packet_lines(fragment, 80, colour=False, chosen="cfe_command", base="frame")
+    shown = packet.packet_lines(fragment, 80, colour=False, highlight="cfe_command", base="frame")
     assert "Frame, 118 bytes" in shown
 
 
 def test_an_unknown_layer_is_a_mistake(packets):
     with pytest.raises(ConfigError):
-        packet.packet_lines(packets["twist"], 80, colour=False, chosen="tcp")
+        packet.packet_lines(packets["twist"], 80, colour=False, highlight="tcp")

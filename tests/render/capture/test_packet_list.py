@@ -36,7 +36,7 @@ def test_never_exceeds_the_width(packets, width, time_format):
 @pytest.mark.parametrize("width", [80, 120, 200])
 @pytest.mark.parametrize("shown", [(), ("time",), ("msg_id",), ("ports", "topic"), ("packet", "bytes")])
 def test_columns_are_left_out_and_added(packets, width, shown):
-    view = PacketList(width, colour=False, shown=shown, added=[("speed", True), ("name", False)])
+    view = PacketList(width, colour=False, columns=shown, added=[("speed", True), ("name", False)])
     header = view.header()
     words = {"time": ["Time"], "msg_id": ["MsgId"], "topic": ["Topic"], "bytes": ["Bytes", "Len"]}
     words |= {"packet": ["Packet"], "ports": ["Ports", "Source"] if width >= 100 else []}
@@ -62,7 +62,7 @@ def test_columns_are_left_out_and_added(packets, width, shown):
     ],
 )
 def test_a_number_is_rounded_where_a_text_is_cut(packets, value, shown):
-    view = PacketList(120, colour=False, shown=(), added=[("speed", True)])
+    view = PacketList(120, colour=False, columns=(), added=[("speed", True)])
     line = view.line(line_of(next(iter(packets.values()))), values=[value])
     assert line.split()[1] == shown
 

@@ -189,9 +189,9 @@ def test_what_is_held_back_is_bounded_and_what_is_over_is_told(monkeypatch):
         for number in range(9)
         for fault in faults.apply(command(number), link=CI, to_cfs=True, now=0)[1]
     ]
-    assert [fault.kind for fault in told].count("overflow") == faults.overflowed == 9 - faults.held
+    assert [fault.kind for fault in told].count("overflow") == faults.overflowed == 9 - faults.waiting
     assert len(faults.due(10**9)) == 3
-    assert (faults.held, faults.held_bytes) == (0, 0)
+    assert (faults.waiting, faults.held_bytes) == (0, 0)
 
 
 def verdicts(faults, payloads, sizes, **keywords):
@@ -301,7 +301,7 @@ def test_whatever_comes_nothing_but_datagrams_comes_out(data):
         deliveries += faults.due(now)
         assert all(len(item.payload) <= 65507 for item in deliveries)
     faults.due(1 << 62)
-    assert faults.held == 0
+    assert faults.waiting == 0
     assert faults.next_ns is None
 
 

@@ -96,7 +96,7 @@ def codegen(
         Bounds(usual["strings"], usual["sequences"], rules),
         mission,
         core.pool,
-        EnvelopeFormat.named(settings.options.envelope or "8/8 le"),
+        EnvelopeFormat.of_name(settings.options.envelope or "8/8 le"),
         keep_values=core.keep_values,
     )
     made = generate(store, order)

@@ -83,8 +83,8 @@ class _Items:
 
     def telemetry(self, packet: GroundPacket, headers: Headers, remainder: int | None) -> Iterator[str]:
         head = header_items(ccsds.PRIMARY) + telemetry_items(headers)
-        told = {"apid": packet.apid, "packet_type": ccsds.TELEMETRY_TYPE}
-        yield from (self._item(item, told.get(item.name)) for item in head)
+        ids = {"apid": packet.apid, "packet_type": ccsds.TELEMETRY_TYPE}
+        yield from (self._item(item, ids.get(item.name)) for item in head)
         whole = packet.whole
         items: Items = packet.items
         while items:
@@ -129,11 +129,11 @@ class _Items:
 
     def _name(self, item: PacketItem) -> str:
         """Return a name that COSMOS takes: no ``_`` at its end, nor two in a row, and no other's."""
-        wanted = name = _plain(item.name or "padding")
+        plain_name = name = _plain(item.name or "padding")
         number = 1
         while name in self._used:
             number += 1
-            name = f"{wanted}_{number}"
+            name = f"{plain_name}_{number}"
         self._used.add(name)
         return name
 
@@ -158,18 +158,18 @@ def _quoted(text: str) -> str:
 def _command(target: str, packet: GroundPacket, headers: Headers) -> Iterator[str]:
     head = command_header(packet, headers)
     yield f"COMMAND {target} {_plain(packet.name)} LITTLE_ENDIAN {_quoted(packet.doc)}"
-    made = _Items()
+    items = _Items()
     at = 0
     for layout in (ccsds.PRIMARY, *((EXTENDED,) if headers.extended else ()), headers.command):
         values = layout.parse(head, at)
         for item in header_items(layout):
-            yield made.constant(item, values[item.name], tells=item.name in _TELLING)
+            yield items.constant(item, values[item.name], tells=item.name in _TELLING)
         at += layout.size
     for part in packet.items:
         assert isinstance(part, PacketItem)
         if not part.fixed:
-            yield made.argument(part)
+            yield items.argument(part)
         elif part.encoding == "bytes":
-            yield made.constant(part, part.fixed)
+            yield items.constant(part, part.fixed)
         else:
-            yield made.constant(part, int.from_bytes(part.fixed, "little" if part.little else "big"))
+            yield items.constant(part, int.from_bytes(part.fixed, "little" if part.little else "big"))

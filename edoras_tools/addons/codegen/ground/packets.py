@@ -148,7 +148,7 @@ def command_header(packet: GroundPacket, headers: Headers) -> bytes:
 
 def route_packet(route: Route, types: TypeStore, function_code: int) -> GroundPacket:
     """Return the packet of a route: the envelope, CDR's encapsulation, then the message's fields."""
-    envelope = DEFAULT if route.envelope in {None, "auto"} else EnvelopeFormat.named(str(route.envelope))
+    envelope = DEFAULT if route.envelope in {None, "auto"} else EnvelopeFormat.of_name(str(route.envelope))
     _, plan = types.plan(route.type)
     body, whole = _cdr(tuple(_steps(plan)), 0, 0)
     cdr = ENCAPSULATION.size + sum(item.bits for item in body if isinstance(item, PacketItem)) // 8

@@ -68,8 +68,8 @@ class _System:
         items = telemetry_items(self._headers)
         self._container(_TELEMETRY, items, base=_ROOT, conditions=conditions, abstract=True)
         for packet in telemetry:
-            told = {"apid": packet.apid}
-            self._container(packet.name, packet.items, f"{packet.name}_", _TELEMETRY, told, doc=packet.doc)
+            ids = {"apid": packet.apid}
+            self._container(packet.name, packet.items, f"{packet.name}_", _TELEMETRY, ids, doc=packet.doc)
         some = list(commands)
         if some:
             self._commands(some)
@@ -88,17 +88,17 @@ class _System:
         abstract: bool = False,
     ) -> ET.Element:
         """Append a container, and those of what follows its string; return its entries."""
-        made = ET.SubElement(self._containers, "SequenceContainer", {"name": name})
+        container = ET.SubElement(self._containers, "SequenceContainer", {"name": name})
         if doc:
-            made.set("shortDescription", doc)
+            container.set("shortDescription", doc)
         if abstract:
-            made.set("abstract", "true")
-        entries = ET.SubElement(made, "EntryList")
+            container.set("abstract", "true")
+        entries = ET.SubElement(container, "EntryList")
         for item in items:
             for part in _length_of(item) if isinstance(item, StringItem) else (item,):
                 ET.SubElement(entries, "ParameterRefEntry", {"parameterRef": self._parameter(prefix, part)})
         if base:
-            inherited = ET.SubElement(made, "BaseContainer", {"containerRef": base})
+            inherited = ET.SubElement(container, "BaseContainer", {"containerRef": base})
             ET.SubElement(inherited, "RestrictionCriteria").append(_conditions(conditions or {}))
         if items and isinstance(items[-1], StringItem):
             self._after(name, items[-1], prefix)
@@ -122,8 +122,8 @@ class _System:
         if name in self._known:
             return
         self._known.add(name)
-        made = ET.SubElement(self._types, "StringParameterType", {"name": name})
-        encoding = ET.SubElement(made, "StringDataEncoding", {"encoding": "UTF-8"})
+        string_type = ET.SubElement(self._types, "StringParameterType", {"name": name})
+        encoding = ET.SubElement(string_type, "StringDataEncoding", {"encoding": "UTF-8"})
         variable = ET.SubElement(encoding, "Variable", {"maxSizeInBits": str(255 * 8)})
         dynamic = ET.SubElement(variable, "DynamicValue")
         ET.SubElement(dynamic, "ParameterInstanceRef", {"parameterRef": high})
@@ -138,8 +138,8 @@ class _System:
     def _declare(self, name: str, kind: str, doc: str) -> None:
         if name not in self._known:
             self._known.add(name)
-            made = {"name": name, "parameterTypeRef": kind, "shortDescription": doc}
-            ET.SubElement(self._parameters, "Parameter", made)
+            attributes = {"name": name, "parameterTypeRef": kind, "shortDescription": doc}
+            ET.SubElement(self._parameters, "Parameter", attributes)
 
     def _type(self, item: PacketItem) -> str:
         name = _type_name(item)
@@ -151,11 +151,11 @@ class _System:
     def _commands(self, packets: Sequence[GroundPacket]) -> None:
         meta = ET.SubElement(self._root, "CommandMetaData")
         types = ET.SubElement(meta, "ArgumentTypeSet")
-        made = ET.SubElement(meta, "MetaCommandSet")
-        known: set[str] = set()
+        command_set = ET.SubElement(meta, "MetaCommandSet")
+        declared: set[str] = set()
         for packet in packets:
             command = ET.SubElement(
-                made, "MetaCommand", {"name": packet.name, "shortDescription": packet.doc}
+                command_set, "MetaCommand", {"name": packet.name, "shortDescription": packet.doc}
             )
             arguments = ET.SubElement(command, "ArgumentList")
             container = ET.SubElement(command, "CommandContainer", {"name": f"{packet.name}_packet"})
@@ -167,8 +167,8 @@ class _System:
                     _fixed(entries, part.fixed)
                     continue
                 kind = f"arg_{_type_name(part)}"
-                if kind not in known:
-                    known.add(kind)
+                if kind not in declared:
+                    declared.add(kind)
                     _data_type(types, "Argument", kind, part)
                 name = identifier(part.name)
                 argument = {"name": name, "argumentTypeRef": kind, "shortDescription": part.doc or part.name}
@@ -194,34 +194,36 @@ def _data_type(types: ET.Element, role: str, name: str, item: PacketItem) -> Non
     order = {} if item.bits <= 8 else {"byteOrder": "leastSignificantByteFirst"} if item.little else {}
     bits = {"sizeInBits": str(item.bits)}
     if item.encoding == "float":
-        made = ET.SubElement(types, f"Float{role}Type", {"name": name, **bits})
-        ET.SubElement(made, "FloatDataEncoding", {**bits, "encoding": "IEEE754_1985", **order})
+        element = ET.SubElement(types, f"Float{role}Type", {"name": name, **bits})
+        ET.SubElement(element, "FloatDataEncoding", {**bits, "encoding": "IEEE754_1985", **order})
     elif item.encoding in {"uint", "int"}:
         signed = item.encoding == "int"
         if item.enum:
-            made = ET.SubElement(types, f"Enumerated{role}Type", {"name": name})
+            element = ET.SubElement(types, f"Enumerated{role}Type", {"name": name})
         else:
-            made = ET.SubElement(types, f"Integer{role}Type", {"name": name, "signed": str(signed).lower()})
+            element = ET.SubElement(
+                types, f"Integer{role}Type", {"name": name, "signed": str(signed).lower()}
+            )
         encoding = "twosComplement" if signed else "unsigned"
-        ET.SubElement(made, "IntegerDataEncoding", {**bits, "encoding": encoding, **order})
+        ET.SubElement(element, "IntegerDataEncoding", {**bits, "encoding": encoding, **order})
         if item.enum:
-            listed = ET.SubElement(made, "EnumerationList")
+            listed = ET.SubElement(element, "EnumerationList")
             for value, label in item.enum.names.items():
                 ET.SubElement(listed, "Enumeration", {"value": str(value), "label": label})
     elif item.encoding == "text":
-        made = ET.SubElement(types, f"String{role}Type", {"name": name})
-        encoded = ET.SubElement(made, "StringDataEncoding", {"encoding": "UTF-8"})
+        element = ET.SubElement(types, f"String{role}Type", {"name": name})
+        encoded = ET.SubElement(element, "StringDataEncoding", {"encoding": "UTF-8"})
         size = ET.SubElement(encoded, "SizeInBits")
         ET.SubElement(ET.SubElement(size, "Fixed"), "FixedValue").text = str(item.bits)
         ET.SubElement(size, "TerminationChar").text = "00"
     else:
-        made = ET.SubElement(types, f"Binary{role}Type", {"name": name})
-        size = ET.SubElement(ET.SubElement(made, "BinaryDataEncoding"), "SizeInBits")
+        element = ET.SubElement(types, f"Binary{role}Type", {"name": name})
+        size = ET.SubElement(ET.SubElement(element, "BinaryDataEncoding"), "SizeInBits")
         ET.SubElement(size, "FixedValue").text = str(item.bits)
 
 
-def _conditions(wanted: dict[str, int]) -> ET.Element:
-    made = ET.Element("ComparisonList")
-    for name, value in wanted.items():
-        ET.SubElement(made, "Comparison", {"parameterRef": name, "value": str(value)})
-    return made
+def _conditions(values: dict[str, int]) -> ET.Element:
+    comparisons = ET.Element("ComparisonList")
+    for name, value in values.items():
+        ET.SubElement(comparisons, "Comparison", {"parameterRef": name, "value": str(value)})
+    return comparisons

@@ -109,8 +109,8 @@ def demo(
         return
     usual = Path(f"{scenario.value.replace('-', '_')}.mcap")
     layout = usual.with_name(f"{usual.stem}_layout.json")
-    taken = in_the_way(usual) or in_the_way(layout)
-    free = path_beside(usual) if taken and not force else usual
+    existing = in_the_way(usual) or in_the_way(layout)
+    free = path_beside(usual) if existing and not force else usual
     plan = demos.plan(scenario.value, output or free, replace=force)
     _show(plan, duration or int(_DEMO_S * 1e9), printing)
 

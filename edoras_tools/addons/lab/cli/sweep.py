@@ -29,12 +29,12 @@ def span(text: str) -> tuple[int, int]:
     """Read ``FROM..TO``, or one number for both."""
     first, dots, last = text.partition("..")
     try:
-        found = int(first, 0), int(last if dots else first, 0)
+        limits = int(first, 0), int(last if dots else first, 0)
     except ValueError:
-        found = 0, 0
-    if not 1 <= found[0] <= found[1] <= 65535:
+        limits = 0, 0
+    if not 1 <= limits[0] <= limits[1] <= 65535:
         raise BadParameter(f"{text!r} is not FROM..TO; write 1..1000, in whole numbers from 1 to 65535")
-    return found
+    return limits
 
 
 class StepOptions(NamedTuple):
@@ -183,7 +183,7 @@ def sweep(
     from edoras_tools.addons.lab.sweep.run import sweep as carry_out
     from edoras_tools.addons.lab.views import sweep as view
     from edoras_tools.io.outputs import check_new
-    from edoras_tools.links.table import named
+    from edoras_tools.links.table import link_of_label
     from edoras_tools.render import svg
 
     json, quiet = printing
@@ -195,10 +195,10 @@ def sweep(
     if charts.png is not None:
         svg.need_png()
     bench = decoding.settings().workbench()
-    chosen = route_of(route, named(to.value) if to else None, bench.mission)
+    route_ = route_of(route, link_of_label(to.value) if to else None, bench.mission)
     headers = bench.columns.context.options.headers
-    send_options = how.send_options(chosen.link, headers).placed(bench.mission)
-    plan = steps.plan(chosen, send_options)
+    send_options = how.send_options(route_.link, headers).placed(bench.mission)
+    plan = steps.plan(route_, send_options)
     plan.check(bench)
     if dry_run:
         summary = plan.as_json(bench)
@@ -213,17 +213,17 @@ def sweep(
         if send_options.listen is not None:
             tell_reach(send_options.listen, "answer")
     with view.step_status(quiet=quiet) as trying:
-        found = carry_out(plan, bench, trying=trying)
-    summary = found.summary()
+        result = carry_out(plan, bench, trying=trying)
+    summary = result.summary()
     if json:
         print_json(summary)
-    elif not quiet and (found.steps or found.failure is None):
+    elif not quiet and (result.steps or result.failure is None):
         print_view(lambda width: view.outcome(summary, width))
-    if found.steps:
+    if result.steps:
         _draw(summary, charts)
-    if found.failure is not None:
-        raise found.failure
-    if found.interrupted:
+    if result.failure is not None:
+        raise result.failure
+    if result.interrupted:
         raise Exit(INTERRUPTED)
 
 

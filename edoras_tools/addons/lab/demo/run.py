@@ -235,7 +235,7 @@ class Demo:
             active_ns = max(duration_ns - _DRAIN_NS, duration_ns // 2)
             self._scheduler.at(self._began_ns + active_ns, self._stop_commands)
         self._scheduler.start()
-        self._said("")
+        self._add_note("")
         self.bridges.run(duration_ns=duration_ns, watcher=_DemoWatcher(self, watcher) if watcher else None)
         self._elapsed_ns = time.monotonic_ns() - self._began_ns
         self._stop_commands()
@@ -303,7 +303,7 @@ class Demo:
             domain=plan.domain,
             options=plan.options,
             recorder=lambda: RelayRecorder(target, bench, name, "demo", tap),
-            say=self._said,
+            say=self._add_note,
         )
         stack.callback(self.bridges.close)
         if len(self.bridges.stations) < len(bridged.stations):
@@ -357,7 +357,7 @@ class Demo:
         self.foxglove = attach(bench, info, listen=where, publisher=publisher)
         stack.callback(self.foxglove.close, SourceStatistics())
 
-    def _said(self, text: str) -> None:
+    def _add_note(self, text: str) -> None:
         """Forward a note; start the nodes once cFS is connected."""
         if text and self._say is not None:
             self._say(text)
@@ -383,7 +383,7 @@ class Demo:
         self.event_counts[place.rpartition("/")[2].partition(" ")[0]] += 1
 
     def _robot(self, index: int, bridges: Mapping[str, Any]) -> dict[str, Any]:
-        lane, seen = self.lanes[index], self.station.seen[index]
+        lane, motion = self.lanes[index], self.station.seen[index]
         crossed = (
             self.simulation.apps.edoras.crossed
             if isinstance(self.simulation.apps.edoras, TwoRobotApp)
@@ -396,9 +396,9 @@ class Demo:
         state = self._leg(self.trace.states[index], lane.board_state, lane.state, bridges)
         return {
             "robot": lane.robot,
-            "place": list(seen.place),
-            "start": list(seen.start),
-            "way": round(seen.way, 4),
+            "place": list(motion.place),
+            "start": list(motion.start),
+            "way": round(motion.way, 4),
             "commands": {**command, "others_said": self.station.others[index]},
             "states": state,
         }

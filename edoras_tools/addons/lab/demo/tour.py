@@ -91,8 +91,8 @@ def tour(
         CaptureError: a port is in use, or the folder cannot be written.
     """
     live = Target(folder / "two_rovers.mcap", transforms=True, replace=replace)
-    stored = Target(folder / "a_rover.mcap", transforms=True, replace=replace)
-    for target in (live, stored):
+    recording = Target(folder / "a_rover.mcap", transforms=True, replace=replace)
+    for target in (live, recording):
         check_output(target, ())
     missions, capture = unpack(folder, replace=replace)
     settings = Settings((missions / "two_rovers_ground.yaml", missions / "two_rovers_flight.yaml"))
@@ -114,7 +114,7 @@ def tour(
         limits = Limits(duration_ns=duration_ns)
         report = record(source, bench, live, limits=limits, tap=tap)
     rover = Settings((missions / "rover_ground.yaml",)).workbench()
-    real = record(open_files([capture]), rover, stored)
+    real = record(open_files([capture]), rover, recording)
     return Tour(report, real, folder, captured)
 
 

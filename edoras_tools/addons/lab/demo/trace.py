@@ -32,9 +32,9 @@ _ENVELOPE: Final = Envelope(envelope.DEFAULT)
 class _Times:
     """Times of one message, monotonic ns; 0 if it did not pass that point."""
 
-    begun: int
+    begin: int
     entered: int = 0
-    left: int = 0
+    departures: int = 0
 
 
 class Leg:
@@ -77,7 +77,7 @@ class Leg:
         with self._lock:
             passage = self._under_way.get(cdr)
             if passage is not None:
-                passage.left = now
+                passage.departures = now
 
     def arrive(self, cdr: bytes, now: int) -> None:
         """Count a message that the last node receives."""
@@ -87,9 +87,9 @@ class Leg:
                 self.strange += 1
                 return
             self.arrived += 1
-            self.total.add(now - passage.begun)
-            towards = passage.entered - passage.begun if passage.entered else 0
-            self.added.add(towards + (now - passage.left if passage.left else 0))
+            self.total.add(now - passage.begin)
+            towards = passage.entered - passage.begin if passage.entered else 0
+            self.added.add(towards + (now - passage.departures if passage.departures else 0))
 
     def summary(self) -> dict[str, Any]:
         """Return this topic's part of ``demo --json``."""
@@ -128,15 +128,15 @@ class Trace:
         """See ``Watch``."""
         del endpoint  # MsgIds of CI and of SBN differ, so the endpoint is not needed
         now = time.monotonic_ns()
-        found = _message(data)
-        if found and found[0] in self._entering:
-            self._entering[found[0]].enter(found[1], now)
+        message = _message(data)
+        if message and message[0] in self._entering:
+            self._entering[message[0]].enter(message[1], now)
 
     def sent(self, sent: WireDatagram, /) -> None:
         """See ``Watch``."""
-        found = _message(sent.payload)
-        if found and found[0] in self._leaving:
-            self._leaving[found[0]].leave(found[1], time.monotonic_ns())
+        message = _message(sent.payload)
+        if message and message[0] in self._leaving:
+            self._leaving[message[0]].leave(message[1], time.monotonic_ns())
 
 
 def _message(data: bytes) -> tuple[int, bytes] | None:

@@ -88,8 +88,8 @@ class GroundBridge:
     def receive_datagram(self, data: bytes) -> None:
         """Take a datagram of cFS; the buffer holds 1024 bytes."""
         if len(data[: limits.BRIDGE_BUFFER]) >= cfe.COMMAND_HEADER_BYTES:
-            wanted = self.headers.msg_ids.of(data)
-            self.received[wanted] = self.received.get(wanted, 0) + 1
+            msg_id = self.headers.msg_ids.of(data)
+            self.received[msg_id] = self.received.get(msg_id, 0) + 1
 
     def _enable(self) -> None:
         address = self.endpoint.address.encode().ljust(16, b"\0")
@@ -175,9 +175,9 @@ class FlightBridge:
         """Pass a command of cFS to its robot."""
         if len(packet) < cfe.TELEMETRY_HEADER_BYTES:
             return
-        wanted = self.headers.msg_ids.of(packet)
-        self.received[wanted] = self.received.get(wanted, 0) + 1
-        robot = self._commanded.get(wanted)
+        msg_id = self.headers.msg_ids.of(packet)
+        self.received[msg_id] = self.received.get(msg_id, 0) + 1
+        robot = self._commanded.get(msg_id)
         values = robot and messages.decode_envelope(robot.command_type, packet[cfe.TELEMETRY_HEADER_BYTES :])
         if robot and values:
             robot.obey(values, now=now)

@@ -46,7 +46,7 @@ def to_link(packet: bytes, profile: SimProfile) -> bytes:
 
 def bus_id(msg_id: int, profile: SimProfile) -> int:
     """Return what a MsgId of a link, or in a payload, is on the bus."""
-    return headers_of(profile).msg_ids.known(msg_id)
+    return headers_of(profile).msg_ids.standard(msg_id)
 
 
 def link_id(msg_id: int, profile: SimProfile) -> int:

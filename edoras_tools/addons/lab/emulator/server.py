@@ -65,9 +65,9 @@ def serve(
         sockets: dict[Endpoint, socket.socket] = {}
 
         def open_socket(endpoint: Endpoint) -> None:
-            wanted = Endpoint(host, endpoint.port if _is_chosen(simulation, endpoint) else 0)
+            place = Endpoint(host, endpoint.port if _is_chosen(simulation, endpoint) else 0)
             opened = stack.enter_context(
-                open_bound(wanted, f"UDP {wanted}", "choose another host, as 127.0.0.2")
+                open_bound(place, f"UDP {place}", "choose another host, as 127.0.0.2")
             )
             sockets[endpoint] = opened
             selector.register(opened, selectors.EVENT_READ, endpoint)
@@ -142,7 +142,7 @@ def _send(source: socket.socket, item: WireDatagram) -> int:
         to = resolve(item.destination)[1]
     except CaptureError:
         return 0  # telemetry can be enabled towards any text
-    return send_one(source, item.payload, to).taken
+    return send_one(source, item.payload, to).accepted
 
 
 def _wait_s(simulation: Simulation, now: int) -> float:

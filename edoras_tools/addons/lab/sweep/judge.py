@@ -129,7 +129,7 @@ class Judge:
         )
 
     def telemetry(
-        self, observer: Observer, before: Mark, after: Mark, *, least: int = 0, asked: int = 0
+        self, observer: Observer, before: Mark, after: Mark, *, least: int = 0, requested: int = 0
     ) -> StepOutcome:
         """Judge messages from cFS.
 
@@ -137,8 +137,8 @@ class Judge:
             before: at the start of the step.
             after: when no message was under way any more.
             least: messages that must have been published in that time.
-            asked: messages requested; 0 if others publish them and the step does not wait for the last ones:
-                then only gaps count, because counters come later.
+            requested: messages; 0 if others publish them and the step does not wait for the last ones: then
+                only gaps count, because counters come later.
         """
         diagnosis = observer.diagnose(self._profile)
         ours, others = self._divided(diagnosis)
@@ -150,8 +150,8 @@ class Judge:
             for row in diagnosis.routes
             if (row["link"], row["msg_id"]) == (self._route.link.label, f"0x{self._route.msg_id:04x}")
         )
-        lost = (sum(verdict.lost or 0 for verdict in ours) if asked else gaps) + altered
-        unseen = asked - delivered - lost if delivered + lost < least else 0
+        lost = (sum(verdict.lost or 0 for verdict in ours) if requested else gaps) + altered
+        unseen = requested - delivered - lost if delivered + lost < least else 0
         hop = reason = ""
         if main is not None and lost:
             hop, reason = main.hop or "", main.reason
@@ -196,9 +196,9 @@ class Judge:
     def _event(self, diagnosis: Diagnosis) -> tuple[str, str] | None:
         """Return what cFS reported about the route in an event."""
         assert diagnosis.case is not None
-        for reported, said in diagnosis.case.reported_losses.items():
+        for reported, loss in diagnosis.case.reported_losses.items():
             if reported.msg_id == self._route.msg_id:
-                return reported.pipe or "software bus", f"cFS said: {said.records[0]}"
+                return reported.pipe or "software bus", f"cFS said: {loss.records[0]}"
         return None
 
 
@@ -208,8 +208,8 @@ def _main(verdicts: Iterable[Verdict]) -> Verdict | None:
 
 def _first_verdict(diagnosis: Diagnosis, rule: str) -> tuple[str, str] | None:
     """Return hop and reason of a rule's first verdict."""
-    found = next((item for item in diagnosis.verdicts if item.rule == rule), None)
-    return (found.hop or "", found.reason) if found else None
+    verdict = next((item for item in diagnosis.verdicts if item.rule == rule), None)
+    return (verdict.hop or "", verdict.reason) if verdict else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,12 +76,12 @@ class Observer:
     """
 
     def __init__(self, bench: Workbench, route: Route) -> None:
-        known = bench.columns.context
+        context = bench.columns.context
         self.seen = Responses(bench.mission)
         self.expected: bytes | None = None
         self.expected_size = 0
         self.largest = 0
-        options = replace(known.options, ports=((carrying("ground", to_cfs=False), _TO_PORT),))
+        options = replace(context.options, ports=((carrying("ground", to_cfs=False), _TO_PORT),))
         self._context = Context(Mission(routes=bench.mission.routes), bench.types, options)
         self._route, self._msg_ids = route, bench.mission.msg_ids
         self._datagrams: list[tuple[int, WireDatagram]] = []
@@ -94,20 +94,22 @@ class Observer:
     def sent(self, data: bytes, now: int) -> None:
         """Record a datagram that was sent, at ``now``, ns since 1970."""
         link = carrying("flight" if self._route.link.peers else "ground", to_cfs=True)
-        here, there = _ends(link)
-        self._datagrams.append((self._msg_id(_packet(link, data)), WireDatagram(now, here, there, data)))
+        source, destination = _ends(link)
+        self._datagrams.append(
+            (self._msg_id(_packet(link, data)), WireDatagram(now, source, destination, data))
+        )
 
     def received(self, link: Link, data: bytes, now: int) -> None:
         """Record a datagram that was received, any bytes, at ``now``, ns since 1970."""
         self.seen.add(link, data, now)
-        here, there = _ends(link)
-        packet, item = _packet(link, data), WireDatagram(now, there, here, data)
+        own, peer = _ends(link)
+        packet, item = _packet(link, data), WireDatagram(now, peer, own, data)
         msg_id = self._msg_id(packet)
-        known = self._msg_ids.known(msg_id)
+        standard = self._msg_ids.standard(msg_id)
         self._datagrams.append((msg_id, item))
-        if known in _COUNTERS:
+        if standard in _COUNTERS:
             self._latest[msg_id] = item
-            of_bus = known == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
+            of_bus = standard == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
             # What else 0x803 has changes all the time: messages that nobody takes, memory in use.
             payload = packet[cfe.TELEMETRY_HEADER_BYTES :]
             self._counters[msg_id] = payload[_LOSSES] if of_bus else payload
@@ -142,9 +144,9 @@ class Observer:
 
     def _forget(self, since_ns: int) -> None:
         judged = {self._route.msg_id, self._msg_ids.of_known(cfe.EVENT_MSG_ID)}
-        kept = [item for item in self._datagrams if item[1].time_ns >= since_ns and item[0] not in judged]
+        rest = [item for item in self._datagrams if item[1].time_ns >= since_ns and item[0] not in judged]
         older = [item for item in self._latest.items() if item[1].time_ns < since_ns]
-        self._datagrams = sorted(older, key=lambda item: item[1].time_ns) + kept
+        self._datagrams = sorted(older, key=lambda item: item[1].time_ns) + rest
         self._differs_at = None
 
     def mark(self) -> Mark:

@@ -173,14 +173,14 @@ class SweepPlan:
 
     def packets(self, bench: Workbench) -> list[bytes]:
         """Return one of each kind of packet that the sweep sends."""
-        found = [reset_filters(self.headers)]
+        packets = [reset_filters(self.headers)]
         if self.to_cfs:
-            found.append(message(self.route, bench, self.sizes[0]))
+            packets.append(message(self.route, bench, self.sizes[0]))
         elif not self.watch:
-            found.append(generator_command(self, 0, 0))
+            packets.append(generator_command(self, 0, 0))
         if self.is_echoed:
-            found += echo(self.route.msg_id, self.headers)
-        return found
+            packets += echo(self.route.msg_id, self.headers)
+        return packets
 
     def as_json(self, bench: Workbench) -> dict[str, Any]:
         """Return the output of ``--dry-run --json``."""
@@ -209,15 +209,15 @@ def route_of(name: str, link: Link | None, mission: Mission) -> Route:
         number = int(name, 0)
     except ValueError:
         number = 0
-    there = [
+    routes = [
         item
         for item in mission.routes
         if (link is None or item.link is link)
         and (number == item.msg_id if number else name in names_of(item.msg_id, mission) and _is(name, item))
     ]
-    if len(there) == 1:
-        return there[0]
-    if number and not there:
+    if len(routes) == 1:
+        return routes[0]
+    if number and not routes:
         if not 0 < number <= cfe.HIGHEST_MSG_ID:
             raise RouteError(f"{name} is not a MsgId from 0x0001 to 0x{cfe.HIGHEST_MSG_ID:04x}")
         towards = mission.msg_ids.is_command(number)
@@ -282,8 +282,8 @@ def generator_command(plan: SweepPlan, rate_hz: int, size: int) -> bytes:
 def echo(msg_id: int, headers: cfe.Headers = cfe.STANDARD) -> tuple[bytes, bytes]:
     """Return the commands that make Telemetry Output also send a MsgId to the ground, and stop it again."""
     add = struct.pack("<IBBBx", msg_id, 0, 0, _ECHO_LIMIT)
-    wanted = headers.msg_ids.of_known(telemetry_output.COMMAND_MSG_ID)
+    command = headers.msg_ids.of_known(telemetry_output.COMMAND_MSG_ID)
     return (
-        cfe.emit_command(wanted, telemetry_output.ADD_PACKET, add, headers=headers),
-        cfe.emit_command(wanted, telemetry_output.REMOVE_PACKET, struct.pack("<I", msg_id), headers=headers),
+        cfe.emit_command(command, telemetry_output.ADD_PACKET, add, headers=headers),
+        cfe.emit_command(command, telemetry_output.REMOVE_PACKET, struct.pack("<I", msg_id), headers=headers),
     )

@@ -42,14 +42,14 @@ class SimulatedWire:
     Args:
         simulation: without bridges, because the wire replaces them.
         target: where datagrams go.
-        here: where answers are received.
+        own: where answers are received.
         link: the link of the answers.
     """
 
-    def __init__(self, simulation: Simulation, target: Endpoint, here: Endpoint, link: Link) -> None:
+    def __init__(self, simulation: Simulation, target: Endpoint, own: Endpoint, link: Link) -> None:
         self.statistics = SendStatistics()
-        self._simulation, self._target, self._here, self._link = simulation, target, here, link
-        self.ends = here, target
+        self._simulation, self._target, self._own, self._link = simulation, target, own, link
+        self.ends = own, target
         self._arrived: list[Arrival] = []
 
     def now(self) -> int:
@@ -63,7 +63,7 @@ class SimulatedWire:
     def wait(self, until_ns: int) -> bool:
         """Run the simulation until that time."""
         for item in self._simulation.run(until_ns):
-            if item.destination == self._here:
+            if item.destination == self._own:
                 self._arrived.append(Arrival(self._link, item.payload, item.source, item.destination))
         return True
 
@@ -92,7 +92,7 @@ def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
     options, route, limit = plan.options, plan.route, plan.limit
     msg_ids = plan.headers.msg_ids
     profile = SimProfile(
-        generator_msg_id=msg_ids.known(plan.generator),
+        generator_msg_id=msg_ids.standard(plan.generator),
         extended_header=plan.headers.extended,
         msg_id_version=msg_ids.version,
     )
@@ -103,7 +103,7 @@ def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
     if limit is not None and plan.to_cfs:
         profile = replace(profile, app_msg_limit=limit)
     elif limit is not None:
-        limits = TO_TABLE | {msg_ids.known(route.msg_id): limit}
+        limits = TO_TABLE | {msg_ids.standard(route.msg_id): limit}
         profile = replace(profile, to_limits=limits, sbn_msg_limit=limit)
     if route.link.peers:
         peer = SbnPeerConfig(options.identity(mission), options.listen.port)
@@ -123,9 +123,9 @@ def emulated(plan: SweepPlan, profile: SimProfile) -> SimulatedWire:
     simulation = Simulation(profile, plan.scenario, bridges=False)
     on_network = plan.route.link.peers
     target = simulation.cfs.sbn_endpoint if on_network else simulation.cfs.ci_endpoint
-    here = replace(plan.options.listen, address=profile.address)
+    own = replace(plan.options.listen, address=profile.address)
     return SimulatedWire(
-        simulation, target, here, carrying("flight" if on_network else "ground", to_cfs=False)
+        simulation, target, own, carrying("flight" if on_network else "ground", to_cfs=False)
     )
 
 
@@ -156,7 +156,7 @@ def sweep(
     options = plan.options
     assert options.target is not None
     assert options.listen is not None
-    found = Sweep(plan)
+    result = Sweep(plan)
     with ExitStack() as stack:
         local = options.listen
         if plan.scenario is not None:
@@ -174,18 +174,18 @@ def sweep(
             wire = UdpWire(transmitter, options.to.link, listeners)
             stack.enter_context(precise_timing())
         ready(local)
-        sweeper = _Sweeper(plan, bench, found, wire, name, local, trying)
+        sweeper = _Sweeper(plan, bench, result, wire, name, local, trying)
         stack.enter_context(on_interrupt(sweeper.line.stopped.set))
         try:
             sweeper.run()
         except CaptureError as error:
-            found.failure = error
+            result.failure = error
         except KeyboardInterrupt:  # the second Ctrl-C
             sweeper.line.stopped.set()
         finally:
             sweeper.clean_up()
-        found.interrupted = sweeper.line.stopped.is_set() and found.failure is None
-    return found
+        result.interrupted = sweeper.line.stopped.is_set() and result.failure is None
+    return result
 
 
 class _Sweeper:
@@ -195,22 +195,22 @@ class _Sweeper:
         self,
         plan: SweepPlan,
         bench: Workbench,
-        found: Sweep,
+        result: Sweep,
         wire: Wire,
         name: str,
         local: Endpoint,
         trying: Callable[[int, int], None],
     ) -> None:
-        self.plan, self.bench, self.found, self._trying = plan, bench, found, trying
+        self.plan, self.bench, self.result, self._trying = plan, bench, result, trying
         self.observer = Observer(bench, plan.route)
         profile = profile_of(plan, bench.mission)
         self._judge = Judge(plan.route, profile, measures=plan.scenario is None)
         session = None
         if plan.route.link.peers:
             own = (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.EVENT_MSG_ID)
-            wanted = [*map(plan.headers.msg_ids.of_known, own)]
-            wanted += [] if plan.to_cfs else [plan.route.msg_id]
-            session = SbnConnection(plan.options.identity(bench.mission), wanted, now=wire.now())
+            msg_ids = [*map(plan.headers.msg_ids.of_known, own)]
+            msg_ids += [] if plan.to_cfs else [plan.route.msg_id]
+            session = SbnConnection(plan.options.identity(bench.mission), msg_ids, now=wire.now())
         self.line = Line(wire, name, self.observer, session)
         self._undo: list[bytes] = []
         self._background = self._behind = 0
@@ -252,7 +252,7 @@ class _Sweeper:
     def clean_up(self) -> None:
         """Restore the state of cFS, and add the notes on the whole sweep."""
         if self._behind:
-            self.found.note(
+            self.result.note(
                 f"from {self._behind} Hz on cFS is too slow: it still reads long after the last message"
             )
         self.line.close(self._undo)
@@ -269,7 +269,7 @@ class _Sweeper:
                 return
             self._note(outcome)
             search.tell(value, good=not outcome.lost)
-            self.found.steps.append(SweepStep(rate, size, outcome))
+            self.result.steps.append(SweepStep(rate, size, outcome))
 
     def _commands(self, rate: int, size: int) -> StepOutcome:
         line, observer, plan = self.line, self.observer, self.plan
@@ -284,7 +284,7 @@ class _Sweeper:
         if line.now() - began > _BEHIND_NS:
             self._behind = min(self._behind or rate, rate)
         if plan.is_echoed and after.arrived == before.arrived and not line.stopped.is_set():
-            self.found.note("no echo came back through Telemetry Output: it is not known what CI cuts")
+            self.result.note("no echo came back through Telemetry Output: it is not known what CI cuts")
         return self._judge.commands(observer, before, after, sent=sent, rate_hz=rate)
 
     def _telemetry(self, rate: int, size: int) -> StepOutcome:
@@ -293,15 +293,15 @@ class _Sweeper:
         observer.begin()
         observer.expected_size = size if plan.by_size else 0
         before = observer.mark()
-        asked = max(0, rate - self._background)
-        line.command(packets.generator_command(plan, asked, size))
+        requested = max(0, rate - self._background)
+        line.command(packets.generator_command(plan, requested, size))
         self._undo[:] = [packets.generator_command(plan, 0, size)]
         line.listen(plan.step_ns - COMMAND_NS)
         line.command(packets.generator_command(plan, 0, size))
         after = line.settle()
-        least = asked * max(0, plan.step_ns - _SLACK_NS) // SECOND
-        asked = max(least, asked * plan.step_ns // SECOND)
-        return self._judge.telemetry(observer, before, after, least=least, asked=asked)
+        least = requested * max(0, plan.step_ns - _SLACK_NS) // SECOND
+        requested = max(least, requested * plan.step_ns // SECOND)
+        return self._judge.telemetry(observer, before, after, least=least, requested=requested)
 
     def _need_generator(self) -> None:
         """Send the telemetry generator a stop command; its event shows that it exists.
@@ -311,16 +311,16 @@ class _Sweeper:
         """
         event = software_bus.EVENTS[software_bus.NO_SUBSCRIBERS].text.partition(",")[0]
         nobody = event.format(msg_id=self.plan.generator)
-        seen = self.observer.seen
+        observed = self.observer.seen
 
         def answers() -> int:
-            return sum(item.count for item in seen.events.values() if item.app == generator.NAME)
+            return sum(item.count for item in observed.events.values() if item.app == generator.NAME)
 
         before = answers()
         self.line.command(packets.generator_command(self.plan, 0, 0))
-        self.line.until(lambda: answers() > before or seen.says(nobody), _GENERATOR_NS)
+        self.line.until(lambda: answers() > before or observed.says(nobody), _GENERATOR_NS)
         if answers() == before and not self.line.stopped.is_set():
-            why = f"cFS says: {nobody}" if seen.says(nobody) else f"within {_GENERATOR_NS // SECOND} s"
+            why = f"cFS says: {nobody}" if observed.says(nobody) else f"within {_GENERATOR_NS // SECOND} s"
             raise CaptureError(
                 f"no telemetry generator answers on 0x{self.plan.generator:04x} ({why}): add the app that "
                 "'edoras codegen generator' writes to this cFS, name its MsgId with --generator, or measure "
@@ -334,14 +334,14 @@ class _Sweeper:
         published = self._judge.telemetry(self.observer, before, self.observer.mark()).sent
         self._background = round(published * SECOND / _BACKGROUND_NS)
         if self._background:
-            self.found.note(
+            self.result.note(
                 f"{called(self.plan.route.msg_id, self.bench.mission)} is already published at "
                 f"{self._background} Hz: the generator adds the rest, so messages are not evenly spaced"
             )
 
     def _watch(self) -> None:
         """Measure what others publish, in steps."""
-        self.found.watched = True
+        self.result.watched = True
         plan, observer = self.plan, self.observer
         end = self.line.now() + plan.watch_ns
         while self.line.now() < end and not self.line.stopped.is_set():
@@ -355,8 +355,8 @@ class _Sweeper:
             outcome = self._judge.telemetry(observer, before, observer.mark())
             self._note(outcome)
             rate = round(outcome.sent * SECOND / plan.step_ns, 1)
-            self.found.steps.append(SweepStep(rate, observer.largest, outcome))
-        if not any(step.outcome.sent for step in self.found.steps):
+            self.result.steps.append(SweepStep(rate, observer.largest, outcome))
+        if not any(step.outcome.sent for step in self.result.steps):
             raise CaptureError(
                 f"no {called(plan.route.msg_id, self.bench.mission)} came in {plan.watch_ns / SECOND:g} s; "
                 "usually it is not published, or it is not in Telemetry Output's table"
@@ -366,16 +366,16 @@ class _Sweeper:
         """Add notes on other losses, and on what this sweep cannot see."""
         for verdict in outcome.others:
             if verdict.msg_id is not None and verdict.msg_id != self.plan.route.msg_id:
-                self.found.note(
+                self.result.note(
                     f"{called(verdict.msg_id, self.bench.mission)} was lost too, at {verdict.hop}"
                 )
         if not self.observer.mark().reports:
-            self.found.note(
+            self.result.note(
                 "no 0x0803 came: without the software bus's counters, only events show losses inside cFS"
             )
         if self.plan.by_size:
             for text in _size_notes(self.plan):
-                self.found.note(text)
+                self.result.note(text)
 
 
 def _size_notes(plan: SweepPlan) -> Iterator[str]:

@@ -31,11 +31,11 @@ def outcome(summary: Mapping[str, Any], width: int) -> RenderableType:
         summary: in the shape of ``sweep --json``.
     """
     steps = sorted(summary["steps"], key=lambda step: (step["rate_hz"], step["size"]))
-    shown: list[RenderableType] = []
+    parts: list[RenderableType] = []
     if steps:
-        shown += [_steps(steps, width), Text()]
+        parts += [_steps(steps, width), Text()]
     if len(steps) > 1:
-        shown += [*terminal(Chart.of(summary), min(width, _CHART_WIDTH)), Text()]
+        parts += [*terminal(Chart.of(summary), min(width, _CHART_WIDTH)), Text()]
     facts = facts_grid()
     name = (
         summary["route"] if summary["route"] == summary["msg_id"] else "{route} ({msg_id})".format(**summary)
@@ -49,7 +49,7 @@ def outcome(summary: Mapping[str, Any], width: int) -> RenderableType:
         facts.add_row("note", plain(note))
     if summary["interrupted"]:
         facts.add_row("ended", "early, by Ctrl-C")
-    return Group(*shown, facts)
+    return Group(*parts, facts)
 
 
 def plan(summary: Mapping[str, Any]) -> RenderableType:
@@ -90,8 +90,8 @@ def step_status(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
         return
 
     def show(rate: int, size: int) -> None:
-        what = f"{rate:,} Hz, {size:,} bytes" if rate else "watching"
-        sys.stderr.write(f"\r\x1b[K{what} ...  Ctrl-C ends")
+        text = f"{rate:,} Hz, {size:,} bytes" if rate else "watching"
+        sys.stderr.write(f"\r\x1b[K{text} ...  Ctrl-C ends")
         sys.stderr.flush()
 
     try:

@@ -184,7 +184,7 @@ def outcome(
 
 def moved(summary: Mapping[str, Any]) -> list[str]:
     """Return a line for each robot: its commands and how far it moved."""
-    found = []
+    lines = []
     for robot in summary["robots"]:
         commands, place = robot["commands"], robot["place"]
         by = f"{plural(commands['said'], 'command')} of the ground station"
@@ -198,35 +198,35 @@ def moved(summary: Mapping[str, Any]) -> list[str]:
             line += f"; its joints turned {robot['way']:.1f} rad together"
         else:
             line += "; no state of it arrived"
-        found.append(line)
-    return found
+        lines.append(line)
+    return lines
 
 
 def loss_lines(summary: Mapping[str, Any]) -> list[str]:
     """Return what did not arrive and why, a line each."""
-    found = []
+    lines = []
     for robot in summary["robots"]:
         for leg in _LEGS:
             row = robot[leg]
             name = f"{robot['robot']}: {leg}"
-            found += [
+            lines += [
                 f"{name}: {count:,} lost inside cFS: {pipe} takes no more of one MsgId at a time"
                 for pipe, count in row["lost"].items()
             ]
             if row["replaced"]:
-                found.append(
+                lines.append(
                     f"{name}: {row['replaced']:,} replaced by newer ones: the flight application sends the "
                     "last on each wake-up"
                 )
             if row["held"]:
-                found.append(
+                lines.append(
                     f"{name}: {row['held']:,} of {row['said']:,} held back by the bridge's rate limit"
                 )
-            gone = sum(row["lost"].values()) + row["refused"] + row["replaced"] + row["held"]
-            missing = row["said"] - gone - row["arrived"]
+            absent = sum(row["lost"].values()) + row["refused"] + row["replaced"] + row["held"]
+            missing = row["said"] - absent - row["arrived"]
             if missing > 0 and not robot["commands"]["others_said"]:
-                found.append(f"{name}: {missing:,} on their way at the end, or from before telemetry was on")
-    return found + bridge_losses(
+                lines.append(f"{name}: {missing:,} on their way at the end, or from before telemetry was on")
+    return lines + bridge_losses(
         {"bridges": summary["bridges"], "inbox_overflowed": 0, "unrecorded": summary["unrecorded"]}
     )
 

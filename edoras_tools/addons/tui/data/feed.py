@@ -61,8 +61,8 @@ class FilterThread(threading.Thread):
 
     def run(self) -> None:
         """Filter blocks until stopped."""
-        while (asked := self._blocks.get()) is not None:
-            where, block = asked
+        while (task := self._blocks.get()) is not None:
+            where, block = task
             if where is self._current:
                 self._settled(where, block, np.flatnonzero(where.mask(block.batch, block.columns)))
 
@@ -120,18 +120,18 @@ class Feed(threading.Thread):
             self._ended(why, failed)
 
     def _read(self) -> str:
-        taken = size = 0
+        count = size = 0
         with reading(self._source, self._bench, self._selection, self._limits) as loop:
             for rows in loop:
                 if self._stopping.is_set():
                     break
                 if len(rows):
                     block = PacketBlock(*compact(*rows.alone()), begin_ns=rows.begin_ns)
-                    taken, size = taken + len(block), size + block.size
+                    count, size = count + len(block), size + block.size
                     self._deliver(block)
                 if self._size and size >= self._size:
                     return (
-                        f"only the first {plural(taken, 'packet')} were read: the limit is "
+                        f"only the first {plural(count, 'packet')} were read: the limit is "
                         f"{units.size(size)}; select fewer with --link, --topic or --msg-id"
                     )
         return ""

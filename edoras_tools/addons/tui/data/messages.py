@@ -38,11 +38,11 @@ class Ended(Message):
 class FilterAnswer(Message):
     """A filter was run on a block."""
 
-    def __init__(self, where: Where, block: PacketBlock, shown: NDArray[np.int64]) -> None:
+    def __init__(self, where: Where, block: PacketBlock, rows: NDArray[np.int64]) -> None:
         super().__init__()
         self.where = where
         self.block = block
-        self.shown = shown
+        self.rows = rows
 
 
 class Found(Message):

@@ -35,16 +35,16 @@ def rate_figure(
     """
     counts: dict[int, RateCounts] = {}
     ends: list[float] = []
-    for block, _, shown in parts:
+    for block, _, selection in parts:
         if given_up():
             return None
-        rows = np.asarray(shown)
+        rows = np.asarray(selection)
         seconds = (block.batch.time_ns[rows] - begin_ns) / 1e9
         ends += [float(seconds.min()), float(seconds.max())]
         msg_id = block.columns.msg_id[rows].astype(np.int64)
         keys = block.columns.link[rows].astype(np.int64) << _MSG_ID_BITS | (msg_id + 1)
-        found, places = np.unique(keys, return_inverse=True)
-        for place, key in enumerate(found.tolist()):
+        streams, places = np.unique(keys, return_inverse=True)
+        for place, key in enumerate(streams.tolist()):
             counts.setdefault(key, RateCounts()).add(seconds[places == place])
     if not ends:
         return None
@@ -68,5 +68,5 @@ def _name(key: int, context: Context) -> str:
     if msg_id == NO_MSG_ID:
         return link.label
     route = int(context.routes_on(link)[msg_id])
-    name = MSG_ID_NAMES.get(context.msg_ids.known(msg_id), f"0x{msg_id:04x}")
+    name = MSG_ID_NAMES.get(context.msg_ids.standard(msg_id), f"0x{msg_id:04x}")
     return f"{link.label} {context.mission.routes[route].topic if route != NO_ROUTE else name}"

@@ -46,11 +46,11 @@ def matcher(text: str, context: Context, begin_ns: int | None) -> Matcher:
         return lambda block: where.mask(block.batch, block.columns)
     digits = _HEX.fullmatch(text.strip())
     if digits:
-        wanted = bytes.fromhex(re.sub("[ :]", "", digits[1]))
-        return lambda block: _holding(block, block.batch.data, wanted)
+        octets = bytes.fromhex(re.sub("[ :]", "", digits[1]))
+        return lambda block: _holding(block, block.batch.data, octets)
     word = text.strip().lower()
     return lambda block: (
-        _named(block, word, context) | _holding(block, _LOWER[block.batch.data], word.encode())
+        _rows_named(block, word, context) | _holding(block, _LOWER[block.batch.data], word.encode())
     )
 
 
@@ -70,44 +70,46 @@ def next_number(
         after: the row to start after; it is tested last.
         given_up: called between blocks; the search ends when it returns true.
     """
-    start = next((place for place, (_, first, shown) in enumerate(parts) if first + len(shown) > after), 0)
+    start = next(
+        (place for place, (_, first, selection) in enumerate(parts) if first + len(selection) > after), 0
+    )
     step = -1 if back else 1
     # The block that the search starts in is tested twice: first the rows ahead, at the end the others.
     for turn in range(len(parts) + 1 if parts else 0):
         if given_up():
             return None
-        block, first, shown = parts[(start + step * turn) % len(parts)]
-        chosen = np.asarray(shown)
-        chosen = chosen[matches(block)[chosen]]
+        block, first, selection = parts[(start + step * turn) % len(parts)]
+        candidates = np.asarray(selection)
+        candidates = candidates[matches(block)[candidates]]
         if turn == 0:
-            rows = first + np.searchsorted(np.asarray(shown), chosen)
-            chosen = chosen[rows < after] if back else chosen[rows > after]
-        if len(chosen):
-            return int(block.batch.number[chosen[-1 if back else 0]])
+            rows = first + np.searchsorted(np.asarray(selection), candidates)
+            candidates = candidates[rows < after] if back else candidates[rows > after]
+        if len(candidates):
+            return int(block.batch.number[candidates[-1 if back else 0]])
     return None
 
 
-def _holding(block: PacketBlock, data: NDArray[np.uint8], wanted: bytes) -> NDArray[np.bool_]:
+def _holding(block: PacketBlock, data: NDArray[np.uint8], octets: bytes) -> NDArray[np.bool_]:
     """Return which payloads contain these bytes."""
     batch = block.batch
     hit = np.zeros(len(batch), bool)
-    if not wanted:
+    if not octets:
         return hit
     text = data.tobytes()
     places = []
-    at = text.find(wanted)
+    at = text.find(octets)
     while at >= 0:
         places.append(at)
-        at = text.find(wanted, at + 1)
+        at = text.find(octets, at + 1)
     order = np.argsort(batch.offset, kind="stable")
     found = np.array(places, np.int64)
     owner = np.searchsorted(batch.offset[order], found, side="right") - 1
     found, rows = found[owner >= 0], order[owner[owner >= 0]]
-    hit[rows[found + len(wanted) <= batch.offset[rows] + batch.length[rows]]] = True
+    hit[rows[found + len(octets) <= batch.offset[rows] + batch.length[rows]]] = True
     return hit
 
 
-def _named(block: PacketBlock, word: str, context: Context) -> NDArray[np.bool_]:
+def _rows_named(block: PacketBlock, word: str, context: Context) -> NDArray[np.bool_]:
     """Return which packets have a name that contains a word."""
     columns = block.columns
     hit = np.isin(columns.link, [int(link) for link in (*table.links(), OTHER) if word in link.label])
@@ -126,4 +128,4 @@ def _name(msg_id: int, context: Context) -> str:
     topic = f"{context.mission.routes[route].topic} {context.mission.routes[route].type}" * (
         route != NO_ROUTE
     )
-    return f"0x{msg_id:04x} {message_name(context.msg_ids.known(msg_id))} {topic}".lower()
+    return f"0x{msg_id:04x} {message_name(context.msg_ids.standard(msg_id))} {topic}".lower()

@@ -44,14 +44,16 @@ def sort_order(
         reverse: the greatest first.
         given_up: asked between blocks; the result is None when it returns true.
     """
-    wanted = [found for _, found in fields(_FIELDS.get(column, column), context, "column")]
+    fields_of = [
+        several_fields for _, several_fields in fields(_FIELDS.get(column, column), context, "column")
+    ]
     read = _names if column == "topic" else _values
     blocks: list[list[tuple[NDArray[Any], NDArray[np.bool_]]]] = []
-    for block, _, shown in parts:
+    for block, _, selection in parts:
         if given_up():
             return None
-        rows = ColumnRows(context, 0, block.batch, block.columns, np.asarray(shown))
-        blocks.append([read(rows, several) for several in wanted])
+        rows = ColumnRows(context, 0, block.batch, block.columns, np.asarray(selection))
+        blocks.append([read(rows, several) for several in fields_of])
     keys: list[NDArray[Any]] = []
     for pieces in zip(*blocks, strict=True):
         _, ranks = np.unique(np.concatenate([values for values, _ in pieces]), return_inverse=True)
@@ -66,7 +68,7 @@ def _values(rows: ColumnRows, several: Sequence[FilterField]) -> tuple[NDArray[A
     Args:
         several: fields that share a name; a row has the value of the last that it has.
     """
-    out, there = np.zeros(len(rows)), np.zeros(len(rows), bool)
+    out, present = np.zeros(len(rows)), np.zeros(len(rows), bool)
     for field in several:
         series = field.series(rows)
         values = series.values
@@ -75,21 +77,21 @@ def _values(rows: ColumnRows, several: Sequence[FilterField]) -> tuple[NDArray[A
         owner, first = np.unique(
             np.arange(len(rows)) if series.owner is None else series.owner, return_index=True
         )
-        if not there.any():
+        if not present.any():
             out = np.zeros(len(rows), values.dtype)
         elif out.dtype.kind in "US" or values.dtype.kind in "US":
             out, values = out.astype(str), values.astype(str)
         out = out.astype(np.promote_types(out.dtype, values.dtype))
         out[owner] = values[first]
-        there[owner] = True
-    return out, there
+        present[owner] = True
+    return out, present
 
 
 def _names(rows: ColumnRows, _: Sequence[FilterField]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """Return what the list shows as topic: that of the route, else the name of the MsgId."""
     routes = rows.context.mission.routes
     pairs = np.stack((rows.routes().astype(np.int64), rows.column("msg_id").astype(np.int64)))
-    found, places = np.unique(pairs, axis=1, return_inverse=True)
+    pairs_found, places = np.unique(pairs, axis=1, return_inverse=True)
     names = np.array(
         [
             ""
@@ -97,7 +99,7 @@ def _names(rows: ColumnRows, _: Sequence[FilterField]) -> tuple[NDArray[Any], ND
             else routes[route].topic
             if route != NO_ROUTE
             else rows.context.name(msg_id)
-            for route, msg_id in found.T.tolist()
+            for route, msg_id in pairs_found.T.tolist()
         ],
         str,
     )[places]

@@ -34,13 +34,13 @@ class PacketBlock:
     Attributes:
         batch: the datagrams.
         columns: what was decoded from them.
-        shown: rows that pass the filter; None if it has not run yet.
+        selection: rows that pass the filter; None if it has not run yet.
         begin_ns: time of the capture's first datagram; None: that of the first packet.
     """
 
     batch: PacketBatch
     columns: Columns
-    shown: Shown | None = None
+    selection: Shown | None = None
     begin_ns: int | None = None
 
     def __len__(self) -> int:
@@ -90,7 +90,7 @@ class Store:
         if self.begin_ns is None:
             self.begin_ns = int(block.batch.time_ns[0]) if block.begin_ns is None else block.begin_ns
         if not self.filtered:
-            block.shown = range(len(block))
+            block.selection = range(len(block))
         self.blocks.append(block)
         self.packets += len(block)
         self.size += block.size
@@ -102,13 +102,13 @@ class Store:
         """Start again: without a filter all rows are shown; with one, no row until it has run."""
         self.filtered, self.order = filtered, None
         for block in self.blocks:
-            block.shown = None if filtered else range(len(block))
+            block.selection = None if filtered else range(len(block))
         self._ends = []
         self._advance()
 
-    def settle(self, block: PacketBlock, shown: NDArray[np.int64]) -> None:
+    def settle(self, block: PacketBlock, rows: NDArray[np.int64]) -> None:
         """Take the filter's result for a block."""
-        block.shown = shown
+        block.selection = rows
         self._advance()
         self._merge()
 
@@ -123,8 +123,8 @@ class Store:
         row = self.place(row)
         place = bisect_right(self._ends, row)
         block = self.blocks[place]
-        assert block.shown is not None
-        return block, int(block.shown[row - (self._ends[place - 1] if place else 0)])
+        assert block.selection is not None
+        return block, int(block.selection[row - (self._ends[place - 1] if place else 0)])
 
     def place(self, row: int) -> int:
         """Return the place of a row in the capture's order."""
@@ -154,20 +154,20 @@ class Store:
         The list does not change later, so threads may use it.
         """
         return [
-            (block, end - len(block.shown), block.shown)
+            (block, end - len(block.selection), block.selection)
             for block, end in zip(self.blocks, self._ends, strict=False)
-            if block.shown is not None and len(block.shown)
+            if block.selection is not None and len(block.selection)
         ]
 
     def _first_at_least(self, name: str, value: int) -> int | None:
-        for block, first, shown in self.parts():
+        for block, first, selection in self.parts():
             column = getattr(block.batch, name)
             # Blocks are in order, so most are skipped by one comparison.
-            if column[int(shown[-1])] < value:
+            if column[int(selection[-1])] < value:
                 continue
-            found = np.flatnonzero(column[np.asarray(shown)] >= value)
-            if len(found):
-                return self._row(first + int(found[0]))
+            places = np.flatnonzero(column[np.asarray(selection)] >= value)
+            if len(places):
+                return self._row(first + int(places[0]))
         return None
 
     def _row(self, place: int) -> int:
@@ -178,10 +178,10 @@ class Store:
     def _advance(self) -> None:
         """Count the blocks that the filter has run on since the last call."""
         while len(self._ends) < len(self.blocks):
-            shown = self.blocks[len(self._ends)].shown
-            if shown is None:
+            selection = self.blocks[len(self._ends)].selection
+            if selection is None:
                 break
-            self._ends.append(len(self) + len(shown))
+            self._ends.append(len(self) + len(selection))
 
     def _merge(self) -> None:
         """Join small blocks at the end, so that hours of a quiet link remain a few blocks."""
@@ -195,17 +195,17 @@ class Store:
             del self._ends[-2]
 
     def _forget(self) -> int:
-        gone = rows = 0
-        while self.size > self._limit and gone < len(self.blocks) - 1 and gone < len(self._ends):
-            block = self.blocks[gone]
+        dropped = rows = 0
+        while self.size > self._limit and dropped < len(self.blocks) - 1 and dropped < len(self._ends):
+            block = self.blocks[dropped]
             self.size -= block.size
             self.packets -= len(block)
             self.forgotten += len(block)
-            rows = self._ends[gone]
-            gone += 1
-        if gone:
-            del self.blocks[:gone]
-            self._ends = [end - rows for end in self._ends[gone:]]
+            rows = self._ends[dropped]
+            dropped += 1
+        if dropped:
+            del self.blocks[:dropped]
+            self._ends = [end - rows for end in self._ends[dropped:]]
             if self.order is not None:
                 self.order = self.order[self.order >= rows] - rows
         return rows
@@ -213,10 +213,10 @@ class Store:
 
 def join_blocks(first: PacketBlock, second: PacketBlock) -> PacketBlock:
     """Join two blocks; the filter has run on both, or on neither."""
-    shown: Shown | None = None
-    if isinstance(first.shown, range) and isinstance(second.shown, range):
-        shown = range(len(first) + len(second))
-    elif first.shown is not None and second.shown is not None:
-        shown = np.concatenate([np.asarray(first.shown), np.asarray(second.shown) + len(first)])
+    selection: Shown | None = None
+    if isinstance(first.selection, range) and isinstance(second.selection, range):
+        selection = range(len(first) + len(second))
+    elif first.selection is not None and second.selection is not None:
+        selection = np.concatenate([np.asarray(first.selection), np.asarray(second.selection) + len(first)])
     batch, columns = join([(first.batch, first.columns), (second.batch, second.columns)])
-    return PacketBlock(batch, columns, shown)
+    return PacketBlock(batch, columns, selection)

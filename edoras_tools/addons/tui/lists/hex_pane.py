@@ -157,9 +157,9 @@ class HexPane(Lines):
 
     def action_line(self, by: int) -> None:
         """Move the cursor by lines."""
-        wanted = self.at + by * self.per_line
-        if 0 <= wanted < len(self._data):
-            self.action_byte(wanted)
+        target = self.at + by * self.per_line
+        if 0 <= target < len(self._data):
+            self.action_byte(target)
 
     def action_page(self, by: float) -> None:
         """Move the cursor by pages."""

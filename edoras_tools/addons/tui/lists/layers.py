@@ -53,7 +53,7 @@ class Layers(Lines):
 
     def show(self, decoded: Decoded | None) -> None:
         """Show another packet; the cursor stays on the row of the same name, open branches stay open."""
-        before = None if self.chosen is None else self._paths[self.chosen]
+        before = None if self.selected_place is None else self._paths[self.selected_place]
         self._rows = list(tree.rows(decoded)) if decoded else []
         self._above = _branches_above(self._rows)
         self._paths = [
@@ -64,23 +64,23 @@ class Layers(Lines):
         self._lay_out(same)
 
     @property
-    def chosen(self) -> int | None:
+    def selected_place(self) -> int | None:
         """The row under the cursor, an index into the tree's rows."""
         return self._lines[self.cursor][0] if self.cursor < len(self._lines) else None
 
     @property
     def field(self) -> TreeRow | None:
         """The row under the cursor."""
-        return None if self.chosen is None else self._rows[self.chosen]
+        return None if self.selected_place is None else self._rows[self.selected_place]
 
     @property
     def field_name(self) -> str:
         """The name of the row under the cursor, with the groups that it is in: ``pose.position.x``."""
-        if self.chosen is None:
+        if self.selected_place is None:
             return ""
-        above = [self._rows[place] for place in self._above[self.chosen]]
+        above = [self._rows[place] for place in self._above[self.selected_place]]
         groups = [row.label for row in above if row.role == "group"]
-        return ".".join([*groups, self._rows[self.chosen].label])
+        return ".".join([*groups, self._rows[self.selected_place].label])
 
     def choose_byte(self, at: int) -> bool:
         """Put the cursor on the smallest field that contains a payload byte; False if there is none."""
@@ -111,7 +111,9 @@ class Layers(Lines):
 
     def row_style(self, row: int) -> str:
         """Return the cursor's style for every line of the chosen row."""
-        return "lines--cursor" if row < len(self._lines) and self._lines[row][0] == self.chosen else ""
+        return (
+            "lines--cursor" if row < len(self._lines) and self._lines[row][0] == self.selected_place else ""
+        )
 
     def watch_cursor(self, before: int, after: int) -> None:
         """Redraw the lines of both rows, and post ``Moved``."""
@@ -135,7 +137,7 @@ class Layers(Lines):
 
     def on_resize(self) -> None:
         """Lay out the lines for another width."""
-        self._lay_out(self.chosen)
+        self._lay_out(self.selected_place)
 
     def clicked(self, row: int, column: int, *, again: bool) -> None:
         """Open or close a branch: a click on its arrow, or a double click."""
@@ -146,17 +148,17 @@ class Layers(Lines):
 
     def action_toggle_branch(self) -> None:
         """Open or close the branch under the cursor."""
-        if self.chosen is not None and self._is_branch(self.chosen):
-            self._set(self.chosen, open_=self._paths[self.chosen] in self._shut)
+        if self.selected_place is not None and self._is_branch(self.selected_place):
+            self._set(self.selected_place, open_=self._paths[self.selected_place] in self._shut)
 
     def action_open(self, open_: bool) -> None:
         """Open the branch under the cursor; or close it, or go to the branch that contains it."""
-        if self.chosen is None:
+        if self.selected_place is None:
             return
-        branch = self._is_branch(self.chosen)
-        if branch and (self._paths[self.chosen] in self._shut) == open_:
-            self._set(self.chosen, open_=open_)
-        elif not open_ and (above := self._above[self.chosen]):
+        branch = self._is_branch(self.selected_place)
+        if branch and (self._paths[self.selected_place] in self._shut) == open_:
+            self._set(self.selected_place, open_=open_)
+        elif not open_ and (above := self._above[self.selected_place]):
             self._lay_out(above[-1])
         elif open_ and branch:
             self.action_move(1)
@@ -166,8 +168,8 @@ class Layers(Lines):
         self._shut = (
             set() if open_ else {self._paths[row] for row in range(len(self._rows)) if self._is_branch(row)}
         )
-        above = self._above[self.chosen] if self.chosen is not None and not open_ else []
-        self._lay_out(above[0] if above else self.chosen)
+        above = self._above[self.selected_place] if self.selected_place is not None and not open_ else []
+        self._lay_out(above[0] if above else self.selected_place)
 
     def _set(self, row: int, *, open_: bool) -> None:
         (self._shut.discard if open_ else self._shut.add)(self._paths[row])
@@ -177,7 +179,7 @@ class Layers(Lines):
         # One of many equal layers (an SBN subscription) has no fields below it.
         return self._rows[row].role in _BRANCHES and not self._rows[row].value
 
-    def _lay_out(self, chosen: int | None, *, centre: bool = False) -> None:
+    def _lay_out(self, place_now: int | None, *, centre: bool = False) -> None:
         width = self.room
         self._cut = tree.GUTTER if width < _NARROW else 0
         lines: list[tuple[int, str]] = []
@@ -190,7 +192,7 @@ class Layers(Lines):
             lines += [(place, line) for line in _drawn(row, width, self._cut, closed=closed)]
         self._lines, self._strips = lines, {}
         self.recount()
-        at = next((line for line, (place, _) in enumerate(lines) if place == chosen), None)
+        at = next((line for line, (place, _) in enumerate(lines) if place == place_now), None)
         self.go(0 if at is None else at, centre=centre)
         self.post_message(self.Moved(self))
 
@@ -202,15 +204,15 @@ def _name(row: TreeRow, place: int) -> str:
 
 def _branches_above(rows: Sequence[TreeRow]) -> list[list[int]]:
     """Return for every row the branches that contain it, outermost first."""
-    found: list[list[int]] = []
+    branches: list[list[int]] = []
     open_: list[int] = []
     for place, row in enumerate(rows):
         while open_ and (rows[open_[-1]].depth >= row.depth or row.role not in _INSIDE):
             open_.pop()
-        found.append(list(open_))
+        branches.append(list(open_))
         if row.role in _BRANCHES:
             open_.append(place)
-    return found
+    return branches
 
 
 def _drawn(row: TreeRow, width: int, cut: int, *, closed: bool) -> list[str]:
@@ -229,7 +231,7 @@ def _narrow(row: TreeRow, width: int) -> list[str]:
     field = row.role == "field"
     label = f"{row.label}{':' if field else ' '} "
     first, *rest = wrap(f"{label}{row.value}", max(8, width - len(indent)))
-    told = min(len(label), len(first))
-    head = indent + _PAINT(first[:told], palette.DIM if field else row.style) + first[told:]
+    label_end = min(len(label), len(first))
+    head = indent + _PAINT(first[:label_end], palette.DIM if field else row.style) + first[label_end:]
     more = wrap(" ".join(rest), max(8, width - len(indent) - 2)) if rest else []
     return [head, *(f"{indent}  {line}" for line in more)][: _MOST_LINES if field else None]

@@ -111,8 +111,8 @@ class Lines(ScrollView, can_focus=True):
         row = max(0, min(count - 1, row if row >= 0 else count + row))
         top, page = round(self.scroll_y), self.page
         if row < top or row >= top + page:
-            wanted = row - page // 2 if centre else row if row < top else row - page + 1
-            self.scroll_to(y=max(0, wanted), animate=False, force=True, immediate=True)
+            target = row - page // 2 if centre else row if row < top else row - page + 1
+            self.scroll_to(y=max(0, target), animate=False, force=True, immediate=True)
         self.cursor = row
 
     def watch_cursor(self, before: int, after: int) -> None:

@@ -110,11 +110,11 @@ class Packets(Lines):
         self.refresh()
         self.refresh_header()
 
-    def arrived(self, gone: int) -> None:
-        """Update after packets arrived and ``gone`` rows at the top were dropped."""
-        if gone:
-            self.set_reactive(Packets.cursor, max(0, self.cursor - gone))
-            self.set_scroll(None, max(0, self.scroll_y - gone))
+    def arrived(self, dropped: int) -> None:
+        """Update after packets arrived and ``dropped`` rows at the top were dropped."""
+        if dropped:
+            self.set_reactive(Packets.cursor, max(0, self.cursor - dropped))
+            self.set_scroll(None, max(0, self.scroll_y - dropped))
         self.recount()
         if self.follow:
             self.go(-1)
@@ -190,6 +190,6 @@ class Packets(Lines):
             names=MSG_ID_NAMES,
             verbose=self._verbose,
             begin_ns=self._store.begin_ns,
-            shown=[name for name in self.columns if name in COLUMNS],
+            columns=[name for name in self.columns if name in COLUMNS],
             added=[(column[0], is_number(column)) for column in self._added],
         )

@@ -65,9 +65,9 @@ class SequenceView(Lines):
         step = self._step
         line = Text(" " * _TIME)
         for name in self._parties:
-            shown = clean(name)
-            shown = shown if len(shown) < step else clip_middle(shown.removeprefix("SBN "), step - 1)
-            line.append(f"{shown:^{step}}", palette.STRONG)
+            title = clean(name)
+            title = title if len(title) < step else clip_middle(title.removeprefix("SBN "), step - 1)
+            line.append(f"{title:^{step}}", palette.STRONG)
         return line
 
     def rows(self) -> int:
@@ -118,7 +118,9 @@ def _words(item: SequenceMessage, room: int) -> Text:
     period = f" every {units.milliseconds(item.period_ns / 1e6)}" if item.period_ns >= 1e6 else ""
     until = f" until {item.last_ns / 1e9:.3f}" if item.count > 1 else ""
     wrong = [explain(label) for label in item.findings]
-    badge = " ".join(f"{told.severity.mark} {told.short}" for told in wrong if told.severity > Level.NOTE)
+    badge = " ".join(
+        f"{finding.severity.mark} {finding.short}" for finding in wrong if finding.severity > Level.NOTE
+    )
     line = Text("  ")
     if badge:
         line.append(f"{clip(badge, max(4, room // 2))}  ", _severity(item).style)

@@ -170,8 +170,8 @@ def message_limits(path: Path) -> dict[int, int]:
     """
     table = read_cfe_file(path) if path.exists() else None
     if table is None or not table.entries or "message_limit" not in table.entries[0]:
-        what = "is not an image of Telemetry Output's table" if path.exists() else "there is no such file"
-        raise CaptureError(f"{path}: {what}; name one of {_SUBSCRIPTIONS[0]}")
+        problem = "is not an image of Telemetry Output's table" if path.exists() else "there is no such file"
+        raise CaptureError(f"{path}: {problem}; name one of {_SUBSCRIPTIONS[0]}")
     return {int(item["msg_id"], 16): item["message_limit"] for item in table.entries}
 
 
@@ -183,19 +183,19 @@ def network_peers(path: Path) -> tuple[SbnPeerConfig, ...]:
     """
     table = read_cfe_file(path) if path.exists() else None
     if table is None or table.head.get("table_name") != sbn.TABLE or "protocols" not in table.head:
-        what = (
+        problem = (
             f"is not an image of SBN's table, of {_SBN_BYTES} bytes"
             if path.exists()
             else "there is no such file"
         )
-        raise CaptureError(f"{path}: {what}; name one of {sbn.TABLE}")
-    found = []
+        raise CaptureError(f"{path}: {problem}; name one of {sbn.TABLE}")
+    peers = []
     for item in table.entries:
         host, _, port = item["address"].rpartition(":")
-        known = port.isdecimal() and int(port) < 1 << 16
+        numeric = port.isdecimal() and int(port) < 1 << 16
         peer = Peer(item["spacecraft_id"], item["processor_id"])
-        found.append(SbnPeerConfig(peer, int(port) if known else 0, host if known else item["address"]))
-    return tuple(found)
+        peers.append(SbnPeerConfig(peer, int(port) if numeric else 0, host if numeric else item["address"]))
+    return tuple(peers)
 
 
 def _parsed(path: Path, layout: Layout, data: bytes, at: int) -> dict[str, Any]:
@@ -206,12 +206,12 @@ def _parsed(path: Path, layout: Layout, data: bytes, at: int) -> dict[str, Any]:
     return layout.parse(data, at)
 
 
-def _whole(path: Path, data: bytes, size: int, what: str) -> int:
+def _whole(path: Path, data: bytes, size: int, entries: str) -> int:
     """Return the number of entries of a size; the data must have no rest."""
     count, rest = divmod(len(data), size)
     if rest:
         raise CaptureError(
-            f"{path}: its {len(data)} bytes are no whole number of {what} of {size} bytes; "
+            f"{path}: its {len(data)} bytes are no whole number of {entries} of {size} bytes; "
             "it was cut off, or another build of cFE made it"
         )
     return count

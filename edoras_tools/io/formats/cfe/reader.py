@@ -66,16 +66,16 @@ class CfePacketSource(RecordSource):
             )
         self.header = FILE_HEADER.parse(window.data[: FILE_HEADER.size].tobytes())
         subtype = self.header["subtype"]
-        what = kind_of(subtype)
+        kind = kind_of(subtype)
         if subtype not in ON_TIME_LINE:
             raise CaptureError(
-                f"{name}: is a cFE {what}, which has no packets; 'edoras info {name}' shows what is in it"
+                f"{name}: is a cFE {kind}, which has no packets; 'edoras info {name}' shows what is in it"
             )
         self.holds_resets = subtype == cfe_file.RESET_LOG
         if self.holds_resets:
             self.unit = "entry"
         self._at = cfe_file.OF_PACKETS.get(subtype, FILE_HEADER.size)
-        self._info = SourceInfo(name, f"cFE {what}")
+        self._info = SourceInfo(name, f"cFE {kind}")
         self._time_ns = (EPOCH_S + self.header["seconds"]) * SECOND
         self._clock_at = 0
         while window.end < self._at and window.advance(0):
@@ -171,12 +171,12 @@ def reset_times(rows: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.
     )
     stamped = (core != 1) | np.isin(subtype, (cfe_file.RESET_COMMAND, cfe_file.EXCEPTION))
     begin = START_S * SECOND
-    made = seconds * SECOND + (subseconds * SECOND >> 32)
-    made = np.where(stamped, made, np.where(power_on == 2, begin, -1))
-    known = np.flatnonzero(made >= 0)
-    falls = known[1:][np.diff(made[known]) < 0]
+    times = seconds * SECOND + (subseconds * SECOND >> 32)
+    times = np.where(stamped, times, np.where(power_on == 2, begin, -1))
+    dated = np.flatnonzero(times >= 0)
+    falls = dated[1:][np.diff(times[dated]) < 0]
     order = np.roll(np.arange(len(rows)), -int(falls[0]) if len(falls) else 0)
-    latest = np.maximum.accumulate(made[order])
+    latest = np.maximum.accumulate(times[order])
     time_ns = np.empty(len(rows), np.int64)
     time_ns[order] = EPOCH_S * SECOND + np.where(latest < 0, begin, latest)
     return time_ns, order

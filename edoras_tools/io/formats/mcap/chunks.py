@@ -136,7 +136,7 @@ class ChunkWriter:
         workers: Workers | None = None,
     ) -> None:
         self._file, self._press = file, press
-        self._made = InOrder(work, workers)
+        self._packed = InOrder(work, workers)
         """The chunks of the batches not yet written."""
 
     @property
@@ -147,7 +147,7 @@ class ChunkWriter:
     def append(self, streams: Sequence[Messages], rows: int) -> None:
         """Append messages of a batch; see ``ChunkPress.append``."""
         for chunks in self._press.append(streams, rows):
-            self._put_made(0)
+            self._put_packed(0)
             self._file.add_chunks(chunks)
 
     def append_batch(self, *batch: object, last: bool = False) -> None:
@@ -157,22 +157,22 @@ class ChunkWriter:
         """
         if self._press.used:
             self.flush()
-        self._put_made()
-        self._made.add(*batch, alone=last)
-        self._put_made(_MOST_MADE)
+        self._put_packed()
+        self._packed.add(*batch, alone=last)
+        self._put_packed(_MOST_MADE)
 
     def flush(self) -> None:
         """End the current chunk, and return when all chunks are written to the operating system."""
-        self._put_made(0)
+        self._put_packed(0)
         self._put(self._press.finish())
 
-    def _put_made(self, most: int | None = None) -> None:
+    def _put_packed(self, most: int | None = None) -> None:
         """Write the chunks of batches that are made; wait while there are more than ``most`` others."""
-        for made in self._made.results(most):
-            self._put(made)
+        for packed in self._packed.results(most):
+            self._put(packed)
 
-    def _put(self, made: Iterable[PackedChunks]) -> None:
-        for chunks in made:
+    def _put(self, packed: Iterable[PackedChunks]) -> None:
+        for chunks in packed:
             self._file.add_chunks(chunks)
 
 
@@ -203,22 +203,22 @@ class _Part:
             shift: position in the buffer of the batch's first message.
         """
         messages = self._messages
-        chosen = slice(self._done, int(np.searchsorted(messages.rows, last)))
-        if chosen.start == chosen.stop:
+        ready = slice(self._done, int(np.searchsorted(messages.rows, last)))
+        if ready.start == ready.stop:
             return
-        self._done = chosen.stop
-        positions = self._positions[chosen] + shift
-        heads = messages.heads(chosen)
+        self._done = ready.stop
+        positions = self._positions[ready] + shift
+        heads = messages.heads(ready)
         if self._copy is not None:
             self._copy(
                 buffer,
                 positions + messages.head_bytes,
                 messages.data,
-                messages.offset[chosen],
-                messages.length[chosen],
+                messages.offset[ready],
+                messages.length[ready],
             )
         put_rows(buffer, positions, heads)
         channel = messages.channel_id
         index.add(
-            channel if isinstance(channel, int) else channel[chosen], messages.log_time[chosen], positions
+            channel if isinstance(channel, int) else channel[ready], messages.log_time[ready], positions
         )

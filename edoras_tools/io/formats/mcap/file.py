@@ -327,8 +327,10 @@ class McapFile:
         repair = f"`edoras recover {self.path}` repairs the file"
         if self.path == STDOUT:
             repair = "what was written can be read"
-        what = repair if self.size else "name another file with -o or make room"
-        return CaptureError(f"{output_name(self.path)}: cannot be written: {error.strerror or error}; {what}")
+        advice = repair if self.size else "name another file with -o or make room"
+        return CaptureError(
+            f"{output_name(self.path)}: cannot be written: {error.strerror or error}; {advice}"
+        )
 
 
 def _chunk_start(head: ChunkHead) -> bytes:

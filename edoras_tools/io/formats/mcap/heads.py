@@ -53,8 +53,8 @@ class ChunkHead(NamedTuple):
 def chunk_head(content: bytes | memoryview) -> ChunkHead | None:
     """Read the head at the start of a chunk's content; None if it cannot be read."""
     with suppress(struct.error, UnicodeDecodeError):
-        start_ns, end_ns, size, crc, named = CHUNK_HEAD.unpack_from(content)
-        place = CHUNK_HEAD.size + named
+        start_ns, end_ns, size, crc, name_bytes = CHUNK_HEAD.unpack_from(content)
+        place = CHUNK_HEAD.size + name_bytes
         (length,) = _LENGTH.unpack_from(content, place)
         compression = bytes(content[CHUNK_HEAD.size : place]).decode()
         return ChunkHead(start_ns, end_ns, size, crc, compression, place + _LENGTH.size, length)

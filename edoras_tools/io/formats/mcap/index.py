@@ -137,8 +137,8 @@ def _edges(positions: NDArray[np.int64], base: NDArray[np.int64], size: int, lim
     if size <= limit:
         return np.array([0, size])
     count = -(-size // limit)
-    wanted = np.arange(1, count) * size // count
-    last = np.searchsorted(positions, base + wanted, side="right") - 1
+    targets = np.arange(1, count) * size // count
+    last = np.searchsorted(positions, base + targets, side="right") - 1
     # If a channel has no message that early, the one found is of another channel, or there is none.
     starts = np.where(last < 0, 0, np.maximum(positions[last] - base, 0)).max(axis=0)
     edges = np.concatenate([[0], starts, [size]])
@@ -149,15 +149,15 @@ def _times(
     times: NDArray[np.uint64], first: NDArray[np.int64], counts: NDArray[np.int64]
 ) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
     """Return the smallest and the largest time of each chunk, u64, from those of its channels."""
-    there = np.nonzero(counts)
-    starts = first[there]
+    filled = np.nonzero(counts)
+    starts = first[filled]
     begins = np.zeros(len(times), bool)
     begins[starts] = True
     if (begins[1:] | (times[1:] >= times[:-1])).all():  # nearly always
-        least, most = times[starts], times[starts + counts[there] - 1]
+        least, most = times[starts], times[starts + counts[filled] - 1]
     else:
         least, most = np.minimum.reduceat(times, starts), np.maximum.reduceat(times, starts)
     low = np.full(counts.shape, np.iinfo(np.uint64).max, np.uint64)
     high = np.zeros(counts.shape, np.uint64)
-    low[there], high[there] = least, most
+    low[filled], high[filled] = least, most
     return low.min(axis=0), high.max(axis=0)

@@ -71,9 +71,9 @@ def chunk_content(
     Raises:
         CaptureError: it is damaged.
     """
-    there = [channel for channel in index.message_index_offsets if channel in channels]
+    numbers = [channel for channel in index.message_index_offsets if channel in channels]
     offset = np.sort(
-        np.concatenate([np.zeros(0, np.int64), *(_offsets(file, index, item) for item in there)])
+        np.concatenate([np.zeros(0, np.int64), *(_offsets(file, index, item) for item in numbers)])
     )
     return _messages(_unpacked(file, name, index), offset, name, index)
 
@@ -101,8 +101,8 @@ def scanned(path: Path, name: str) -> Iterator[SelectedMessages | Schema | Chann
                     loose = bytearray()
                 if opcode == Opcode.CHUNK:
                     yield from _walked(_chunk_records(file.read(start, end), name, place))
-                elif (found := parse(opcode, file.read(start, end))) is not None:
-                    yield found
+                elif (content := parse(opcode, file.read(start, end))) is not None:
+                    yield content
             if len(loose) >= _BATCH_BYTES:
                 yield from _walked(loose)
                 loose = bytearray()
@@ -125,11 +125,11 @@ def _chunk_records(content: bytes | memoryview, name: str, place: int) -> bytes 
 
 def _walked(raw: bytes | bytearray | memoryview) -> Iterator[SelectedMessages | Schema | Channel]:
     """Yield the channels among some records, then the messages."""
-    found = walk(bytes(raw))
-    yield from (item for item in found.others if isinstance(item, (Schema, Channel)))
-    if len(found):
-        heads = read_at(found.data, found.start, np.dtype(RECORD))
-        yield _selected(heads, found.data, found.start + RECORD_BYTES)
+    records = walk(bytes(raw))
+    yield from (item for item in records.others if isinstance(item, (Schema, Channel)))
+    if len(records):
+        heads = read_at(records.data, records.start, np.dtype(RECORD))
+        yield _selected(heads, records.data, records.start + RECORD_BYTES)
 
 
 def joined_messages(parts: Sequence[SelectedMessages]) -> SelectedMessages:

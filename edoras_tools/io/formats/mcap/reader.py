@@ -172,11 +172,11 @@ class McapSource:
         """Return the messages of a topic of ours that not every recording has."""
         if topic not in self._topics.values():
             return []
-        found = []
+        values = []
         with self._path.open("rb") as file, suppress(McapError, WireError, EOFError, struct.error):
             for _, _, message in make_reader(file).iter_messages([topic], log_time_order=False):
-                found.append(read(message.data))
-        return found
+                values.append(read(message.data))
+        return values
 
     def close(self) -> None:
         """Close the file."""
@@ -233,7 +233,7 @@ class McapSource:
     def _walk(self, data: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Return the positions of datagram messages in records without an index; also learn channels."""
         view, size = data.data, data.size
-        found: list[int] = []
+        positions: list[int] = []
         position = 0
         while position + RECORD_HEAD.size <= size:
             opcode, length = RECORD_HEAD.unpack_from(view, position)
@@ -245,9 +245,9 @@ class McapSource:
             elif opcode == Opcode.MESSAGE and length >= 2:
                 channel_id = int.from_bytes(view[start : start + 2], "little")
                 if self._topics.get(channel_id) == DATAGRAMS_TOPIC:
-                    found.append(position)
+                    positions.append(position)
             position = end
-        return np.array(found, dtype=np.int64)
+        return np.array(positions, dtype=np.int64)
 
     def _chunk(self, start: int, end: int) -> NDArray[np.uint8]:
         """Decompress the chunk whose content starts at ``start``."""
@@ -270,28 +270,28 @@ class McapSource:
             The start of each datagram message in the chunk, None if no complete index gives it; and the
             position of the next record.
         """
-        found: list[NDArray[np.int64]] = []
-        seen = False
+        parts: list[NDArray[np.int64]] = []
+        indexed = False
         while (record := self._prefix(position)) is not None and record[0] == Opcode.MESSAGE_INDEX:
             _, start, end = record
-            seen = True
+            indexed = True
             channel_id = int.from_bytes(self._read(start, min(start + 2, end)), "little")
             # The record of an unknown channel is in the chunk: then the chunk's records are read one by one.
             if channel_id not in self._topics:
-                seen = False
+                indexed = False
                 position = self._skip_index(end)
                 break
             if self._topics[channel_id] == DATAGRAMS_TOPIC:
                 entries = self._read(start + INDEX_HEAD.itemsize - RECORD_HEAD.size, end)
-                found.append(
+                parts.append(
                     np.frombuffer(entries, INDEX_ENTRY, len(entries) // INDEX_ENTRY.itemsize)[
                         "offset"
                     ].astype(np.int64)
                 )
             position = end
-        if not seen or record is None:
+        if not indexed or record is None:
             return None, position
-        return np.sort(np.concatenate(found)) if found else np.zeros(0, dtype=np.int64), position
+        return np.sort(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.int64), position
 
     def _skip_index(self, position: int) -> int:
         while (record := self._prefix(position)) is not None and record[0] == Opcode.MESSAGE_INDEX:
@@ -310,10 +310,10 @@ class McapSource:
     def _scan_topics(self) -> None:
         """Look for topics in a file without a summary: other tools describe them anywhere."""
         with suppress(CaptureError):  # it is cut off; that is told when it is read
-            for found in scanned(self._path, self._name):
-                if isinstance(found, Channel):
-                    self._topics[found.id] = found.topic
-                    if found.topic == DATAGRAMS_TOPIC:
+            for record in scanned(self._path, self._name):
+                if isinstance(record, Channel):
+                    self._topics[record.id] = record.topic
+                    if record.topic == DATAGRAMS_TOPIC:
                         return
 
     def _read_front(self) -> bool:
@@ -336,9 +336,9 @@ class McapSource:
             opcode, start, end = record
             if opcode in {Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX}:
                 place = int.from_bytes(self._read(start, start + 8), "little")
-                there = self._prefix(place)
-                if there is not None:
-                    self._remember(*there)
+                prefix = self._prefix(place)
+                if prefix is not None:
+                    self._remember(*prefix)
             else:
                 self._remember(opcode, start, end)
             summary = end
@@ -376,11 +376,11 @@ class McapSource:
 
     def _note(self, outage: InterfaceOutage) -> None:
         """Store an outage; the record of its end replaces the record of its beginning."""
-        known = {(item.interface, item.start_ns): item for item in self.statistics.outages}
-        before = known.get((outage.interface, outage.start_ns))
+        outages = {(item.interface, item.start_ns): item for item in self.statistics.outages}
+        before = outages.get((outage.interface, outage.start_ns))
         if before is None or not before.end_ns:
-            known[outage.interface, outage.start_ns] = outage
-        self.statistics.outages[:] = sorted(known.values(), key=lambda item: item.start_ns)
+            outages[outage.interface, outage.start_ns] = outage
+        self.statistics.outages[:] = sorted(outages.values(), key=lambda item: item.start_ns)
 
     def _prefix(self, position: int) -> tuple[int, int, int] | None:
         """Return opcode, start and end of a record's content; None if there is no complete record."""
@@ -411,10 +411,10 @@ def _array(data: bytes | bytearray | memoryview) -> NDArray[np.uint8]:
 def _words(text: str) -> dict[str, str]:
     """Return a JSON object of texts; empty if it is not one."""
     try:
-        found = json.loads(text or "{}")
+        table = json.loads(text or "{}")
     except ValueError:
         return {}
-    return {str(name): str(value) for name, value in found.items()} if isinstance(found, dict) else {}
+    return {str(name): str(value) for name, value in table.items()} if isinstance(table, dict) else {}
 
 
 def _positive(values: dict[str, str], name: str, default: int) -> int:

@@ -64,8 +64,8 @@ def verify(
     with FileBytes(source) as file:
         report = _Assembly(file, None, unproved=unproved).run(progress)
         if not report.whole and not sum(report.messages.values()):
-            known = any(loss.messages for loss in report.losses) or report.left_out
-            if not known and file.read(0, len(MAGIC)) != MAGIC:
+            damaged = any(loss.messages for loss in report.losses) or report.left_out
+            if not damaged and file.read(0, len(MAGIC)) != MAGIC:
                 raise CaptureError(
                     f"{source}: is not an MCAP file, or one without any complete record; what is whole of a "
                     "pcap or pcapng, edoras record -r copies"
@@ -105,22 +105,22 @@ def recover(
     if report.whole:
         return report
     regular = target.is_file() or not target.exists()
-    made = target.with_name(f"{target.name}.part") if regular else target
+    part = target.with_name(f"{target.name}.part") if regular else target
     with FileBytes(source) as file:
         out = None
         try:
-            out = McapFile(made, header=b"")
+            out = McapFile(part, header=b"")
             report = _Assembly(file, out, unproved=unproved).run(progress)
             if regular:
-                made.replace(target)
+                part.replace(target)
         except BaseException as error:
             if out is not None:
                 out.abandon()
                 if regular:
-                    made.unlink(missing_ok=True)
+                    part.unlink(missing_ok=True)
             if isinstance(error, CaptureError):
                 raise CaptureError(
-                    str(error).partition("; `edoras")[0].replace(str(made), str(target))
+                    str(error).partition("; `edoras")[0].replace(str(part), str(target))
                 ) from error
             if isinstance(error, OSError):
                 raise CaptureError(f"{target}: cannot be written: {error.strerror or error}") from error
@@ -198,8 +198,8 @@ class _Assembly:
         self._open_loss = piece.opcode < 0 or (self._open_loss and piece.opcode == Opcode.MESSAGE_INDEX)
 
     def _new(self, start: int, section: FoundSummary | None = None) -> FilePart:
-        known = (section.schemas, section.channels) if section else ({}, {})
-        part = FilePart(Definitions(*known), section, start)
+        definitions = (section.schemas, section.channels) if section else ({}, {})
+        part = FilePart(Definitions(*definitions), section, start)
         self._parts.append(part)
         if section is not None:
             self._of[section] = part
@@ -264,8 +264,8 @@ class _Assembly:
             count = sum(map(len, piece.entries.values()))
             size = last.bytes + piece.end - piece.start
             times = np.concatenate([item["log_time"] for item in piece.entries.values()])
-            known = (int(times.min()), int(times.max())) if len(times) else (last.start_ns, last.end_ns)
-            self._losses[-1] = LostStretch(last.start, size, last.reason, count, *known)
+            times_ns = (int(times.min()), int(times.max())) if len(times) else (last.start_ns, last.end_ns)
+            self._losses[-1] = LostStretch(last.start, size, last.reason, count, *times_ns)
             self._lost_bytes += piece.end - piece.start
         else:
             self._reasons["a message index belongs to no chunk"] = None
@@ -329,8 +329,10 @@ class _Assembly:
         for record in definitions:
             part.definitions.learn(record)
         ids = np.unique(walked.channel).tolist()
-        known = {key: found for key in ids if (found := part.definitions.channel(key)) is not None}
-        numbers = {key: self._numbering.number(*found) for key, found in known.items()}
+        channels = {
+            key: definition for key in ids if (definition := part.definitions.channel(key)) is not None
+        }
+        numbers = {key: self._numbering.number(*definition) for key, definition in channels.items()}
         stands = (
             piece is not None
             and piece.record_end > 0
@@ -341,12 +343,12 @@ class _Assembly:
         inside = {(type(item), item.id) for item in walked.others} if stands else set()
         for record in walked.others:
             self._define(part, record, inside=stands)
-        for channel, schema in known.values():
+        for channel, schema in channels.values():
             if schema is not None:
                 self._numbering.schema(schema, inside=(Schema, schema.id) in inside)
             self._numbering.channel(channel, schema, inside=(Channel, channel.id) in inside)
         if not stands:
-            walked = walked.take(np.isin(walked.channel, list(known))).rebuilt(numbers)
+            walked = walked.take(np.isin(walked.channel, list(channels))).rebuilt(numbers)
         if not stands and not len(walked):
             return
         self._chunks += 1
@@ -416,20 +418,20 @@ class _Assembly:
             schema = part.definitions.schema(record.id)
             if schema is not None:
                 self._numbering.schema(schema, inside=inside)
-        elif (found := part.definitions.channel(record.id)) is not None:
-            self._numbering.channel(*found, inside=inside)
+        elif (definition := part.definitions.channel(record.id)) is not None:
+            self._numbering.channel(*definition, inside=inside)
 
     def _message(self, part: FilePart, piece: Piece) -> None:
         channel_id, _, log_time, _ = MESSAGE_HEAD.unpack_from(piece.record)
-        found = part.definitions.channel(channel_id)
-        if found is None:
+        definition = part.definitions.channel(channel_id)
+        if definition is None:
             part.gaps = True
             span, reason = piece.end - piece.start, "a message of a channel without a description"
             self._losses.append(LostStretch(piece.start, span, reason, 1, log_time, log_time))
             self._lost_bytes += span
             return
         self._begin()
-        number = self._numbering.channel(*found)
+        number = self._numbering.channel(*definition)
         self._counts[number] = self._counts.get(number, 0) + 1
         part.others += 1
         part.loose += 1
@@ -459,8 +461,8 @@ class _Assembly:
             summary.attachments.append(
                 AttachmentIndex(place, length, *times, size, record.name, record.media_type)
             )
-        for here in range(piece.start, piece.end, _COPY_BYTES):
-            self._out.add_bytes(self._file.read(here, min(here + _COPY_BYTES, piece.end)))
+        for start in range(piece.start, piece.end, _COPY_BYTES):
+            self._out.add_bytes(self._file.read(start, min(start + _COPY_BYTES, piece.end)))
 
     def _close(self, section: FoundSummary) -> None:
         """Note that a file ends here; what was read before belongs to it, even if its start is unknown."""

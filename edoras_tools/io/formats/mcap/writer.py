@@ -238,14 +238,14 @@ class McapSink:
             last = self._live is not None and self._live.ended
             self._chunks.append_batch(batch, columns, prepared, last=last)
         else:
-            self._chunks.append(self._streams.made(batch, columns, prepared), len(batch))
+            self._chunks.append(self._streams.prepared_messages(batch, columns, prepared), len(batch))
         self._count += len(batch)
         self._captured += int(np.count_nonzero((batch.original_length >= 0) | (batch.recorded is not None)))
 
     def _packed(self, batch: PacketBatch, columns: Columns, prepared: PreparedBatch) -> list[PackedChunks]:
         """Return the chunks of a batch; a worker has this sink as it was when the first file was opened."""
-        made = self._streams.made(batch, columns, prepared)
-        return [*self._press.append(made, len(batch)), *self._press.finish()]
+        messages = self._streams.prepared_messages(batch, columns, prepared)
+        return [*self._press.append(messages, len(batch)), *self._press.finish()]
 
     def _make_room(self, batch: PacketBatch, first: int) -> int:
         """Start a new file if row ``first`` needs one; return the end of the rows that fit into the file."""
@@ -316,7 +316,7 @@ class McapSink:
         self._note_outages()
         self._chunks.flush()
         self._attach(0)
-        counted = (
+        metadata = (
             {}
             if statistics is None
             else {"kernel_drops": statistics.kernel_drops, "skipped": statistics.skipped}
@@ -325,14 +325,14 @@ class McapSink:
             METADATA_NAME,
             {
                 **self._opening(),
-                **self._counted(),
-                **{key: str(value) for key, value in counted.items() if value is not None},
+                **self._counts(),
+                **{key: str(value) for key, value in metadata.items() if value is not None},
             },
         )
         file.finish()
         self.complete.append((file.output, self._captured))
 
-    def _counted(self) -> dict[str, str]:
+    def _counts(self) -> dict[str, str]:
         if isinstance(self._streams, RecordedStreams):
             return {"datagrams": "0", "messages": str(self._captured)}
         offsets = json.dumps(self._streams.clock.offsets())

@@ -262,13 +262,13 @@ class PcapngSource(RecordSource):
         if length < _LEAST_STATISTICS:
             return
         interface = int.from_bytes(self._window.data[at + 8 : at + 12].tobytes(), _ORDERS[self._order])
-        found = [
+        counts = [
             int.from_bytes(value, _ORDERS[self._order])
             for code, value in self._options(at + 20, at + length - 4)
             if code in _ISB_DROPS and len(value) == 8
         ]
-        if found:
-            self._lost[self._section, interface] = sum(found)
+        if counts:
+            self._lost[self._section, interface] = sum(counts)
             self.statistics.kernel_drops = sum(self._lost.values())
 
     def _blocks(self, start: int) -> tuple[_Blocks, int]:
@@ -372,9 +372,9 @@ class PcapngSource(RecordSource):
         captured, original, offset = words[:, 5], words[:, 6], blocks.position + 28
         if simple.any():
             snap_length = np.uint32(self._interfaces[0].snap_length or LARGEST_FRAME)
-            held = np.minimum(blocks.length - 16, snap_length)
+            available = np.minimum(blocks.length - 16, snap_length)
             original = np.where(simple, words[:, 2], original)
-            captured = np.where(simple, np.minimum(original, held), captured)
+            captured = np.where(simple, np.minimum(original, available), captured)
             offset = np.where(simple, blocks.position + 12, offset)
         ticks = words[:, 3].astype(np.uint64) << np.uint64(32) | words[:, 4]
         interface = self._interface_of(blocks)

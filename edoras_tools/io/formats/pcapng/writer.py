@@ -54,9 +54,9 @@ class PcapngSink(CaptureFileSink):
         self._interfaces: dict[int, int] = {}
         self._last_ticks = 0
         text = comment.encode()
-        told = struct.pack(f"<HH{len(text)}s{-len(text) % 4}xI", 1, len(text), text, 0) if text else b""
-        size = struct.pack("<I", 28 + len(told))
-        self._put(b"\x0a\x0d\x0d\x0a" + size + struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1) + told + size)
+        option = struct.pack(f"<HH{len(text)}s{-len(text) % 4}xI", 1, len(text), text, 0) if text else b""
+        size = struct.pack("<I", 28 + len(option))
+        self._put(b"\x0a\x0d\x0d\x0a" + size + struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1) + option + size)
 
     def _lay_out(self, batch: PacketBatch) -> NDArray[np.uint8]:
         if batch.time_ns.min() < 0:

@@ -80,6 +80,6 @@ def _parts(path: Path, files: Sequence[Path], open_part: Callable[[Path], Source
                 f"{path}: some files hold datagrams and others topics only; name them one by one"
             )
     if reasons:
-        found = NoDatagramsError(reasons[0])
-        found.files = topics
-        raise found
+        refusal = NoDatagramsError(reasons[0])
+        refusal.files = topics
+        raise refusal

@@ -131,14 +131,14 @@ class Rosbag:
         Raises:
             CaptureError: a file is damaged or cut off; after all messages before that place.
         """
-        for file, there in self._opened:
-            wanted = {at: item for at, item in there.items() if item.topic in topics}
-            parts = map(unpacked, file.messages(wanted))
-            for found in parts if file.ordered else _all_sorted(parts):
-                columns = (found.channel_id, found.log_time, found.offset, found.length)
+        for file, channels in self._opened:
+            selection = {at: item for at, item in channels.items() if item.topic in topics}
+            parts = map(unpacked, file.messages(selection))
+            for messages in parts if file.ordered else _all_sorted(parts):
+                columns = (messages.channel_id, messages.log_time, messages.offset, messages.length)
                 for channel, time_ns, start, size in zip(*(item.tolist() for item in columns), strict=True):
-                    cdr = found.data[start : start + size].tobytes()
-                    yield RecordedMessage(time_ns, wanted[channel].topic, wanted[channel].type, cdr)
+                    cdr = messages.data[start : start + size].tobytes()
+                    yield RecordedMessage(time_ns, selection[channel].topic, selection[channel].type, cdr)
 
     def blocks(self, topics: Collection[str]) -> Iterator[RecordedBlock]:
         """Yield the messages of some topics, many at a time.
@@ -146,13 +146,13 @@ class Rosbag:
         Raises:
             CaptureError: as ``messages``.
         """
-        for file, there in self._opened:
-            wanted = {at: item.topic for at, item in there.items() if item.topic in topics}
-            for found in map(unpacked, file.messages(wanted)):
-                for channel in np.unique(found.channel_id).tolist():
-                    own = found.take(found.channel_id == channel)
+        for file, channels in self._opened:
+            selection = {at: item.topic for at, item in channels.items() if item.topic in topics}
+            for messages in map(unpacked, file.messages(selection)):
+                for channel in np.unique(messages.channel_id).tolist():
+                    own = messages.take(messages.channel_id == channel)
                     length = own.length.astype(np.int32)
-                    yield RecordedBlock(wanted[channel], own.log_time, own.data, own.offset, length)
+                    yield RecordedBlock(selection[channel], own.log_time, own.data, own.offset, length)
 
 
 def open_rosbag(path: str | Path) -> Rosbag:
@@ -174,16 +174,16 @@ def open_rosbag(path: str | Path) -> Rosbag:
 def files_of(folder: Path) -> list[Path]:
     """Return the recordings in a directory, in the order that its metadata gives if it has some."""
     metadata = folder / METADATA
-    found = sorted((*folder.glob("*.mcap"), *folder.glob("*.db3"), *folder.glob("*.zstd")))
+    files = sorted((*folder.glob("*.mcap"), *folder.glob("*.db3"), *folder.glob("*.zstd")))
     if metadata.exists():
         try:
-            said = YAML(typ="safe").load(metadata)["rosbag2_bagfile_information"]["relative_file_paths"]
-            names = [str(name) for name in said]
+            entries = YAML(typ="safe").load(metadata)["rosbag2_bagfile_information"]["relative_file_paths"]
+            names = [str(name) for name in entries]
         except (OSError, YAMLError, KeyError, TypeError, ValueError):
-            return found
+            return files
         listed = [folder / name for name in names if (folder / name).exists()]
-        return listed or found
-    return found
+        return listed or files
+    return files
 
 
 def storage_of(path: Path) -> str:
@@ -256,13 +256,13 @@ class _Mcap(TopicFile):
         schemas: dict[int, Schema] = {}
         times = []
         try:
-            for found in scanned(file.path, file.name):
-                if isinstance(found, Schema):
-                    schemas[found.id] = found
-                elif isinstance(found, Channel):
-                    self._learn_channel(found, schemas)
+            for record in scanned(file.path, file.name):
+                if isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    self._learn_channel(record, schemas)
                 else:
-                    times.append(int(found.log_time.min()))
+                    times.append(int(record.log_time.min()))
         except CaptureError as error:
             self.failure = error
         self.start_ns = min(times, default=0)
@@ -279,45 +279,45 @@ class _Mcap(TopicFile):
         )
 
     def messages(self, channels: Collection[int] | None = None) -> Iterator[SelectedMessages]:
-        wanted = self.topics if channels is None else channels
-        return self._scanned(wanted) if self._summary is None else self._indexed(self._summary, wanted)
+        selection = self.topics if channels is None else channels
+        return self._scanned(selection) if self._summary is None else self._indexed(self._summary, selection)
 
-    def _scanned(self, wanted: Collection[int]) -> Iterator[SelectedMessages]:
-        for found in scanned(self._file.path, self._file.name):
-            if isinstance(found, SelectedMessages):
-                self.position += len(found.data)
-                known = np.isin(found.channel_id, list(self.topics))
-                ready, _ = _released([found.take(np.isin(found.channel_id, list(wanted)))], None)
+    def _scanned(self, selection: Collection[int]) -> Iterator[SelectedMessages]:
+        for record in scanned(self._file.path, self._file.name):
+            if isinstance(record, SelectedMessages):
+                self.position += len(record.data)
+                described = np.isin(record.channel_id, list(self.topics))
+                ready, _ = _released([record.take(np.isin(record.channel_id, list(selection)))], None)
                 if ready is not None:
                     yield ready
-                if not known.all():
+                if not described.all():
                     raise CaptureError(
                         f"{self._file.name}: is damaged: a message of no channel; all before was read"
                     )
 
-    def _indexed(self, summary: Summary, wanted: Collection[int]) -> Iterator[SelectedMessages]:
+    def _indexed(self, summary: Summary, selection: Collection[int]) -> Iterator[SelectedMessages]:
         indexes = sorted(
             (
                 item
                 for item in summary.chunk_indexes
-                if not item.message_index_offsets.keys().isdisjoint(wanted)
+                if not item.message_index_offsets.keys().isdisjoint(selection)
             ),
             key=lambda item: (item.message_start_time, item.chunk_start_offset),
         )
-        held: list[SelectedMessages] = []
+        parts: list[SelectedMessages] = []
         failure: CaptureError | None = None
         with readable(self._file.path), self._file.path.open("rb") as file:
             for place, index in enumerate(indexes, 1):
                 try:
-                    held.append(chunk_content(file, self._file.name, index, wanted))
+                    parts.append(chunk_content(file, self._file.name, index, selection))
                 except CaptureError as error:
                     failure = failure or error
                 self.position += index.chunk_length
-                size = sum(len(part.data) for part in held)
+                size = sum(len(part.data) for part in parts)
                 if size < _BATCH_BYTES and place < len(indexes):
                     continue
                 until = indexes[place].message_start_time if place < len(indexes) else None
-                ready, held = _released(held, None if size > _MOST_HELD else until)
+                ready, parts = _released(parts, None if size > _MOST_HELD else until)
                 if ready is not None:
                     yield ready
         if failure is not None:
@@ -332,10 +332,10 @@ class _Database(TopicFile):
         self.start_ns = first if isinstance(first, int) else 0
         texts: dict[str, tuple[str, str]] = {}
         if list(query(path, "SELECT name FROM sqlite_master WHERE name = 'message_definitions'", ())):
-            found = query(
+            descriptions = query(
                 path, "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions", ()
             )
-            texts = {str(kind): (str(encoding), str(text)) for kind, encoding, text in found}
+            texts = {str(kind): (str(encoding), str(text)) for kind, encoding, text in descriptions}
         columns = [row[1] for row in query(path, "PRAGMA table_info(topics)", ())]
         offered = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
         rows = query(path, f"SELECT id, name, type, serialization_format, {offered} FROM topics", ())  # noqa: S608  a name of ours
@@ -353,8 +353,8 @@ class _Database(TopicFile):
     def messages(self, channels: Collection[int] | None = None) -> Iterator[SelectedMessages]:
         rows: list[tuple[int, int, bytes]] = []
         size = 0
-        chosen = "" if channels is None else f"WHERE topic_id IN ({','.join('?' * len(channels))})"
-        text = f"SELECT topic_id, timestamp, data FROM messages {chosen} ORDER BY timestamp, id"  # noqa: S608  only question marks are put in
+        condition = "" if channels is None else f"WHERE topic_id IN ({','.join('?' * len(channels))})"
+        text = f"SELECT topic_id, timestamp, data FROM messages {condition} ORDER BY timestamp, id"  # noqa: S608  only question marks are put in
         failure: CaptureError | None = None
         try:
             for topic, time_ns, data in query(self._file.path, text, tuple(channels or ())):
@@ -405,12 +405,12 @@ def _of_rows(rows: Sequence[tuple[int, int, bytes]]) -> SelectedMessages:
 
 
 def _released(
-    held: Sequence[SelectedMessages], until: int | None
+    parts: Sequence[SelectedMessages], until: int | None
 ) -> tuple[SelectedMessages | None, list[SelectedMessages]]:
     """Return messages before a time, in order of time, and the others; None for all."""
-    if not held:
+    if not parts:
         return None, []
-    joined = joined_messages(held)
+    joined = joined_messages(parts)
     order = np.argsort(joined.log_time, kind="stable")
     count = len(order) if until is None else int(np.searchsorted(joined.log_time[order], until, "left"))
     rest = order[count:]
@@ -418,37 +418,37 @@ def _released(
     return ready, [_compact(joined.take(rest))] if len(rest) else []
 
 
-def _compact(found: SelectedMessages) -> SelectedMessages:
+def _compact(messages: SelectedMessages) -> SelectedMessages:
     """Return messages over a buffer that holds them alone."""
-    offset = np.cumsum(found.length) - found.length
-    data = np.zeros(int(found.length.sum()) + PADDING, np.uint8)
-    copy_rows(data, offset, found.data, found.offset, found.length)
-    return found._replace(data=data, offset=offset)
+    offset = np.cumsum(messages.length) - messages.length
+    data = np.zeros(int(messages.length.sum()) + PADDING, np.uint8)
+    copy_rows(data, offset, messages.data, messages.offset, messages.length)
+    return messages._replace(data=data, offset=offset)
 
 
-def unpacked(found: SelectedMessages) -> SelectedMessages:
+def unpacked(part: SelectedMessages) -> SelectedMessages:
     """Unpack the messages that rosbag2 compressed one by one: CDR never begins as they do.
 
     Raises:
         CaptureError: one is damaged.
     """
-    head = gather(found.data, found.offset, len(_ZSTD)).view("<u4").reshape(-1)
-    packed = np.flatnonzero((head == int.from_bytes(_ZSTD, "little")) & (found.length > len(_ZSTD)))
+    head = gather(part.data, part.offset, len(_ZSTD)).view("<u4").reshape(-1)
+    packed = np.flatnonzero((head == int.from_bytes(_ZSTD, "little")) & (part.length > len(_ZSTD)))
     if not len(packed):
-        return found
+        return part
     unpacker, messages = zstandard.ZstdDecompressor(), []
     for row in packed.tolist():
-        start = int(found.offset[row])
+        start = int(part.offset[row])
         try:
-            data = found.data[start : start + int(found.length[row])].tobytes()
+            data = part.data[start : start + int(part.length[row])].tobytes()
             messages.append(unpacker.decompress(data, max_output_size=_LARGEST))
         except zstandard.ZstdError as error:
             raise CaptureError(f"a message that is compressed on its own is damaged: {error}") from None
-    offset, length = found.offset.copy(), found.length.copy()
+    offset, length = part.offset.copy(), part.length.copy()
     length[packed] = [len(data) for data in messages]
-    offset[packed] = len(found.data) + np.cumsum(length[packed]) - length[packed]
+    offset[packed] = len(part.data) + np.cumsum(length[packed]) - length[packed]
     added = np.frombuffer(b"".join((*messages, bytes(PADDING))), np.uint8)
-    return found._replace(data=np.concatenate([found.data, added]), offset=offset, length=length)
+    return part._replace(data=np.concatenate([part.data, added]), offset=offset, length=length)
 
 
 def _all_sorted(parts: Iterable[SelectedMessages]) -> list[SelectedMessages]:

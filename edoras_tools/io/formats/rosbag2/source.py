@@ -82,20 +82,20 @@ class MessageSource:
             CaptureError: a file is damaged or cut off; after all that could be read of all files.
         """
         failure: CaptureError | None = None
-        number, done = 1, 0
+        number, position = 1, 0
         for file, numbers in self._files:
             try:
-                for found in map(unpacked, file.messages()):
-                    batch = _batch(found, numbers, number)
+                for messages in map(unpacked, file.messages()):
+                    batch = _batch(messages, numbers, number)
                     number += len(batch)
                     self.statistics.datagrams += len(batch)
                     self.statistics.bytes += int(batch.length.sum())
-                    self.statistics.position = done + min(file.position, file.size)
+                    self.statistics.position = position + min(file.position, file.size)
                     yield batch
             except CaptureError as error:
                 failure = failure or error
-            done += file.size
-        self.statistics.position = done
+            position += file.size
+        self.statistics.position = position
         if failure is not None:
             raise failure
 
@@ -105,23 +105,23 @@ class MessageSource:
             file.close()
 
 
-def _batch(found: SelectedMessages, numbers: Mapping[int, int], first: int) -> PacketBatch:
-    count = len(found.log_time)
+def _batch(messages: SelectedMessages, numbers: Mapping[int, int], first: int) -> PacketBatch:
+    count = len(messages.log_time)
     recorded = np.zeros(count, RECORDED)
-    channels, places = np.unique(found.channel_id, return_inverse=True)
+    channels, places = np.unique(messages.channel_id, return_inverse=True)
     recorded["topic"] = np.array([numbers[channel] for channel in channels.tolist()], np.uint16)[
         places.reshape(-1)
     ]
-    recorded["sequence"], recorded["publish_ns"] = found.sequence, found.publish_time
-    length = found.length.astype(np.int32)
+    recorded["sequence"], recorded["publish_ns"] = messages.sequence, messages.publish_time
+    length = messages.length.astype(np.int32)
     none, nobody = np.zeros(count, np.uint16), np.zeros(count, np.uint32)
     return PacketBatch(
-        data=found.data,
+        data=messages.data,
         number=np.arange(first, first + count),
-        time_ns=found.log_time,
-        frame_offset=found.offset,
+        time_ns=messages.log_time,
+        frame_offset=messages.offset,
         frame_length=length,
-        offset=found.offset,
+        offset=messages.offset,
         length=length,
         original_length=np.full(count, -1, np.int32),
         link_type=none,

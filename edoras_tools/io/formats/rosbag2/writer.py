@@ -152,19 +152,19 @@ def _recorded_qos(text: str, version: int) -> str | list[dict[str, Any]]:
         profiles = None
     if not isinstance(profiles, list) or not all(isinstance(item, dict) for item in profiles):
         return [] if version >= _WITH_NAMED_QOS else ""
-    made = [
-        {name: _qos_value(name, value, named=version >= _WITH_NAMED_QOS) for name, value in item.items()}
+    policies = [
+        {name: _qos_value(name, value, by_name=version >= _WITH_NAMED_QOS) for name, value in item.items()}
         for item in profiles
     ]
-    return made if version >= _WITH_NAMED_QOS else _yaml_text(made)
+    return policies if version >= _WITH_NAMED_QOS else _yaml_text(policies)
 
 
-def _qos_value(name: str, value: Any, *, named: bool) -> Any:
+def _qos_value(name: str, value: Any, *, by_name: bool) -> Any:
     """Return a policy by name or by number, as rmw numbers them; all else as it is."""
     names = _POLICIES.get(name, ())
-    if named and isinstance(value, int) and value < len(names):
+    if by_name and isinstance(value, int) and value < len(names):
         return names[value]
-    return names.index(value) if not named and value in names else value
+    return names.index(value) if not by_name and value in names else value
 
 
 def _metadata(files: list[McapFile], types: TypeStore) -> dict[str, Any]:

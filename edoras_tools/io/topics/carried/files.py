@@ -37,24 +37,24 @@ class FileMessages:
     """
 
     def __init__(self, mission: Mission, types: TypeStore) -> None:
-        self._topics = {item.file_name: item for item in reversed(mission.stored)}
+        self._topics = {item.file_name: item for item in reversed(mission.stored_topics)}
         self._types = types
         self._follower = Follower(self._keep, mission.pdu_msg_ids)
         self._open: dict[Transaction, bytearray] = {}
         self._bytes = 0
-        self._done: list[tuple[Transaction, StoredTopic, bytes]] = []
+        self._finished: list[tuple[Transaction, StoredTopic, bytes]] = []
         self._left_out: set[Transaction] = set()
 
     def _topic(self, item: Transaction) -> StoredTopic | None:
         names = (item.destination_file_name, item.source_file_name)
-        found = (self._topics.get(name.rpartition("/")[2]) for name in names if name)
-        return next((topic for topic in found if topic), None)
+        topics = (self._topics.get(name.rpartition("/")[2]) for name in names if name)
+        return next((topic for topic in topics if topic), None)
 
     def _keep(self, item: Transaction, offset: int, piece: bytes) -> None:
         if item in self._left_out:
             return
-        kept = self._open.setdefault(item, bytearray())
-        more = max(offset + len(piece) - len(kept), 0)
+        content = self._open.setdefault(item, bytearray())
+        more = max(offset + len(piece) - len(content), 0)
         if self._bytes + more > MOST_BYTES:
             self._finish()
         if self._bytes + more > MOST_BYTES:
@@ -62,8 +62,8 @@ class FileMessages:
             self._left_out.add(item)
             return
         self._bytes += more
-        kept.extend(bytes(more))
-        kept[offset : offset + len(piece)] = piece
+        content.extend(bytes(more))
+        content[offset : offset + len(piece)] = piece
 
     def _finish(self) -> None:
         """Take what has finished out of what is kept."""
@@ -74,7 +74,7 @@ class FileMessages:
             topic, envelope = self._topic(item), detect(content)
             if topic and envelope and item.complete and item.checksum_right is not False:
                 cdr = content[envelope.size : envelope.size + envelope.parse(content)[0]]
-                self._done.append((item, topic, cdr))
+                self._finished.append((item, topic, cdr))
 
     def messages(
         self, batch: PacketBatch, columns: Columns, channel: Callable[[StoredTopic], int]
@@ -86,12 +86,12 @@ class FileMessages:
         """
         self._follower.add(batch, columns)
         self._finish()
-        done, self._done = self._done, []
+        finished, self._finished = self._finished, []
         by_topic: dict[StoredTopic, list[tuple[Transaction, bytes]]] = {}
-        for item, topic, cdr in sorted(done, key=lambda item: item[0].finished_ns or 0):
+        for item, topic, cdr in sorted(finished, key=lambda item: item[0].finished_ns or 0):
             by_topic.setdefault(topic, []).append((item, cdr))
-        made = (self._of_topic(batch, topic, items, channel) for topic, items in by_topic.items())
-        return [item for item in made if item is not None]
+        messages = (self._of_topic(batch, topic, items, channel) for topic, items in by_topic.items())
+        return [item for item in messages if item is not None]
 
     def _of_topic(
         self,
@@ -104,14 +104,14 @@ class FileMessages:
         data = np.frombuffer(b"".join(cdr for _, cdr in items) + bytes(PADDING), np.uint8)
         length = np.array([len(cdr) for _, cdr in items], np.int32)
         offset = np.cumsum(length, dtype=np.int64) - length
-        left = self._types.trailing(topic.type, data, offset, length)
-        whole = left >= 0
+        trailing = self._types.trailing(topic.type, data, offset, length)
+        whole = trailing >= 0
         if not whole.any():
             return None
-        size, offset = (length - left)[whole], offset[whole]
-        chosen = [item for (item, _), good in zip(items, whole.tolist(), strict=True) if good]
-        time_ns = np.array([item.finished_ns for item in chosen], np.int64)
-        count = np.array([item.transaction_sequence_number & 0xFFFFFFFF for item in chosen])
+        size, offset = (length - trailing)[whole], offset[whole]
+        whole_items = [item for (item, _), good in zip(items, whole.tolist(), strict=True) if good]
+        time_ns = np.array([item.finished_ns for item in whole_items], np.int64)
+        count = np.array([item.transaction_sequence_number & 0xFFFFFFFF for item in whole_items])
         row = np.minimum(np.searchsorted(batch.time_ns, time_ns), len(batch) - 1)
-        heads, number = np.empty(len(chosen), np.dtype(RECORD)), channel(topic)
+        heads, number = np.empty(len(whole_items), np.dtype(RECORD)), channel(topic)
         return whole_messages(row, heads, number, count, time_ns, time_ns, (data, offset, size), repeats=True)

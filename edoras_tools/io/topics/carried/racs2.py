@@ -92,12 +92,14 @@ class BridgeMessages:
 
     Args:
         types: has ``std_msgs``.
-        taken: names of topics that are used otherwise.
+        other_topics: names of topics that are used otherwise.
         place: adds a topic of a name and a type at first use; returns its channel id.
     """
 
-    def __init__(self, types: TypeStore, taken: Collection[str], place: Callable[[str, str], int]) -> None:
-        self._types, self._taken, self._place = types, taken, place
+    def __init__(
+        self, types: TypeStore, other_topics: Collection[str], place: Callable[[str, str], int]
+    ) -> None:
+        self._types, self._other_topics, self._place = types, other_topics, place
         self._known: set[str] = set()
 
     def messages(self, batch: PacketBatch, columns: Columns) -> Iterator[Messages]:
@@ -105,22 +107,22 @@ class BridgeMessages:
         for target in _targets(batch, columns):
             if self._may_have(target.topic):
                 yield _user_messages(target, batch, self._place(target.topic, USER_TYPE))
-            for topic, type_name, told in _values(target, batch):
+            for topic, type_name, values in _values(target, batch):
                 if self._may_have(topic):
-                    yield self._value_messages(type_name, told, batch, self._place(topic, type_name))
+                    yield self._value_messages(type_name, values, batch, self._place(topic, type_name))
 
     def _may_have(self, topic: str) -> bool:
         """Tell whether a topic is known, or may still become one."""
-        if topic not in self._known and topic not in self._taken and len(self._known) < MOST_TOPICS:
+        if topic not in self._known and topic not in self._other_topics and len(self._known) < MOST_TOPICS:
             self._known.add(topic)
         return topic in self._known
 
     def _value_messages(
-        self, type_name: str, told: list[tuple[int, Any]], batch: PacketBatch, channel_id: int
+        self, type_name: str, values: list[tuple[int, Any]], batch: PacketBatch, channel_id: int
     ) -> Messages:
         """Return a message of ``std_msgs`` for each value; one that its type cannot hold is left out."""
         bodies, rows = [], []
-        for row, value in told:
+        for row, value in values:
             try:
                 cdr = self._types.encode(type_name, {"data": value})
             except FieldError:  # a varint may be longer than its field
@@ -163,11 +165,11 @@ def _user_messages(target: _Target, batch: PacketBatch, channel_id: int) -> Mess
 
 def _values(target: _Target, batch: PacketBatch) -> Iterator[tuple[str, str, list[tuple[int, Any]]]]:
     """Yield the topic, the type, and (row, value) of each field that bodies have."""
-    found: dict[str, list[tuple[int, Any]]] = {}
+    by_name: dict[str, list[tuple[int, Any]]] = {}
     for row in target.rows.tolist():
         start = int(batch.offset[row])
         body = batch.data[start + racs2.BRIDGE_HEADER : start + int(batch.length[row])].tobytes()
         for name, value in (racs2.std_msgs_values(body) or {}).items():
-            found.setdefault(name, []).append((row, value))
-    for name, told in found.items():
-        yield f"{target.values}/{name}", f"std_msgs/msg/{_TYPES[name]}", told
+            by_name.setdefault(name, []).append((row, value))
+    for name, values in by_name.items():
+        yield f"{target.values}/{name}", f"std_msgs/msg/{_TYPES[name]}", values

@@ -32,13 +32,13 @@ class SampleMessages:
     """Makes messages of samples; one that comes again, or to several readers, makes one message.
 
     Args:
-        taken: names of topics that other messages have.
+        other_topics: names of topics that other messages have.
         endpoints: what is announced, as far as it was decoded.
     """
 
-    def __init__(self, types: TypeStore, taken: Collection[str], endpoints: Endpoints) -> None:
-        self._types, self._taken, self._endpoints = types, frozenset(taken), endpoints
-        self._known: dict[bytes, KnownRanges] = {}
+    def __init__(self, types: TypeStore, other_topics: Collection[str], endpoints: Endpoints) -> None:
+        self._types, self._other_topics, self._endpoints = types, frozenset(other_topics), endpoints
+        self._ranges: dict[bytes, KnownRanges] = {}
         self._floor: dict[bytes, int] = {}
         """By writer the number below which a sample is taken for a copy: so far back it is not known."""
         self._names: dict[tuple[str, str], str] = {}
@@ -52,18 +52,18 @@ class SampleMessages:
             channel: returns the MCAP channel of a topic and a type.
         """
         rows = np.flatnonzero(columns.link == RTPS)
-        made = (
+        messages = (
             self._of(batch, item, channel)
             for item in known_samples(self._types, self._endpoints, batch, rows)
         )
-        return [item for item in made if item is not None]
+        return [item for item in messages if item is not None]
 
     def name(self, topic: str, type_name: str) -> str:
         """Return the name of the topic in the recording; empty if there are too many."""
         key = topic, type_name
         if key not in self._names and len(self._names) < MOST_SAMPLE_TOPICS:
             name = topic
-            if name in self._taken:
+            if name in self._other_topics:
                 name = f"{APART}{name}"
             if name in self._names.values():
                 name = f"{APART}/{type_name}{topic}"
@@ -75,25 +75,25 @@ class SampleMessages:
         new = np.ones(len(item.row), bool)
         for writer, at in by_value(item.writer):
             guid = item.writers[writer]
-            if guid not in self._known and len(self._known) >= MOST_ENDPOINTS:
+            if guid not in self._ranges and len(self._ranges) >= MOST_ENDPOINTS:
                 continue
-            known, floor = self._known.setdefault(guid, KnownRanges()), self._floor.get(guid, 0)
-            new[at] = known.fresh(item.sequence_number[at]) & (item.sequence_number[at] >= floor)
-            if known.count >= MOST_RANGES // 2:
-                self._floor[guid] = known.start_of(known.count // 2)
-                known.forget(self._floor[guid])
+            ranges, floor = self._ranges.setdefault(guid, KnownRanges()), self._floor.get(guid, 0)
+            new[at] = ranges.fresh(item.sequence_number[at]) & (item.sequence_number[at] >= floor)
+            if ranges.count >= MOST_RANGES // 2:
+                self._floor[guid] = ranges.start_of(ranges.count // 2)
+                ranges.forget(self._floor[guid])
         return new
 
     def _of(
         self, batch: PacketBatch, item: KnownSamples, channel: Callable[[str, str], int]
     ) -> Messages | None:
         """Return the messages of one topic, their bytes copied: they may be written by another process."""
-        left = self._types.trailing(item.type, batch.data, item.offset, item.length)
-        whole = np.flatnonzero((left >= 0) & self._new(item))
+        trailing = self._types.trailing(item.type, batch.data, item.offset, item.length)
+        whole = np.flatnonzero((trailing >= 0) & self._new(item))
         name = self.name(item.topic, item.type)
         if not len(whole) or not name:
             return None
-        size = (item.length - left)[whole].astype(np.int32)
+        size = (item.length - trailing)[whole].astype(np.int32)
         start: NDArray[np.int64] = np.cumsum(size, dtype=np.int64) - size
         data = np.zeros(int(size.sum()) + PADDING, np.uint8)
         copy_rows(data, start, batch.data, item.offset[whole], size)

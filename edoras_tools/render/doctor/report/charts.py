@@ -80,8 +80,8 @@ class Frame:
         path = []
         for index, (value, under) in enumerate(zip(values, base, strict=True)):
             if value:
-                left, right = self.x(index * width), self.x(min((index + 1) * width, self.x_most))
-                path.append(f"M{left} {self.y(under)}V{self.y(under + value)}H{right}V{self.y(under)}Z")
+                begin, right = self.x(index * width), self.x(min((index + 1) * width, self.x_most))
+                path.append(f"M{begin} {self.y(under)}V{self.y(under + value)}H{right}V{self.y(under)}Z")
         if path:
             self.parts.append(f'<path class="{style}" d="{"".join(path)}"/>')
 
@@ -165,13 +165,13 @@ def timeline(drawn: Plots) -> str:
         top = _TOP + _ROW * at
         parts.append(f'<text x="{_LEFT}" y="{top + 12}">{escape(row["label"])}</text>')
         for state in row["states"]:
-            left, right = frame.x(state["from"]), frame.x(min(state["to"], drawn.seconds))
+            begin, right = frame.x(state["from"]), frame.x(min(state["to"], drawn.seconds))
             label = escape(
                 f"{state['state'].replace('_', ' ')} at {drawn.begin + state['from']:.1f} s: {state['why']}"
             )
             parts.append(
-                f'<rect class="{state["state"]}" x="{left}" y="{top + 17}" height="11" '
-                f'width="{max(right - left, 1.5):.1f}"><title>{label}</title></rect>'
+                f'<rect class="{state["state"]}" x="{begin}" y="{top + 17}" height="11" '
+                f'width="{max(right - begin, 1.5):.1f}"><title>{label}</title></rect>'
             )
     if events:
         top = _TOP + _ROW * len(peers)

@@ -38,27 +38,27 @@ _ALIKE: Final = 4
 """Verdicts of one rule from here on share a table."""
 
 
-def page(found: Diagnosis, name: str, made: Made) -> str:
+def page(diagnosis: Diagnosis, name: str, origin: Made) -> str:
     """Return the HTML page."""
-    sections = [section("Links", [links_picture(found)]), _verdicts(found)]
-    if found.case is not None and found.datagrams:
-        drawn = plots(found.case, found.choice)
+    sections = [section("Links", [links_picture(diagnosis)]), _verdicts(diagnosis)]
+    if diagnosis.case is not None and diagnosis.datagrams:
+        drawn = plots(diagnosis.case, diagnosis.choice)
         sections += [_rates(drawn), _latency(drawn), _time(drawn), _sizes(drawn)]
-    sections += [_balance(found), _routes(found), _habits(found)]
-    parts = [_head(found, name), _summary(found), contents(sections), *sections, footer(made)]
+    sections += [_balance(diagnosis), _routes(diagnosis), _habits(diagnosis)]
+    parts = [_head(diagnosis, name), _summary(diagnosis), contents(sections), *sections, footer(origin)]
     return document(f"edoras report: {name}", parts)
 
 
-def _head(found: Diagnosis, name: str) -> str:
-    seconds = (found.end_ns - found.start_ns) / 1e9
+def _head(diagnosis: Diagnosis, name: str) -> str:
+    seconds = (diagnosis.end_ns - diagnosis.start_ns) / 1e9
     when = (
-        f", {units.duration(seconds)} from {units.utc(found.start_ns, digits=3)} UTC"
-        if found.datagrams
+        f", {units.duration(seconds)} from {units.utc(diagnosis.start_ns, digits=3)} UTC"
+        if diagnosis.datagrams
         else ""
     )
-    bad = found.lost or found.unaccounted or found.worst is Severity.ERROR
-    style = "lost" if bad else "fine" if found.datagrams and found.worst < Severity.WARNING else ""
-    summary = summarize(found)
+    bad = diagnosis.lost or diagnosis.unaccounted or diagnosis.worst is Severity.ERROR
+    style = "lost" if bad else "fine" if diagnosis.datagrams and diagnosis.worst < Severity.WARNING else ""
+    summary = summarize(diagnosis)
     end = f'<p class="end-note {style}">{escape(summary.headline)}</p><ul>'
     for item in summary.problems[:_MOST_PROBLEMS]:
         count = f"<strong>{item.lost:,}</strong> " if item.lost else ""
@@ -67,17 +67,17 @@ def _head(found: Diagnosis, name: str) -> str:
     end += f"</ul><p>{escape(f'{summary.rest(_MOST_PROBLEMS)} {summary.fine}'.strip())}</p>"
     line = "".join(
         f'<p class="dim">{escape(text)}</p>'
-        for text in (f"{plural(found.datagrams, 'datagram')}{when}", *limits(found))
+        for text in (f"{plural(diagnosis.datagrams, 'datagram')}{when}", *limits(diagnosis))
     )
-    warned = "".join(f'<p class="warning">{escape(text)}</p>' for text in found.capture.warnings)
+    warned = "".join(f'<p class="warning">{escape(text)}</p>' for text in diagnosis.capture.warnings)
     return f"<header>{heading(name)}{line}{warned}{end}</header>"
 
 
-def _summary(found: Diagnosis) -> str:
+def _summary(diagnosis: Diagnosis) -> str:
     """Return how many verdicts there are of each severity, and what they lost."""
     rows = ""
     for severity in sorted(Severity, reverse=True):
-        members = [item for item in found.verdicts if item.severity is severity]
+        members = [item for item in diagnosis.verdicts if item.severity is severity]
         if members:
             lost, problems = sum(item.lost or 0 for item in members), len(group_verdicts(members))
             rows += (
@@ -88,17 +88,17 @@ def _summary(found: Diagnosis) -> str:
     return f'<table class="summary">{head}{rows}</table>' if rows else ""
 
 
-def _verdicts(found: Diagnosis) -> str:
-    groups = group_verdicts(found.verdicts)
+def _verdicts(diagnosis: Diagnosis) -> str:
+    groups = group_verdicts(diagnosis.verdicts)
     if not groups:
         return ""
     cards = [
         card
         for several in alike(groups)
         for card in (
-            [_many(found, several)]
+            [_many(diagnosis, several)]
             if len(several) >= _ALIKE
-            else [_verdict(found, members) for members in several]
+            else [_verdict(diagnosis, members) for members in several]
         )
     ]
     rest = len(cards) - _MOST_VERDICTS
@@ -106,11 +106,11 @@ def _verdicts(found: Diagnosis) -> str:
     return section("Verdicts", [*cards[:_MOST_VERDICTS], more])
 
 
-def _many(found: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
+def _many(diagnosis: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
     """Return many verdicts of one rule as one table, the worst of them in full above it."""
     every = [item for members in several for item in members]
     rows = "".join(
-        f"<tr><td>{_when(found, item)}</td><td>{escape(item.reason)}</td>"
+        f"<tr><td>{_when(diagnosis, item)}</td><td>{escape(item.reason)}</td>"
         f"<td>{units.count(item.lost) if item.lost is not None else ''}</td></tr>"
         for item in every[:_MOST_VERDICTS]
     )
@@ -118,31 +118,33 @@ def _many(found: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
     head = "<tr><th>when</th><th>what</th><th>lost</th></tr>"
     more = f", the first {_MOST_VERDICTS}" if len(every) > _MOST_VERDICTS else ""
     return (
-        f"{_verdict(found, worst)}<details><summary>{len(every):,} verdicts of {escape(every[0].rule)}{more}"
-        f'</summary><div class="scroll"><table class="alike">{head}{rows}</table></div></details>'
+        f"{_verdict(diagnosis, worst)}<details><summary>{len(every):,} verdicts of "
+        f"{escape(every[0].rule)}{more}</summary>"
+        f'<div class="scroll"><table class="alike">{head}{rows}</table></div></details>'
     )
 
 
-def _verdict(found: Diagnosis, members: Sequence[Verdict]) -> str:
+def _verdict(diagnosis: Diagnosis, members: Sequence[Verdict]) -> str:
     """Return one problem: its worst time span in full, all of its spans in a table."""
     worst = max(members, key=lambda item: item.lost or 0)
-    told = f"{_when(found, worst)}, confidence {worst.confidence}"
+    text = f"{_when(diagnosis, worst)}, confidence {worst.confidence}"
     spans = ""
     if len(members) > 1:
         lost, of = sum(item.lost or 0 for item in members), sum(item.of or 0 for item in members)
-        told = f"{lost:,} of {of:,} lost, in {len(members)} periods"
-        spans = _spans(found, members)
+        text = f"{lost:,} of {of:,} lost, in {len(members)} periods"
+        spans = _spans(diagnosis, members)
     evidence = "".join(f"<li>{escape(line)}</li>" for line in worst.evidence)
     remedy = f'<p class="remedy">{escape(worst.remedy)}</p>' if worst.remedy else ""
     return (
         f'<article class="verdict {worst.severity.label}"><p class="what">{escape(told_of(members))}</p>'
-        f'<p class="rule">{escape(worst.rule)}, {told}</p>{spans}<ul>{evidence}</ul>{remedy}</article>'
+        f'<p class="rule">{escape(worst.rule)}, {text}</p>{spans}<ul>{evidence}</ul>{remedy}</article>'
     )
 
 
-def _spans(found: Diagnosis, members: Sequence[Verdict]) -> str:
+def _spans(diagnosis: Diagnosis, members: Sequence[Verdict]) -> str:
     rows = "".join(
-        f"<tr><td>{_when(found, item)}</td><td>{units.count(item.lost)}</td><td>{units.count(item.of)}</td>"
+        f"<tr><td>{_when(diagnosis, item)}</td><td>{units.count(item.lost)}</td>"
+        f"<td>{units.count(item.of)}</td>"
         f"<td>{f'{100 * (item.lost or 0) / item.of:.0f}%' if item.of else ''}</td>"
         f"<td>{item.confidence}</td></tr>"
         for item in members
@@ -151,8 +153,8 @@ def _spans(found: Diagnosis, members: Sequence[Verdict]) -> str:
     return f'<div class="scroll"><table class="spans">{head}{rows}</table></div>'
 
 
-def _when(found: Diagnosis, item: Verdict) -> str:
-    start, end = ((time_ns - found.zero_ns) / 1e9 for time_ns in (item.start_ns, item.end_ns))
+def _when(diagnosis: Diagnosis, item: Verdict) -> str:
+    start, end = ((time_ns - diagnosis.zero_ns) / 1e9 for time_ns in (item.start_ns, item.end_ns))
     return f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
 
 
@@ -168,8 +170,8 @@ def _rates(drawn: Plots) -> str:
 
 def _latency(drawn: Plots) -> str:
     def note(row: dict[str, Any]) -> str:
-        told = row["latency"]
-        figures = [units.milliseconds(told[name]) for name in ("p50_ms", "p99_ms", "max_ms")]
+        latency = row["latency"]
+        figures = [units.milliseconds(latency[name]) for name in ("p50_ms", "p99_ms", "max_ms")]
         return "p50 {}, p99 {}, max {}".format(*figures)
 
     return section(
@@ -218,13 +220,13 @@ def _sizes(drawn: Plots) -> str:
     return section("Sizes against buffers", [table] if rows else [])
 
 
-def _balance(found: Diagnosis) -> str:
+def _balance(diagnosis: Diagnosis) -> str:
     """Return the balance: a row a route and hop, which adds up."""
-    shown = balance.shown_rows(found)
+    lines = balance.shown_rows(diagnosis)
     figures = [
         (name, head)
         for name, head in balance.FIGURES.items()
-        if name in {"in", "out", "lost"} or any(row[name] for row in shown)
+        if name in {"in", "out", "lost"} or any(row[name] for row in lines)
     ]
     titles = ("MsgId", "topic", "hop", *(head for _, head in figures), "lost by")
     head = "".join(f"<th>{name}</th>" for name in titles)
@@ -241,7 +243,7 @@ def _balance(found: Diagnosis) -> str:
             )
         )
         + "</tr>"
-        for row in shown
+        for row in lines
     )
     both = "In and Twice are" if any(name == "duplicated" for name, _ in figures) else "In is"
     lead = f'<p class="dim">{both} the sum of the figures that follow, in every row.</p>'
@@ -249,7 +251,7 @@ def _balance(found: Diagnosis) -> str:
     return section("Balance", [table] if rows else [], lead)
 
 
-def _routes(found: Diagnosis) -> str:
+def _routes(diagnosis: Diagnosis) -> str:
     def cell(value: Any) -> str:
         return f"<td>{escape(str(value))}</td>"
 
@@ -275,14 +277,14 @@ def _routes(found: Diagnosis) -> str:
             )
         )
         + "</tr>"
-        for row in found.routes
+        for row in diagnosis.routes
     )
     table = f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
     return section("Accounts", [table] if rows else [])
 
 
-def _habits(found: Diagnosis) -> str:
-    lines = "".join(f"<li>{escape(item.reason)}</li>" for item in found.habits)
+def _habits(diagnosis: Diagnosis) -> str:
+    lines = "".join(f"<li>{escape(item.reason)}</li>" for item in diagnosis.habits)
     lead = '<p class="dim">What these senders always do.</p>'
     return section("Habits", [f"<ul>{lines}</ul>"] if lines else [], lead)
 
@@ -294,37 +296,37 @@ _REST: Final = tuple(
 )
 
 
-def links_picture(found: Diagnosis) -> str:
+def links_picture(diagnosis: Diagnosis) -> str:
     """Return the picture: a line of boxes for the messages of one path; empty without messages."""
     ways: dict[tuple[Any, ...], list[Row]] = {}
-    for row in summed(found.balance):
+    for row in summed(diagnosis.balance):
         ways.setdefault((row.route, row.link, row.msg_id, row.instance), []).append(row)
     lanes: dict[tuple[Any, ...], list[list[Row]]] = {}
     for (_, link, _, _), rows in ways.items():
-        own = rows[0].route not in found.topics and bool(rows[0].name)
+        own = rows[0].route not in diagnosis.topics and bool(rows[0].name)
         lanes.setdefault((own, link, tuple(row.hop for row in rows)), []).append(rows)
-    shown = sorted(lanes.items(), key=lambda lane: lane[0][0])[:_MOST]
+    first_lanes = sorted(lanes.items(), key=lambda lane: lane[0][0])[:_MOST]
     parts = [
-        f"<h3>{escape(_title(found, link, members, own=own))}</h3>{_lane(link, hops, members)}"
-        for (own, link, hops), members in shown
+        f"<h3>{escape(_title(diagnosis, link, members, own=own))}</h3>{_lane(link, hops, members)}"
+        for (own, link, hops), members in first_lanes
     ]
     if len(lanes) > _MOST:
         parts.append(f'<p class="dim">and {len(lanes) - _MOST} more, in the balance</p>')
     return f'<div class="links">{"".join(parts)}</div>' if parts else ""
 
 
-def _title(found: Diagnosis, link: str, members: list[list[Row]], *, own: bool) -> str:
+def _title(diagnosis: Diagnosis, link: str, members: list[list[Row]], *, own: bool) -> str:
     names = list(
         dict.fromkeys(
-            found.topics.get(rows[0].route)
+            diagnosis.topics.get(rows[0].route)
             or ("not known which" if rows[0].msg_id is None else f"0x{rows[0].msg_id:04x}")
             for rows in members
         )
     )
-    told = ", ".join(names) if len(names) <= _MOST_NAMES else f"{len(names)} MsgIds"
+    text = ", ".join(names) if len(names) <= _MOST_NAMES else f"{len(names)} MsgIds"
     if own:
-        told = f"{plural(len(names), 'MsgId')} of cFS itself"
-    return f"{link.upper()}: {told}" if link else told
+        text = f"{plural(len(names), 'MsgId')} of cFS itself"
+    return f"{link.upper()}: {text}" if link else text
 
 
 def _lane(link: str, hops: tuple[str, ...], members: list[list[Row]]) -> str:
@@ -333,8 +335,8 @@ def _lane(link: str, hops: tuple[str, ...], members: list[list[Row]]) -> str:
     for place, hop in enumerate(hops):
         sums: Counter[str] = Counter()
         for rows in members:
-            told = rows[place].as_json(None)
-            sums.update({name: told[name] for name in balance.FIGURES})
+            row_json = rows[place].as_json(None)
+            sums.update({name: row_json[name] for name in balance.FIGURES})
         bad = " bad" if sums["lost"] or sums["unaccounted"] else ""
         figures = [(f"{sums['in']:,} in, {sums['out']:,} out", "dim")] + [
             (f"{sums[name]:,} {text}", "lost" if name in {"lost", "unaccounted"} else "dim")

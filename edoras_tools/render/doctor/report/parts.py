@@ -44,9 +44,9 @@ def document(title: str, parts: Iterable[str]) -> str:
 
 def contents(sections: Sequence[str]) -> str:
     """Return links to the sections of the page."""
-    found = [match for section in sections for match in _HEADING.findall(section)]
-    links = "".join(f'<a href="#{anchor}">{title}</a>' for anchor, title in found)
-    return f'<nav class="dim">{links}</nav>' if len(found) > 1 else ""
+    headings = [match for section in sections for match in _HEADING.findall(section)]
+    links = "".join(f'<a href="#{anchor}">{title}</a>' for anchor, title in headings)
+    return f'<nav class="dim">{links}</nav>' if len(headings) > 1 else ""
 
 
 def heading(name: str) -> str:
@@ -54,16 +54,16 @@ def heading(name: str) -> str:
     return f"<h1>{escape(name).replace('/', '/<wbr>')}</h1>"
 
 
-def footer(made: Made) -> str:
+def footer(origin: Made) -> str:
     """Return how and when the page was made."""
-    told = f"edoras-tools {__version__}, {units.utc(made.time_ns, digits=0)} UTC"
-    return f'<footer class="dim">{told}<br><code>{escape(made.command)}</code></footer>'
+    text = f"edoras-tools {__version__}, {units.utc(origin.time_ns, digits=0)} UTC"
+    return f'<footer class="dim">{text}<br><code>{escape(origin.command)}</code></footer>'
 
 
 def chart_card(title: str, svg: str, note: str = "") -> str:
     """Return a chart below its title, and a note on it."""
-    told = f'<p class="dim">{escape(note)}</p>' if note else ""
-    return f'<figure class="chart"><figcaption><h3>{escape(title)}</h3>{told}</figcaption>{svg}</figure>'
+    note_html = f'<p class="dim">{escape(note)}</p>' if note else ""
+    return f'<figure class="chart"><figcaption><h3>{escape(title)}</h3>{note_html}</figcaption>{svg}</figure>'
 
 
 def section(title: str, inside: Iterable[str], lead: str = "") -> str:

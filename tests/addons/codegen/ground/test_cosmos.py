@@ -106,7 +106,7 @@ def test_cosmos_reads_the_values_that_we_do(capture, tmp_path):
 @pytest.mark.parametrize("headers", [cfe.STANDARD, cfe.SHORT, WITH_EXTENDED], ids=lambda item: item.name)
 def test_a_string_of_any_length_leaves_the_next_fields_in_place(headers, tmp_path):
     types = TypeStore()
-    route = Route("/pose", ONE_STRING, 0x0827, table.named("to"), "telemetry")
+    route = Route("/pose", ONE_STRING, 0x0827, table.link_of_label("to"), "telemetry")
     text = cosmos("rover", [route_packet(route, types, 1)], [], headers)
     lengths = [*range(20), 63, 127, 253, 254, 255, 256, 1000]
     questions = []
@@ -126,7 +126,7 @@ def test_a_string_of_any_length_leaves_the_next_fields_in_place(headers, tmp_pat
 def test_what_follows_a_second_string_or_a_sequence_is_one_block(tmp_path):
     types = TypeStore()
     odometry, joints, text = (
-        Route(f"/{name}", kind, msg_id, table.named("to"), "telemetry")
+        Route(f"/{name}", kind, msg_id, table.link_of_label("to"), "telemetry")
         for name, kind, msg_id in (
             ("odom", "nav_msgs/msg/Odometry", 0x0827),
             ("joints", "sensor_msgs/msg/JointState", 0x0828),
@@ -208,7 +208,7 @@ def test_no_two_items_of_a_packet_share_a_name_and_texts_end_where_they_do(tmp_p
     folder.mkdir(parents=True)
     (folder / "Clock.msg").write_text("uint32 seconds\nuint8 apid\nfloat64 rest\nuint8[] more\n")
     types = TypeStore(msg_paths=[tmp_path])
-    route = Route('/a "clock"', "my_msgs/msg/Clock", 0x0827, table.named("to"), "telemetry")
+    route = Route('/a "clock"', "my_msgs/msg/Clock", 0x0827, table.link_of_label("to"), "telemetry")
     lines = cosmos("t", [route_packet(route, types, 1)], [], cfe.STANDARD).decode().splitlines()
     assert lines[0] == "TELEMETRY T A_CLOCK LITTLE_ENDIAN \"/a 'clock', my_msgs/msg/Clock\""
     names = [line.split()[1] for line in lines[1:]]
@@ -217,7 +217,7 @@ def test_no_two_items_of_a_packet_share_a_name_and_texts_end_where_they_do(tmp_p
 
 
 def test_items_follow_each_other():
-    route = Route("/pose", "geometry_msgs/msg/Pose", 0x0827, table.named("to"), "telemetry")
+    route = Route("/pose", "geometry_msgs/msg/Pose", 0x0827, table.link_of_label("to"), "telemetry")
     packet = route_packet(route, TypeStore(), 1)
     lines = cosmos("ROVER", [packet], [], cfe.STANDARD).decode().splitlines()
     assert lines[0] == 'TELEMETRY ROVER POSE LITTLE_ENDIAN "/pose, geometry_msgs/msg/Pose"'

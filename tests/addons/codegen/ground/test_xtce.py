@@ -76,7 +76,7 @@ def test_the_independent_reader_reads_the_values_that_we_do(name, definition):
 @pytest.mark.quick("6", "9", "15")
 @pytest.mark.parametrize("length", [0, 1, 2, 6, 7, 8, 9, 15, 63, 254])
 def test_a_string_of_any_length_leaves_the_next_fields_in_place(length, definition):
-    route = Route("/odom", "nav_msgs/msg/Odometry", 0x0827, table.named("to"), "telemetry")
+    route = Route("/odom", "nav_msgs/msg/Odometry", 0x0827, table.link_of_label("to"), "telemetry")
     types = TypeStore()
     packet = route_packet(route, types, 1)
     made = definition(xtce("t", [packet], [], cfe.STANDARD))
@@ -94,7 +94,7 @@ def test_a_string_of_any_length_leaves_the_next_fields_in_place(length, definiti
 
 def test_what_cannot_be_described_is_left_out_and_told():
     types = TypeStore()
-    route = Route("/j", "sensor_msgs/msg/JointState", 0x0827, table.named("to"), "telemetry")
+    route = Route("/j", "sensor_msgs/msg/JointState", 0x0827, table.link_of_label("to"), "telemetry")
     packet = route_packet(route, types, 1)
     assert not packet.whole
     assert isinstance(packet.items[-1], StringItem)

@@ -114,7 +114,7 @@ def test_telemetry_that_vanishes_without_a_trace_is_lost_too(bench):
         step.bus(second)
         step.telemetry(TELEMETRY, second + 0.5, count=second)
     before, after = step.take()
-    found = step.judge.telemetry(step.observer, before, after, least=70, asked=80)
+    found = step.judge.telemetry(step.observer, before, after, least=70, requested=80)
     assert (found.sent, found.lost, found.unseen, found.hop) == (80, 70, 70, "unknown")
 
 

@@ -31,7 +31,7 @@ def relayed(rules, seed=3):
         if port not in {CI, TO}:
             kept.append(item)
             continue
-        link = table.named("ci" if port == CI else "to")
+        link = table.link_of_label("ci" if port == CI else "to")
         sent, done = machine.apply(item.payload, link=link, to_cfs=port == CI, now=item.time_ns)
         kept += [replace(item, payload=one.payload).at(place * 1000) for place, one in enumerate(sent)]
         faults += done
@@ -160,7 +160,9 @@ def test_what_it_did_and_what_cfs_counted_are_all_that_was_sent(lab, msg_id, see
     machine = FaultPlan(tuple(parse_rule(rule) for rule in rules), seed).start(0)
     through, faults = [], []
     for item in commands:
-        made, done = machine.apply(item.payload, link=table.named("ci"), to_cfs=True, now=item.time_ns)
+        made, done = machine.apply(
+            item.payload, link=table.link_of_label("ci"), to_cfs=True, now=item.time_ns
+        )
         through += [
             item._replace(time_ns=item.time_ns + at * 1000, payload=one.payload)
             for at, one in enumerate(made)

@@ -71,11 +71,11 @@ def _run(cfs: Cfs, core: CoreApp, pipe: Pipe) -> Task:
     body = _BODIES[core.name]
     while True:
         packet = yield Receive(pipe)
-        wanted = msg_id_of(packet)
-        if wanted == core.request:
+        msg_id = msg_id_of(packet)
+        if msg_id == core.request:
             yield Work(cfs.profile.housekeeping_work_ns)
             cfs.telemetry(core.telemetry, body(cfs, counters[0] & 0xFF, counters[1] & 0xFF), core.name)
-        elif wanted == core.command:
+        elif msg_id == core.command:
             # Longer than its sender takes to go round its loop: a name is looked up, a line is printed.
             yield Work(cfs.profile.housekeeping_work_ns)
             accepted = _command(cfs, core, packet)

@@ -100,8 +100,8 @@ class SingleRobotApp:
     def _run(self, cfs: Cfs, pipe: Pipe) -> Task:
         while cfs.executive.run_loop(facts.NAME):
             packet = yield Receive(pipe)
-            wanted = msg_id_of(packet)
-            if wanted == self.request:
+            msg_id = msg_id_of(packet)
+            if msg_id == self.request:
                 yield Work(_ROBOT_WORK * cfs.profile.work_ns)
                 self._struct.put(self.robot.state(now=cfs.scheduler.now))
                 cfs.telemetry(self.state, self._struct.data, facts.NAME)
@@ -109,7 +109,7 @@ class SingleRobotApp:
                 counters = bytes([2 * self._requests & 0xFF, self._requests & 0xFF])
                 cfs.telemetry(self.housekeeping, counters.ljust(56, b"\0"), facts.NAME)
                 self._requests += 1
-            elif wanted == self.command and _accepted(cfs, packet):
+            elif msg_id == self.command and _accepted(cfs, packet):
                 values = messages.decode_envelope(self.robot.command_type, packet[cfe.COMMAND_HEADER_BYTES :])
                 self.robot_commands += self._has_robot
                 if values is None:
@@ -159,19 +159,19 @@ class TwoRobotApp:
     def _run(self, cfs: Cfs, pipe: Pipe) -> Task:
         while cfs.executive.run_loop(facts.NAME):
             packet = yield Receive(pipe)
-            wanted = msg_id_of(packet)
-            if wanted in self.wakeups:
+            msg_id = msg_id_of(packet)
+            if msg_id in self.wakeups:
                 for index, channel in enumerate(self._channels):
                     if channel.fresh:
                         channel.fresh = False
                         self._publish(cfs, self.flight[index], channel.command)
             elif _accepted(cfs, packet):
-                if wanted in self.commands:
-                    channel = self._channels[self.commands.index(wanted)]
+                if msg_id in self.commands:
+                    channel = self._channels[self.commands.index(msg_id)]
                     self._read(cfs, self._command_type, packet, channel.command)
                     channel.fresh = True
                 else:
-                    index = self.states.index(wanted)
+                    index = self.states.index(msg_id)
                     self._read(cfs, self._state_type, packet, self._channels[index].state)
                     self._publish(cfs, self.telemetry[index], self._channels[index].state)
             yield Work(cfs.profile.work_ns)

@@ -74,8 +74,8 @@ class Generator:
                 self._cfs.say(_BAD_COMMAND, code=code, length=length)
             yield Work(self._cfs.profile.work_ns)
 
-    def _set(self, slot: int, named: int, rate: int, kind: int, length: int) -> None:
-        msg_id = bus_id(named, self._cfs.profile)
+    def _set(self, slot: int, number: int, rate: int, kind: int, length: int) -> None:
+        msg_id = bus_id(number, self._cfs.profile)
         reason = _refusal(slot, msg_id, kind, length) if rate or slot >= _SLOTS else ""
         if reason:
             self._cfs.say(_REFUSED, slot=slot, reason=reason)

@@ -65,15 +65,15 @@ class Clock:
             return Event.of(setting.done, seconds=first, subseconds=second, sign=setting.direction)
         if second >= facts.MICROSECONDS:
             return Event.of(setting.refused, seconds=first, micros=second, sign=setting.direction)
-        wanted = first * SECOND + second * MICROSECOND
+        time_ns = first * SECOND + second * MICROSECOND
         if function_code == facts.SET_TIME:
-            self.stcf_ns = wanted - self.met_ns(now)
+            self.stcf_ns = time_ns - self.met_ns(now)
         elif function_code == facts.SET_MET:
-            self._zero_ns = now - wanted
+            self._zero_ns = now - time_ns
         elif function_code == facts.SET_STCF:
-            self.stcf_ns = wanted
+            self.stcf_ns = time_ns
         else:
-            self.stcf_ns += setting.sign * wanted
+            self.stcf_ns += setting.sign * time_ns
         fraction = (second << 32) // facts.MICROSECONDS
         return Event.of(
             setting.done, seconds=first, micros=second, subseconds=fraction, sign=setting.direction

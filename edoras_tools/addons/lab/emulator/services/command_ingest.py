@@ -86,8 +86,8 @@ class CommandIngest:
                 )
             )
         self.ingest_packets += 1
-        held = max(len(data), length_of(data))
-        return Ingested(packet=from_link(bytes(self._buffer[:held]), self.profile))
+        length = max(len(data), length_of(data))
+        return Ingested(packet=from_link(bytes(self._buffer[:length]), self.profile))
 
     def refused(self, status: int) -> Event:
         """Return the event for a packet that the software bus refused."""

@@ -62,7 +62,7 @@ class Application:
         stop_after: event number to how many of it pass the filter; one that is not named always passes.
         tokens: thousandths of events that may still be sent.
         credited_ns: when tokens were last added.
-        seen: event number to how many came since the filter was reset.
+        counts: event number to how many came since the filter was reset.
         sent: events that were sent.
         squelched: events that were not sent because there were no tokens.
         enabled: whether it may send events at all.
@@ -73,7 +73,7 @@ class Application:
     stop_after: Mapping[int, int]
     tokens: int
     credited_ns: int
-    seen: dict[int, int] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)
     sent: int = 0
     squelched: int = 0
     enabled: bool = True
@@ -115,24 +115,24 @@ class EventServices:
 
     def command(self, function_code: int, payload: bytes) -> list[Event]:
         """Take a command about events; return what is said: nothing where it is none of those."""
-        done = facts.DONE.get(function_code)
-        if done is None:
+        answer = facts.DONE.get(function_code)
+        if answer is None:
             return []
-        chosen, app, name_bytes = list(self.applications.values()), "", 0
+        applications, app, name_bytes = list(self.applications.values()), "", 0
         if function_code not in {facts.ENABLE_TYPE, facts.DISABLE_TYPE}:
             name_bytes = facts.APP_NAME_BYTES
             app = payload[:name_bytes].split(b"\0")[0].decode("ascii", "replace")
             if app not in self.applications:
                 prefix = facts.UNKNOWN_APP_PREFIX.get(function_code, "")
                 return [Event.of(facts.UNKNOWN_APP, prefix=prefix, app=app, code=function_code)]
-            chosen = [self.applications[app]]
+            applications = [self.applications[app]]
         mask = int.from_bytes(payload[name_bytes : name_bytes + 1], "little")
         by_type = {facts.ENABLE_TYPE, facts.DISABLE_TYPE, facts.ENABLE_APP_TYPE, facts.DISABLE_APP_TYPE}
         if function_code in by_type and not 0 < mask <= facts.ALL_TYPES:
             return [Event.of(facts.BAD_MASK, mask=mask, code=function_code)]
-        for item in chosen:
+        for item in applications:
             self._obey(function_code, item, mask)
-        return [Event.of(done, app=app, mask=mask)]
+        return [Event.of(answer, app=app, mask=mask)]
 
     def _obey(self, function_code: int, application: Application, mask: int) -> None:
         if function_code in {facts.ENABLE_TYPE, facts.ENABLE_APP_TYPE}:
@@ -142,7 +142,7 @@ class EventServices:
         elif function_code == facts.RESET_APP_COUNTER:
             application.sent = 0
         elif function_code == facts.RESET_ALL_FILTERS:
-            application.seen.clear()
+            application.counts.clear()
         else:
             application.enabled = function_code == facts.ENABLE_APP
 
@@ -153,8 +153,8 @@ class EventServices:
             return []
         if not application.types >> (event.event_type - 1) & 1:
             return []
-        seen = application.seen[event.event_id] = application.seen.get(event.event_id, 0) + 1
-        if seen > application.stop_after.get(event.event_id, seen):
+        count = application.counts[event.event_id] = application.counts.get(event.event_id, 0) + 1
+        if count > application.stop_after.get(event.event_id, count):
             return []
         if not self._spend(application, now):
             application.squelched += 1

@@ -143,7 +143,7 @@ class SbnNode:
             return actions
         connection = state.connection
         if not connection.connected:
-            connection.wanted = tuple(self._named(self._reportable(0)))
+            connection.wanted = tuple(self._network_ids(self._reportable(0)))
         step = connection.receive_datagram(whole, now=now)
         for event in step.events:
             self._happened(state, event, len(data) - sbn.HEADER.size, actions)
@@ -157,10 +157,10 @@ class SbnNode:
         if not self.receiving:
             self.receiving = True
             actions.say(facts.RECEIVE_TASK_STARTED)
-        for wanted in list(self._reportable(self._reported)):
+        for msg_id in list(self._reportable(self._reported)):
             # To every peer of the table, connected or not, one MsgId a datagram.
             for state in self.peers.values():
-                self._send(state, state.connection.subscribe(self._named([wanted]), now=now), actions)
+                self._send(state, state.connection.subscribe(self._network_ids([msg_id]), now=now), actions)
         self._reported = len(self.bus.subscribed)
         for state in self.peers.values():
             self._serve(state, actions, now)
@@ -236,15 +236,15 @@ class SbnNode:
                 )
             # Else subscriptions were cut: 65,535 entries exceed the buffer; flight code would read past it.
 
-    def _subscription(self, state: PeerState, msg_type: int, wanted: int, actions: Actions) -> None:
+    def _subscription(self, state: PeerState, msg_type: int, msg_id: int, actions: Actions) -> None:
         pipe = state.pipe
         assert pipe is not None
         if msg_type == sbn.MsgType.SUB:
-            if 0 < wanted <= cfe.HIGHEST_MSG_ID and wanted not in pipe.limits:
-                self.bus.subscribe(pipe, wanted, self.profile.sbn_msg_limit, local=True)
-        elif not self.bus.unsubscribe(pipe, wanted):
+            if 0 < msg_id <= cfe.HIGHEST_MSG_ID and msg_id not in pipe.limits:
+                self.bus.subscribe(pipe, msg_id, self.profile.sbn_msg_limit, local=True)
+        elif not self.bus.unsubscribe(pipe, msg_id):
             processor = state.config.peer.processor_id
-            actions.say(facts.NOT_SUBSCRIBED, processor_id=processor, msg_id=wanted)
+            actions.say(facts.NOT_SUBSCRIBED, processor_id=processor, msg_id=msg_id)
 
     def _connect(self, state: PeerState, actions: Actions) -> None:
         identity = state.config.peer
@@ -263,7 +263,7 @@ class SbnNode:
     def _send(self, state: PeerState, datagrams: Iterable[bytes], actions: Actions) -> None:
         actions.sends += [PeerDatagram(state.config, data) for data in datagrams]
 
-    def _named(self, msg_ids: Iterable[int]) -> list[int]:
+    def _network_ids(self, msg_ids: Iterable[int]) -> list[int]:
         return [link_id(item, self.profile) for item in msg_ids]
 
     def _reportable(self, start: int) -> Iterator[int]:

@@ -113,34 +113,34 @@ class SoftwareBus:
     def delete_pipe(self, pipe: Pipe) -> None:
         """Remove a pipe and its subscriptions; the packets in it are lost."""
         del self.pipes[pipe.name]
-        for wanted in list(pipe.limits):
-            self.unsubscribe(pipe, wanted)
+        for msg_id in list(pipe.limits):
+            self.unsubscribe(pipe, msg_id)
         pipe.clear()
 
-    def subscribe(self, pipe: Pipe, wanted: int, limit: int | None = None, *, local: bool = False) -> None:
+    def subscribe(self, pipe: Pipe, msg_id: int, limit: int | None = None, *, local: bool = False) -> None:
         """Route a MsgId to a pipe; a second time is only counted.
 
         Args:
             limit: packets of it that may wait; the profile's ``app_msg_limit`` by default.
             local: do not report it to SBN, whose own subscriptions on behalf of peers are such.
         """
-        if wanted in pipe.limits:
+        if msg_id in pipe.limits:
             self.counters.duplicate_subscriptions += 1
             return
-        pipe.limits[wanted] = self.profile.app_msg_limit if limit is None else limit
-        if wanted not in self._routes:
-            self._routes[wanted] = []
-            self._sequence[wanted] = 0
-        if not local and wanted not in self.subscribed:
-            self.subscribed.append(wanted)
+        pipe.limits[msg_id] = self.profile.app_msg_limit if limit is None else limit
+        if msg_id not in self._routes:
+            self._routes[msg_id] = []
+            self._sequence[msg_id] = 0
+        if not local and msg_id not in self.subscribed:
+            self.subscribed.append(msg_id)
         # cFE puts a new destination in front of the list.
-        self._routes[wanted].insert(0, pipe)
+        self._routes[msg_id].insert(0, pipe)
 
-    def unsubscribe(self, pipe: Pipe, wanted: int) -> bool:
+    def unsubscribe(self, pipe: Pipe, msg_id: int) -> bool:
         """Stop routing a MsgId to a pipe; tell whether it was. The route itself stays, as in cFE."""
-        if pipe.limits.pop(wanted, None) is None:
+        if pipe.limits.pop(msg_id, None) is None:
             return False
-        self._routes[wanted].remove(pipe)
+        self._routes[msg_id].remove(pipe)
         return True
 
     def publish(self, packet: bytes, sender: str, *, stamp: bool) -> Publication:
@@ -152,46 +152,46 @@ class SoftwareBus:
             stamp: write the route's next sequence count, as a publisher does; an app that hands on a packet
                 from elsewhere does not.
         """
-        wanted, size = msg_id_of(packet), length_of(packet)
-        if not 0 < wanted <= cfe.HIGHEST_MSG_ID:
+        msg_id, size = msg_id_of(packet), length_of(packet)
+        if not 0 < msg_id <= cfe.HIGHEST_MSG_ID:
             self.counters.send_errors += 1
-            event = _event(INVALID_MSG_ID, msg_id=wanted, sender=sender)
+            event = _event(INVALID_MSG_ID, msg_id=msg_id, sender=sender)
             return Publication(packet, events=(event,), status=BAD_ARGUMENT)
         if size > self.profile.bus_max_bytes:
             self.counters.send_errors += 1
             most = self.profile.bus_max_bytes
-            event = _event(MSG_TOO_BIG, msg_id=wanted, sender=sender, size=size, most=most)
+            event = _event(MSG_TOO_BIG, msg_id=msg_id, sender=sender, size=size, most=most)
             return Publication(packet, events=(event,), status=TOO_BIG)
-        route = self._routes.get(wanted)
+        route = self._routes.get(msg_id)
         if route is None:
             self.counters.no_subscribers += 1
             if self._account:
-                self._account.note(HOP, wanted, QueueEnd.CLOSED)
-            return Publication(packet, events=(_event(NO_SUBSCRIBERS, msg_id=wanted, sender=sender),))
+                self._account.note(HOP, msg_id, QueueEnd.CLOSED)
+            return Publication(packet, events=(_event(NO_SUBSCRIBERS, msg_id=msg_id, sender=sender),))
         if stamp:
-            packet = self._stamped(packet, wanted)
+            packet = self._stamped(packet, msg_id)
         delivered, events = [], []
         for pipe in route:
             if sender and pipe.ignores == sender:
                 continue
-            outcome = pipe.put(packet, wanted)
+            outcome = pipe.put(packet, msg_id)
             if outcome is QueueEnd.WAITING:
                 delivered.append(pipe)
                 continue
             if outcome is QueueEnd.MSG_LIMIT:
                 self.counters.msg_limits += 1
-                events.append(_event(MSG_LIMIT, msg_id=wanted, pipe=pipe.name, sender=sender))
+                events.append(_event(MSG_LIMIT, msg_id=msg_id, pipe=pipe.name, sender=sender))
             else:
                 self.counters.pipe_overflows += 1
-                events.append(_event(PIPE_OVERFLOW, msg_id=wanted, pipe=pipe.name, sender=sender))
-            self.losses[wanted, pipe.name] += 1
+                events.append(_event(PIPE_OVERFLOW, msg_id=msg_id, pipe=pipe.name, sender=sender))
+            self.losses[msg_id, pipe.name] += 1
         if not route and self._account:
-            self._account.note(HOP, wanted, QueueEnd.CLOSED)
+            self._account.note(HOP, msg_id, QueueEnd.CLOSED)
         self.counters.send_errors += len(events)
         return Publication(packet, tuple(delivered), tuple(events))
 
-    def _stamped(self, packet: bytes, wanted: int) -> bytes:
-        count = self._sequence[wanted] = (self._sequence[wanted] + 1) % MODULUS
+    def _stamped(self, packet: bytes, msg_id: int) -> bytes:
+        count = self._sequence[msg_id] = (self._sequence[msg_id] + 1) % MODULUS
         return with_sequence_count(packet, count)
 
     def housekeeping(self) -> bytes:

@@ -64,16 +64,16 @@ class TableServices:
 
     def take(self, table: str) -> bool:
         """Let an application manage its table; return whether it got a new one."""
-        taken = self._waiting(table)[1]
-        if taken:
+        image = self._waiting(table)[1]
+        if image:
             del self._loads[table]
-        return taken
+        return image
 
     def _owner(self, table: str) -> int:
         """Return the AppID of the application that registered a table; 0 if none has."""
         application = self._executive.applications.get(table.partition(".")[0])
-        known = table in facts.TABLE_OF.values() and application is not None and application.runs
-        return application.number if known and application else 0
+        owns = table in facts.TABLE_OF.values() and application is not None and application.runs
+        return application.number if owns and application else 0
 
     def _waiting(self, table: str) -> tuple[bool, bool]:
         """Return whether a table has a load, and whether that one is activated."""

@@ -55,8 +55,8 @@ class TelemetryOutput:
     def subscribe(self, msg_ids: Iterable[int] = ()) -> None:
         """Subscribe to every MsgId of the table and to these, whose limit may be in the table too."""
         default = self.profile.to_default_limit
-        for wanted, limit in (dict.fromkeys(msg_ids, default) | dict(self.profile.to_limits)).items():
-            self.bus.subscribe(self.pipe, wanted, limit)
+        for msg_id, limit in (dict.fromkeys(msg_ids, default) | dict(self.profile.to_limits)).items():
+            self.bus.subscribe(self.pipe, msg_id, limit)
 
     def forward(self) -> tuple[bool, bytes | None]:
         """Take one packet from the pipe.
@@ -85,8 +85,8 @@ class TelemetryOutput:
         if function_code == facts.REMOVE_PACKET:
             return self._remove(self._msg_id(payload))
         if function_code == facts.REMOVE_ALL:
-            for wanted in list(self.pipe.limits):
-                self.bus.unsubscribe(self.pipe, wanted)
+            for msg_id in list(self.pipe.limits):
+                self.bus.unsubscribe(self.pipe, msg_id)
             return _says(facts.ALL_REMOVED, line=527)
         if function_code == facts.SEND_DATA_TYPES:
             return Answer(publish=(facts.DATA_TYPES_MSG_ID, bytes(64)))
@@ -103,33 +103,33 @@ class TelemetryOutput:
         return _says(facts.ENABLED, address=text)
 
     def _add(self, payload: bytes) -> Answer:
-        wanted, limit = self._msg_id(payload), payload[6] or self.profile.to_default_limit
-        if not 0 < wanted <= cfe.HIGHEST_MSG_ID:
-            return _says(facts.NOT_ADDED, line=470, msg_id=wanted, status=software_bus.BAD_ARGUMENT)
-        known = wanted in self.pipe.limits
-        self.bus.subscribe(self.pipe, wanted, limit)
+        msg_id, limit = self._msg_id(payload), payload[6] or self.profile.to_default_limit
+        if not 0 < msg_id <= cfe.HIGHEST_MSG_ID:
+            return _says(facts.NOT_ADDED, line=470, msg_id=msg_id, status=software_bus.BAD_ARGUMENT)
+        exists = msg_id in self.pipe.limits
+        self.bus.subscribe(self.pipe, msg_id, limit)
         priority, reliability = payload[4], payload[5]
         added = Event.of(
-            facts.ADDED, line=473, msg_id=wanted, priority=priority, reliability=reliability, limit=limit
+            facts.ADDED, line=473, msg_id=msg_id, priority=priority, reliability=reliability, limit=limit
         )
         return Answer(
-            (self._bus_says(software_bus.DUPLICATE_SUBSCRIPTION, wanted), added) if known else (added,)
+            (self._bus_says(software_bus.DUPLICATE_SUBSCRIPTION, msg_id), added) if exists else (added,)
         )
 
-    def _remove(self, wanted: int) -> Answer:
-        if not 0 < wanted <= cfe.HIGHEST_MSG_ID:
-            return _says(facts.NOT_REMOVED, line=494, msg_id=wanted, status=software_bus.BAD_ARGUMENT)
-        removed = Event.of(facts.REMOVED, line=497, msg_id=wanted)
-        if self.bus.unsubscribe(self.pipe, wanted):
+    def _remove(self, msg_id: int) -> Answer:
+        if not 0 < msg_id <= cfe.HIGHEST_MSG_ID:
+            return _says(facts.NOT_REMOVED, line=494, msg_id=msg_id, status=software_bus.BAD_ARGUMENT)
+        removed = Event.of(facts.REMOVED, line=497, msg_id=msg_id)
+        if self.bus.unsubscribe(self.pipe, msg_id):
             return Answer((removed,))
         # cFE calls it a success, and TO believes it.
-        return Answer((self._bus_says(software_bus.NOTHING_TO_UNSUBSCRIBE, wanted), removed))
+        return Answer((self._bus_says(software_bus.NOTHING_TO_UNSUBSCRIBE, msg_id), removed))
 
     def _msg_id(self, payload: bytes) -> int:
         return bus_id(int.from_bytes(payload[:4], "little"), self.profile)
 
-    def _bus_says(self, event: EventText, wanted: int) -> Event:
-        return Event.of(event, msg_id=wanted, pipe=self.pipe.name, app=facts.NAME)
+    def _bus_says(self, event: EventText, msg_id: int) -> Event:
+        return Event.of(event, msg_id=msg_id, pipe=self.pipe.name, app=facts.NAME)
 
     def housekeeping(self) -> bytes:
         """Return the payload of housekeeping packet 0x880, 4 bytes."""

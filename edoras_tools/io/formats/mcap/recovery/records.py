@@ -109,20 +109,20 @@ class FileBytes:
 
     def find(self, pattern: re.Pattern[bytes], start: int, end: int) -> Iterator[int]:
         """Yield every position from ``start`` up to ``end`` where a short pattern matches."""
-        for here in range(start, min(end, self.size), _WINDOW):
-            stop = min(here + _WINDOW, end)
-            data = self.read(here, stop + _OVERLAP)
+        for first in range(start, min(end, self.size), _WINDOW):
+            stop = min(first + _WINDOW, end)
+            data = self.read(first, stop + _OVERLAP)
             if data.count(0) == len(data):  # a hole, which may be large
                 continue
             for match in pattern.finditer(data):
-                if here + match.start() < stop:
-                    yield here + match.start()
+                if first + match.start() < stop:
+                    yield first + match.start()
 
     def crc(self, start: int, end: int) -> int:
         """Return the CRC-32 of a range of bytes."""
         value = 0
-        for here in range(start, end, _WINDOW):
-            value = crc32(self.read(here, min(here + _WINDOW, end)), value)
+        for first in range(start, end, _WINDOW):
+            value = crc32(self.read(first, min(first + _WINDOW, end)), value)
         return value
 
     def _failure(self, error: OSError) -> CaptureError:

@@ -158,11 +158,11 @@ class Recovery:
             written: whether a repaired file was written.
         """
         total = sum(self.messages.values())
-        held = f"{total} messages in {self.chunks} chunk{'s' * (self.chunks != 1)}"
+        content = f"{total} messages in {self.chunks} chunk{'s' * (self.chunks != 1)}"
         if self.whole:
-            lines = [f"intact: {held}{'; nothing was written' * written}"]
+            lines = [f"intact: {content}{'; nothing was written' * written}"]
         else:
-            lines = [f"{'recovered' if written else 'damaged:'} {held}; {self._lost()}"]
+            lines = [f"{'recovered' if written else 'damaged:'} {content}; {self._lost()}"]
         if self.unproved:
             lines.append(
                 f"  {self.unproved} of them have no checksum: they can be read, but nothing proves them"
@@ -191,8 +191,8 @@ class Recovery:
 
 
 def _times(loss: LostStretch) -> str:
-    said = [_time(value) for value in (loss.start_ns, loss.end_ns)]
-    return f", {said[0] or 'the start'} to {said[1] or 'the end'}" if any(said) else ""
+    texts = [_time(value) for value in (loss.start_ns, loss.end_ns)]
+    return f", {texts[0] or 'the start'} to {texts[1] or 'the end'}" if any(texts) else ""
 
 
 def _time(time_ns: int | None) -> str:

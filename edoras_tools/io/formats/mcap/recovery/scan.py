@@ -102,7 +102,9 @@ class Scan:
         """Yield all pieces in order, without gaps between them."""
         place = 0
         while place < self._file.size:
-            piece = self._next if self._next and self._next.start == place else self._at(place, found=False)
+            piece = (
+                self._next if self._next and self._next.start == place else self._at(place, searched=False)
+            )
             if piece is None:
                 after = self._search(place + 1, self._file.size)
                 piece = Piece(-1, place, after)
@@ -121,37 +123,37 @@ class Scan:
         """Return the summary at or after a position."""
         return next((item for item in self._sections if item.end > place), None)
 
-    def _at(self, place: int, *, found: bool) -> Piece | None:
+    def _at(self, place: int, *, searched: bool) -> Piece | None:
         """Return what begins at a position; None if nothing proves itself there.
 
         Args:
             place: the position.
-            found: whether the position was searched; if not, a record must begin there.
+            searched: whether the position was searched; if not, a record must begin there.
         """
         file = self._file
         for section in self._sections:
             if place == section.start:
                 return Piece(Opcode.FOOTER, place, section.end, section)
         if file.read(place, place + len(MAGIC)) == MAGIC:
-            return self._magic(place, found=found)
+            return self._magic(place, searched=searched)
         prefix = file.prefix(place)
         if prefix is None:
             return None
         opcode, start, end = prefix
         if opcode == Opcode.CHUNK:
-            return self._chunk(place, start, end, found=found)
-        piece = self._record(place, opcode, start, end, found=found) if end <= file.size else None
-        if piece is None and not found:  # a chunk of which only the first bytes are damaged?
-            piece = self._chunk(place, start, None, found=True)
+            return self._chunk(place, start, end, searched=searched)
+        piece = self._record(place, opcode, start, end, searched=searched) if end <= file.size else None
+        if piece is None and not searched:  # a chunk of which only the first bytes are damaged?
+            piece = self._chunk(place, start, None, searched=True)
         return piece
 
-    def _magic(self, place: int, *, found: bool) -> Piece | None:
+    def _magic(self, place: int, *, searched: bool) -> Piece | None:
         end = place + len(MAGIC)
         section = self.section(place)
-        if found and section is not None and section.owns(place) and place > section.base:
+        if searched and section is not None and section.owns(place) and place > section.base:
             return None
         opens = self._opens(end)
-        if not opens and found:
+        if not opens and searched:
             return None
         if opens:
             self._chunks = self._checked = self._broken = False
@@ -163,12 +165,12 @@ class Scan:
             return False
         return parse(Opcode.HEADER, self._file.read(*prefix[1:])) is not None
 
-    def _record(self, place: int, opcode: int, start: int, end: int, *, found: bool) -> Piece | None:
+    def _record(self, place: int, opcode: int, start: int, end: int, *, searched: bool) -> Piece | None:
         """Return a record that is not a chunk and is completely in the file."""
         if opcode == Opcode.MESSAGE:
-            if end - start < MESSAGE_HEAD.size or (self._chunks and (found or self._broken)):
+            if end - start < MESSAGE_HEAD.size or (self._chunks and (searched or self._broken)):
                 return None
-            if found and not self._follows(end, _TRIES):
+            if searched and not self._follows(end, _TRIES):
                 return None
             return Piece(opcode, place, end, self._file.read(start, end))
         if opcode == Opcode.MESSAGE_INDEX:
@@ -177,9 +179,9 @@ class Scan:
         if end - start > MAX_CHUNK_BYTES:
             return None
         if opcode >= _PRIVATE:
-            return None if found or not self._follows(end, 1) else Piece(opcode, place, end)
+            return None if searched or not self._follows(end, 1) else Piece(opcode, place, end)
         record = parse(opcode, self._file.read(start, end))
-        if record is None or (found and not self._follows(end, _TRIES)):
+        if record is None or (searched and not self._follows(end, _TRIES)):
             return None
         return Piece(opcode, place, end, record)
 
@@ -196,12 +198,12 @@ class Scan:
             place = prefix[2]
         return True
 
-    def _chunk(self, place: int, start: int, end: int | None, *, found: bool) -> Piece | None:
+    def _chunk(self, place: int, start: int, end: int | None, *, searched: bool) -> Piece | None:
         """Return a chunk and its message index; a damaged one only if a chunk must be here."""
         file = self._file
         head = chunk_head(file.read(start, start + CHUNK_HEAD_BYTES)) if start >= 0 else None
         if head is None or (
-            found and (head.compression not in COMPRESSIONS or not (head.crc or head.compression))
+            searched and (head.compression not in COMPRESSIONS or not (head.crc or head.compression))
         ):
             return None
         data = start + head.data
@@ -209,17 +211,19 @@ class Scan:
             if not data <= stop <= file.size or stop - data > MAX_CHUNK_BYTES:
                 continue
             raw, proof = unpack_chunk(head, file.read(data, stop))
-            if proof is Proof.FAILED or (proof is Proof.NONE and (found or (self._checked and self._broken))):
+            if proof is Proof.FAILED or (
+                proof is Proof.NONE and (searched or (self._checked and self._broken))
+            ):
                 continue
             piece = self._sound(Piece(Opcode.CHUNK, place, stop, head=head, proof=proof), raw, stop)
             sane = stop == end == data + head.length and len(raw) == head.size
             piece.record_end = stop if sane and (not head.crc or proof is Proof.CHECKSUM) else 0
-            if (found or self._broken) and not self._claimed(piece, stop - data):
+            if (searched or self._broken) and not self._claimed(piece, stop - data):
                 return None
             self._chunks = True
             self._checked |= bool(head.crc)
             return piece
-        return None if found or end is None else self._damaged(place, data, end, head)
+        return None if searched or end is None else self._damaged(place, data, end, head)
 
     def _sound(self, piece: Piece, raw: bytes | memoryview, stop: int) -> Piece:
         """Complete a chunk that ends at ``stop``: its contents and its message index."""
@@ -263,7 +267,7 @@ class Scan:
 
     def _indexes(self, place: int) -> tuple[Entries, int]:
         """Read consecutive message indexes; return them and their end."""
-        file, found = self._file, {}
+        file, indexes = self._file, {}
         while (prefix := file.prefix(place)) is not None and prefix[0] == Opcode.MESSAGE_INDEX:
             _, start, end = prefix
             size = end - start - (INDEX_HEAD.itemsize - RECORD_HEAD.size)
@@ -275,14 +279,14 @@ class Scan:
             entries = np.frombuffer(content[6:], INDEX_ENTRY)
             if (entries["offset"] > MAX_CHUNK_BYTES).any():
                 break  # bytes are missing in it, so its length covers a part of what follows
-            found[int.from_bytes(content[:2], "little")] = entries
+            indexes[int.from_bytes(content[:2], "little")] = entries
             place = end
-        return found, place
+        return indexes, place
 
     def _search(self, start: int, stop: int) -> int:
         """Return the next position where something proves itself; ``stop`` if there is none."""
         for place in self._file.find(_PLACES, start, stop):
-            piece = self._at(place, found=True) or self._hidden(place)
+            piece = self._at(place, searched=True) or self._hidden(place)
             if piece is not None and piece.start >= start:
                 self._next = piece
                 return piece.start
@@ -297,7 +301,7 @@ class Scan:
         file = self._file
         data = file.read(place, place + len(_NAMES[0]))
         if data.startswith(_NAMES):
-            return self._chunk(place - _NAME_AT, place - _NAME_AT, None, found=True)
+            return self._chunk(place - _NAME_AT, place - _NAME_AT, None, searched=True)
         if not data.startswith(_FRAME):
             return None
         for size in _FRAME_BYTES:

@@ -70,8 +70,11 @@ class FoundSummary:
 
     def may_hold(self, name: str) -> bool:
         """Return whether an attachment or metadata record of this name may belong to this file."""
-        counted = self.statistics
-        every = counted is not None and len(self.names) == counted.attachment_count + counted.metadata_count
+        statistics = self.statistics
+        every = (
+            statistics is not None
+            and len(self.names) == statistics.attachment_count + statistics.metadata_count
+        )
         return not every or name in self.names
 
     def listed(self, walked: Walked, head: tuple[int, int] | None, packed: int) -> list[ChunkIndex]:
@@ -81,24 +84,24 @@ class FoundSummary:
             head: the times in its head.
         """
         sizes = packed, len(walked.data)
-        found = self.chunks.get((*head, *sizes), []) if head else []
-        if not found and len(walked):
-            found = self.chunks.get((int(walked.log_time.min()), int(walked.log_time.max()), *sizes), [])
-        return found
+        indexes = self.chunks.get((*head, *sizes), []) if head else []
+        if not indexes and len(walked):
+            indexes = self.chunks.get((int(walked.log_time.min()), int(walked.log_time.max()), *sizes), [])
+        return indexes
 
 
 def summaries(file: FileBytes) -> list[FoundSummary]:
     """Return the summaries with a correct checksum, and complete ones without a checksum; in order."""
-    found: list[FoundSummary] = []
+    sections: list[FoundSummary] = []
     for place in file.find(_FOOTER, 0, file.size):
         footer = parse(Opcode.FOOTER, file.read(place + RECORD_HEAD.size, place + _FOOTER_BYTES))
         if isinstance(footer, Footer) and footer.summary_start:
             section = _summary(file, place, footer)
             if section is not None:
                 # Summaries inside this one's file are part of a message or an attachment.
-                found = [item for item in found if not section.owns(item.start)]
-                found.append(section)
-    return found
+                sections = [item for item in sections if not section.owns(item.start)]
+                sections.append(section)
+    return sections
 
 
 def _summary(file: FileBytes, place: int, footer: Footer) -> FoundSummary | None:

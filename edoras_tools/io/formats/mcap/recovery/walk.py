@@ -64,17 +64,17 @@ class Walked:
 
     def agree(self, entries: Entries) -> NDArray[np.bool_]:
         """Return for each message whether an index contains it, with channel, log time and position."""
-        said = np.empty(sum(map(len, entries.values())), _ENTRY)
-        said["channel"] = np.repeat([*entries], [len(item) for item in entries.values()])
+        indexed = np.empty(sum(map(len, entries.values())), _ENTRY)
+        indexed["channel"] = np.repeat([*entries], [len(item) for item in entries.values()])
         for name in INDEX_ENTRY.names or ():
-            said[name] = np.concatenate([np.zeros(0, "<u8"), *(item[name] for item in entries.values())])
+            indexed[name] = np.concatenate([np.zeros(0, "<u8"), *(item[name] for item in entries.values())])
         mine = np.empty(len(self), _ENTRY)
         mine["channel"], mine["log_time"], mine["offset"] = self.channel, self.log_time, self.start
-        said = said[np.argsort(said["offset"], kind="stable")]
-        if np.array_equal(said, mine):
+        indexed = indexed[np.argsort(indexed["offset"], kind="stable")]
+        if np.array_equal(indexed, mine):
             return np.ones(len(self), bool)
         wide = f"V{_ENTRY.itemsize}"
-        return np.isin(mine.view(wide), said.view(wide))
+        return np.isin(mine.view(wide), indexed.view(wide))
 
     def index(self) -> ChunkMessages:
         """Return the message index, as one chunk."""
@@ -110,11 +110,11 @@ def walk(raw: bytes | memoryview, entries: Entries | None = None) -> Walked:
     """
     data = np.frombuffer(raw, np.uint8)
     if entries:
-        found = _at(
+        records = _at(
             data, np.sort(np.concatenate([item["offset"] for item in entries.values()]).astype(np.int64))
         )
-        if found is not None:
-            return found
+        if records is not None:
+            return records
     return _one_by_one(data)
 
 
