@@ -69,7 +69,7 @@ def decode() -> str:
     """Draw one packet, its tree and its bytes."""
     settings, path = _bench("f_sbn_disconnect", _ROVERS)
     decoded = decode_packet(open_files([path]), settings.workbench(), 189)
-    lines = packet.packet_lines(decoded, 150, colour=True, chosen="ros.linear.x")
+    lines = packet.packet_lines(decoded, 150, colour=True, highlight="ros.linear.x")
     title = f"edoras decode f_sbn_disconnect.pcap 189 {_CONFIGS} --layer ros.linear.x"
     return terminal_picture(lines, width=150, title=title)
 

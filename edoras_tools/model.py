@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.errors import EdorasError
 
+
 NO_MSG_ID = -1
 """``Columns.msg_id`` of a datagram that holds no space packet."""
 NO_ROUTE = -1
@@ -76,6 +77,24 @@ class Finding(Flags):
     def labels(self) -> list[str]:
         """The labels of every bit that is set, lowest bit first."""
         return [bit.label for bit in self]
+
+
+UNKNOWABLE: Final = (
+    Finding.TRUNCATED
+    | Finding.LENGTH_MISMATCH
+    | Finding.CHECKSUM_BAD
+    | Finding.CHECKSUM_ABSENT
+    | Finding.ENVELOPE_OVERRUN
+    | Finding.CDR_INVALID
+    | Finding.CDR_TRAILING
+    | Finding.CDR_TOO_LONG
+    | Finding.SBN_SIZE_MISMATCH
+    | Finding.COMMAND_LENGTH
+    | Finding.HEADER_ONLY
+    | Finding.SBN_LEGACY_HEADER
+    | Finding.STRUCT_LENGTH
+)
+"""What a datagram that the capture itself cut cannot be blamed for."""
 
 
 NO_FINDINGS = Finding(0)

@@ -39,15 +39,15 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(66_973, 150, 58_000),
-    "lines with code, all": Limit(78_944, 150, 84_000),  # with what is still to come
-    "files": Limit(586, 10, 450),
-    "files below 170 lines, of 1,000": Limit(485, 10, 500),  # a median of 170 lines or more
+    "lines with code, core": Limit(66_951, 150, 58_000),
+    "lines with code, all": Limit(78_925, 150, 84_000),  # with what is still to come
+    "files": Limit(557, 10, 450),
+    "files below 170 lines, of 1,000": Limit(449, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
-    "files that record runs through": Limit(120, 2, 80),
-    "files that sniff --where runs through": Limit(112, 2, 80),
-    "modules that host loads": Limit(131, 2, 40),
-    "bare participles among 1,000 names": Limit(46.0, 1, 3),
+    "files that record runs through": Limit(118, 2, 80),
+    "files that sniff --where runs through": Limit(109, 2, 80),
+    "modules that host loads": Limit(127, 2, 40),
+    "bare participles among 1,000 names": Limit(14.4, 1, 3),
     "functions of complexity over 25": Limit(4, 0, 0),
 }
 

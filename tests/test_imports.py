@@ -31,7 +31,7 @@ PUT_OFF = {
     "pipelines/interrupt.py": ("termios tty", "not there on Windows"),
     "io/capture/scapy_backend.py": ("scapy", "0.35 s, and only where there is no packet ring"),
     "io/formats/open.py": (
-        "edoras_tools.io.formats.rosbag2.folder",
+        "edoras_tools.io.formats.rosbag2.source",
         "only for directories, whose metadata needs YAML",
     ),
     "io/formats/stream.py": (

@@ -107,7 +107,7 @@ def bridge(
     """
     from edoras_tools.middleware.opening import distro_of_peers, usual, usual_domain
     from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
-    from edoras_tools.render.bridge import bridge as view
+    from edoras_tools.render import bridge as view
 
     (json, quiet), output = printing, outputs.output
     way = graph.ros or usual()
@@ -137,11 +137,11 @@ def bridge(
             print_view(lambda width: view.plan(planned, way, output, width))
         return
     from edoras_tools.pipelines.bridge.run import Bridges
-    from edoras_tools.render.terminal.terminal import look
+    from edoras_tools.render.terminal.terminal import detect_terminal
 
     confirm_targets(*(station.target for station in plan.stations), confirmed=running.yes)
 
-    shows = not quiet and not json and look(sys.stderr).interactive
+    shows = not quiet and not json and detect_terminal(sys.stderr).interactive
     names = (f"{item.kind} bridge {item.listen} to {item.target}" for item in plan.stations)
     bridges = Bridges(
         plan,

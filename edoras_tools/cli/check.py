@@ -17,7 +17,7 @@ from edoras_tools.errors import ConfigError, InterruptError
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source
-    from edoras_tools.pipelines.check.messages import Examined
+    from edoras_tools.pipelines.check.observation import Examined
     from edoras_tools.pipelines.doctor.scope import Scope
 
 
@@ -49,8 +49,8 @@ def check(
     """
     from edoras_tools.io.outputs import check_new
     from edoras_tools.pipelines.check.expectations import load_expectations
-    from edoras_tools.pipelines.check.junit import write_junit
     from edoras_tools.pipelines.check.run import check as run
+    from edoras_tools.pipelines.check.run import write_junit
     from edoras_tools.pipelines.doctor.doctor import Pace, profile_with
 
     scope, profile = part.scope(), profile_with(decoding.constants)

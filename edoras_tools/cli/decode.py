@@ -51,9 +51,9 @@ def decode(
         print_json(as_json(decoded))
         return
     from edoras_tools.render.capture import packet
-    from edoras_tools.render.terminal.terminal import look
+    from edoras_tools.render.terminal.terminal import detect_terminal
 
-    terminal = look(sys.stdout)
+    terminal = detect_terminal(sys.stdout)
     lines = packet.packet_lines(
         decoded, terminal.width, colour=terminal.colour, highlight=layer, base="frame" if frame else "payload"
     )

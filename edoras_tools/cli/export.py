@@ -126,6 +126,6 @@ def _tell(summary: dict[str, Any], printing: options.PrintOptions) -> None:
     if printing.json:
         print_json(summary)
     elif not printing.quiet:
-        from edoras_tools.render.capture.exported import exported_lines
+        from edoras_tools.render.capture.info import exported_lines
 
         sys.stderr.writelines(f"{line}\n" for line in exported_lines(summary))

@@ -41,7 +41,7 @@ def files(
     if printing.json:
         print_json(report.summary())
     elif not printing.quiet:
-        from edoras_tools.render.capture.exported import files_lines
+        from edoras_tools.render.capture.info import files_lines
 
         sys.stdout.writelines(f"{line}\n" for line in files_lines(report.summary()))
     if report.failure is not None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.model import InterfaceOutage
     from edoras_tools.pipelines.workbench import Settings, Workbench
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
 
 
 @headed("Live traffic")

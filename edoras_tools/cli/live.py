@@ -190,7 +190,7 @@ def live(
     For example: edoras live -i lo -c rover.yaml; or edoras live --sim two-rovers
     """
     from edoras_tools.pipelines.live.run import attach, attach_player
-    from edoras_tools.render.bridge.foxglove import served
+    from edoras_tools.render.bridge import served
 
     (_, given), sim = source
     files = source.given.paths
@@ -290,7 +290,7 @@ def _keyboard(
         return
     from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.live.player import HELP
-    from edoras_tools.render.bridge.foxglove import playback_line
+    from edoras_tools.render.bridge import playback_line
 
     def show(state: PlaybackState) -> None:
         line = playback_line(state, player.range_ns, len(sink.server.clients), waiting=player.waiting)

@@ -51,7 +51,7 @@ def print_view(view: RenderableType | Callable[[int], RenderableType], *, is_who
     Args:
         is_whole: its lines are broken already; what is longer is to be pasted, and stays in one piece.
     """
-    from edoras_tools.render.terminal.console import output_console
+    from edoras_tools.render.terminal.terminal import output_console
 
     console = output_console()
     console.print(view(console.width) if callable(view) else view, soft_wrap=is_whole)
@@ -59,7 +59,7 @@ def print_view(view: RenderableType | Callable[[int], RenderableType], *, is_who
 
 def file_progress(names: Iterable[object], *, quiet: bool) -> FileProgress:
     """Return what shows how far files, whose names are given, are read and judged."""
-    from edoras_tools.render.terminal.console import error_console
     from edoras_tools.render.terminal.progress import FileProgress
+    from edoras_tools.render.terminal.terminal import error_console
 
     return FileProgress(", ".join(map(str, names)), console=error_console(), quiet=quiet)

@@ -121,10 +121,9 @@ def _write(figure: Figure, output: Path) -> int:
 
 def _print(figure: Figure) -> None:
     from edoras_tools.render.plot.terminal import plot_lines
-    from edoras_tools.render.terminal.console import output_console
-    from edoras_tools.render.terminal.terminal import FILE_WIDTH, look
+    from edoras_tools.render.terminal.terminal import FILE_WIDTH, detect_terminal, output_console
 
-    seen = look(sys.stdout)
+    seen = detect_terminal(sys.stdout)
     width = 100 if seen.width == FILE_WIDTH else seen.width
     for line in plot_lines(figure, width, colour=seen.colour):
         output_console().print(line, no_wrap=True, crop=False)

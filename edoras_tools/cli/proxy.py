@@ -99,7 +99,7 @@ def proxy(
     from edoras_tools.pipelines.proxy.plan import ProxyPlan, as_relayed, limit_rule
     from edoras_tools.pipelines.proxy.run import Proxy
     from edoras_tools.render.sending import proxy as view
-    from edoras_tools.render.terminal.terminal import look
+    from edoras_tools.render.terminal.terminal import detect_terminal
 
     settings, injected = decoding.settings(), faults.plan()
     (json, quiet), output = printing, outputs.output
@@ -135,7 +135,7 @@ def proxy(
     tell_reach(relayed.listen, f"send to {target} through it")
     if relayed.bind:
         tell_reach(relayed.bind, "answer as the target")
-    shows = not (quiet or json) and look(sys.stderr).interactive
+    shows = not (quiet or json) and detect_terminal(sys.stderr).interactive
     table = partial(view.live_table, output=output, keys=asks) if shows else None
     failure = run_relay(relay, partial(_begin, relay), times.duration, table, keyboard=asks)
     finish_relay(relay, view.outcome, view.notes, output, printing, failure)

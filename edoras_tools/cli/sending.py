@@ -263,7 +263,7 @@ def carry_out(
 def _print(summary: dict[str, Any], target: str = "") -> None:
     """Print what would be sent; or what was sent to a target, once it is."""
     from edoras_tools.render.sending import replay as view
-    from edoras_tools.render.terminal.console import error_console
+    from edoras_tools.render.terminal.terminal import error_console
 
     if target:
         error_console().print(view.outcome(summary, target))

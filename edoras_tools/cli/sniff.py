@@ -158,14 +158,14 @@ def print_fields(
 
     from edoras_tools.decode.filters.filter import fields
     from edoras_tools.pipelines.capture.fields import column_texts, is_number
-    from edoras_tools.render.capture.columns import ColumnLines
-    from edoras_tools.render.terminal.terminal import look
+    from edoras_tools.render.capture.packet_list import ColumnLines
+    from edoras_tools.render.terminal.terminal import detect_terminal
     from edoras_tools.render.terminal.text import clean
 
     columns = fields(text, bench.columns.context)
     heads = [name for name, _ in columns]
     out, shown = sys.stdout, 0
-    terminal = look(out)
+    terminal = detect_terminal(out)
     table = ColumnLines(
         heads,
         [is_number(column) for column in columns],
@@ -246,8 +246,8 @@ def print_statistics(
         print_json({kind.value: counted.table(kind.value) for kind in kinds})
         read.end()
         return counted.ledger.datagrams
-    from edoras_tools.render.capture.statistics import statistics
-    from edoras_tools.render.terminal.console import output_console
+    from edoras_tools.render.capture.info import statistics
+    from edoras_tools.render.terminal.terminal import output_console
 
     console = output_console()
     for index, kind in enumerate(kinds):
@@ -284,7 +284,7 @@ def sniff(
     from edoras_tools.render.capture.packet_list import COLUMNS, LEAST_WITH_TYPE, MESSAGE_COLUMNS, PacketList
     from edoras_tools.render.capture.watch import Followed
     from edoras_tools.render.severity import NOTABLE
-    from edoras_tools.render.terminal.terminal import look
+    from edoras_tools.render.terminal.terminal import detect_terminal
 
     view.check(verbose=verbose)
     limits = stop.limits(given.paths)
@@ -305,7 +305,7 @@ def sniff(
     if view.tui:
         panes.show(source, bench, settings, selection, view.time_format, limits, verbose=verbose)
         return
-    terminal = look(sys.stdout)
+    terminal = detect_terminal(sys.stdout)
     counts = view.sequence or view.stat
     read = Followed(source, quiet=live or not (counts or terminal.interactive))
     waits = live or "-" in map(str, given.paths)

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
-from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import beginning, link_columns
 from edoras_tools.decode.recorded import recorded_columns
 from edoras_tools.decode.variants import Variants
 from edoras_tools.links.cfdp import PDU_FINDINGS, holds_pdu
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Columns, Finding, PacketBatch
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, UNKNOWABLE, Columns, Finding, PacketBatch
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import by_value

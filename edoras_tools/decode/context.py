@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.cfs import names
-from edoras_tools.decode.builds import Builds
-from edoras_tools.decode.commands import CommandTable
+from edoras_tools.decode.builds import Builds, CommandTable
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import table
 from edoras_tools.links.cfdp import PDU_NAME

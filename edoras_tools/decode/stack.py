@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
-from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.decode.links import link_of
 from edoras_tools.decode.recorded import dissect_recorded
 from edoras_tools.decode.summary import summarise
@@ -23,6 +22,7 @@ from edoras_tools.links.table import protocol
 from edoras_tools.model import (
     NO_ROUTE,
     OTHER,
+    UNKNOWABLE,
     Datagram,
     Decoded,
     Finding,
@@ -31,7 +31,7 @@ from edoras_tools.model import (
     Link,
     RosMessage,
 )
-from edoras_tools.structs.packets import OWN_LAYERS
+from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION, ROUNDED
 from edoras_tools.wire.cfe import length_of

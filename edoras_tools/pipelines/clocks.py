@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.framing import Framing
     from edoras_tools.model import HostCounters, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
     from edoras_tools.sessions.faults.fault import Fault
 
 _MOST: Final = 1_000_000
@@ -140,15 +140,11 @@ def open_aligned(
             sources.append(source)
             notes.append(note)
             continue
-        to, alignment = next(
-            (
-                (other, candidate)
-                for other in set_back
-                if (candidate := align(tables[other], table)) is not None
-            ),
+        to, shift = next(
+            ((other, item) for other in set_back if (item := align(tables[other], table)) is not None),
             (0, None),
         )
-        if alignment is None:
+        if shift is None:
             if is_cfe_file(path):
                 source, name = _of_cfe(path)
                 most = max(len(boot_offsets(tables[other], name)) for other in set_back)
@@ -164,14 +160,10 @@ def open_aligned(
                 "no loss is concluded from the order of events between the two"
             )
             continue
-        set_back[at] = [alignment.line, *set_back[to]]
-        sources.append(Aligned(open_file(path), set_back[at], alignment.shared))
-        some = (
-            f"; {len(alignment.shared):,} datagrams are in both, counted once"
-            if len(alignment.shared)
-            else ""
-        )
-        notes.append(f"{path}: its clock is {alignment.told(str(paths[to]))}{some}")
+        set_back[at] = [shift.line, *set_back[to]]
+        sources.append(Aligned(open_file(path), set_back[at], shift.shared))
+        some = f"; {len(shift.shared):,} datagrams are in both, counted once" if len(shift.shared) else ""
+        notes.append(f"{path}: its clock is {shift.told(str(paths[to]))}{some}")
     return OneByOne([merge_sources(sources), *alone]) if alone else merge_sources(sources), notes
 
 

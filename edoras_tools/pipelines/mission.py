@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.io import Source
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
     from edoras_tools.wire.msg_id import MsgIds
 
 _SAMPLES: Final = 64

@@ -11,7 +11,7 @@ import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.errors import RouteError
-from edoras_tools.io.topics.names import APART
+from edoras_tools.io.topics.rows import APART
 from edoras_tools.links import table
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.table import among

@@ -9,11 +9,9 @@ from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.outputs import write_files
 from edoras_tools.structs import cfe
 from edoras_tools.structs.bindings import Bindings
-from edoras_tools.structs.debug_info.compiler import SOURCE_SUFFIXES, compiled
-from edoras_tools.structs.debug_info.dwarf import DebugInfo, Listed
+from edoras_tools.structs.debug_info.dwarf import SOURCE_SUFFIXES, DebugInfo, Listed, compiled
 from edoras_tools.structs.files import LAYOUT_FILE, dumps, load_layout
-from edoras_tools.structs.packets import FPRIME_KEY
-from edoras_tools.structs.shapes import Key, StructLayout
+from edoras_tools.structs.shapes import FPRIME_KEY, Key, StructLayout
 from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:

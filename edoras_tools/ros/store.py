@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.ros.cdr import columns, reader, validity
-from edoras_tools.ros.cdr.extent import extent
 from edoras_tools.ros.cdr.plan import CdrPlan, Compiler
+from edoras_tools.ros.cdr.validity import extent
 from edoras_tools.ros.cdr.writer import Writer
 from edoras_tools.ros.types.library import Library
 from edoras_tools.ros.types.schema import Definition, MessageField, complete_text, full_name

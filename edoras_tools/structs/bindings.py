@@ -18,7 +18,7 @@ from edoras_tools.structs.messages import (
     parts,
     unique,
 )
-from edoras_tools.structs.packets import FPRIME_KEY
+from edoras_tools.structs.shapes import FPRIME_KEY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,7 +8,7 @@ import numpy as np
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.messages import HEADER_FIELDS, parts
-from edoras_tools.structs.packets import SHIPPED
+from edoras_tools.structs.shapes import SHIPPED
 from edoras_tools.structs.transcode import HEAD, MOST_VALUES, Counter, StructPlan
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather

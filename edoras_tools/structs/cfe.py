@@ -11,8 +11,19 @@ from functools import cache
 from typing import Any, Final
 
 from edoras_tools.structs.files import layout_of
-from edoras_tools.structs.packets import DATAGRAMS, PACKETS, SHIPPED, UDP_KEY, packets
-from edoras_tools.structs.shapes import BASIC, Enumeration, Key, Member, Struct, StructLayout
+from edoras_tools.structs.shapes import (
+    BASIC,
+    DATAGRAMS,
+    PACKETS,
+    SHIPPED,
+    UDP_KEY,
+    Enumeration,
+    Key,
+    Member,
+    Struct,
+    StructLayout,
+    packets,
+)
 from edoras_tools.wire import cfe
 from edoras_tools.wire import layout as wire
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from edoras_tools import doors
 from edoras_tools.errors import ConfigError
-from edoras_tools.structs.packets import UDP_KEY
 from edoras_tools.structs.shapes import (
     BASIC,
     OPEN,
+    UDP_KEY,
     Basic,
     BasicKind,
     ByteOrder,

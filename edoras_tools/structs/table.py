@@ -11,7 +11,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types.schema import Definition, complete_text
-from edoras_tools.structs.packets import FPRIME_KEY, UDP_KEY, packets
+from edoras_tools.structs.shapes import FPRIME_KEY, UDP_KEY, packets
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 

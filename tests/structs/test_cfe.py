@@ -14,8 +14,8 @@ from edoras_tools.ros.types.grammar import parse_definition
 from edoras_tools.ros.types.schema import STRINGS
 from edoras_tools.structs import shipped_structs
 from edoras_tools.structs.cfe import shipped_layout as layout
-from edoras_tools.structs.packets import PACKETS
 from edoras_tools.structs.payloads import payloads
+from edoras_tools.structs.shapes import PACKETS
 
 CAPTURES = sorted((CAPTURES).glob("*.pcap*"))
 MEASURED = {

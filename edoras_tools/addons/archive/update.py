@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.archive.index import Index
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
 
 
 _PATIENCE_S: Final = 10
@@ -210,29 +210,27 @@ def bring_up_to_date(
     """
     settings = fingerprint(update.settings)
     files = find_captures(update.roots)
-    indexed = {
+    rows = {
         row["capture"]: row
         for row in index.rows("SELECT capture, size, version, sha256, settings, state, gone FROM captures")
     }
-    new = [item for item in files if update.again or _is_new(item, indexed.get(item.url), settings)]
+    new = [item for item in files if update.again or _is_new(item, rows.get(item.url), settings)]
     report = UpdateReport(listed=len(files), unfinished=len(new))
     names = {item.url for item in files}
     places = [root_of(item) for item in update.roots]
-    missing = [url for url in indexed if url not in names and any(_is_under(url, place) for place in places)]
+    missing = [url for url in rows if url not in names and any(_is_under(url, place) for place in places)]
     report.missing = len(missing)
-    index.leave(
-        missing, [url for url in names if url in indexed and indexed[url]["gone"]], forget=update.forget
-    )
+    index.leave(missing, [url for url in names if url in rows and rows[url]["gone"]], forget=update.forget)
     if new:
         hashes = (
             {}
             if update.again
-            else {url: row["sha256"] for url, row in indexed.items() if row["settings"] == settings}
+            else {url: row["sha256"] for url, row in rows.items() if row["settings"] == settings}
         )
         with on_interrupt(_interrupt, in_handler=True) as asked:
             try:
                 with workers(update.jobs, update.scheduler, most=len(new)) as client:
-                    _Run(index, client, report, set(indexed), on_line).all(
+                    _Run(index, client, report, set(rows), on_line).all(
                         _tasks(new, hashes, update.settings, settings, _count(client)), progress
                     )
             except KeyboardInterrupt:
@@ -311,13 +309,8 @@ class _Run:
         contents: set[str],
         on_line: Callable[[str], None],
     ) -> None:
-        self._index, self._client, self._report, self._contents, self._on_line = (
-            index,
-            client,
-            report,
-            contents,
-            on_line,
-        )
+        self._index, self._client, self._report = index, client, report
+        self._contents, self._on_line = contents, on_line
         self._tasks: dict[str, Task] = {}
         self._workers: set[str] = set()
 

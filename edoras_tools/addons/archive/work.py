@@ -204,11 +204,11 @@ class _Listening(Counting):
 
     def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
         """See ``Counting.add``."""
-        counted_rows = super().add(rows, loop)
-        events = list(events_in(*counted_rows.alone()))
+        own = super().add(rows, loop)
+        events = list(events_in(*own.alone()))
         self.events += events[: _MOST_EVENTS - len(self.events)]
         self.left_out += max(0, len(events) - (_MOST_EVENTS - len(self.events)))
-        return counted_rows
+        return own
 
 
 def _read(path: Path, url: str, group: _Group) -> IndexRows:

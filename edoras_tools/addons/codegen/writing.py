@@ -12,7 +12,7 @@ from edoras_tools.addons.codegen.layout import MARK
 from edoras_tools.cfs import edoras_app
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.io.outputs import write_files
-from edoras_tools.structs.packets import PACKETS, UDP_KEY
+from edoras_tools.structs.shapes import PACKETS, UDP_KEY
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:

@@ -112,12 +112,10 @@ def _loss(code: int) -> str:
 
 def _unfit(topic: str, status: Any, *, ours_writes: bool) -> str:
     """Return why an endpoint of another does not match ours, and what to write."""
-    policy, as_subscriber, as_publisher = _UNFIT.get(status.last_policy_id, ("a policy", "", ""))
+    kind, as_subscriber, as_publisher = _UNFIT.get(status.last_policy_id, ("a policy", "", ""))
     line = as_publisher if ours_writes else as_subscriber
     remedy = f"; write qos: {{{line}}} for this topic in the mission file" if line else ""
-    return (
-        f"{topic}: a {'subscriber' if ours_writes else 'publisher'} does not match: {policy} differs{remedy}"
-    )
+    return f"{topic}: a {'subscriber' if ours_writes else 'publisher'} does not match: {kind} differs{remedy}"
 
 
 class _Ear(NamedTuple):
@@ -225,11 +223,11 @@ class DdsGraph:
                 return []
             self._peers.update()
             self._present(self._peers.gid_bytes)
-            mismatches: list[tuple[str, bool, Any]] = [
+            pairs: list[tuple[str, bool, Any]] = [
                 (topic, False, reader.get_requested_incompatible_qos_status())  # type: ignore[no-untyped-call]
                 for topic, reader in self._readers
             ]
-            mismatches += [
+            pairs += [
                 (topic, True, writer.get_offered_incompatible_qos_status())  # type: ignore[no-untyped-call]
                 for topic, writer in self._writers
             ]
@@ -242,9 +240,7 @@ class DdsGraph:
                 for topic, writer in self._writers
             ]
         notes = [
-            _unfit(topic, status, ours_writes=writes)
-            for topic, writes, status in mismatches
-            if status.total_count
+            _unfit(topic, status, ours_writes=writes) for topic, writes, status in pairs if status.total_count
         ]
         late = time.monotonic() - self._since > _PATIENCE_S
         notes += self._peers.notes(own, late=late)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.decode.filters.series import Series, ValueKind
+from edoras_tools.decode.filters.rows import Series, ValueKind
 from edoras_tools.decode.filters.syntax import Comparison, Value, ValueRange
 from edoras_tools.older import UTC
 

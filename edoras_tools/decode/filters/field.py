@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
-from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.decode.filters.rows import INDEX_DTYPE, ColumnRows, PacketRows, Series, ValueKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -15,8 +15,7 @@ import numpy as np
 
 from edoras_tools.decode.filters.compare import Misfit, Test, test_of
 from edoras_tools.decode.filters.names import Names, Unknown
-from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
-from edoras_tools.decode.filters.series import ValueKind
+from edoras_tools.decode.filters.rows import ColumnRows, PacketRows, ValueKind
 from edoras_tools.decode.filters.syntax import (
     Comparison,
     Expression,

@@ -23,15 +23,15 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.decode.filters.field import MESSAGE_COST, FilterField
-from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.decode.filters.rows import INDEX_DTYPE, Series, ValueKind
 from edoras_tools.decode.samples import KnownSamples, known_samples
 from edoras_tools.links.table import among
 from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
 from edoras_tools.ros.types import grammar, schema
 from edoras_tools.structs.bound import Bound, Encoded, Held
 from edoras_tools.structs.names import INLINED, aliased, field_name
-from edoras_tools.structs.packets import PACKETS, UDP_KEY
 from edoras_tools.structs.payloads import payloads
+from edoras_tools.structs.shapes import PACKETS, UDP_KEY
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:

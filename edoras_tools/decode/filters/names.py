@@ -11,11 +11,11 @@ import numpy as np
 from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, MESSAGE_COST, FilterField
 from edoras_tools.decode.filters.layers import layer_fields
 from edoras_tools.decode.filters.messages import MessageFieldFinder, samples_of, structs_of
-from edoras_tools.decode.filters.series import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.decode.filters.rows import INDEX_DTYPE, Series, ValueKind
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Finding
 from edoras_tools.ros.types.schema import full_name
-from edoras_tools.structs.packets import OWN_LAYERS
 from edoras_tools.structs.payloads import payloads
+from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.wire import cfe
 from edoras_tools.words import listed
 

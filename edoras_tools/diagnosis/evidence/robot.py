@@ -10,8 +10,8 @@ import numpy as np
 
 from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.links.robot import ROBOT
-from edoras_tools.structs.packets import UDP_KEY
 from edoras_tools.structs.payloads import payloads
+from edoras_tools.structs.shapes import UDP_KEY
 from edoras_tools.wire import robot
 from edoras_tools.wire.arrays.fingerprint import of_bytes
 from edoras_tools.wire.arrays.window import PADDING, gather

@@ -82,7 +82,7 @@ def _open_stream(stream: ByteStream, path: str | Path) -> Source:
 
 
 def _open_folder(path: Path) -> Source:
-    from edoras_tools.io.formats.rosbag2.folder import open_folder
+    from edoras_tools.io.formats.rosbag2.source import open_folder
 
     source = open_folder(path, open_file)
     if source is None:

@@ -164,7 +164,7 @@ class FoxgloveClient:
         self._collect()
 
     def serve(self, page: HttpAnswer) -> None:
-        """HttpAnswer it with a page instead of a WebSocket."""
+        """Answer it with a page instead of a WebSocket."""
         self._answered = True
         reason = HTTPStatus(page.status).phrase
         self._websocket.send_response(Response(page.status, reason, Headers(page.headers), page.body))

@@ -15,7 +15,7 @@ import numpy as np
 
 from edoras_tools.cfs.names import message_name
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
-from edoras_tools.io.topics.faults import fault_messages
+from edoras_tools.io.topics.cfe import fault_messages
 from edoras_tools.io.topics.recorded import RecordedStreams
 from edoras_tools.io.topics.rows import Messages, bodies_of, lay_out
 from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPIC, TRANSFORMS, Streams, Topic

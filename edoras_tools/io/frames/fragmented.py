@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.io.frames.behind import order_behind, packets_behind
+from edoras_tools.io.frames.build import order_behind, packets_behind
 from edoras_tools.links.protocol import MOST_ENDPOINTS
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.rtps.reader import distinct_guids, rtps_messages
@@ -94,14 +94,14 @@ class FragmentedSamples:
     def notes(self) -> list[str]:
         """Return what came, a line each, for users."""
         unfinished = len(self._open) + self.given_up
-        notes = [f"DDS: {plural(self.whole, 'sample')} put together from fragments"] if self.whole else []
+        lines = [f"DDS: {plural(self.whole, 'sample')} put together from fragments"] if self.whole else []
         if unfinished:
-            notes.append(f"DDS: of {plural(unfinished, 'sample')} not all fragments came")
+            lines.append(f"DDS: of {plural(unfinished, 'sample')} not all fragments came")
         if self.too_large:
-            notes.append(
+            lines.append(
                 f"DDS: {plural(self.too_large, 'fragment')} left out: of samples over 32 MiB, or odd"
             )
-        return notes
+        return lines
 
     def take(
         self, batch: PacketBatch, columns: Columns, decoder: ColumnDecoder
@@ -125,11 +125,11 @@ class FragmentedSamples:
         rebuilt: list[tuple[int, bytes]] = []
         first, which = numbered(writer, sequence)
         for index, at in enumerate(first.tolist()):
-            rows_kept = np.flatnonzero(which == index)
+            members = np.flatnonzero(which == index)
             key = guids[writer[at]], int(sequence[at])
-            some = {name: values[rows_kept] for name, values in number.items()}
-            for place in self._add(key, some, batch.data, samples.start[rows_kept], samples.end[rows_kept]):
-                last = int(rows_kept[place])
+            some = {name: values[members] for name, values in number.items()}
+            for place in self._add(key, some, batch.data, samples.start[members], samples.end[members]):
+                last = int(members[place])
                 body = self._finished(key)
                 key_only = bool(own.flags[last] & SubmessageFlag.FRAGMENT_KEY)
                 raw = _message(key, body, int(own.time_ns[last]), key_only=key_only)
@@ -141,18 +141,18 @@ class FragmentedSamples:
     def _add(
         self,
         key: tuple[bytes, int],
-        numbers: dict[str, NDArray[np.int64]],
+        fields: dict[str, NDArray[np.int64]],
         data: NDArray[np.uint8],
         start: NDArray[np.int64],
         end: NDArray[np.int64],
     ) -> Iterator[int]:
         """Add fragments of one sample; yield which of them makes it whole, and whole again."""
-        size, step = int(numbers["sample_size"][0]), int(numbers["fragment_size"][0])
-        begin = (numbers["fragment_starting_num"] - 1) * step
-        stop = np.minimum(begin + numbers["fragments_in_submessage"] * step, size)
+        size, step = int(fields["sample_size"][0]), int(fields["fragment_size"][0])
+        begin = (fields["fragment_starting_num"] - 1) * step
+        stop = np.minimum(begin + fields["fragments_in_submessage"] * step, size)
         sound = (
-            (numbers["sample_size"] == size)
-            & (numbers["fragment_size"] == step)
+            (fields["sample_size"] == size)
+            & (fields["fragment_size"] == step)
             & (begin >= 0)
             & (stop > begin)
         )

@@ -226,7 +226,7 @@ class Demux:
         rows: NDArray[np.int64],
     ) -> PacketBatch:
         """Add a row for each ICMP error among some frames, from and to port 0, in the order of the frames."""
-        from edoras_tools.io.frames.errors import find_errors
+        from edoras_tools.io.frames.fragments import find_errors
 
         errors = find_errors(frames.data, network, version, frames.offset + frames.length, rows)
         if errors is None:

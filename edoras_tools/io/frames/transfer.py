@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.io.frames.behind import packets_behind
+from edoras_tools.io.frames.build import packets_behind
 from edoras_tools.links.frames import frame_rows, framed_ports
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream

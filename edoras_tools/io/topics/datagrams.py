@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.io.topics.names import RECORD_PREFIX_BYTES
 from edoras_tools.io.topics.rows import (
     CDR_LE_WORD,
     OPCODE_MESSAGE,
     RECORD,
     RECORD_BYTES,
+    RECORD_PREFIX_BYTES,
     Messages,
     whole_messages,
 )

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.io.topics.names import RECORD_PREFIX_BYTES
 from edoras_tools.wire.arrays.window import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
+
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+"""The first and last bytes of a file."""
+RECORD_PREFIX_BYTES: Final = 9
+"""Bytes that a record's length does not include: its opcode, and the length itself."""
+DATAGRAMS_TOPIC: Final = "/edoras/datagrams"
+OUTAGE_METADATA_NAME: Final = "edoras_outage"
+"""A metadata record when an interface went away, and another when it returned."""
+APART: Final = "/dds"
+"""Put before a topic of DDS that the mission has too, or that two types have: its messages are not mixed."""
+
 
 RECORD = [
     ("opcode", "u1"),

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.io.topics.cfe import (
+    FAULTS_TOPIC,
+    FAULTS_TYPE,
     event_messages,
     outage_messages,
     reset_messages,
     software_bus_messages,
 )
 from edoras_tools.io.topics.datagrams import DatagramWriter, ros_messages, without_trailing
-from edoras_tools.io.topics.faults import FAULTS_TOPIC, FAULTS_TYPE
-from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
-from edoras_tools.io.topics.rows import RECORD, Messages, whole_messages
+from edoras_tools.io.topics.rows import DATAGRAMS_TOPIC, RECORD, Messages, whole_messages
 from edoras_tools.io.topics.statistics import HOST_TOPIC, HOST_TYPE, LinkStatistics
 from edoras_tools.io.topics.structs import log_messages, struct_messages
 from edoras_tools.io.topics.transforms import TF_TOPIC, TF_TYPE, Transforms
@@ -449,9 +449,9 @@ class Streams:
 
     def _other_topics(self) -> set[str]:
         """Return the names of topics that other messages have, or may have."""
-        names = {item.name for item in (*self.topics, TRANSFORMS, FAULTS, HOST_COUNTERS)}
+        used = {item.name for item in (*self.topics, TRANSFORMS, FAULTS, HOST_COUNTERS)}
         return (
-            names
+            used
             | {item.topic for item in self._mission.stored_topics}
             | {item.topic for item in self.structs.all}
         )

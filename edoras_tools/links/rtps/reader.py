@@ -129,11 +129,11 @@ def rows_on(
     return rows[samples.row[own[samples.writer] & announced]]
 
 
-def _whole_samples(data: NDArray[np.uint8], submessages: Submessages) -> tuple[SampleData, Submessages]:
+def _whole_samples(data: NDArray[np.uint8], parts: Submessages) -> tuple[SampleData, Submessages]:
     """Return the samples in DATA that are there whole, and their submessages."""
-    samples = read_samples(data, submessages, SubmessageKind.DATA)
-    samples = samples.take(samples.fits & ((submessages.flags[samples.which] & SubmessageFlag.DATA) != 0))
-    return samples, submessages.take(samples.which)
+    samples = read_samples(data, parts, SubmessageKind.DATA)
+    samples = samples.take(samples.fits & ((parts.flags[samples.which] & SubmessageFlag.DATA) != 0))
+    return samples, parts.take(samples.which)
 
 
 def _of_users(guids: NDArray[np.void]) -> NDArray[np.bool_]:
@@ -290,24 +290,17 @@ def submessage_places(
     if layout is RTPS_HEADER:
         present = length >= layout.size
         return owner[present], offset[present]
-    submessages = read_messages(rows.batch.data, offset, length).submessages
-    little = submessages.little == (layout.byte_order == "little")
-    of_time = (submessages.kind == SubmessageKind.INFO_TS) & (
-        (submessages.flags & SubmessageFlag.NO_TIMESTAMP) != 0
-    )
+    parts = read_messages(rows.batch.data, offset, length).submessages
+    little = parts.little == (layout.byte_order == "little")
+    of_time = (parts.kind == SubmessageKind.INFO_TS) & ((parts.flags & SubmessageFlag.NO_TIMESTAMP) != 0)
     kinds = [kind for kind, orders in SUBMESSAGE_LAYOUTS.items() if layout in orders]
     if kinds:
-        members = (
-            little
-            & (submessages.kind == kinds[0])
-            & ~of_time
-            & (submessages.end - submessages.start >= layout.size)
-        )
+        mask = little & (parts.kind == kinds[0]) & ~of_time & (parts.end - parts.start >= layout.size)
     else:
-        plain = ~np.isin(submessages.kind, list(SUBMESSAGE_LAYOUTS)) | of_time
-        plain |= ~submessages.whole & (submessages.end - submessages.start < LEAST_BYTES[submessages.kind])
-        members = little & plain
-    return owner[submessages.row[members]], submessages.start[members]
+        plain = ~np.isin(parts.kind, list(SUBMESSAGE_LAYOUTS)) | of_time
+        plain |= ~parts.whole & (parts.end - parts.start < LEAST_BYTES[parts.kind])
+        mask = little & plain
+    return owner[parts.row[mask]], parts.start[mask]
 
 
 def rtps_summary(decoded: Decoded) -> str:

@@ -11,15 +11,14 @@ from edoras_tools.io.net.buffer import make_buffer
 from edoras_tools.middleware import Graph, open_graph
 from edoras_tools.pipelines.bridge.inbox import Inbox
 from edoras_tools.pipelines.bridge.plan import BridgePlan, BridgeRequest
-from edoras_tools.pipelines.bridge.station import Station, Surroundings
-from edoras_tools.pipelines.interrupt import on_interrupt
-from edoras_tools.pipelines.threads import threads_take_turns, watched
+from edoras_tools.pipelines.bridge.station import BridgeContext, Station
+from edoras_tools.pipelines.interrupt import on_interrupt, threads_take_turns, watched
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from edoras_tools.pipelines.recorder import RelayRecorder
-    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.render.terminal.text import Watcher
 
 _BATCH: Final = 512
 """Messages of the graph that are handled before the sockets are read again."""
@@ -85,7 +84,7 @@ class Bridges:
                 server.append(graph)
             return graph
 
-        shared = Surroundings(plan, request or BridgeRequest(), node, self._inbox, make_buffer(), self._say)
+        shared = BridgeContext(plan, request or BridgeRequest(), node, self._inbox, make_buffer(), self._say)
         try:
             for item in plan.stations:
                 try:

@@ -42,7 +42,7 @@ _COUNT_NS: Final = 500_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class BridgeContext:
     """What all bridges of a process share.
 
     Attributes:
@@ -83,7 +83,7 @@ class Station:
         RouteError: the graph accepts none of the topics.
     """
 
-    def __init__(self, number: int, plan: StationPlan, shared: Surroundings) -> None:
+    def __init__(self, number: int, plan: StationPlan, shared: BridgeContext) -> None:
         self.plan = plan
         self.recorder: RelayRecorder | None = None
         self._buffer, self._say = shared.buffer, shared.say

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.decode.filters.series import Series, ValueKind
+from edoras_tools.decode.filters.rows import Series, ValueKind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

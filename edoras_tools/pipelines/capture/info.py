@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.render.terminal.text import Watcher
 
 
 class Counting:
@@ -45,17 +45,15 @@ class Counting:
             return rows
         keep = self._once.keep(rows.batch, rows.columns)
         keep[loop.conversations.left_out()] = False
-        counted_rows = rows.take(np.flatnonzero(keep[rows.selection]))
-        self.report.ledger.add(*counted_rows.alone())
-        self.report.follow_samples(*counted_rows.alone())
+        own = rows.take(np.flatnonzero(keep[rows.selection]))
+        self.report.ledger.add(*own.alone())
+        self.report.follow_samples(*own.alone())
         table = self._structs.dictionary
         if table is not None:
-            entries = table.whole(
-                payloads(self._structs, counted_rows.column, counted_rows.datagram, counted_rows.batch.data)
-            )
+            entries = table.whole(payloads(self._structs, own.column, own.datagram, own.batch.data))
             for key, members in by_value(entries.key):
                 self.report.entries[table[key].entry] += len(members)
-        return counted_rows
+        return own
 
     def end(self, loop: ReadLoop) -> CaptureReport:
         """Return the counts, and how the loop ended."""

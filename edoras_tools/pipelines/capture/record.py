@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, HostCounters, PacketBatch
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.sessions.dds import SampleFollower
 
 

@@ -27,7 +27,7 @@ from edoras_tools.io.capture.device import DeviceSource
 from edoras_tools.io.formats.watched import Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import path_beside
 from edoras_tools.model import Columns, Finding, PacketBatch, SourceStatistics
-from edoras_tools.pipelines.capture.compact import ROW_BYTES, compact
+from edoras_tools.pipelines.capture.flushing import ROW_BYTES, compact
 from edoras_tools.pipelines.capture.record import CaptureReport, Target, open_sink, pour
 from edoras_tools.pipelines.capture.triggers import RuleTrigger, Triggers
 from edoras_tools.pipelines.reading import Limits, reading
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.render.terminal.text import Watcher
 
 _TURN_NS: Final = 50 * MILLISECOND
 """Longest time that is spent on writing what was kept, before the source is read again."""

@@ -17,8 +17,7 @@ from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.check.expectations import LOSS_KEYS
-from edoras_tools.pipelines.check.messages import Examined, examine_or_count
-from edoras_tools.pipelines.check.observation import Subject
+from edoras_tools.pipelines.check.observation import Examined, Subject, examine_or_count
 from edoras_tools.pipelines.check.run import NOTABLE_FINDINGS, Figures
 from edoras_tools.pipelines.names import PacketKinds, SampleTopics
 
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.capture.ledger import Ledger
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
 
 _ROOM: Final = 0.2
 """Share by which a rate may differ from that of the good run."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import compress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -13,7 +13,10 @@ from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.errors import RouteError
 from edoras_tools.mission.report import Mistakes
 from edoras_tools.pipelines.capture.info import Counting
+from edoras_tools.pipelines.doctor.doctor import Findings, Pace, examine
+from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.names import PacketKinds, find_packets
+from edoras_tools.pipelines.reading import reading
 from edoras_tools.structs.shapes import Key
 from edoras_tools.wire import cfe
 
@@ -22,13 +25,75 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
     from edoras_tools.pipelines.check.expectations import Expectations, FieldExpectation
     from edoras_tools.pipelines.reading import ReadLoop
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.text import Progress
+
+
+NOT_OBSERVABLE: Final = "not observable in this recording: it has messages and no datagrams"
+"""Found of an expectation that needs datagrams; it is not met."""
+
+
+@dataclass(slots=True)
+class CountedMessages:
+    """How the counting of messages ended; as ``doctor.Findings`` where these can say the same.
+
+    Attributes:
+        source: the recording.
+        zero_ns: time of its first message.
+        failure: why it ended early, if it did.
+        warnings: a line each.
+        unnamed: nothing: a recording has no ports.
+        diagnosis: none.
+    """
+
+    source: Source
+    zero_ns: int = 0
+    failure: EdorasError | None = None
+    warnings: list[str] = field(default_factory=list)
+    unnamed: tuple[str, ...] = ()
+    diagnosis: None = None
+
+
+Examined = Findings | CountedMessages
+
+
+def examine_or_count(
+    source: Source,
+    bench: Workbench,
+    counting: Counting,
+    *,
+    profile: SimProfile | None = None,
+    scope: Scope | None = None,
+    pace: Pace | None = None,
+    progress: Progress | None = None,
+) -> Examined:
+    """Read a source to its end, as ``examine`` does; the messages of a recording are only counted.
+
+    Raises:
+        RouteError: the selection names no topic.
+        ConfigError: its filter has an error, or it selects datagrams of a recording.
+    """
+    if not bench.mission.recorded:
+        return examine(
+            source, bench, profile=profile, scope=scope, pace=pace, progress=progress, counting=counting
+        )
+    scope = scope or Scope()
+    with reading(source, bench, scope.selection, examined=scope.period, keeps_failure=True) as loop:
+        for rows in loop:
+            if progress is not None:
+                progress.read(source)
+            counting.add(rows, loop)
+    ledger = counting.report.ledger
+    warnings = [*bench.columns.context.notes, *ledger.notes, *ledger.unread]
+    return CountedMessages(source, loop.begin_ns or 0, loop.failure, warnings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,24 +211,19 @@ class Observation(Counting):
 
     def about(self, selection: Selection) -> Expectations:
         """Leave the topics out that a prepared selection leaves out; return the other expectations."""
-        overlaps = [selection.overlaps(item.packets, self.report.ledger.mission) for item in self.subjects]
-        self.subjects, self.fields = (
-            list(compress(self.subjects, overlaps)),
-            list(compress(self.fields, overlaps)),
-        )
-        return replace(self._expected, topics=tuple(compress(self._expected.topics, overlaps)))
+        keep = [selection.overlaps(item.packets, self.report.ledger.mission) for item in self.subjects]
+        self.subjects, self.fields = (list(compress(self.subjects, keep)), list(compress(self.fields, keep)))
+        return replace(self._expected, topics=tuple(compress(self._expected.topics, keep)))
 
     def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
         """Count the chosen rows of a batch; return those that count."""
-        counted_rows = super().add(rows, loop)
+        own = super().add(rows, loop)
         groups = [*zip(self.subjects, self.fields, strict=True), (EVENT_MESSAGES, self.events)]
         for subject, watches in groups:
-            messages = (
-                counted_rows.take(np.flatnonzero(subject.mask(counted_rows))) if watches else counted_rows
-            )
+            messages = own.take(np.flatnonzero(subject.mask(own))) if watches else own
             for watch in watches:
-                watch.add(messages, counted_rows)
-        return counted_rows
+                watch.add(messages, own)
+        return own
 
 
 def _watches(

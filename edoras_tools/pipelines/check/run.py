@@ -4,33 +4,91 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.ledger import CAPTURE, Row
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
+from edoras_tools.io.outputs import write_bytes
+from edoras_tools.mission.report import printable
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.pipelines.check.expectations import LOSS_KEYS
-from edoras_tools.pipelines.check.messages import NOT_OBSERVABLE, Examined, examine_or_count
-from edoras_tools.pipelines.check.observation import FilterCount, Observation, Subject
+from edoras_tools.pipelines.check.observation import (
+    NOT_OBSERVABLE,
+    Examined,
+    FilterCount,
+    Observation,
+    Subject,
+    examine_or_count,
+)
 from edoras_tools.render.severity import NOTABLE
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.ledger import Ledger
-    from edoras_tools.pipelines.check.bounds import Tolerance
-    from edoras_tools.pipelines.check.expectations import EventExpectation, Expectations, FieldExpectation
+    from edoras_tools.pipelines.check.expectations import (
+        EventExpectation,
+        Expectations,
+        FieldExpectation,
+        Tolerance,
+    )
     from edoras_tools.pipelines.doctor.doctor import Pace
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.names import PacketKinds
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
+
+
+_LONGEST = 4000
+"""Characters of a text; also, control characters are escaped, which XML cannot hold."""
+
+
+def junit(report: CheckReport) -> bytes:
+    """Return a report as JUnit XML: a test case for each expectation, named as in the file."""
+    counts = {"tests": str(len(report.results)), "failures": str(report.failed)}
+    root = Element("testsuites", {"name": "edoras check", **counts, "errors": "0"})
+    suite = SubElement(
+        root,
+        "testsuite",
+        {
+            "name": printable(report.file, _LONGEST),
+            **counts,
+            "errors": "0",
+            "skipped": "0",
+            "time": f"{report.seconds:.3f}",
+        },
+    )
+    source = {"name": "source", "value": printable(report.source, _LONGEST)}
+    SubElement(SubElement(suite, "properties"), "property", source)
+    for item in report.results:
+        name = printable(item.name, _LONGEST)
+        case = SubElement(suite, "testcase", {"classname": printable(item.about), "name": name, "time": "0"})
+        observed = printable(item.found, _LONGEST)
+        if not item.passed:
+            SubElement(
+                case, "failure", {"message": observed, "type": "expectation"}
+            ).text = f"{printable(item.about)}: {name}; found {observed}"
+    indent(root)
+    document: bytes = tostring(root, encoding="utf-8", xml_declaration=True)
+    return document
+
+
+def write_junit(report: CheckReport, path: Path) -> None:
+    """Write a report as JUnit XML.
+
+    Raises:
+        CaptureError: the file cannot be written.
+    """
+    write_bytes(path, junit(report), folders=True)
+
 
 NOTABLE_FINDINGS: Final = frozenset(item.label for item in NOTABLE)
 """Labels of the findings that are warnings or errors."""

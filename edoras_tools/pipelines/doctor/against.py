@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.mission import Mission, Route
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
     from edoras_tools.ros import TypeStore
 
 

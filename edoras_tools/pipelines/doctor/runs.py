@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.pipelines.doctor.scope import Scope
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
 
 _LONGEST: Final = 255
 """Bytes of a part of a path, on all usual file systems."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.pipelines.doctor.scope import Scope
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
 
 VERDICTS_TOPIC: Final = "/edoras/verdicts"
 LOST_TOPIC: Final = "/edoras/lost"

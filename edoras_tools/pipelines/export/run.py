@@ -14,7 +14,7 @@ from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.formats.columns import TableFile, TableHead
 from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, Format, written_as
 from edoras_tools.io.outputs import check_links, in_the_way, refuse_existing, refuse_input
-from edoras_tools.io.topics.names import DATAGRAMS_TOPIC
+from edoras_tools.io.topics.rows import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.streams import FAULTS, OWN_TOPICS
 from edoras_tools.pipelines.export.judged import JUDGED
 from edoras_tools.pipelines.export.tables import TableForm, check_fields, chosen_topics, has_field
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.pipelines.export.block import TopicBlock
     from edoras_tools.pipelines.export.sources import TopicSource
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
 
 _TASKS: Final = 96
 """Pieces of tables that wait to be written, those of about six batches: limits memory. With fewer, who reads

@@ -19,9 +19,8 @@ from edoras_tools.io.formats.open import is_cfe_file
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.processes import InOrder, Workers
 from edoras_tools.io.processors import jobs_for
-from edoras_tools.io.topics.faults import fault_messages
-from edoras_tools.io.topics.names import APART, DATAGRAMS_TOPIC
-from edoras_tools.io.topics.rows import RECORD_BYTES, Messages, lay_out
+from edoras_tools.io.topics.cfe import fault_messages
+from edoras_tools.io.topics.rows import APART, DATAGRAMS_TOPIC, RECORD_BYTES, Messages, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, PreparedBatch, Streams, Topic
 from edoras_tools.mission.report import printable
 from edoras_tools.model import Columns, Finding, PacketBatch
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io import Source
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
     from edoras_tools.ros import TypeStore
 
     Made = tuple[str, int, Any]

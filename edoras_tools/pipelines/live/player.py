@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.io.foxglove.sink import ServedSink
     from edoras_tools.model import Columns, PacketBatch, SourceInfo
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
 
 
 HELP: Final = "space, ←→ 5 s, ↑↓ speed, Home, q"

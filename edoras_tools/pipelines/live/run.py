@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.render.terminal.text import Watcher
 
 LEVELS: Final = {finding: max(item.severity - Level.NOTE, 0) for finding, item in EXPLANATIONS.items()}
 """The level of each finding in ``diagnostic_msgs/msg/DiagnosticStatus``; notes are OK."""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.export.block import TopicBlock
     from edoras_tools.pipelines.selection import Period
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.render.terminal.run import Progress
+    from edoras_tools.render.terminal.text import Progress
 
 LARGE: Final = 16 << 20
 """Bytes of a capture from which on an examination takes longer than people wait for a plot."""

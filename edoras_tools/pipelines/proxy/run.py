@@ -28,10 +28,9 @@ from edoras_tools.io.net.buffer import SLOTS, SPARE, make_buffer
 from edoras_tools.io.net.forward import Direction
 from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
 from edoras_tools.io.processors import Precedence
-from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.interrupt import on_interrupt, threads_take_turns, watched
 from edoras_tools.pipelines.proxy.clients import Clients, ProxyClient, Routing
 from edoras_tools.pipelines.proxy.faults import FaultStage, Outbox
-from edoras_tools.pipelines.threads import threads_take_turns, watched
 from edoras_tools.units import MILLISECOND
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.proxy.plan import ProxyPlan
     from edoras_tools.pipelines.recorder import RelayRecorder
-    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.sessions.faults.scopes import Predicate
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.sending.responses import Responses
     from edoras_tools.pipelines.sending.wait_for import Condition
-    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.sessions.faults.fault import Fault
     from edoras_tools.sessions.faults.machine import Delivery, FaultMachine
     from edoras_tools.sessions.sbn.connection import SbnConnection

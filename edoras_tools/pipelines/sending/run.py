@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.sending.expect import AwaitedResults
     from edoras_tools.pipelines.sending.recording import SentRecording
-    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.sessions.faults.machine import FaultMachine
     from edoras_tools.sessions.outgoing import Changes, Outgoing
     from edoras_tools.sessions.pacing import Timetable

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.decode import Context
-from edoras_tools.decode.findings import UNKNOWABLE
 from edoras_tools.dissectors.lua import FindingText, Knowledge, RouteText, generate
 from edoras_tools.mission import Mission, load, loads
-from edoras_tools.model import NO_ROUTE, Finding
+from edoras_tools.model import NO_ROUTE, UNKNOWABLE, Finding
 from edoras_tools.render.severity import EXPLANATIONS, Level
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.cdr.plan import CdrPlan, PrimitiveRun, Repeat, Text

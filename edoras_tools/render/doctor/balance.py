@@ -37,13 +37,13 @@ FIGURES: Final = {
 _ALWAYS: Final = frozenset({"in", "out", "lost"})
 
 
-def shown_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+def shown_rows(result: Diagnosis) -> list[dict[str, Any]]:
     """Return the rows to show: packets of cFS itself are one row if nothing is missing."""
-    balance = [row.as_json(diagnosis.topics.get(row.route)) for row in diagnosis.balance]
-    for item, row_json in zip(diagnosis.balance, balance, strict=True):
+    balance = [row.as_json(result.topics.get(row.route)) for row in result.balance]
+    for item, row_json in zip(result.balance, balance, strict=True):
         if not item.observed:
             row_json.update(lost=None, not_counted=item.counted["lost"])
-    rows = _with_ends(diagnosis, balance)
+    rows = _with_ends(result, balance)
     quiet = [row for row in rows if not row["topic"] and row["name"] and row["in"] == row["out"]]
     if len(quiet) < 2:
         return rows
@@ -58,11 +58,11 @@ def shown_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     return [*kept, {**others, "msg_id": None, "link": None, "instance": None, "name": name, "hop": "all"}]
 
 
-def _with_ends(diagnosis: Diagnosis, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _with_ends(result: Diagnosis, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the rows, and in front of each command's and behind them the hops that were not counted."""
     before: dict[int, dict[str, Any]] = {}
     behind: dict[int, dict[str, Any]] = {}
-    for chain in diagnosis.chains:
+    for chain in result.chains:
         key = ("ci", f"0x{chain.msg_id:04x}", chain.instance)
         own = [at for at, row in enumerate(rows) if (row["link"], row["msg_id"], row["instance"]) == key]
         for ends, hop, at in ((before, chain.hops[0], own[0]), (behind, chain.hops[-1], own[-1])):
@@ -104,10 +104,10 @@ def _msg_id(row: Mapping[str, Any]) -> Text:
     return msg_id_text(row) if row["msg_id"] else Text("")
 
 
-def balance_table(diagnosis: Diagnosis, width: int) -> RenderableType:
+def balance_table(result: Diagnosis, width: int) -> RenderableType:
     """Return the table, without the columns that are empty in every row."""
     last = "Lost by", causes
-    return _table(shown_rows(diagnosis), FIGURES, {"lost"}, last, width, lambda row: row["msg_id"])
+    return _table(shown_rows(result), FIGURES, {"lost"}, last, width, lambda row: row["msg_id"])
 
 
 def chain_table(chains: Sequence[Chain], width: int) -> RenderableType:

@@ -56,7 +56,7 @@ _STATES: Final = {
 }
 
 
-def screen(diagnosis: Diagnosis, width: int, words: str = "", lines: int = _SCREEN) -> RenderableType:
+def screen(result: Diagnosis, width: int, words: str = "", lines: int = _SCREEN) -> RenderableType:
     """Return what a person reads first, on one screen.
 
     Args:
@@ -64,12 +64,12 @@ def screen(diagnosis: Diagnosis, width: int, words: str = "", lines: int = _SCRE
         words: what follows the command's name to examine the same again; empty where that cannot be done.
         lines: the most that it may take, where fewer problems than three make that possible.
     """
-    summary, width = summarize(diagnosis), min(width, _WIDEST)
-    head = _wrapped(plain(summary.headline, f"{_style(diagnosis)} {palette.STRONG}".strip()), width)
+    summary, width = summarize(result), min(width, _WIDEST)
+    head = _wrapped(plain(summary.headline, f"{_style(result)} {palette.STRONG}".strip()), width)
     notes = plural(summary.notes, "note") + "." if summary.notes else ""
     tail = [
         plain(item)
-        for item in (" ".join(filter(None, (summary.fine, notes))), *_selection_notes(diagnosis))
+        for item in (" ".join(filter(None, (summary.fine, notes))), *_selection_notes(result))
         if item
     ]
     more = f"More: edoras doctor -v {words}"
@@ -149,56 +149,52 @@ def diagnosis(result: Diagnosis, name: str, width: int) -> RenderableType:
     return Group(*parts[:-1])
 
 
-def _head(diagnosis: Diagnosis, name: str) -> Text:
-    line = Text.assemble(plain(name, palette.STRONG), f"  {plural(diagnosis.datagrams, 'datagram')}")
-    if diagnosis.datagrams:
-        seconds = (diagnosis.end_ns - diagnosis.start_ns) / 1e9
-        line.append(f" over {units.duration(seconds)}, from {units.utc(diagnosis.start_ns, digits=3)} UTC")
+def _head(result: Diagnosis, name: str) -> Text:
+    line = Text.assemble(plain(name, palette.STRONG), f"  {plural(result.datagrams, 'datagram')}")
+    if result.datagrams:
+        seconds = (result.end_ns - result.start_ns) / 1e9
+        line.append(f" over {units.duration(seconds)}, from {units.utc(result.start_ns, digits=3)} UTC")
     return line
 
 
-def limits(diagnosis: Diagnosis) -> list[str]:
+def limits(result: Diagnosis) -> list[str]:
     """Return what was outside the chosen time, and what is not shown, one line each."""
-    lines = [item.advice for item in diagnosis.unnamed]
-    if (
-        other := diagnosis.left_out
-        - diagnosis.capture.cut
-        - sum(item.datagrams for item in diagnosis.unnamed)
-    ):
+    lines = [item.advice for item in result.unnamed]
+    if other := result.left_out - result.capture.cut - sum(item.datagrams for item in result.unnamed):
         lines.append(f"{plural(other, 'datagram')} skipped: robot states, or of no known link")
-    return [*lines, *_selection_notes(diagnosis)]
+    return [*lines, *_selection_notes(result)]
 
 
-def _selection_notes(diagnosis: Diagnosis) -> list[str]:
+def _selection_notes(result: Diagnosis) -> list[str]:
     """Return what of the capture is neither examined nor shown because it was not chosen."""
     lines = []
-    if diagnosis.capture.cut:
+    if result.capture.cut:
         lines.append(
-            f"{plural(diagnosis.capture.cut, 'datagram')} outside the chosen time not examined; what began "
+            f"{plural(result.capture.cut, 'datagram')} outside the chosen time not examined; what began "
             "before it or ended after it is not followed"
         )
-    if diagnosis.choice and (rest := diagnosis.not_shown):
+    if result.choice and (rest := result.not_shown):
         lines.append(
-            f"Only {diagnosis.choice.text} is shown, counted from all traffic; not shown: "
+            f"Only {result.choice.text} is shown, counted from all traffic; not shown: "
             f"{plural(rest['verdicts'], 'verdict')}, {plural(rest['routes'], 'route')} "
             f"with {rest['lost']:,} lost"
         )
     return lines
 
 
-def _verdict(diagnosis: Diagnosis, group: Sequence[Verdict]) -> RenderableType:
+def _verdict(result: Diagnosis, group: Sequence[Verdict]) -> RenderableType:
     """Return one problem: its worst time span in full, all of its spans in a table."""
     worst = max(group, key=lambda item: item.lost or 0)
     grade = _STYLES[worst.severity]
     title = Text.assemble((f"{grade.mark} {worst.rule}", grade.style))
     if len(group) == 1:
-        title.append(f"  {_when(diagnosis, worst)}, confidence {worst.confidence}", palette.DIM)
+        title.append(f"  {_when(result, worst)}, confidence {worst.confidence}", palette.DIM)
     else:
         lost, of = sum(item.lost or 0 for item in group), sum(item.of or 0 for item in group)
         title.append(f"  {lost:,} of {of:,} lost, in {len(group)} periods", palette.DIM)
     body: list[RenderableType] = [plain(told_of(group), palette.STRONG)]
     if len(group) > 1:
-        body.append(_spans(diagnosis, group))
+        body.append(_spans(result, group))
     body += [Text.assemble(("· ", palette.DIM), plain(line)) for line in worst.evidence]
     if worst.remedy:
         body.append(Text.assemble(("→ ", "green"), plain(worst.remedy)))
@@ -211,7 +207,7 @@ def told_of(group: Sequence[Verdict]) -> str:
     return worst.reason if len(group) == 1 else f"the worst: {worst.reason}"
 
 
-def _alike(diagnosis: Diagnosis, several: Sequence[Verdict]) -> RenderableType:
+def _alike(result: Diagnosis, several: Sequence[Verdict]) -> RenderableType:
     """Return many verdicts of one rule as one entry."""
     first = several[0]
     grade = _STYLES[first.severity]
@@ -221,7 +217,7 @@ def _alike(diagnosis: Diagnosis, several: Sequence[Verdict]) -> RenderableType:
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, show_header=False)
     table.add_column(no_wrap=True, style=palette.DIM)
     for item in sorted(several, key=lambda item: item.start_ns)[:_MOST_SPANS]:
-        table.add_row(_when(diagnosis, item), plain(item.reason))
+        table.add_row(_when(result, item), plain(item.reason))
     body: list[RenderableType] = [table]
     if len(several) > _MOST_SPANS:
         body.append(Text(f"... {len(several) - _MOST_SPANS:,} more, in --json", palette.DIM))
@@ -232,12 +228,12 @@ def _alike(diagnosis: Diagnosis, several: Sequence[Verdict]) -> RenderableType:
     return Group(title, *(Padding(item, (0, 0, 0, 2), expand=False) for item in body))
 
 
-def _when(diagnosis: Diagnosis, verdict: Verdict) -> str:
-    start, end = ((time_ns - diagnosis.zero_ns) / 1e9 for time_ns in (verdict.start_ns, verdict.end_ns))
+def _when(result: Diagnosis, verdict: Verdict) -> str:
+    start, end = ((time_ns - result.zero_ns) / 1e9 for time_ns in (verdict.start_ns, verdict.end_ns))
     return f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
 
 
-def _spans(diagnosis: Diagnosis, group: Sequence[Verdict]) -> Table:
+def _spans(result: Diagnosis, group: Sequence[Verdict]) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.DIM)
     for title in ("when", "lost", "of", "", "sent at", "confidence"):
         table.add_column(title, justify="left" if title in {"when", "confidence"} else "right", no_wrap=True)
@@ -246,7 +242,7 @@ def _spans(diagnosis: Diagnosis, group: Sequence[Verdict]) -> Table:
         seconds = (item.end_ns - item.start_ns) / 1e9
         rate = units.rate(item.of / seconds) if item.of and seconds > 0 else units.NONE
         cells = (units.count(item.lost), units.count(item.of), share, rate, item.confidence)
-        table.add_row(_when(diagnosis, item), *cells)
+        table.add_row(_when(result, item), *cells)
     if len(group) > _MOST_SPANS:
         table.add_row(f"... {len(group) - _MOST_SPANS} more")
     return table
@@ -305,16 +301,16 @@ def _routes(rows: Sequence[Mapping[str, Any]], width: int) -> Table:
     return build(columns, rows, width, apart=lambda row: "topic" if row.get("topic") else row.get("link"))
 
 
-def _peers(diagnosis: Diagnosis) -> Table:
+def _peers(result: Diagnosis) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
     table.add_column("SBN peer", no_wrap=True)
     table.add_column("seen by", no_wrap=True)
     table.add_column("")
-    for row in diagnosis.peers:
+    for row in result.peers:
         line = Text()
         for change in row["states"]:
             state = change["state"]
-            at = (change["time_ns"] - diagnosis.zero_ns) / 1e9
+            at = (change["time_ns"] - result.zero_ns) / 1e9
             line.append(f"{at:.1f} s ", palette.DIM).append(state.replace("_", " "), _STATES[state]).append(
                 "  "
             )
@@ -322,18 +318,14 @@ def _peers(diagnosis: Diagnosis) -> Table:
     return table
 
 
-def _style(diagnosis: Diagnosis) -> str:
+def _style(result: Diagnosis) -> str:
     """Return the style of the headline."""
-    if diagnosis.lost or diagnosis.unaccounted or diagnosis.worst is Severity.ERROR:
+    if result.lost or result.unaccounted or result.worst is Severity.ERROR:
         return Level.ERROR.style
-    return (
-        Level.WARNING.style
-        if not diagnosis.datagrams or diagnosis.worst >= Severity.WARNING
-        else palette.GOOD
-    )
+    return Level.WARNING.style if not result.datagrams or result.worst >= Severity.WARNING else palette.GOOD
 
 
-def verdict_table(diagnosis: Diagnosis, title: str, height: int) -> RenderableType:
+def verdict_table(result: Diagnosis, title: str, height: int) -> RenderableType:
     """Return the table that a live diagnosis keeps current."""
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
     for head, side in (
@@ -344,16 +336,16 @@ def verdict_table(diagnosis: Diagnosis, title: str, height: int) -> RenderableTy
         ("Verdict", "left"),
     ):
         table.add_column(head, justify="right" if side == "right" else "left", no_wrap=head != "Verdict")
-    merged = merge_spans(diagnosis.verdicts)
+    merged = merge_spans(result.verdicts)
     for item in merged[: max(3, (height - 4) // 2)]:
         grade = _STYLES[item.severity]
-        since = f"{(item.start_ns - diagnosis.zero_ns) / 1e9:.0f} s"
+        since = f"{(item.start_ns - result.zero_ns) / 1e9:.0f} s"
         lost = units.count(item.lost) if item.lost is not None else ""
         of = units.count(item.of) if item.of is not None else ""
         table.add_row(Text(grade.mark, grade.style), lost, of, since, plain(item.reason))
     quiet = Text("nothing wrong so far", "green")
-    total = plain(summarize(diagnosis).headline, _style(diagnosis))
-    return Group(_head(diagnosis, title), table if merged else quiet, total)
+    total = plain(summarize(result).headline, _style(result))
+    return Group(_head(result, title), table if merged else quiet, total)
 
 
 def merge_spans(verdicts: Sequence[Verdict]) -> list[Verdict]:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.render.doctor.doctor import verdict_line, verdict_table
-from edoras_tools.render.terminal.console import error_console
 from edoras_tools.render.terminal.live_table import LiveView
-from edoras_tools.render.terminal.terminal import look
+from edoras_tools.render.terminal.terminal import detect_terminal, error_console
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -26,7 +25,7 @@ class LiveVerdicts:
         self._quiet = quiet
         self._known: set[tuple[object, ...]] = set()
         self._console = error_console()
-        interactive = look(sys.stderr).interactive and not quiet
+        interactive = detect_terminal(sys.stderr).interactive and not quiet
         self._live = LiveView(self._table, self._console) if interactive else None
 
     def _table(self, diagnosis: Diagnosis, _now: float) -> RenderableType:

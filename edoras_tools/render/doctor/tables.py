@@ -10,10 +10,10 @@ from rich.text import Text
 
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.render import units
+from edoras_tools.render.capture.tree import value_text
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import Column, build, plain
-from edoras_tools.render.values import value_text
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

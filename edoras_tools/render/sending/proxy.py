@@ -11,8 +11,8 @@ from edoras_tools.render import units
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveRun, LiveTable, Moment, title_line
-from edoras_tools.render.terminal.run import size_of
 from edoras_tools.render.terminal.table import Column, build, count_cell, figure, plain
+from edoras_tools.render.terminal.text import size_of
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

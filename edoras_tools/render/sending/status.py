@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Final, Protocol, TextIO
 
 from edoras_tools.render import units
-from edoras_tools.render.terminal.terminal import look
+from edoras_tools.render.terminal.terminal import detect_terminal
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -63,6 +63,6 @@ class StatusLine:
 
 def send_status(total: int | None, *, quiet: bool, keys: bool) -> AbstractContextManager[StatusLine | None]:
     """Return the view of a running replay, or None."""
-    if quiet or not look(sys.stderr).interactive:
+    if quiet or not detect_terminal(sys.stderr).interactive:
         return nullcontext()
     return StatusLine(sys.stderr, total, keys=keys)

@@ -25,8 +25,8 @@ from rich.live import Live
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.run import size_of
 from edoras_tools.render.terminal.table import one_line, plain
+from edoras_tools.render.terminal.text import size_of
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.model import SourceStatistics
-    from edoras_tools.render.terminal.run import CountedSource, ReadingRun
+    from edoras_tools.render.terminal.text import CountedSource, ReadingRun
 
 _REFRESH_S: Final = 0.1
 _PATIENCE_S: Final = 0.3

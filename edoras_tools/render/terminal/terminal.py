@@ -3,11 +3,38 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TextIO
 
+from rich.console import Console
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+
+def output_console() -> Console:
+    """Return a console on standard output, for tables."""
+    return _console(sys.stdout)
+
+
+def error_console() -> Console:
+    """Return a console on standard error, for progress and live tables."""
+    return _console(sys.stderr)
+
+
+def _console(stream: TextIO) -> Console:
+    terminal = detect_terminal(stream)
+    return Console(
+        file=stream,
+        width=None if terminal.interactive else terminal.width,
+        color_system="standard" if terminal.colour else None,
+        force_terminal=terminal.colour or terminal.interactive,
+        highlight=False,
+        markup=False,
+        emoji=False,
+    )
+
 
 FILE_WIDTH: Final = 1_000_000
 """Columns for a pipe or a file: nothing is cut."""
@@ -29,7 +56,7 @@ class Terminal:
     interactive: bool
 
 
-def look(stream: TextIO, environ: Mapping[str, str] | None = None) -> Terminal:
+def detect_terminal(stream: TextIO, environ: Mapping[str, str] | None = None) -> Terminal:
     """Find out what a stream can show.
 
     ``NO_COLOR`` and ``TERM=dumb`` forbid colour, ``FORCE_COLOR`` asks for it, ``COLUMNS`` sets the width.

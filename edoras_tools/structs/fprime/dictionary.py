@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission.fprime import Entry, EventSeverity
-from edoras_tools.structs.packets import FPRIME_KEY
 from edoras_tools.structs.shapes import (
     BASIC,
+    FPRIME_KEY,
     Basic,
     Enumeration,
     Key,

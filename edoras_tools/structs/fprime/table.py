@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.structs.packets import FPRIME_KEY
 from edoras_tools.structs.payloads import StructPayloads
+from edoras_tools.structs.shapes import FPRIME_KEY
 from edoras_tools.wire import fprime
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather

@@ -11,8 +11,7 @@ from edoras_tools.addons.lab.emulator.source import SimulatedSource
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.pipelines.check.draft import draft
 from edoras_tools.pipelines.check.expectations import load_expectations
-from edoras_tools.pipelines.check.junit import junit
-from edoras_tools.pipelines.check.run import check
+from edoras_tools.pipelines.check.run import check, junit
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.units import SECOND
 

@@ -9,7 +9,7 @@ from rosbags.rosbag2 import StoragePlugin
 from edoras_tools.errors import ConfigError
 from edoras_tools.pipelines.check.draft import draft
 from edoras_tools.pipelines.check.expectations import load_expectations
-from edoras_tools.pipelines.check.messages import NOT_OBSERVABLE
+from edoras_tools.pipelines.check.observation import NOT_OBSERVABLE
 from edoras_tools.pipelines.check.run import check
 from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.workbench import Settings

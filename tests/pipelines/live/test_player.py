@@ -124,7 +124,7 @@ class Deck:
 
     def wanted(self, topic):
         names = [item.name for item in self.sink._streams.topics]
-        return self.sink.server.wanted(names.index(topic))
+        return self.sink.server.has_subscribers(names.index(topic))
 
     def stop(self):
         self.player.stop()

@@ -1,6 +1,6 @@
 """Rows of text in columns, as they come."""
 
-from edoras_tools.render.capture.columns import ColumnLines
+from edoras_tools.render.capture.packet_list import ColumnLines
 from edoras_tools.render.terminal.text import cells
 
 

@@ -4,7 +4,7 @@ from io import StringIO
 
 from rich.console import Console
 
-from edoras_tools.render.capture.statistics import STATISTICS, statistics
+from edoras_tools.render.capture.info import STATISTICS, statistics
 
 ROUTE = {
     "topic": "/cmd_vel",

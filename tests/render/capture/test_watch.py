@@ -18,7 +18,7 @@ SOURCE = SimpleNamespace(info=SourceInfo("eth0", "live"), statistics=SourceStati
 @pytest.fixture
 def terminal(monkeypatch):
     monkeypatch.setattr("sys.stderr", io.StringIO())
-    monkeypatch.setattr(watch, "look", lambda _: Terminal(80, colour=False, interactive=True))
+    monkeypatch.setattr(watch, "detect_terminal", lambda _: Terminal(80, colour=False, interactive=True))
 
 
 @pytest.mark.usefixtures("terminal")

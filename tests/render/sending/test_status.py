@@ -13,7 +13,9 @@ from edoras_tools.render.terminal.terminal import Terminal
 def test_a_terminal_has_a_status_line(interactive, monkeypatch):
     out = io.StringIO()
     monkeypatch.setattr("sys.stderr", out)
-    monkeypatch.setattr(status, "look", lambda _: Terminal(80, colour=False, interactive=interactive))
+    monkeypatch.setattr(
+        status, "detect_terminal", lambda _: Terminal(80, colour=False, interactive=interactive)
+    )
     ticks = iter([0.0, 0.1, 0.3, 0.4])
     monkeypatch.setattr(status, "time", SimpleNamespace(monotonic=lambda: next(ticks)))
     with status.send_status(1000, quiet=False, keys=True) as watcher:
@@ -25,6 +27,6 @@ def test_a_terminal_has_a_status_line(interactive, monkeypatch):
 
 
 def test_quiet_shows_nothing(monkeypatch):
-    monkeypatch.setattr(status, "look", lambda _: Terminal(80, colour=False, interactive=True))
+    monkeypatch.setattr(status, "detect_terminal", lambda _: Terminal(80, colour=False, interactive=True))
     with status.send_status(None, quiet=True, keys=False) as watcher:
         assert watcher is None

@@ -4,8 +4,8 @@ import io
 
 import pytest
 
-from edoras_tools.render.terminal import console
-from edoras_tools.render.terminal.terminal import FILE_WIDTH, Terminal, look
+from edoras_tools.render.terminal import terminal as console
+from edoras_tools.render.terminal.terminal import FILE_WIDTH, Terminal, detect_terminal
 
 
 class Tty(io.StringIO):
@@ -26,7 +26,7 @@ class Tty(io.StringIO):
     ],
 )
 def test_colour_and_redrawing(stream, environ, colour, interactive):
-    terminal = look(stream(), environ)
+    terminal = detect_terminal(stream(), environ)
     assert (terminal.colour, terminal.interactive) == (colour, interactive)
 
 
@@ -42,14 +42,14 @@ def test_colour_and_redrawing(stream, environ, colour, interactive):
     ],
 )
 def test_width(stream, environ, width):
-    assert look(stream(), environ).width == width
+    assert detect_terminal(stream(), environ).width == width
 
 
 @pytest.mark.parametrize("colour", [False, True])
 def test_consoles_show_what_the_stream_can(monkeypatch, colour):
     out = io.StringIO()
     monkeypatch.setattr("sys.stdout", out)
-    monkeypatch.setattr(console, "look", lambda _: Terminal(33, colour, interactive=False))
+    monkeypatch.setattr(console, "detect_terminal", lambda _: Terminal(33, colour, interactive=False))
     made = console.output_console()
     made.print("x" * 40 + " [red]1234[/red]", style="red")
     text = out.getvalue()

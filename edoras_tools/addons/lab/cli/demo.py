@@ -118,14 +118,14 @@ def demo(
 def _tour(output: Path | None, duration: int | None, *, force: bool) -> None:
     from edoras_tools.addons.lab.demo.tour import tour
     from edoras_tools.addons.lab.views.tour import Guide
-    from edoras_tools.render.terminal.terminal import look
+    from edoras_tools.render.terminal.terminal import detect_terminal
 
     seconds = duration / 1e9 if duration else _TOUR_S
     usual = Path("edoras_demo")
     folder = output or (path_beside(usual) if usual.exists() and not force else usual)
     if not force and folder.is_dir() and any(folder.iterdir()):
         raise ConfigError(f"{folder}: not an empty folder; name a new one, or --force replaces a tour in it")
-    guide = Guide(sys.stdout, look(sys.stdout))
+    guide = Guide(sys.stdout, detect_terminal(sys.stdout))
     guide.begin(seconds, folder)
     result = tour(folder, seconds, show=guide.packet, notice=guide.notice, replace=force)
     guide.end(result.live.summary(), result.real.summary(), result.folder)
@@ -135,10 +135,10 @@ def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> N
     """Run a demo and print its result."""
     from edoras_tools.addons.lab.demo.run import Demo
     from edoras_tools.addons.lab.views import view
-    from edoras_tools.render.terminal.terminal import look
+    from edoras_tools.render.terminal.terminal import detect_terminal
 
     json, quiet = printing
-    shows = not quiet and not json and look(sys.stderr).interactive
+    shows = not quiet and not json and detect_terminal(sys.stderr).interactive
     running = Demo(plan, None if shows or quiet else tell)
     table = partial(view.live_table, output=plan.output) if shows else None
     failure = run_relay(running, partial(_begin, running, quiet=quiet), duration_ns, table) or running.failure

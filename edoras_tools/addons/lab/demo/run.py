@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.io.foxglove.sink import FoxgloveSink
-    from edoras_tools.render.terminal.run import Watcher
+    from edoras_tools.render.terminal.text import Watcher
 
 
 ROUTER_PORT: Final = 7447

@@ -14,7 +14,7 @@ from edoras_tools.render.chart import Chart, terminal
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import Column, build, facts_grid, figure, plain
-from edoras_tools.render.terminal.terminal import look
+from edoras_tools.render.terminal.terminal import detect_terminal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -85,7 +85,7 @@ def threshold_line(summary: Mapping[str, Any]) -> str:
 @contextmanager
 def step_status(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
     """Yield a function that shows the current step, on a terminal."""
-    if quiet or not look(sys.stderr).interactive:
+    if quiet or not detect_terminal(sys.stderr).interactive:
         yield lambda *_: None
         return
 

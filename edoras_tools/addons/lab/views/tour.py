@@ -9,7 +9,7 @@ from edoras_tools.render.capture import packet
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.console import output_console
+from edoras_tools.render.terminal.terminal import output_console
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

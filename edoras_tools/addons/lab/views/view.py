@@ -9,12 +9,12 @@ from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
 from edoras_tools.render import units
-from edoras_tools.render.bridge.bridge import losses as bridge_losses
+from edoras_tools.render.bridge import losses as bridge_losses
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveTable, Moment
-from edoras_tools.render.terminal.run import size_of
 from edoras_tools.render.terminal.table import Column, build, count_cell, figure, one_line, plain
+from edoras_tools.render.terminal.text import size_of
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

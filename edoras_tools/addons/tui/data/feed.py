@@ -13,7 +13,7 @@ import numpy as np
 
 from edoras_tools.addons.tui.data.store import PacketBlock
 from edoras_tools.errors import EdorasError
-from edoras_tools.pipelines.capture.compact import compact
+from edoras_tools.pipelines.capture.flushing import compact
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.render import units
 from edoras_tools.words import plural

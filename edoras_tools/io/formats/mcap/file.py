@@ -30,9 +30,9 @@ from mcap.records import (
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, os_errors
-from edoras_tools.io.formats.mcap.heads import CHUNK_HEAD, CHUNK_INDEX_HEAD, RECORD_HEAD, ChunkHead
+from edoras_tools.io.formats.mcap.index import CHUNK_HEAD, CHUNK_INDEX_HEAD, RECORD_HEAD, ChunkHead
 from edoras_tools.io.outputs import STDOUT, OutputFile, output_name
-from edoras_tools.io.topics.names import MAGIC
+from edoras_tools.io.topics.rows import MAGIC
 from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:

@@ -9,12 +9,11 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Schema
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
+from edoras_tools.io.formats.mcap.index import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
 from edoras_tools.io.formats.mcap.recovery.walk import walk
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
-from edoras_tools.io.topics.names import MAGIC, RECORD_PREFIX_BYTES
-from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES
+from edoras_tools.io.topics.rows import MAGIC, RECORD, RECORD_BYTES, RECORD_PREFIX_BYTES
 from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:

@@ -22,16 +22,15 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from edoras_tools.errors import CaptureError, NoDatagramsError, WireError, os_errors
-from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
+from edoras_tools.io.formats.mcap.index import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
 from edoras_tools.io.formats.mcap.messages import scanned
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
 from edoras_tools.io.formats.table import TOPIC_READERS
 from edoras_tools.io.frames.frame_batch import FrameBatch, joined_frames
 from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.io.topics.cfe import FAULTS_TOPIC, fault_of
 from edoras_tools.io.topics.datagrams import DATAGRAM
-from edoras_tools.io.topics.faults import FAULTS_TOPIC, fault_of
-from edoras_tools.io.topics.names import DATAGRAMS_TOPIC, MAGIC, OUTAGE_METADATA_NAME
-from edoras_tools.io.topics.rows import CDR_LE_WORD
+from edoras_tools.io.topics.rows import CDR_LE_WORD, DATAGRAMS_TOPIC, MAGIC, OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.statistics import HOST_TOPIC, host_counters_of
 from edoras_tools.model import HostCounters, InterfaceOutage, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.ros import TypeStore

@@ -32,7 +32,7 @@ from mcap.records import (
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.file import McapFile, join_chunks, pack_chunks, record_bytes
-from edoras_tools.io.formats.mcap.heads import MESSAGE_HEAD, RECORD_HEAD
+from edoras_tools.io.formats.mcap.index import MESSAGE_HEAD, RECORD_HEAD
 from edoras_tools.io.formats.mcap.recovery.numbering import Definitions, Numbering, renumbered
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes
 from edoras_tools.io.formats.mcap.recovery.report import FilePart, LostStretch, Recovery
@@ -40,7 +40,7 @@ from edoras_tools.io.formats.mcap.recovery.scan import Piece, Scan
 from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary, summaries
 from edoras_tools.io.formats.mcap.unpack import Proof
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
-from edoras_tools.io.topics.names import MAGIC
+from edoras_tools.io.topics.rows import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

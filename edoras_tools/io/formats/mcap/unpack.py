@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from edoras_tools.io.formats.mcap.heads import MAX_CHUNK_BYTES, ChunkHead
+from edoras_tools.io.formats.mcap.index import MAX_CHUNK_BYTES, ChunkHead
 from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:

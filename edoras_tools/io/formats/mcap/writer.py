@@ -15,9 +15,9 @@ from edoras_tools.io.formats.mcap.chunks import ChunkPress, ChunkWriter
 from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
 from edoras_tools.io.formats.split import RecordingOptions, part_path
 from edoras_tools.io.processes import Workers, writer_killed
-from edoras_tools.io.topics.faults import fault_messages
-from edoras_tools.io.topics.names import OUTAGE_METADATA_NAME
+from edoras_tools.io.topics.cfe import fault_messages
 from edoras_tools.io.topics.recorded import RecordedStreams
+from edoras_tools.io.topics.rows import OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.statistics import host_messages
 from edoras_tools.io.topics.streams import (
     FAULTS,

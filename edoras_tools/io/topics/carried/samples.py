@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.decode.samples import KnownSamples, known_samples
-from edoras_tools.io.topics.names import APART
-from edoras_tools.io.topics.rows import RECORD, Messages, whole_messages
+from edoras_tools.io.topics.rows import APART, RECORD, Messages, whole_messages
 from edoras_tools.links.protocol import MOST_ENDPOINTS, Endpoints
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges

@@ -38,27 +38,27 @@ _ALIKE: Final = 4
 """Verdicts of one rule from here on share a table."""
 
 
-def page(diagnosis: Diagnosis, name: str, origin: Made) -> str:
+def page(result: Diagnosis, name: str, origin: Made) -> str:
     """Return the HTML page."""
-    sections = [section("Links", [links_picture(diagnosis)]), _verdicts(diagnosis)]
-    if diagnosis.case is not None and diagnosis.datagrams:
-        drawn = plots(diagnosis.case, diagnosis.choice)
+    sections = [section("Links", [links_picture(result)]), _verdicts(result)]
+    if result.case is not None and result.datagrams:
+        drawn = plots(result.case, result.choice)
         sections += [_rates(drawn), _latency(drawn), _time(drawn), _sizes(drawn)]
-    sections += [_balance(diagnosis), _routes(diagnosis), _habits(diagnosis)]
-    parts = [_head(diagnosis, name), _summary(diagnosis), contents(sections), *sections, footer(origin)]
+    sections += [_balance(result), _routes(result), _habits(result)]
+    parts = [_head(result, name), _summary(result), contents(sections), *sections, footer(origin)]
     return document(f"edoras report: {name}", parts)
 
 
-def _head(diagnosis: Diagnosis, name: str) -> str:
-    seconds = (diagnosis.end_ns - diagnosis.start_ns) / 1e9
+def _head(result: Diagnosis, name: str) -> str:
+    seconds = (result.end_ns - result.start_ns) / 1e9
     when = (
-        f", {units.duration(seconds)} from {units.utc(diagnosis.start_ns, digits=3)} UTC"
-        if diagnosis.datagrams
+        f", {units.duration(seconds)} from {units.utc(result.start_ns, digits=3)} UTC"
+        if result.datagrams
         else ""
     )
-    bad = diagnosis.lost or diagnosis.unaccounted or diagnosis.worst is Severity.ERROR
-    style = "lost" if bad else "fine" if diagnosis.datagrams and diagnosis.worst < Severity.WARNING else ""
-    summary = summarize(diagnosis)
+    bad = result.lost or result.unaccounted or result.worst is Severity.ERROR
+    style = "lost" if bad else "fine" if result.datagrams and result.worst < Severity.WARNING else ""
+    summary = summarize(result)
     end = f'<p class="end-note {style}">{escape(summary.headline)}</p><ul>'
     for item in summary.problems[:_MOST_PROBLEMS]:
         count = f"<strong>{item.lost:,}</strong> " if item.lost else ""
@@ -67,17 +67,17 @@ def _head(diagnosis: Diagnosis, name: str) -> str:
     end += f"</ul><p>{escape(f'{summary.rest(_MOST_PROBLEMS)} {summary.fine}'.strip())}</p>"
     line = "".join(
         f'<p class="dim">{escape(text)}</p>'
-        for text in (f"{plural(diagnosis.datagrams, 'datagram')}{when}", *limits(diagnosis))
+        for text in (f"{plural(result.datagrams, 'datagram')}{when}", *limits(result))
     )
-    warned = "".join(f'<p class="warning">{escape(text)}</p>' for text in diagnosis.capture.warnings)
+    warned = "".join(f'<p class="warning">{escape(text)}</p>' for text in result.capture.warnings)
     return f"<header>{heading(name)}{line}{warned}{end}</header>"
 
 
-def _summary(diagnosis: Diagnosis) -> str:
+def _summary(result: Diagnosis) -> str:
     """Return how many verdicts there are of each severity, and what they lost."""
     rows = ""
     for severity in sorted(Severity, reverse=True):
-        members = [item for item in diagnosis.verdicts if item.severity is severity]
+        members = [item for item in result.verdicts if item.severity is severity]
         if members:
             lost, problems = sum(item.lost or 0 for item in members), len(group_verdicts(members))
             rows += (
@@ -88,17 +88,17 @@ def _summary(diagnosis: Diagnosis) -> str:
     return f'<table class="summary">{head}{rows}</table>' if rows else ""
 
 
-def _verdicts(diagnosis: Diagnosis) -> str:
-    groups = group_verdicts(diagnosis.verdicts)
+def _verdicts(result: Diagnosis) -> str:
+    groups = group_verdicts(result.verdicts)
     if not groups:
         return ""
     cards = [
         card
         for several in alike(groups)
         for card in (
-            [_many(diagnosis, several)]
+            [_many(result, several)]
             if len(several) >= _ALIKE
-            else [_verdict(diagnosis, members) for members in several]
+            else [_verdict(result, members) for members in several]
         )
     ]
     rest = len(cards) - _MOST_VERDICTS
@@ -106,11 +106,11 @@ def _verdicts(diagnosis: Diagnosis) -> str:
     return section("Verdicts", [*cards[:_MOST_VERDICTS], more])
 
 
-def _many(diagnosis: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
+def _many(result: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
     """Return many verdicts of one rule as one table, the worst of them in full above it."""
     every = [item for members in several for item in members]
     rows = "".join(
-        f"<tr><td>{_when(diagnosis, item)}</td><td>{escape(item.reason)}</td>"
+        f"<tr><td>{_when(result, item)}</td><td>{escape(item.reason)}</td>"
         f"<td>{units.count(item.lost) if item.lost is not None else ''}</td></tr>"
         for item in every[:_MOST_VERDICTS]
     )
@@ -118,21 +118,21 @@ def _many(diagnosis: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
     head = "<tr><th>when</th><th>what</th><th>lost</th></tr>"
     more = f", the first {_MOST_VERDICTS}" if len(every) > _MOST_VERDICTS else ""
     return (
-        f"{_verdict(diagnosis, worst)}<details><summary>{len(every):,} verdicts of "
+        f"{_verdict(result, worst)}<details><summary>{len(every):,} verdicts of "
         f"{escape(every[0].rule)}{more}</summary>"
         f'<div class="scroll"><table class="alike">{head}{rows}</table></div></details>'
     )
 
 
-def _verdict(diagnosis: Diagnosis, members: Sequence[Verdict]) -> str:
+def _verdict(result: Diagnosis, members: Sequence[Verdict]) -> str:
     """Return one problem: its worst time span in full, all of its spans in a table."""
     worst = max(members, key=lambda item: item.lost or 0)
-    text = f"{_when(diagnosis, worst)}, confidence {worst.confidence}"
+    text = f"{_when(result, worst)}, confidence {worst.confidence}"
     spans = ""
     if len(members) > 1:
         lost, of = sum(item.lost or 0 for item in members), sum(item.of or 0 for item in members)
         text = f"{lost:,} of {of:,} lost, in {len(members)} periods"
-        spans = _spans(diagnosis, members)
+        spans = _spans(result, members)
     evidence = "".join(f"<li>{escape(line)}</li>" for line in worst.evidence)
     remedy = f'<p class="remedy">{escape(worst.remedy)}</p>' if worst.remedy else ""
     return (
@@ -141,9 +141,9 @@ def _verdict(diagnosis: Diagnosis, members: Sequence[Verdict]) -> str:
     )
 
 
-def _spans(diagnosis: Diagnosis, members: Sequence[Verdict]) -> str:
+def _spans(result: Diagnosis, members: Sequence[Verdict]) -> str:
     rows = "".join(
-        f"<tr><td>{_when(diagnosis, item)}</td><td>{units.count(item.lost)}</td>"
+        f"<tr><td>{_when(result, item)}</td><td>{units.count(item.lost)}</td>"
         f"<td>{units.count(item.of)}</td>"
         f"<td>{f'{100 * (item.lost or 0) / item.of:.0f}%' if item.of else ''}</td>"
         f"<td>{item.confidence}</td></tr>"
@@ -153,8 +153,8 @@ def _spans(diagnosis: Diagnosis, members: Sequence[Verdict]) -> str:
     return f'<div class="scroll"><table class="spans">{head}{rows}</table></div>'
 
 
-def _when(diagnosis: Diagnosis, item: Verdict) -> str:
-    start, end = ((time_ns - diagnosis.zero_ns) / 1e9 for time_ns in (item.start_ns, item.end_ns))
+def _when(result: Diagnosis, item: Verdict) -> str:
+    start, end = ((time_ns - result.zero_ns) / 1e9 for time_ns in (item.start_ns, item.end_ns))
     return f"{start:.1f} s" if end - start < 0.1 else f"{start:.1f} to {end:.1f} s"
 
 
@@ -220,9 +220,9 @@ def _sizes(drawn: Plots) -> str:
     return section("Sizes against buffers", [table] if rows else [])
 
 
-def _balance(diagnosis: Diagnosis) -> str:
+def _balance(result: Diagnosis) -> str:
     """Return the balance: a row a route and hop, which adds up."""
-    lines = balance.shown_rows(diagnosis)
+    lines = balance.shown_rows(result)
     figures = [
         (name, head)
         for name, head in balance.FIGURES.items()
@@ -251,7 +251,7 @@ def _balance(diagnosis: Diagnosis) -> str:
     return section("Balance", [table] if rows else [], lead)
 
 
-def _routes(diagnosis: Diagnosis) -> str:
+def _routes(result: Diagnosis) -> str:
     def cell(value: Any) -> str:
         return f"<td>{escape(str(value))}</td>"
 
@@ -277,14 +277,14 @@ def _routes(diagnosis: Diagnosis) -> str:
             )
         )
         + "</tr>"
-        for row in diagnosis.routes
+        for row in result.routes
     )
     table = f'<div class="scroll"><table><tr>{head}</tr>{rows}</table></div>'
     return section("Accounts", [table] if rows else [])
 
 
-def _habits(diagnosis: Diagnosis) -> str:
-    lines = "".join(f"<li>{escape(item.reason)}</li>" for item in diagnosis.habits)
+def _habits(result: Diagnosis) -> str:
+    lines = "".join(f"<li>{escape(item.reason)}</li>" for item in result.habits)
     lead = '<p class="dim">What these senders always do.</p>'
     return section("Habits", [f"<ul>{lines}</ul>"] if lines else [], lead)
 
@@ -296,18 +296,18 @@ _REST: Final = tuple(
 )
 
 
-def links_picture(diagnosis: Diagnosis) -> str:
+def links_picture(result: Diagnosis) -> str:
     """Return the picture: a line of boxes for the messages of one path; empty without messages."""
     ways: dict[tuple[Any, ...], list[Row]] = {}
-    for row in summed(diagnosis.balance):
+    for row in summed(result.balance):
         ways.setdefault((row.route, row.link, row.msg_id, row.instance), []).append(row)
     lanes: dict[tuple[Any, ...], list[list[Row]]] = {}
     for (_, link, _, _), rows in ways.items():
-        own = rows[0].route not in diagnosis.topics and bool(rows[0].name)
+        own = rows[0].route not in result.topics and bool(rows[0].name)
         lanes.setdefault((own, link, tuple(row.hop for row in rows)), []).append(rows)
     first_lanes = sorted(lanes.items(), key=lambda lane: lane[0][0])[:_MOST]
     parts = [
-        f"<h3>{escape(_title(diagnosis, link, members, own=own))}</h3>{_lane(link, hops, members)}"
+        f"<h3>{escape(_title(result, link, members, own=own))}</h3>{_lane(link, hops, members)}"
         for (own, link, hops), members in first_lanes
     ]
     if len(lanes) > _MOST:
@@ -315,10 +315,10 @@ def links_picture(diagnosis: Diagnosis) -> str:
     return f'<div class="links">{"".join(parts)}</div>' if parts else ""
 
 
-def _title(diagnosis: Diagnosis, link: str, members: list[list[Row]], *, own: bool) -> str:
+def _title(result: Diagnosis, link: str, members: list[list[Row]], *, own: bool) -> str:
     names = list(
         dict.fromkeys(
-            diagnosis.topics.get(rows[0].route)
+            result.topics.get(rows[0].route)
             or ("not known which" if rows[0].msg_id is None else f"0x{rows[0].msg_id:04x}")
             for rows in members
         )

@@ -14,7 +14,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.heads import RECORD_HEAD
+from edoras_tools.io.formats.mcap.index import RECORD_HEAD
 from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from mcap.opcode import Opcode
 
-from edoras_tools.io.formats.mcap.heads import (
+from edoras_tools.io.formats.mcap.index import (
     CHUNK_HEAD_BYTES,
     INDEX_ENTRY,
     INDEX_HEAD,
@@ -34,7 +34,7 @@ from edoras_tools.io.formats.mcap.heads import (
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
 from edoras_tools.io.formats.mcap.recovery.walk import Entries, Walked, walk
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, frame_at, inflate, unpack_chunk
-from edoras_tools.io.topics.names import MAGIC
+from edoras_tools.io.topics.rows import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

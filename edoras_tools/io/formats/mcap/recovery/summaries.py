@@ -17,9 +17,9 @@ from mcap.records import (
     Statistics,
 )
 
-from edoras_tools.io.formats.mcap.heads import RECORD_HEAD
+from edoras_tools.io.formats.mcap.index import RECORD_HEAD
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
-from edoras_tools.io.topics.names import MAGIC
+from edoras_tools.io.topics.rows import MAGIC
 from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:

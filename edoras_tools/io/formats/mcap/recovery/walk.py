@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from mcap.opcode import Opcode
 
-from edoras_tools.io.formats.mcap.heads import INDEX_ENTRY, MESSAGE_HEAD, RECORD_HEAD
-from edoras_tools.io.formats.mcap.index import ChunkMessages, MessageIndex
+from edoras_tools.io.formats.mcap.index import (
+    INDEX_ENTRY,
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    ChunkMessages,
+    MessageIndex,
+)
 from edoras_tools.io.formats.mcap.recovery.records import parse
 from edoras_tools.io.topics.rows import OPCODE_MESSAGE, RECORD
 from edoras_tools.wire.arrays.window import copy_rows, read_at

@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from edoras_tools.render.bridge import bridge as view
+from edoras_tools.render import bridge as view
 
 LATENCY = {"p50": 41.0, "p99": 1234.0, "max": 2000.0}
 WAY = {

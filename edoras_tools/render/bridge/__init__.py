@@ -1,1 +1,0 @@
-"""Views of bridges and of a Foxglove server."""
