@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from operator import attrgetter, itemgetter
@@ -359,6 +360,7 @@ class Examination:
         capture = Capture(zero_ns=self._zero_ns())
         self._before.append(self._judged(capture, faults, last=False))
         self._recorder = self._begun(self._recorder.conversations)
+        gc.collect()  # what a chapter was judged by refers to itself: 150 MB that would stay for long
 
     def let(self, apart: Apart) -> None:
         """Let other processes keep and judge the chapters, and diagnose once; before anything was taken."""
