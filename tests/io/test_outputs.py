@@ -101,7 +101,7 @@ _WRITES = re.compile(r"\.write_(text|bytes)\(|open\([^()]*[\"'][wax]b?[+]?[\"']"
 
 
 def test_nobody_writes_files_in_another_way():
-    """What writes a file does it here, or opens it by ``opener``."""
+    """What writes a file does it here, or opens it by ``opener``; a help page's formatter writes no file."""
     others = {
         "ros/types/standard.py": "makes a file of this package, by hand",
         "cli/main.py": "the null device",
@@ -112,7 +112,7 @@ def test_nobody_writes_files_in_another_way():
         path.relative_to(PACKAGE).as_posix()
         for path in PACKAGE.rglob("*.py")
         for line in path.read_text().splitlines()
-        if _WRITES.search(line) and "opener=opener" not in line
+        if _WRITES.search(line) and "opener=opener" not in line and "formatter.write_text" not in line
     }
     assert found == set(others)
 
