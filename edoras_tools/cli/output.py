@@ -8,6 +8,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from edoras_tools.cli.settings import in_effect
+from edoras_tools.render.terminal.text import clean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -35,14 +36,18 @@ def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def write_csv(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """Print rows below the names of their columns, as ``print_csv`` does."""
+    """Print rows below the names of their columns, as ``print_csv`` does; a terminal gets no raw escapes."""
     writer = csv.writer(sys.stdout)
-    writer.writerow(names)
+    escaped = clean if sys.stdout.isatty() else str
+
+    def cell(value: Any) -> Any:
+        if isinstance(value, dict | list):
+            value = json.dumps(value, ensure_ascii=False)
+        return escaped(value) if isinstance(value, str) else value
+
+    writer.writerow(map(cell, names))
     for row in rows:
-        writer.writerow(
-            json.dumps(value, ensure_ascii=False) if isinstance(value, dict | list) else value
-            for value in row
-        )
+        writer.writerow(map(cell, row))
 
 
 def print_view(view: RenderableType | Callable[[int], RenderableType], *, is_whole: bool = False) -> None:

@@ -10,16 +10,19 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from contextlib import suppress
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from glob import escape
+from hashlib import sha256
 from itertools import count
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, ClassVar, Final
 
 from edoras_tools.errors import CaptureError, ConfigError, os_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
 STDOUT: Final = Path("-")
 """Stands for standard output, as a path."""
@@ -28,6 +31,9 @@ _PIECES: Final = 1024
 _WRITE: Final = os.O_WRONLY | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
 _LONGEST: Final = 200
 """Bytes of a name that are in the name of the file beside it; file systems allow 255 bytes."""
+_FULL: Final = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
+_LOOK_S: Final = 0.2
+"""How often a recorder looks whether a full disk has room again."""
 _REFUSED: Final = "is another user's link in a shared folder; name another output"
 
 
@@ -67,14 +73,16 @@ def check_links(path: Path) -> None:
 class NewFile:
     """A file that gets its name when it is complete; what has that name stays as it is until then.
 
-    It is written beside, as ``.NAME.PID.part``, and renamed at the end. A pipe or device is written directly.
+    Until then it has no name, so that a killed program leaves nothing; where the file system cannot do that,
+    it is written beside, as ``.NAME.PID.part``. A pipe or device is written directly.
     As a context manager it is completed at the end of the block, and removed after an exception.
 
     Attributes:
         file: to write to.
 
     Raises:
-        OSError: from every method: it cannot be written, or another user's link would be followed.
+        OSError: from every method: it cannot be written, another user's link would be followed, or what has
+            the name is being written (``BlockingIOError``).
     """
 
     def __init__(self, path: Path) -> None:
@@ -84,10 +92,15 @@ class NewFile:
         name = os.fsdecode(os.fsencode(self._path.name)[:_LONGEST])
         part = self._path.with_name(f".{name}.{os.getpid()}.part")
         self._part = None if existing and not stat.S_ISREG(existing.st_mode) else part
+        self._older = lock_older(self._path) if self._part else -1
+        fileno = -1
         if self._part:
             self._part.unlink(missing_ok=True)  # of a process that was killed and had the same number
-        mode = "xb" if self._part else "wb"
-        self.file: IO[bytes] = open(self._part or path, mode, opener=opener)  # noqa: SIM115  closed below
+            fileno = _nameless(self._path.parent)
+        self._named = fileno < 0
+        mode = "wb" if fileno >= 0 or not self._part else "xb"
+        opened = fileno if fileno >= 0 else self._part or path
+        self.file: IO[bytes] = open(opened, mode, opener=opener)  # noqa: SIM115  closed below
         if existing and self._part:
             _take_after(self.file.fileno(), existing)
 
@@ -103,15 +116,26 @@ class NewFile:
     def keep(self) -> None:
         """Complete the file, and give it its name; if that fails, it is removed."""
         try:
+            self.file.flush()
+            if self._part and not self._named:
+                own = self.file.fileno()
+                os.link(f"/proc/self/fd/{own}", self._part, src_dir_fd=own)  # or Python links the link itself
             self.file.close()
             if self._part:
                 self._part.replace(self._path)
         except BaseException:
             self.remove()
             raise
+        self._let_go()
+
+    def _let_go(self) -> None:
+        older, self._older = self._older, -1
+        if older >= 0:
+            os.close(older)
 
     def remove(self) -> None:
         """Close and remove what was written; a file that is complete stays."""
+        self._let_go()
         with suppress(OSError):
             self.file.close()
         if self._part:
@@ -230,6 +254,40 @@ def check_new(path: Path, inputs: Iterable[Path] = (), *, force: bool) -> None:
     refuse_input(path, inputs)
     if not force:
         refuse_existing(in_the_way(path))
+    with os_errors(f"{path}: cannot be written"):
+        if (older := lock_older(path)) >= 0:
+            os.close(older)
+
+
+def lock_older(path: Path) -> int:
+    """Lock a file that is to be replaced until its descriptor, which is returned, is closed.
+
+    Returns:
+        -1 where there is none, or it cannot be opened.
+
+    Raises:
+        BlockingIOError: another program is writing it.
+    """
+    if not path.is_file():
+        return -1
+    try:
+        fileno = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return -1
+    try:
+        _lock(fileno)
+    except OSError:
+        os.close(fileno)
+        raise
+    return fileno
+
+
+def short_name(name: str, suffix: str) -> str:
+    """Return a file name that file systems take: what is too long for them ends in a hash of the whole."""
+    data = os.fsencode(name)
+    if len(data) + len(os.fsencode(suffix)) > _LONGEST:
+        name = data[: _LONGEST - 32].decode(errors="ignore") + "~" + sha256(data).hexdigest()[:16]
+    return name + suffix
 
 
 def to_disk(path: Path) -> None:
@@ -251,6 +309,29 @@ def _is_for_all(folder: Path) -> bool:
     return bool(mode & stat.S_ISVTX and mode & (stat.S_IWGRP | stat.S_IWOTH))
 
 
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How a recorder behaves while the disk is full.
+
+    Attributes:
+        tell: called with a line when it begins to wait, and when it goes on.
+        over: whether to wait no longer.
+    """
+
+    tell: Callable[[str], None]
+    over: Callable[[], bool]
+
+
+@contextmanager
+def waiting_for_room(patience: Patience) -> Iterator[None]:
+    """Let all recordings of this process wait while the disk is full; not those that have not begun."""
+    before, OutputFile.patience = OutputFile.patience, patience
+    try:
+        yield
+    finally:
+        OutputFile.patience = before
+
+
 class OutputFile:
     """A file that is written from its beginning, by one program at a time.
 
@@ -267,14 +348,19 @@ class OutputFile:
         older: the file that will be replaced; None if there is none.
         spares: ``finish`` leaves the older file, and this one beside it.
         size: bytes written so far.
+        waits: from when to when the disk was full, ns since 1970.
 
     Raises:
         OSError: from every method: it cannot be opened or written; ``BlockingIOError`` if another program is
             writing it.
     """
 
+    patience: ClassVar[Patience | None] = None
+
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.waits: list[tuple[int, int]] = []
+        self._full_ns = 0
         self.older: Path | None = None
         self.spares = False
         self.size = 0
@@ -308,13 +394,39 @@ class OutputFile:
         rest = [memoryview(piece) for piece in pieces]
         complete = 0
         while complete < len(rest):
-            count = os.writev(self._fileno, rest[complete : complete + _PIECES])
+            try:
+                count = os.writev(self._fileno, rest[complete : complete + _PIECES])
+            except OSError as error:
+                if not (self.size and error.errno in _FULL and self._waits()):
+                    raise
+                continue
+            if self._full_ns:
+                self._go_on()
             self.size += count
             while complete < len(rest) and count >= len(rest[complete]):
                 count -= len(rest[complete])
                 complete += 1
             if count:
                 rest[complete] = rest[complete][count:]
+
+    def _waits(self) -> bool:
+        """Wait a little for room on the disk; return whether to try again."""
+        patience = self.patience
+        if patience is None or patience.over():
+            return False
+        if not self._full_ns:
+            self._full_ns = time.time_ns()
+            patience.tell(f"{self.path}: the disk is full; the recording waits for room")
+        time.sleep(_LOOK_S)
+        return True
+
+    def _go_on(self) -> None:
+        self.waits.append((self._full_ns, time.time_ns()))
+        seconds, self._full_ns = (self.waits[-1][1] - self._full_ns) / 1e9, 0
+        if self.patience:
+            self.patience.tell(
+                f"{self.path}: the disk has room again after {seconds:.1f} s; recording goes on"
+            )
 
     def fate(self) -> str:
         """Return what another program did to the file, e.g. ``was deleted``; an empty text if nothing.
@@ -394,6 +506,18 @@ class OutputFile:
                 if (status.st_dev, status.st_ino) == self._inode and not status.st_size:
                     self.path.unlink()
         os.close(fileno)
+
+
+def _nameless(folder: Path) -> int:
+    """Return the descriptor of a new file without a name in a folder, or -1 where there is no such thing."""
+    try:
+        fileno = os.open(folder, os.O_TMPFILE | os.O_WRONLY | os.O_CLOEXEC, 0o666)
+    except (AttributeError, OSError):
+        return -1
+    if not Path(f"/proc/self/fd/{fileno}").exists():
+        os.close(fileno)
+        return -1
+    return fileno
 
 
 def output_name(path: Path) -> str:

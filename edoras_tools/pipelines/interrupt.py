@@ -82,14 +82,15 @@ _HANG_UP = getattr(signal, "SIGHUP", None)
 def on_interrupt(
     stop: Callable[[], None], *, patient: bool = False, in_handler: bool = False
 ) -> Iterator[threading.Event]:
-    """Call ``stop`` at the first Ctrl-C, SIGTERM or SIGHUP; a second Ctrl-C interrupts at once.
+    """Call ``stop`` at the first Ctrl-C, SIGTERM or SIGHUP; a second Ctrl-C or SIGTERM interrupts at once.
 
-    SIGTERM and SIGHUP ask for a clean end, however often they are sent. A SIGHUP that is ignored, as under
-    ``nohup``, stays ignored.
+    SIGHUP asks for a clean end, however often it is sent, and one SIGTERM after another signal does: who
+    closes a terminal or ends a group sends several. A SIGHUP that is ignored, as under ``nohup``, stays
+    ignored.
 
     Args:
         stop: ends the work; called in a thread of its own.
-        patient: ignore a second Ctrl-C: a program that another one ends gets Ctrl-C from the terminal and
+        patient: ignore second ones: a program that another one ends gets Ctrl-C from the terminal and
             SIGTERM from the other program.
         in_handler: call ``stop`` inside the handler instead: it must take no lock, and may raise.
 
@@ -97,15 +98,18 @@ def on_interrupt(
         An event that is set once ``stop`` was called. Outside the main thread, signals are not handled.
     """
     interrupted = threading.Event()
+    terminated = False
     if threading.current_thread() is not threading.main_thread():
         yield interrupted
         return
 
     def handle(number: int, _frame: FrameType | None) -> None:
+        nonlocal terminated
         if number == _HANG_UP:
             _leave_terminal()
+        again, terminated = terminated, terminated or number == signal.SIGTERM
         if interrupted.is_set():
-            if patient or number != signal.SIGINT:
+            if patient or not (number == signal.SIGINT or (number == signal.SIGTERM and again)):
                 return
             raise KeyboardInterrupt
         interrupted.set()

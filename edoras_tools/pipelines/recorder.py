@@ -16,14 +16,17 @@ from __future__ import annotations
 import pickle
 import queue
 import threading
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
+from mmap import mmap
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.tee import Tee
 from edoras_tools.io.frames.build import HEADER_BYTES, FramePage
 from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.io.outputs import Patience, waiting_for_room
 from edoras_tools.io.processes import Workers, portable, writer_killed
 from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.flushing import Flushing
@@ -303,7 +306,16 @@ class RelayRecorder:
         self.missed = 0
         self.failure: EdorasError | None = None
         begin = partial(_Writer, target, bench, SourceInfo(name, kind), tap, show)
-        self._writer = _writer_apart(begin, self.path) if apart else begin()
+        self._ending = mmap(-1, 1)  # a second process sees it too
+        self._opened = ExitStack()
+        if target:
+            patience = Patience(target.on_warning, lambda: self._ending[0] > 0)
+            self._opened.enter_context(waiting_for_room(patience))
+        try:
+            self._writer = _writer_apart(begin, self.path) if apart else begin()
+        except BaseException:
+            self._opened.close()
+            raise
         self._queue: queue.SimpleQueue[_Page | None] = queue.SimpleQueue()
         self._queued = 0
         self._written = 0
@@ -378,7 +390,9 @@ class RelayRecorder:
         self.turn()
         self._kernel_drops = kernel_drops
         self._queue.put(None)
+        self._ending[0] = 1
         self._thread.join()
+        self._opened.close()
 
     def _run(self) -> None:
         self._attempt(self._write_all)

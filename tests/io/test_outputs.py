@@ -13,7 +13,18 @@ from places import ROOT
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap.file import McapFile
 from edoras_tools.io.formats.pcap.writer import PcapSink
-from edoras_tools.io.outputs import NewFile, OutputFile, check_links, opener, path_beside, write_bytes
+from edoras_tools.io.outputs import (
+    NewFile,
+    OutputFile,
+    Patience,
+    check_links,
+    check_new,
+    opener,
+    path_beside,
+    short_name,
+    waiting_for_room,
+    write_bytes,
+)
 
 PACKAGE = ROOT / "edoras_tools"
 NOBODY = 65534
@@ -274,9 +285,51 @@ class TestNewFile:
             file.write(b"new")
         assert [(item.name, item.read_bytes()) for item in tmp_path.iterdir()] == [("x", b"new")]
 
+    def test_what_is_being_written_is_not_replaced(self, tmp_path, monkeypatch):
+        writer = OutputFile(tmp_path / "x")
+        writer.write(b"a recording")
+        for replace in (lambda path: write_bytes(path, b"page"), lambda path: check_new(path, force=True)):
+            with pytest.raises(CaptureError, match="x: cannot be written: another program is writing it"):
+                replace(writer.path)
+        writer.finish()
+        monkeypatch.delattr(os, "O_TMPFILE")  # as where a file must have a name
+        write_bytes(tmp_path / "x", b"page")
+        assert [(item.name, item.read_bytes()) for item in tmp_path.iterdir()] == [("x", b"page")]
+
     def test_long_names(self, tmp_path):
+        assert short_name("short", ".csv") == "short.csv"
+        names = [short_name("\u00e4" * 150 + end, ".csv") for end in "ab"]
+        assert names[0] != names[1]
+        assert max(len(name.encode()) for name in names) < 200
         write_bytes(tmp_path / ("x" * 255), b"new")
         assert [item.name for item in tmp_path.iterdir()] == ["x" * 255]
+
+
+def test_a_full_disk_is_waited_for(tmp_path, monkeypatch):
+    real, lines, over = os.writev, [], []
+    monkeypatch.setattr("edoras_tools.io.outputs._LOOK_S", 0)
+    full = [28, 28]
+
+    def writev(fileno, pieces):
+        if full:
+            raise OSError(full.pop(), "No space left on device")
+        return real(fileno, pieces)
+
+    with waiting_for_room(Patience(lines.append, lambda: bool(over))):
+        file = OutputFile(tmp_path / "x")
+        monkeypatch.setattr(os, "writev", writev)
+        with pytest.raises(OSError, match="No space"):
+            file.write(b"what has not begun does not wait")
+        full.clear()
+        file.write(b"goes ")
+        full[:] = [28, 28]
+        file.write(b"on")
+        assert (file.path.read_bytes(), len(file.waits), len(lines)) == (b"goes on", 1, 2)
+        assert lines[0].endswith("x: the disk is full; the recording waits for room")
+        full[:], over[:] = [28], [True]  # Ctrl-C
+        with pytest.raises(OSError, match="No space"):
+            file.write(b"lost")
+    file.close()
 
 
 def test_beside(tmp_path):

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.addons.archive.tables import TABLES
 from edoras_tools.errors import CaptureError, ConfigError, os_errors
-from edoras_tools.io.outputs import check_folder
+from edoras_tools.io.outputs import check_folder, check_links
 
 if TYPE_CHECKING:
     from edoras_tools.addons.archive.index import Index
 
+_LONGEST: Final = 80
+"""Bytes of a topic in a folder's name, where each takes up to three of 255; a longer one ends in its hash."""
 _DATE: Final = "coalesce(strftime(c.began, '%Y-%m-%d'), 'unknown')"
 
 
@@ -32,6 +34,8 @@ def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]
         CaptureError: it cannot be written.
     """
     check_folder(folder)
+    with os_errors(f"{folder}: cannot be written"):
+        check_links(folder)
     if folder.exists():
         existing = {item.name for item in folder.iterdir()} if folder.is_dir() else {""}
         if existing and not force:
@@ -66,7 +70,8 @@ def _write(index: Index, name: str, folder: Path) -> int:
         keys["link"] = "coalesce(t.link, 'none')"
     if "topic" in columns:
         names = [f"t.{item}" for item in ("topic", "name", "msg_id") if item in columns]
-        keys["topic"] = f"coalesce({', '.join(names)}, 'none')"
+        topic = f"coalesce({', '.join(names)}, 'none')"
+        keys["topic"] = f"if(strlen({topic}) > {_LONGEST}, {topic}[:16] || '~' || md5({topic}), {topic})"
     data_columns = ", ".join(f't."{item}"' for item in columns if item not in keys)
     key_columns = ", ".join(f"{value} AS {key}" for key, value in keys.items())
     more = ', t.topic AS "configured_topic"' if "topic" in keys else ""

@@ -18,7 +18,8 @@ import duckdb
 
 from edoras_tools import __version__
 from edoras_tools.addons.archive.tables import SHAPE, TABLES
-from edoras_tools.errors import CaptureError, ConfigError, EdorasError
+from edoras_tools.errors import CaptureError, ConfigError, EdorasError, os_errors
+from edoras_tools.io.outputs import check_links
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from edoras_tools.addons.archive.places import ListedFile
 
 _ABOUT: Final = "CREATE TABLE about (name VARCHAR, value VARCHAR)"
+_CLOSED: Final = ("memory_limit = '400MB'", "enable_external_access = false", "lock_configuration = true")
+"""What holds while a user's query runs; the last locks the others."""
 
 
 @contextmanager
@@ -39,6 +42,9 @@ def open_index(path: Path, *, write: bool = False) -> Iterator[Index]:
     if not write and not path.exists():
         raise CaptureError(f"{path}: there is no such index; make it: edoras archive DIR --index {path}")
     new, bare = not path.exists(), False
+    with os_errors(f"{path}: cannot be opened"):
+        check_links(path)
+        check_links(path.with_name(f"{path.name}.wal"))
     try:
         connection = duckdb.connect(str(path), read_only=not write)
     except duckdb.Error as error:
@@ -118,14 +124,20 @@ class Index:
     def answer(self, sql: str) -> tuple[list[str], Iterator[tuple[Any, ...]]]:
         """Return the names of the columns of a user's query, and its rows as they are asked for.
 
+        From then on the connection reads and writes no other file, and fetches nothing.
+
         Raises:
             ConfigError: DuckDB refuses it.
         """
         try:
+            for setting in _CLOSED:
+                self._connection.execute(f"SET {setting}")
             result = self._connection.execute(sql)
-            names = [item[0] for item in result.description or ()]
+            names = [item[0] for item in getattr(result, "description", None) or ()]
         except duckdb.Error as error:
             raise ConfigError(*_mistakes(error)) from error
+        if not names:
+            raise ConfigError("the query is empty; 'edoras help archive' names the tables that it may ask")
         return names, self._fetched(result)
 
     def _fetched(self, result: Any) -> Iterator[tuple[Any, ...]]:
@@ -205,6 +217,7 @@ def _try_rollback(connection: duckdb.DuckDBPyConnection) -> None:
 
 
 def _mistakes(error: Exception) -> list[str]:
-    """Return DuckDB's message, with its arrow under the mistake."""
-    lines = [line for line in str(error).splitlines() if line.strip()]
-    return lines or ["the query failed"]
+    """Return DuckDB's message, with its arrow where that shows the mistake."""
+    lines = [line for line in str(error).splitlines() if line.strip()] or ["the query failed"]
+    shown = isinstance(error, duckdb.ProgrammingError) and any(line.startswith("LINE ") for line in lines)
+    return lines if shown else lines[:1]

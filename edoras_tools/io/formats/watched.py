@@ -268,7 +268,7 @@ class WatchedSink:
             if not self._syncing.done():
                 return
             self._syncing.result()
-        self._synced = now
+        self._synced = now - (now - self._synced) % self._sync_s  # flushes come when they come
         sink = self._open()
         sink.flush()
         current = sink.output.path if sink.output else None

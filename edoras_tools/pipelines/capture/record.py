@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from time import time_ns
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,13 @@ from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.formats.split import RecordingOptions, SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import FileSink, Keep, OutputLoss, WatchedSink
-from edoras_tools.io.outputs import in_the_way, refuse_existing, refuse_input
+from edoras_tools.io.outputs import (
+    Patience,
+    in_the_way,
+    refuse_existing,
+    refuse_input,
+    waiting_for_room,
+)
 from edoras_tools.io.processors import jobs_for
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing, Waiting
@@ -317,7 +323,15 @@ def record(
     """
     check_recorded(source, bench, target)
     selection = replace(selection, announced=True) if selection else None
-    with reading(source, bench, selection, limits, keeps_failure=True) as loop:
+    began = limits.clock()
+    with reading(source, bench, selection, limits, keeps_failure=True) as loop, ExitStack() as stack:
+        if isinstance(source, DeviceSource):
+
+            def over() -> bool:
+                late = limits.duration_ns and limits.clock() - began >= limits.duration_ns
+                return bool(loop.interrupted or late)
+
+            stack.enter_context(waiting_for_room(Patience(target.on_warning, over)))
         sequences = SequenceCounts()
         topics = loop.selection.places() if bench.mission.recorded else None
         sink = open_sink(

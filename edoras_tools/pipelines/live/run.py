@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.io.foxglove.origins import OriginCheck
 from edoras_tools.io.foxglove.server import HERE, ServerOptions
 from edoras_tools.io.foxglove.sink import FoxgloveSink, RecordedSink, ServedSink
+from edoras_tools.io.net.address import is_loopback
 from edoras_tools.pipelines.capture.record import CaptureReport, Target, pour, record
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.render.severity import EXPLANATIONS, Level
@@ -55,7 +56,7 @@ def attach(
         ConfigError: ``websockets`` is not installed.
     """
     options = ServerOptions(listen, origins, publisher, player, token)
-    return FoxgloveSink(
+    sink = FoxgloveSink(
         bench.mission,
         bench.types,
         info,
@@ -65,6 +66,10 @@ def attach(
         structs=bench.columns.context.structs,
         endpoints=bench.columns.context.endpoints,
     )
+    here = sink.server.endpoint
+    if info.kind == "live" and (info.name in {"lo", "any"} or not is_loopback(here.address)):
+        bench.columns.context.framings.pop(here.port, None)  # its page's traffic is no link's
+    return sink
 
 
 def attach_player(

@@ -5,9 +5,9 @@ Rules that it keeps:
 1. Bytes leave unchanged and in order. Where a peer reads slowly, the other one is read no faster.
 2. An end that stops sending is told to the other end once all its bytes have left; a broken connection breaks
    the other one too.
-3. The target is connected when the client's first bytes are to leave, never before: a cFS with SBN over TCP
-   ends when a connection closes before its first message, as a port scan's does. On all links here the client
-   speaks first.
+3. The target is connected when the client's first whole message is to leave, never before: a cFS with SBN
+   over TCP ends when a connection closes before its first message, as a port scan's does. On all links here
+   the client speaks first.
 4. One thread moves everything and sleeps until something arrives, is due, or has room again; no connection
    waits for another one's target.
 """
@@ -26,7 +26,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import os_errors
 from edoras_tools.io.net.sockets import local_endpoint
+from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET
+from edoras_tools.links.table import protocol
 from edoras_tools.sessions.faults.streams import StreamFaults
+from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
     from edoras_tools.model import Endpoint
@@ -276,8 +279,9 @@ class StreamProxy:
         try:
             first.receive(now)
             if first.target is None:
-                over = first.ended and not first.waiting
-                if over or (first.due(now) and not self._connect(connection, now)):
+                begun = self._has_message(first)
+                over = first.ended and not begun
+                if over or (begun and first.due(now) and not self._connect(connection, now)):
                     self._end(connection)
                     return
             for pipe in connection.pipes:
@@ -289,6 +293,15 @@ class StreamProxy:
         self._watch(connection)
         if all(pipe.reported for pipe in connection.pipes):
             self._end(connection)
+
+    def _has_message(self, pipe: _Pipe) -> bool:
+        """Return whether what waits begins with a whole message, or with none of this link."""
+        framing = protocol(self._plan.link).framing
+        if framing is None or pipe.size > framing.largest:
+            return bool(pipe.waiting)
+        data = b"".join(piece for _, piece in pipe.waiting)
+        length = framing.length(memoryview(data + bytes(PADDING)), 0, len(data)) if data else NOT_YET
+        return length == NOT_A_MESSAGE or 0 < length <= len(data)
 
     def _watch(self, connection: _Connection) -> None:
         """Wait for a source while there is room and it sends, and for a target while it is full."""

@@ -6,6 +6,7 @@ import csv
 import importlib.util
 import io
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -18,6 +19,9 @@ import pytest
 from effort import long_but
 from places import CAPTURES, MISSIONS
 from schema import held
+
+from edoras_tools.addons.archive.index import open_index
+from edoras_tools.errors import ConfigError
 
 NAMES = ("a_rover", "b_arm_single")
 DRIVES = 92
@@ -214,6 +218,48 @@ def test_export_is_read_by_others(call, index, tmp_path, monkeypatch):
     assert call("archive", "export", "-o", folder, "--force", "-q").code == 0
     assert call("archive", "export", "-o", index / "x.duckdb", "--force").code == 2
     assert [path.name for path in tmp_path.iterdir()] == ["it's"]
+
+
+FORBIDDEN = (
+    "SELECT * FROM read_csv('/etc/passwd')",
+    "SELECT * FROM read_text('/etc/hostname')",
+    "SELECT * FROM glob('/etc/*')",
+    "COPY captures TO 'out.csv'",
+    "EXPORT DATABASE 'out'",
+    "IMPORT DATABASE '.'",
+    "ATTACH 'other.db'",
+    "INSTALL httpfs",
+    "LOAD httpfs",
+    "SET enable_external_access = true",
+    "RESET lock_configuration",
+    "SELECT list(range) FROM range(1000000000)",
+    "",
+)
+
+
+def test_a_query_reads_and_writes_nothing_else(index, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for sql in FORBIDDEN:
+        with open_index(index / "x.duckdb") as opened, pytest.raises(ConfigError) as refused:
+            list(opened.answer(sql)[1])
+        assert len(str(refused.value).splitlines()) == 1, refused.value
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root makes links of another user")
+@pytest.mark.parametrize("linked", ["x.duckdb", "x.duckdb.wal", "out"])
+def test_another_user_s_link_is_not_followed(call, index, tmp_path, linked):
+    tmp_path.chmod(0o1777)
+    os.chown(tmp_path, 65533, 65533)
+    (tmp_path / linked).symlink_to(tmp_path / "precious")
+    os.lchown(tmp_path / linked, 65534, 65534)
+    if linked == "out":
+        done = call("archive", "export", "-o", tmp_path / "out")
+    else:
+        done = call("archive", index, "--index", tmp_path / "x.duckdb")
+    assert done.code == 1
+    assert "is another user's link in a shared folder; name another output" in done.err[0]
+    assert [item.name for item in tmp_path.iterdir()] == [linked]
 
 
 @pytest.mark.parametrize(

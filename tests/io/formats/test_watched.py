@@ -266,6 +266,20 @@ def test_what_is_to_outlast_a_power_cut_is_synced_at_the_interval_and_at_the_end
     assert {item for item in synced if item[1] is not None} == (files if sync_ns else set())
 
 
+def test_syncs_keep_their_interval(tmp_path, batches, monkeypatch):
+    """However unevenly data comes: 41 flushes, 230 ms apart."""
+    synced = []
+    recording = Recording(tmp_path / "x.pcap", sync_ns=1_000_000_000)
+    monkeypatch.setattr(recording.sink, "_to_disk", lambda *_: synced.append(recording.now))
+    for _ in range(41):
+        recording.now += 0.23
+        recording.sink.flush()
+        if recording.sink._syncing:
+            recording.sink._syncing.result()
+    recording.end()
+    assert len(synced) == 9 + 1
+
+
 def test_a_disk_that_fails_is_told(tmp_path, batches, monkeypatch):
     def failing(_fileno):
         raise OSError(5, "Input/output error")

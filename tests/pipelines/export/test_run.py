@@ -210,6 +210,7 @@ def test_files_are_named_after_topics():
     target = ExportTarget.of(Path("out"), name="csv")
     assert target.place("/robot_1/cmd_vel") == Path("out/robot_1.cmd_vel.csv")
     assert target.place("/a.b/../c") == Path("out/a%2Eb.%2E%2E.c.csv")
+    assert len(target.place("/" + "t" * 300).name) < 200
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import socket
 import struct
 import threading
 from contextlib import contextmanager
@@ -12,7 +13,8 @@ from places import ROOT
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import RealTimeSource, start_simulation
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.model import Endpoint, Finding
+from edoras_tools.links.racs2 import RACS2
+from edoras_tools.model import Endpoint, Finding, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.live.publish import CommandPublisher
 from edoras_tools.pipelines.live.run import LEVELS, attach, live
@@ -111,6 +113,18 @@ def test_any_pipeline_can_be_looked_at(tmp_path):
         record(source, bench, Target(tmp_path / "a.mcap"), tap=sink.write)
         client.until(lambda: len(client.messages) == 600)
     sink.close(source.statistics)
+
+
+def test_its_own_page_is_no_link_s():
+    """Its port is that of a link over TCP: where it may be captured, it is not read as one."""
+    for name, kind, left_out in (("lo", "live", True), ("eth0", "live", False), ("x.pcap", "pcap", False)):
+        bench = SETTINGS.workbench()
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = free.getsockname()[1]
+        bench.columns.context.framings[port] = RACS2.framing
+        sink = attach(bench, SourceInfo(name, kind), listen=Endpoint("127.0.0.1", port))
+        sink.close(SourceStatistics())
+        assert (port not in bench.columns.context.framings) == left_out
 
 
 def test_a_choice_that_cannot_be_is_said_and_all_is_closed(made_up):

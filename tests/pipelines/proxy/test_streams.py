@@ -25,6 +25,9 @@ from edoras_tools.pipelines.proxy.streams import StreamProxy
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import parse_rule
 
+HELLO = sbn_messages(1)[0]
+"""The message with which a client begins."""
+
 
 @contextmanager
 def relay(target, *rules, link=SBN, cut_ns=0):
@@ -54,17 +57,17 @@ def server():
 
 @pytest.fixture
 def connected():
-    """A function: both ends of a connection through a relay, after the byte with which it begins."""
+    """A function: both ends of a connection through a relay, after the message with which it begins."""
     ends = []
 
     def connect(made, server):
         client = socket.create_connection(("127.0.0.1", made.endpoint.port))
-        client.sendall(b"!")
+        client.sendall(HELLO)
         accepted, _ = server.accept()
         ends.extend((client, accepted))
         for end in ends:
             end.settimeout(PATIENCE_S)
-        assert accepted.recv(1) == b"!"
+        assert accepted.recv(len(HELLO)) == HELLO
         return client, accepted
 
     yield connect
@@ -96,7 +99,7 @@ def test_every_byte_both_ways_and_each_end(server, connected):
         assert found["there"] == there
         until(lambda: not made._open)
     summary = made.summary()
-    assert summary["bytes_to_target"] == 1 + len(there)
+    assert summary["bytes_to_target"] == len(HELLO) + len(there)
     assert summary["bytes_to_client"] == len(back)
     assert (summary["connections"], summary["cut"], summary["refused"], summary["silent"]) == (1, 0, 0, 0)
 
@@ -149,7 +152,7 @@ def test_a_target_that_is_not_there_is_counted():
         with relay(probe.getsockname()[1]) as made:
             with socket.create_connection(("127.0.0.1", made.endpoint.port)) as client:
                 client.settimeout(PATIENCE_S)
-                client.sendall(b"!")
+                client.sendall(HELLO)
                 assert client.recv(1) == b""
             until(lambda: made.refused == 1)
     assert made.silent == 0
@@ -166,7 +169,7 @@ def test_a_target_that_does_not_answer_holds_up_no_other_connection(connected, m
                 waiting.setblocking(False)
                 waiting.connect_ex(server.getsockname())
             late = filled.enter_context(socket.create_connection(("127.0.0.1", made.endpoint.port)))
-            late.sendall(b"!")
+            late.sendall(HELLO)
             until(lambda: len(made._open) == 2 and made._open[1].target is not None)
             accepted.sendall(b"goes on")
             assert client.recv(7) == b"goes on"
@@ -176,14 +179,19 @@ def test_a_target_that_does_not_answer_holds_up_no_other_connection(connected, m
             assert made.refused == 1
 
 
-@pytest.mark.parametrize("leave", ["close", "half-close", "reset", "reset while its bytes are held back"])
-def test_the_target_hears_nothing_of_a_client_that_sent_nothing(server, connected, leave):
+@pytest.mark.parametrize(
+    "leave", ["close", "half-close", "reset", "reset while its bytes are held back", "part"]
+)
+def test_the_target_hears_nothing_of_a_client_that_sent_no_message(server, connected, leave):
     held = leave.endswith("held back")
     with relay(server.getsockname()[1], *(["delay:1h,to=cfs"] if held else [])) as made:
         with socket.create_connection(("127.0.0.1", made.endpoint.port)) as scan:
             until(lambda: made._open)
             if held:
-                scan.sendall(b"!")
+                scan.sendall(HELLO)
+                until(lambda: made._open[0].pipes[0].waiting)
+            if leave == "part":
+                scan.sendall(HELLO[:-1])
                 until(lambda: made._open[0].pipes[0].waiting)
             if leave.startswith("reset"):
                 scan.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -201,11 +209,11 @@ def test_the_target_hears_nothing_of_a_client_that_sent_nothing(server, connecte
 def test_bytes_before_the_end_reach_the_target_though_the_client_has_left(server):
     with relay(server.getsockname()[1], "delay:50ms,to=cfs") as made:
         with socket.create_connection(("127.0.0.1", made.endpoint.port)) as client:
-            client.sendall(b"all of it")
+            client.sendall(HELLO + b"all of it")
         accepted, _ = server.accept()
         with accepted:
             accepted.settimeout(PATIENCE_S)
-            assert read_all(accepted) == b"all of it"
+            assert read_all(accepted) == HELLO + b"all of it"
     assert (made.connections, made.silent) == (1, 0)
 
 

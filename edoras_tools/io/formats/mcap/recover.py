@@ -12,6 +12,7 @@ How records are found: ``scan``. What is kept:
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,7 +31,7 @@ from mcap.records import (
 )
 
 from edoras_tools import __version__
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.mcap.file import McapFile, join_chunks, pack_chunks, record_bytes
 from edoras_tools.io.formats.mcap.index import MESSAGE_HEAD, RECORD_HEAD
 from edoras_tools.io.formats.mcap.recovery.numbering import Definitions, Numbering, renumbered
@@ -40,6 +41,7 @@ from edoras_tools.io.formats.mcap.recovery.scan import Piece, Scan
 from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary, summaries
 from edoras_tools.io.formats.mcap.unpack import Proof
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
+from edoras_tools.io.outputs import lock_older
 from edoras_tools.io.topics.rows import MAGIC
 
 if TYPE_CHECKING:
@@ -105,6 +107,9 @@ def recover(
     if report.whole:
         return report
     regular = target.is_file() or not target.exists()
+    older = -1
+    with os_errors(f"{target}: cannot be written"):
+        older = lock_older(target)
     part = target.with_name(f"{target.name}.part") if regular else target
     with FileBytes(source) as file:
         out = None
@@ -125,6 +130,9 @@ def recover(
             if isinstance(error, OSError):
                 raise CaptureError(f"{target}: cannot be written: {error.strerror or error}") from error
             raise
+        finally:
+            if older >= 0:
+                os.close(older)
     return report
 
 

@@ -26,7 +26,7 @@ from edoras_tools.io.topics.streams import (
     Streams,
     Topic,
 )
-from edoras_tools.model import Finding
+from edoras_tools.model import Finding, InterfaceOutage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from edoras_tools.model import (
         Columns,
         HostCounters,
-        InterfaceOutage,
         PacketBatch,
         SourceInfo,
         SourceStatistics,
@@ -342,6 +341,10 @@ class McapSink:
         """Write outages of the source's interface since the last call: as messages and as metadata."""
         outages = list(self._live.outages) if self._live else []
         news = [outage for place, outage in enumerate(outages) if [outage] != self._noted[place : place + 1]]
+        if waits := self.output.waits:  # what came meanwhile was captured, or is counted as dropped
+            self.output.waits = []
+            full = [InterfaceOutage(f"the disk of {self.output.path.name}", "full", *span) for span in waits]
+            self._chunks.append([self._streams.outages(full)], len(full))
         if not news:
             return
         self._noted = outages
