@@ -329,8 +329,8 @@ def _index() -> str:
 
     lines = []
     for table in tables.TABLES.values():
-        lines += [f"**`{table.name}`**: {table.told}", "", "| column | type | what |", "|---|---|---|"]
-        lines += [f"| `{item.name}` | {item.kind} | {item.told} |" for item in table.columns[1:]]
+        lines += [f"**`{table.name}`**: {table.description}", "", "| column | type | what |", "|---|---|---|"]
+        lines += [f"| `{item.name}` | {item.kind} | {item.description} |" for item in table.columns[1:]]
         lines.append("")
     return "\n".join(lines)
 

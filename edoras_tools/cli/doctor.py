@@ -189,6 +189,7 @@ def _list_lost(
     printing: options.PrintOptions,
     jobs: int,
 ) -> None:
+    from edoras_tools.diagnosis.examination import Examination
     from edoras_tools.pipelines.doctor.doctor import Pace, examine, list_missing
 
     files = given.paths
@@ -197,7 +198,9 @@ def _list_lost(
     with file_progress(files, quiet=printing.quiet) as bar:
         source, bench = open_input(given, settings, aligned=True, progress=bar)
         pace = Pace(monotonic_ns, jobs=jobs)
-        findings = examine(source, bench, profile=profile, scope=scope, pace=pace, progress=bar, listing=True)
+        examination = Examination(bench.columns.context, profile)
+        examination.listing = True
+        findings = examine(source, bench, scope=scope, pace=pace, progress=bar, examination=examination)
         again, _ = open_input(given, settings, aligned=True, progress=bar)
         found = list_missing(findings.diagnosis, again, bench, bar)
     if listing is Listing.TABLE:

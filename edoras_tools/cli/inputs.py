@@ -6,7 +6,7 @@ import os
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 from typer import Argument, Option
 
@@ -22,16 +22,22 @@ if TYPE_CHECKING:
     from edoras_tools.render.terminal.text import Progress
 
 
+_WAIT: Final = "wait:"
+
+
 @headed("Live traffic")
 class LiveOptions(NamedTuple):
     """Live traffic: packets on an interface, or datagrams sent to a port."""
 
-    interface: Annotated[str | None, Option("--interface", "-i", metavar="IFACE", help="Capture it.")] = None
+    interface: Annotated[
+        str | None,
+        Option("--interface", "-i", metavar="IFACE", help="Capture it; wait:IFACE waits until it is up."),
+    ] = None
     listen: Annotated[
         list[str] | None,
         Option(metavar="[HOST:]PORT", help="Receive on a UDP port; of loopback unless HOST is given."),
     ] = None
-    wait_interface: Annotated[bool, Option("--wait-interface", help="Wait until IFACE is up.")] = False
+    wait_interface: Annotated[bool, Option("--wait-interface", hidden=True)] = False
     user: Annotated[str | None, Option(help="Run as this user once the capture is open.")] = None
 
 
@@ -183,6 +189,7 @@ def _opened(given: LiveOptions, bench: Workbench, *, every_port: bool) -> Source
     """Open live traffic."""
     interface, listen, waits, _ = given
     if interface:
+        waits, interface = waits or interface.startswith(_WAIT), interface.removeprefix(_WAIT)
         from edoras_tools.io.capture.live import open_live
 
         context = bench.columns.context

@@ -41,7 +41,7 @@ _NO_MEMORY: Final = (
 """Texts of errors other than ``MemoryError`` that mean that memory is exhausted."""
 
 _OF_THE_CORE: Final = {
-    "Look": ("sniff", "info", "decode", "live", "plot", "host"),
+    "Look": ("sniff", "info", "decode", "live", "plot", "trace", "host"),
     "Record": ("record", "recover", "export", "files"),
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "proxy"),
@@ -238,8 +238,8 @@ class _Edoras(Group):
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
         self.params.append(_version_option())
-        self.params.append(_flag("--quiet", "-q", text=QUIET, expose_value=False))
-        self.params.append(_flag("--verbose", "-v", text=VERBOSE, expose_value=False))
+        self.params.append(_flag("--quiet", "-q", text=QUIET, expose_value=False, hidden=True))
+        self.params.append(_flag("--verbose", "-v", text=VERBOSE, expose_value=False, hidden=True))
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; nothing may follow an option about completion, which would ignore it."""

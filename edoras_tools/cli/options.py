@@ -287,6 +287,7 @@ Verbose = Annotated[bool, Option("--verbose", "-v", help=f"{VERBOSE} Also list h
 
 SET: Final = "How packets are decoded, or a constant of your cFS: edoras help decoding."
 OLD_NAMES: Final[Mapping[str, str]] = {
+    "--again": "--force",
     "--hz": "--rate",
     "--limit": "--max-rate",
     "--since": "--start",
@@ -448,7 +449,7 @@ def _refuse_constants(constants: Sequence[str]) -> None:
             hint = did_you_mean(name, [item.replace("_", "-") for item in SETTINGS], 1)
             raise ConfigError(
                 f"--set {text}: {name} says nothing of how packets are decoded; "
-                f"{hint or 'constants of cFS are for doctor, report, check and sim'}"
+                f"{hint or 'constants of cFS are for doctor, report, trace, check and sim'}"
             )
 
 

@@ -128,9 +128,22 @@ def limit_command(case: Case, loss: Loss) -> Change | None:
     """Return the command that last set how many of a MsgId may wait at Telemetry Output, if one did."""
     if loss.hop != telemetry_output.PIPE:
         return None
-    system = case.instances.systems[loss.instance] if loss.instance != NOBODY else 0
-    changes = case.timeline.of(StateOwner("entry", "", loss.msg_id), system)
-    before = [item for item in changes if item.not_before_ns <= loss.start_ns + SECOND]
+    return _entry_command(case, loss.instance, loss.msg_id, loss.start_ns + SECOND)
+
+
+def told_limit(case: Case, stream: Stream) -> int | None:
+    """Return how many messages of a stream may wait at Telemetry Output, if the last command says so."""
+    if not stream.link.only_from_cfs:
+        return None
+    command = _entry_command(case, case.known.owner(stream), stream.msg_id, case.end_ns)
+    return command.value if command and isinstance(command.value, int) else None
+
+
+def _entry_command(case: Case, instance: int, msg_id: int, until_ns: int) -> Change | None:
+    """Return the last command about an entry of Telemetry Output's table, where it subscribes."""
+    system = case.instances.systems[instance] if instance != NOBODY else 0
+    changes = case.timeline.of(StateOwner("entry", "", msg_id), system)
+    before = [item for item in changes if item.not_before_ns <= until_ns]
     return before[-1] if before and before[-1].state == "subscribed" else None
 
 
@@ -240,7 +253,7 @@ def _spread(own: Arrivals, queue: queues.Queue, limit: int, slower: str, words: 
 def _published(case: Case, stream: Stream) -> Arrivals:
     """Return all that went into the pipe that a stream came out of, with what was lost of it."""
     alike = [
-        (item.msg_id, _published_at(case, item))
+        (item.msg_id, published_at(case, item))
         for item in case.streams
         if (item.link, item.sender) == (stream.link, stream.sender)
         and (stream.link.only_from_cfs or item.receiver == stream.receiver)
@@ -250,7 +263,7 @@ def _published(case: Case, stream: Stream) -> Arrivals:
     return Arrivals(time_ns, msg_id).take(np.argsort(time_ns, kind="stable"))
 
 
-def _published_at(case: Case, stream: Stream) -> NDArray[np.int64]:
+def published_at(case: Case, stream: Stream) -> NDArray[np.int64]:
     """Return when each message of a stream was published, the missing ones too: by its header's time."""
     when, mission = case.rows.time_ns[stream.rows], case.rows.mission_time_ns[stream.rows]
     if stream.instance != NOBODY and (mission > 0).all():

@@ -270,22 +270,35 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
     if not len(case.rows):
         return [_told(case, rule.__name__, verdict) for rule in OTHERS for verdict in rule(case)]
     every = rules()
-    found: dict[str, list[Verdict]] = {}
-    for name in (name for name in every if name in SINGLE):
-        progress(len(found), len(every))
-        found[name] = [_told(case, name, verdict) for verdict in every[name](case)]
-    for item in (item for members in found.values() for item in members if item.lost):
-        figures = item.start_ns, item.end_ns, item.lost or 0, item.of
-        case.refused.append(Refused(item.rule, item.link, item.msg_id, item.hop, *figures, item.by_type))
-    left = iter(map(case.commands.refusals, case.refused))
-    for members in found.values():
-        members[:] = [_lost_here(item, next(left)) if item.lost else item for item in members]
+    found = judge_single(case, lambda done: progress(done, len(every)))
     for name, rule in every.items():
         if name not in found:
             found[name] = [_told(case, name, verdict) for verdict in rule(case)]
             progress(len(found), len(every))
         case.verdicts += found[name]
     return case.verdicts
+
+
+def judge_single(
+    case: Case, progress: Callable[[int], None] = lambda _done: None
+) -> dict[str, list[Verdict]]:
+    """Ask the rules about single messages; from then on the case knows what cFS refused.
+
+    Args:
+        progress: told how many rules were asked.
+    """
+    found: dict[str, list[Verdict]] = {}
+    for name, rule in rules().items():
+        if name in SINGLE:
+            progress(len(found))
+            found[name] = [_told(case, name, verdict) for verdict in rule(case)]
+    for item in (item for members in found.values() for item in members if item.lost):
+        figures = item.start_ns, item.end_ns, item.lost or 0, item.of
+        case.refused.append(Refused(item.rule, item.link, item.msg_id, item.hop, *figures, item.by_type))
+    left = iter(map(case.commands.refusals, case.refused))
+    for members in found.values():
+        members[:] = [_lost_here(item, next(left)) if item.lost else item for item in members]
+    return found
 
 
 def _told(case: Case, rule: str, verdict: Verdict) -> Verdict:

@@ -19,7 +19,7 @@ def test_its_command_has_only_options_that_exist():
     context = typer.main.get_command(program()).commands[name].make_context(name, arguments)
     assert context.args == []
     given = context.params
-    assert (given["interface"], given["wait_interface"]) == ("eth0", True)
+    assert given["interface"] == "wait:eth0"
     assert list(given["keep"]) == [("size", 20_000_000_000)]
     assert str(given["output"]).startswith("/var/lib/edoras/run_2")
 

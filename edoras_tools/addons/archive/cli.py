@@ -122,7 +122,7 @@ def index_captures(
     *,
     places: Annotated[list[str], Argument(metavar="DIR|URL...", help="Folders, files; s3: and http:.")],
     index: Index = _INDEX,
-    again: Annotated[bool, Option("--again", help="Read all captures, not only new or changed.")] = False,
+    again: Annotated[bool, Option("--force", help="Read all captures, not only new or changed.")] = False,
     forget: Annotated[bool, Option("--forget", help="Delete captures that are no longer there.")] = False,
     work: WorkerOptions,
     printing: options.PrintOptions,

@@ -153,7 +153,7 @@ class Ring(Device):
         device = _existing_interface(interface) if wait else find_interface(interface)
         if not wait and not device.up:
             raise CaptureError(
-                f"{interface} is down: switch it on with 'ip link set {interface} up', or --wait-interface"
+                f"{interface} is down: switch it on with 'ip link set {interface} up', or -i wait:{interface}"
             )
         walks = barrier.available()
         super().__init__(_BUSY_LINGER_S, look_s=FRESH_S if walks else _WATCH_S)

@@ -230,7 +230,7 @@ def examine(
     pace: Pace | None = None,
     progress: Progress | None = None,
     counting: Counting | None = None,
-    listing: bool = False,
+    examination: Examination | None = None,
 ) -> Findings:
     """Read a source to its end and judge it.
 
@@ -242,14 +242,13 @@ def examine(
         pace: for a live source, and how many processes share the work; by default one.
         progress: updated after every batch, and while judging.
         counting: counts while they are read the datagrams that the scope selects.
-        listing: also list every message that was lost.
+        examination: takes the datagrams; by default one that lists no lost messages.
 
     Raises:
         RouteError: the scope names a topic that is not configured.
         ConfigError: its filter has an error.
     """
-    examination = Examination(bench.columns.context, profile)
-    examination.listing = listing
+    examination = examination or Examination(bench.columns.context, profile)
     if progress is not None:
         examination.progress = partial(progress.step, "judging")
     scope = scope or Scope()

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.doctor import examine, list_missing
 from edoras_tools.pipelines.export.block import TopicBlock
@@ -83,11 +84,12 @@ def judged_blocks(
 
     source = opened()
     bench = settings.workbench(source.info)
-    listing = LOST_TOPIC in topics
-    diagnosis = examine(source, bench, scope=scope, progress=progress, listing=listing).diagnosis
+    examination = Examination(bench.columns.context)
+    examination.listing = LOST_TOPIC in topics
+    diagnosis = examine(source, bench, scope=scope, progress=progress, examination=examination).diagnosis
     if VERDICTS_TOPIC in topics:
         yield judged_block(VERDICTS_TOPIC, [item.as_json() for item in diagnosis.verdicts])
-    if listing:
+    if examination.listing:
         result = list_missing(diagnosis, opened(), bench, progress)
         yield judged_block(LOST_TOPIC, [item.as_json() for item in result])
 

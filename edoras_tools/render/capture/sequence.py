@@ -62,10 +62,10 @@ def mermaid(messages: Sequence[SequenceMessage]) -> Iterator[str]:
     yield "sequenceDiagram"
     parties = _parties(messages)
     for name, key in parties.items():
-        yield f"    participant {key} as {_mermaid_text(name)}"
+        yield f"    participant {key} as {mermaid_text(name)}"
     for item in messages:
         arrow = f"{parties[item.source]}->>{parties[item.destination]}"
-        yield f"    {arrow}: {_mermaid_text(item.text)}"
+        yield f"    {arrow}: {mermaid_text(item.text)}"
 
 
 def plantuml(messages: Sequence[SequenceMessage]) -> Iterator[str]:
@@ -92,5 +92,6 @@ def _parties(messages: Sequence[SequenceMessage]) -> dict[str, str]:
     return {name: f"P{number}" for number, name in enumerate(names, 1)}
 
 
-def _mermaid_text(text: str) -> str:
+def mermaid_text(text: str) -> str:
+    """Return a text so that Mermaid reads none of it as its own."""
     return _MERMAID.sub(lambda match: f"#{ord(match[0])};", clean(text))

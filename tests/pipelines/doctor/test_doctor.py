@@ -181,7 +181,9 @@ def chapters(monkeypatch, path, jobs, *, listing=False, configs=()):
     source = open_files([path])
     parts = _Parts(source, 100)
     bench = Settings(configs).workbench(source.info)
-    return examine(parts, bench, pace=Pace(lambda: 0, jobs=jobs), listing=listing)
+    judge = examination.Examination(bench.columns.context)
+    judge.listing = listing
+    return examine(parts, bench, pace=Pace(lambda: 0, jobs=jobs), examination=judge)
 
 
 class _Parts:

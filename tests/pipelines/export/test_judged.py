@@ -6,6 +6,7 @@ import pytest
 from places import CAPTURES, MISSIONS
 
 import edoras_tools
+from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.pipelines.doctor.doctor import examine, list_missing
 from edoras_tools.pipelines.export.judged import JUDGED
 from edoras_tools.pipelines.export.sources import open_topics
@@ -23,7 +24,10 @@ def tables():
 @pytest.fixture(scope="module")
 def diagnosis():
     source = open_files(PATHS)
-    return examine(source, SETTINGS.workbench(source.info), listing=True).diagnosis
+    bench = SETTINGS.workbench(source.info)
+    examination = Examination(bench.columns.context)
+    examination.listing = True
+    return examine(source, bench, examination=examination).diagnosis
 
 
 def rows_of(table):

@@ -1,0 +1,530 @@
+"""The way of one message: a view of the ledger, the matched streams and the rounds of queues.
+
+Rules:
+
+1. A message is followed by its values: back to where it was first captured, and on to where it comes out.
+   Times of datagrams are measured; all others lie between two of these and say how they are known.
+2. How it ended is what the ledger says. An entry that is of as many messages as it is among proves it of
+   each. So does one kind of ending that is left for all messages that nothing else decides.
+3. Elsewhere the model of queues may say what it explains: ``by model``. Else it is not known, and what it may
+   be is listed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+
+from edoras_tools.diagnosis.accounting.losses import Among
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.ledger import APPLICATION, LedgerEntry, LedgerWay, MessageLedger
+from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
+from edoras_tools.diagnosis.matching.streams import find_robots
+from edoras_tools.diagnosis.rounds import Rounds, rounds_into, rounds_out
+from edoras_tools.model import NO_MSG_ID
+from edoras_tools.sessions.sequence import MODULUS
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.crossing import Hop
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+Witness = Literal["proven", "measured", "by model", "unknown"]
+"""Proven: counters, counts or values show it. Measured: a datagram's time. By model: queues explain it."""
+_NOT_SEEN: Final = "not seen in a capture: give doctor the --bag of its side"
+PASSED_ON: Final = "passed on by the application, and lost behind it"
+ENDING_TEXTS: Final[Mapping[str, str]] = {
+    "superseded": "gave way to a newer one",
+    "waiting": "may be on its way still",
+    "not_captured": "could not be followed: the capture may lack it",
+    "unaccounted": "missing, and nothing shows why",
+    "uncertain": "may be lost, or only not seen",
+    "shared": "may be among losses that a counter has of several MsgIds",
+}
+"""Endings of the ledger that are no losses, for people."""
+
+
+@dataclass(frozen=True, slots=True)
+class TraceStep:
+    """One place on the way of a message.
+
+    Attributes:
+        hop: the place.
+        text: what happened there.
+        witness: how that is known.
+        time_ns: when, ns since 1970; None where that is not known.
+        packet: place of its datagram in the capture, from 1; None where there is none.
+        waiting: messages of its MsgId that waited in front of it; None where that is not known.
+        limit: how many of them may wait.
+    """
+
+    hop: str
+    text: str
+    witness: Witness
+    time_ns: int | None = None
+    packet: int | None = None
+    waiting: int | None = None
+    limit: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MessageEnd:
+    """How the way of a message ended.
+
+    Attributes:
+        ending: ``delivered``, ``sent_out`` (seen leaving; nothing shows whether anyone took it), an ending of
+            the ledger, or ``open``: one of several.
+        hop: where.
+        text: the same for people.
+        witness: how that is known.
+        cause: why, of a loss.
+        one_of: among how many messages it is not known which ended so; None where that is known.
+    """
+
+    ending: str
+    hop: str
+    text: str
+    witness: Witness
+    cause: str = ""
+    one_of: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MessageTrace:
+    """The way of one message.
+
+    Attributes:
+        topic: configured topic, else the packet's name, or None.
+        link: label of the link on which it is first seen.
+        msg_id: its cFE MsgId there.
+        nth: its place among the messages of that stream, from 1, those included that were never seen.
+        of: how many these are.
+        steps: the places on its way, in order.
+        ended: how it ended.
+        delay_ns: from the first to the last time that is known; None where there is one only.
+        usual: of all messages that went this way, as ``doctor -v`` has it; None where none did.
+    """
+
+    topic: str | None
+    link: str
+    msg_id: int
+    nth: int
+    of: int
+    steps: tuple[TraceStep, ...]
+    ended: MessageEnd
+    delay_ns: int | None
+    usual: Latency | None
+
+    @property
+    def after_ns(self) -> list[int | None]:
+        """The time since the step before that has one, of each step; they add up to ``delay_ns``."""
+        out: list[int | None] = []
+        before: int | None = None
+        for step in self.steps:
+            out.append(None if step.time_ns is None or before is None else step.time_ns - before)
+            before = before if step.time_ns is None else step.time_ns
+        return out
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``trace --json``."""
+        return {
+            "topic": self.topic,
+            "link": self.link,
+            "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}",
+            "nth": self.nth,
+            "of": self.of,
+            "steps": [
+                {**asdict(step), "after_ns": after_ns}
+                for step, after_ns in zip(self.steps, self.after_ns, strict=True)
+            ],
+            "ended": asdict(self.ended),
+            "delay_ns": self.delay_ns,
+            "usual": self.usual.as_json() if self.usual else None,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    """A message in one stream: its row, or how far behind a row it is missing."""
+
+    stream: Stream
+    row: int
+    behind: int = 0
+
+    @property
+    def at(self) -> int:
+        """Its row in the capture, or that of the one before it."""
+        return int(self.stream.rows[self.row])
+
+
+class Tracer:
+    """Follows messages of a capture that was judged."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+        self._robots = find_robots(case.rows)
+        self._ways = MessageLedger(case).ways
+
+    def packet(self, number: int) -> MessageTrace | None:
+        """Return the way of the message in a packet; None where it is no message of a link.
+
+        Args:
+            number: its place in the capture, from 1.
+        """
+        row = int(np.searchsorted(self._case.rows.number, number))
+        if not (self._case.rows.number[row : row + 1] == number).all() or row >= len(self._case.rows):
+            rows = np.flatnonzero(self._case.rows.number == number)  # times of which some were put in order
+            if not len(rows):
+                return None
+            row = int(rows[0])
+        for stream in (*self._case.streams, *self._robots):
+            place = int(np.searchsorted(stream.rows, row))
+            if place < len(stream) and stream.rows[place] == row:
+                return self.follow(_Leg(stream, place))
+        return None
+
+    def missing(self, link: str, msg_id: int, time_ns: int, first: int | None) -> MessageTrace | None:
+        """Return the way of a message that never came, by the packet before it and its own count."""
+        for stream in self._case.streams:
+            if (stream.link.label, stream.msg_id) == (link, msg_id):
+                for row in np.flatnonzero(self._case.rows.time_ns[stream.rows] == time_ns).tolist():
+                    if stream.missing[row]:
+                        count = int(self._case.rows.sequence_count[stream.rows[row]])
+                        behind = 1 if first is None else (first - count) % MODULUS
+                        return self.follow(_Leg(stream, row, min(behind, int(stream.missing[row]))))
+        return None
+
+    def nth(self, streams: Sequence[Stream], nth: int) -> MessageTrace | None:
+        """Return the way of the n-th message of some streams, one after the other, or None."""
+        first = np.cumsum([0, *(messages_in(item) for item in streams)])
+        which = int(np.searchsorted(first, nth, side="left")) - 1
+        if not 0 <= which < len(streams):
+            return None
+        stream = streams[which]
+        counts = np.cumsum(_counts(stream))
+        place = nth - int(first[which]) - 1
+        row = int(np.searchsorted(counts, place, side="right"))
+        return self.follow(_Leg(stream, row, place - (int(counts[row - 1]) if row else 0)))
+
+    def follow(self, leg: _Leg) -> MessageTrace:
+        """Return the way of a message."""
+        legs = [*reversed(list(self._before(leg))), leg, *self._behind(leg)]
+        head, last, case = legs[0], legs[-1], self._case
+        steps = [*self._origin(head)]
+        for place, item in enumerate(legs):
+            if place:
+                steps += self._out(item, steps)
+            if id(item.stream) in case.commands.fates:
+                steps += self._inside(item, legs[place + 1] if place + 1 < len(legs) else None)
+        ended = self._ended(last, steps)
+        times = [step.time_ns for step in steps if step.time_ns is not None]
+        counts = _counts(head.stream)
+        return MessageTrace(
+            topic=case.topic(head.stream.msg_id) or case.packet_name(head.stream.msg_id) or None,
+            link=head.stream.link.label,
+            msg_id=head.stream.msg_id,
+            nth=int(counts[: head.row].sum()) + head.behind + 1,
+            of=int(counts.sum()),
+            steps=tuple(steps),
+            ended=ended,
+            delay_ns=times[-1] - times[0] if len(times) > 1 else None,
+            usual=self._usual(legs),
+        )
+
+    def _before(self, leg: _Leg) -> Iterator[_Leg]:
+        """Yield the messages that one was before, the latest first."""
+        while not leg.behind and (before := self._way_in(leg)) is not None:
+            leg = before
+            yield leg
+
+    def _way_in(self, leg: _Leg) -> _Leg | None:
+        for hop in self._case.hops:
+            place = int(np.searchsorted(hop.out.rows, leg.at))
+            if place < len(hop.out) and hop.out.rows[place] == leg.at and hop.origin[place] >= 0:
+                return _Leg(hop.into, int(hop.origin[place]))
+        return None
+
+    def _behind(self, leg: _Leg) -> Iterator[_Leg]:
+        """Yield the messages that one became."""
+        streams = {id(leg.stream)}
+        while not leg.behind:
+            onward = next(self._ways_out(leg), None)
+            if onward is None or id(onward[1].stream) in streams:
+                return
+            leg = onward[1]
+            streams.add(id(leg.stream))
+            yield leg
+
+    def _ways_out(self, leg: _Leg) -> Iterator[tuple[Hop, _Leg]]:
+        for hop in self._case.hops:
+            if hop.into is leg.stream:
+                for place in np.flatnonzero(hop.in_rows == leg.row).tolist():
+                    yield hop, _Leg(hop.out, int(hop.out_rows[place]))
+
+    def _time(self, leg: _Leg) -> int:
+        return int(self._case.rows.time_ns[leg.at])
+
+    def _origin(self, leg: _Leg) -> Iterator[TraceStep]:
+        """Yield where a message comes from: a bridge, or an application of cFS."""
+        stream, rows = leg.stream, self._case.rows
+        if stream.link.only_from_cfs or (stream.link.peers and stream.instance != NOBODY):
+            yield from self._published(leg)
+            return
+        who, whom = (self._case.endpoints[int(end[leg.at])] for end in (rows.source, rows.destination))
+        if stream.link.last_hop:
+            yield self._captured(leg, "sender")
+            return
+        yield TraceStep("publisher", _NOT_SEEN, "unknown")
+        text = f"{who} to {whom}"
+        yield TraceStep("bridge", text, "measured", self._time(leg), int(rows.number[leg.at]))
+
+    def _published(self, leg: _Leg) -> Iterator[TraceStep]:
+        """Yield when an application published a message, what waited in the pipe, and when it left."""
+        rounds = rounds_out(self._case, leg.stream)
+        place = rounds.place(leg.row, leg.behind)
+        if leg.behind:
+            text = "its count never came: published between the one before it and the one behind it"
+            yield TraceStep(APPLICATION, text, "by model", int(rounds.time_ns[place]))
+            yield self._pipe(rounds, place)
+            return
+        mission, when = int(self._case.rows.mission_time_ns[leg.at]), None
+        if leg.stream.instance != NOBODY and mission > 0:
+            offset = self._case.instances.items[leg.stream.instance].offset_ns
+            when = min(mission + offset, self._time(leg))
+        text = "published; its header has no time" if when is None else "published, by the time in its header"
+        yield TraceStep(APPLICATION, text, "unknown" if when is None else "measured", when)
+        yield from self._departure(leg, rounds, place, when)
+
+    def _out(self, leg: _Leg, steps: Sequence[TraceStep]) -> Iterator[TraceStep]:
+        """Yield how a message that came in somewhere came out again."""
+        before = next((item.time_ns for item in reversed(steps) if item.time_ns is not None), None)
+        if leg.stream.link.last_hop:
+            yield self._captured(leg, "robot")
+            return
+        rounds = rounds_out(self._case, leg.stream)
+        yield from self._departure(leg, rounds, rounds.place(leg.row), before)
+
+    def _departure(self, leg: _Leg, rounds: Rounds, place: int, since_ns: int | None) -> Iterator[TraceStep]:
+        """Yield what waited in the pipe of a message that was captured, the wake-up, and the datagram."""
+        yield self._pipe(rounds, place)
+        wake = int(rounds.wake[place])
+        if 0 <= wake < len(rounds.wakes_ns):
+            when = int(np.clip(rounds.wakes_ns[wake], since_ns or 0, self._time(leg)))
+            yield TraceStep(rounds.queue, _woke(rounds, place), "measured", when)
+        yield self._captured(leg, "capture")
+
+    def _captured(self, leg: _Leg, hop: str) -> TraceStep:
+        rows, row = self._case.rows, leg.at
+        who, whom = (self._case.endpoints[int(end[row])] for end in (rows.source, rows.destination))
+        name = "" if leg.stream.link.last_hop else f"0x{leg.stream.msg_id:04x} "
+        text = f"{name}{who} to {whom}"
+        return TraceStep(hop, text, "measured", int(rows.time_ns[row]), int(rows.number[row]))
+
+    @staticmethod
+    def _pipe(rounds: Rounds, place: int) -> TraceStep:
+        """Return what waited in front of a message."""
+        waiting, limit = rounds.waiting(place), rounds.limit
+        if waiting is None:
+            text = f"it keeps {limit} of this MsgId ({rounds.limit_from}); what waited is not seen"
+            return TraceStep(rounds.pipe, text, "unknown", limit=limit)
+        if waiting > limit or (waiting == limit and rounds.out[place]):
+            text = f"{waiting} of this MsgId waited: the limit is not {limit}, as {rounds.limit_from}"
+            return TraceStep(rounds.pipe, text, "measured", waiting=waiting)
+        text = f"{waiting} of {limit} waited (limit {rounds.limit_from})"
+        if not rounds.out[place]:
+            text += ": full" if waiting >= limit else ": there was room"
+        witness: Witness = "measured" if rounds.out[place] else "by model"
+        return TraceStep(rounds.pipe, text, witness, waiting=waiting, limit=limit)
+
+    def _inside(self, leg: _Leg, onward: _Leg | None) -> Iterator[TraceStep]:
+        """Yield the wake-up that read a message, what waited, and the application."""
+        rounds = rounds_into(self._case, leg.stream)
+        place = rounds.place(leg.row)
+        sent, wake = self._time(leg), int(rounds.wake[place])
+        every = f"every {rounds.round_ns / 1e6:.0f} ms"
+        if 0 <= wake < len(rounds.wakes_ns):
+            when = max(sent, int(rounds.wakes_ns[wake]))
+            witness: Witness = "measured" if rounds.out[place] else "by model"
+            yield TraceStep(rounds.queue, _woke(rounds, place), witness, when)
+            yield self._pipe(rounds, place)
+        elif leg.stream.link.only_to_cfs:
+            yield TraceStep(rounds.queue, f"reads {every} (assumed); when is not seen", "unknown")
+        if onward is None:
+            return
+        same = "the same packet" if onward.stream.msg_id == leg.stream.msg_id else "the same values"
+        hop = next(hop for hop, there in self._ways_out(leg) if there.at == onward.at)
+        single = self._is_single(hop, leg)
+        text = f"{same} came out" + ("" if single else "; others had them too: the latest is taken")
+        yield TraceStep(APPLICATION, text, "proven" if single else "by model")
+
+    @staticmethod
+    def _is_single(hop: Hop, leg: _Leg) -> bool:
+        """Tell whether no other message that went in has the values of one."""
+        rows = np.flatnonzero(hop.known)
+        place = int(np.searchsorted(rows, leg.row))
+        return bool(place < len(rows) and rows[place] == leg.row and hop.single[place])
+
+    def _ended(self, leg: _Leg, steps: list[TraceStep]) -> MessageEnd:
+        """Return how the way of a message ended, by the ledger."""
+        stream = leg.stream
+        guessed = any(step.hop == APPLICATION and step.witness == "by model" for step in steps)
+        witness: Witness = "by model" if guessed and not leg.behind else "measured"
+        if stream.link.last_hop:
+            return MessageEnd("delivered", "robot", "came out to the robot", witness)
+        place = next(at for at, item in enumerate(self._case.streams) if item is stream)
+        way, fate = self._ways[place], self._case.commands.fates.get(id(stream))
+        full = any(step.witness == "by model" and (step.waiting or 0) >= (step.limit or 1) for step in steps)
+        if fate is not None and not fate.seen:
+            return self._unfollowed(way, leg)
+        absent = ~fate.arrived if fate is not None else np.zeros(len(stream), bool)
+        ending = _decided(way, leg, absent, full=full, case=self._case)
+        if ending is not None:
+            return ending
+        if leg.behind or absent[leg.row]:
+            return MessageEnd(
+                "open", way_end(way), "never came, and nothing shows what became of it", "unknown"
+            )
+        where = "SBN peer" if stream.link.peers else "bridge"
+        return MessageEnd("sent_out", where, f"left for the {where}; nothing shows who took it", witness)
+
+    def _unfollowed(self, way: LedgerWay, leg: _Leg) -> MessageEnd:
+        """Return the end of a message whose way out nothing shows: as far as counters go."""
+        ending = _decided(way, leg, np.ones(len(leg.stream), bool), full=False, case=self._case)
+        if ending is not None:
+            return ending
+        rows = way.rows()
+        text = "handed to the software bus; nothing here shows what the application did"
+        observed = all(row.observed for row in rows)
+        return MessageEnd("sent_out", rows[-1].hop, text, "proven" if observed else "unknown")
+
+    def _usual(self, legs: Sequence[_Leg]) -> Latency | None:
+        """Return the delay of all messages that went the same way, from the first to the last step."""
+        if len(legs) == 2:
+            return next((h.latency for h, there in self._ways_out(legs[0]) if there.at == legs[1].at), None)
+        stream = legs[0].stream
+        mission = self._case.rows.mission_time_ns[stream.rows]
+        if len(legs) > 2 or stream.link.to_cfs or stream.instance == NOBODY or not (mission > 0).any():
+            return None
+        offset = self._case.instances.items[stream.instance].offset_ns
+        timed = mission > 0
+        return latency_of(self._case.rows.time_ns[stream.rows][timed] - mission[timed] - offset)
+
+
+def messages_in(stream: Stream) -> int:
+    """Return how many messages a stream has, those included that never came."""
+    return int(_counts(stream).sum())
+
+
+def _counts(stream: Stream) -> np.ndarray[Any, np.dtype[np.int64]]:
+    return np.append(stream.missing[:-1], 0) + 1
+
+
+def way_end(way: LedgerWay) -> str:
+    """Return the last hop of a way."""
+    return way.rows()[-1].hop
+
+
+def _woke(rounds: Rounds, place: int) -> str:
+    many = int((rounds.wake == rounds.wake[place]).sum())
+    return f"wakes up every {rounds.round_ns / 1e6:.0f} ms; {plural(many, 'message')} of it this time"
+
+
+def _decided(way: LedgerWay, leg: _Leg, absent: Any, *, full: bool, case: Case) -> MessageEnd | None:
+    """Return the ending of a message by the entries of its way; None where none can be of it.
+
+    Args:
+        absent: bool, of each row of the stream: it did not come out.
+        full: the model says that its queue was full.
+        case: names applications as this cFS does.
+    """
+    entries = [(entry, _members(entry, leg)) for entry in [*way.entries(), *_passed_on(way, leg, case)]]
+    own = [entry for entry, members in entries if members and members[0]]
+    exact = [entry for entry, members in entries if members and members[1] == entry.number]
+    if own and all(entry in exact for entry in own):
+        return _ending(own[0], "proven", case, _texts(own, case, " or ", "{text}"))
+    is_absent = bool(leg.behind or absent[leg.row])
+    may_be = own + [entry for entry, members in entries if members is None and is_absent]
+    if not may_be:
+        return None
+    # Of telemetry the ledger has no rows that did not come, so no sum of them either.
+    pool = 0 if leg.behind or not is_absent else _undecided(absent, exact)
+    is_limit = [entry.cause == "limit" for entry in own]
+    if full and any(is_limit):
+        return _ending(own[is_limit.index(True)], "by model", case)
+    return _open(way, may_be, pool, case)
+
+
+def _open(way: LedgerWay, may_be: Sequence[LedgerEntry], pool: int, case: Case) -> MessageEnd:
+    """Return the ending of a message that is of one of several entries; of one kind for all it is proven.
+
+    Args:
+        pool: messages that no other entry decides; 0 where that is not known.
+    """
+    number = sum(entry.number for entry in may_be)
+    if len({(entry.ending, entry.hop, entry.cause) for entry in may_be}) == 1 and number >= pool > 0:
+        return _ending(may_be[0], "proven", case)
+    where = may_be[0].hop if len({entry.hop for entry in may_be}) == 1 else way_end(way)
+    text = f"may be one of {_texts(may_be, case, ', ', '{number:,} ({text})')}"
+    return MessageEnd("open", where, text, "unknown", one_of=max(pool, number))
+
+
+def _texts(entries: Sequence[LedgerEntry], case: Case, between: str, form: str) -> str:
+    """Return what several entries say, each text once."""
+    return between.join(
+        dict.fromkeys(form.format(number=item.number, text=_text(item, case)) for item in entries)
+    )
+
+
+def _undecided(absent: Any, exact: Sequence[LedgerEntry]) -> int:
+    """Return how many rows did not come out and are in no entry that is of as many as it is among."""
+    undecided = absent.copy()
+    for entry in exact:
+        if isinstance(entry.among, Among) and entry.among.missing is None:
+            undecided[entry.among.rows] = False
+    return int(undecided.sum())
+
+
+def _passed_on(way: LedgerWay, leg: _Leg, case: Case) -> Iterator[LedgerEntry]:
+    """Yield what came out of the application and was lost behind it: the ledger has it on the way out."""
+    fate = case.commands.fates.get(id(leg.stream))
+    if fate is not None and fate.seen and fate.passed_on:
+        yield LedgerEntry(way.traffic, APPLICATION, "lost", fate.passed_on, "passed_on", PASSED_ON)
+
+
+def _members(entry: LedgerEntry, leg: _Leg) -> tuple[bool, int] | None:
+    """Return whether a message is among those of an entry, and how many these are; None where none tells."""
+    among = entry.among
+    if not isinstance(among, Among):
+        return None
+    inside = among.stream is leg.stream and (among.missing is None) == (not leg.behind)
+    size = len(among.rows) if among.missing is None else int(among.missing.sum())
+    return inside and bool(np.isin(leg.row, among.rows)), size
+
+
+def _text(entry: LedgerEntry, case: Case) -> str:
+    return case.called(entry.text) or ENDING_TEXTS[entry.ending]
+
+
+def _ending(entry: LedgerEntry, witness: Witness, case: Case, said: str = "") -> MessageEnd:
+    text = said or _text(entry, case)
+    text = f"lost: {text}" if entry.ending == "lost" and not text.startswith("lost") else text
+    return MessageEnd(entry.ending, case.called(entry.hop), text, witness, entry.cause)
+
+
+def with_ending(trace: MessageTrace, text: str, one_of: int | None) -> MessageTrace:
+    """Return a trace of a message that the list of losses names, where its way alone does not tell.
+
+    Args:
+        text: what the list says became of it.
+        one_of: among how many it is not known which.
+    """
+    if trace.ended.ending == "lost":
+        return trace
+    witness: Witness = "proven" if one_of is None else "unknown"
+    ended = replace(trace.ended, ending="lost", text=f"lost: {text}", witness=witness, one_of=one_of)
+    return replace(trace, ended=ended)

@@ -1,0 +1,166 @@
+"""Follows one message of a capture, or one topic through the rounds of its queue."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from edoras_tools.diagnosis.case import Case
+from edoras_tools.diagnosis.evidence.relays.proxied import proxied
+from edoras_tools.diagnosis.examination import Chapter, Diagnosis, Examination, judge_single
+from edoras_tools.diagnosis.ledger import MessageLedger
+from edoras_tools.diagnosis.missing import Missing, missing
+from edoras_tools.diagnosis.rounds import Timing, rounds_into, rounds_out
+from edoras_tools.diagnosis.trace import (
+    ENDING_TEXTS,
+    PASSED_ON,
+    MessageEnd,
+    MessageTrace,
+    Tracer,
+    TraceStep,
+    messages_in,
+    with_ending,
+)
+from edoras_tools.errors import RouteError
+from edoras_tools.words import did_you_mean, plural
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.decode import Context
+    from edoras_tools.diagnosis.evidence.table import Recorder
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+
+@dataclass(frozen=True, slots=True)
+class TraceRequest:
+    """What to follow: a packet, the n-th message of a topic, the n-th lost one, or the topic itself.
+
+    Attributes:
+        packet: place of a packet in the capture, from 1.
+        topic: a topic, or a name or MsgId that tables show.
+        nth: which of its messages, from 1.
+        lost: which of those that were lost, of the topic or of all, from 1.
+    """
+
+    packet: int | None = None
+    topic: str | None = None
+    nth: int | None = None
+    lost: int | None = None
+
+
+class Tracing(Examination):
+    """Takes batches as they come and keeps the trace that was request for; it gives no verdicts.
+
+    Attributes:
+        trace: the way of the message, once it was met.
+        timing: the rounds of the topic, of the chapter that lost most.
+    """
+
+    def __init__(self, context: Context, profile: SimProfile, request: TraceRequest) -> None:
+        super().__init__(context, profile)
+        self.request = request
+        self.trace: MessageTrace | None = None
+        self.timing: Timing | None = None
+        self._passed = 0
+        self._names: dict[str, None] = {}
+
+    def judged(self, recorder: Recorder, chapter: Chapter) -> Diagnosis:
+        """Look for the message in a chapter."""
+        case = Case(recorder, self.profile, chapter.capture, proxied(chapter.faults))
+        packet = self.request.packet
+        is_here = packet is None or (case.rows.number == packet).any()
+        if len(case.rows) and is_here and self.trace is None:
+            judge_single(case)
+            self._look(case)
+        return Diagnosis(
+            (), (), [], [], len(case.rows), case.start_ns, case.end_ns, chapter.capture, case=None
+        )
+
+    def check(self) -> None:
+        """Raise an error if what was request for is not there.
+
+        Raises:
+            RouteError: it is not there.
+        """
+        request = self.request
+        if self.trace is not None or self.timing is not None:
+            return
+        if request.packet is not None:
+            raise RouteError(
+                f"packet {request.packet} is no message of a link, or a copy of one; edoras sniff shows it"
+            )
+        if request.lost is not None:
+            of = f" of {request.topic}" if request.topic else ""
+            raise RouteError(f"--lost {request.lost}: {plural(self._passed, 'message')}{of} were lost")
+        if self._passed:
+            raise RouteError(f"--nth {request.nth}: {request.topic} has {plural(self._passed, 'message')}")
+        hint = did_you_mean(request.topic or "", list(self._names), 3) or "edoras info shows what is there"
+        raise RouteError(f"no message of {request.topic!r} is there; {hint}")
+
+    def _look(self, case: Case) -> None:
+        request = self.request
+        if request.packet is not None:
+            self.trace = Tracer(case).packet(request.packet)
+            return
+        if request.lost is not None:
+            lost = [item for item in missing(case) if request.topic in {None, *_names(case, item.msg_id)}]
+            place = request.lost - self._passed - 1
+            self._passed += len(lost)
+            self.trace = self._lost(case, lost[place]) if 0 <= place < len(lost) else None
+            return
+        streams = self._streams(case, request.topic or "")
+        if request.nth is not None:
+            self.trace = Tracer(case).nth(streams, request.nth - self._passed) if streams else None
+            self._passed += sum(messages_in(item) for item in streams)
+        elif streams:
+            timings = [_timing(case, item, request.topic or "") for item in streams]
+            best = max([*timings, *filter(None, [self.timing])], key=lambda item: item.lost)
+            self.timing = best
+
+    def _streams(self, case: Case, name: str) -> list[Stream]:
+        """Return the streams of a name where its messages are first seen, the first to begin first."""
+        self._names |= dict.fromkeys(item for stream in case.streams for item in _names(case, stream.msg_id))
+        streams = [item for item in case.streams if name in _names(case, item.msg_id)]
+        behind = {id(hop.out) for hop in case.hops}
+        streams.sort(key=lambda item: (id(item) in behind, int(item.rows[0])))
+        return [item for item in streams if item.link is streams[0].link]
+
+    @staticmethod
+    def _lost(case: Case, item: Missing) -> MessageTrace:
+        """Return the way of a message that is on the list of losses."""
+        tracer = Tracer(case)
+        if item.number is not None:
+            trace = tracer.packet(item.number)
+        else:
+            trace = tracer.missing(item.link, item.msg_id, item.time_ns, item.first)
+        if trace is not None:
+            return with_ending(trace, item.what, item.one_of)
+        text = f"no packet and no count of it is here, only that it was lost: {item.what}"
+        step = TraceStep("capture", text, "unknown", item.time_ns)
+        ended = MessageEnd("lost", "", f"lost: {item.what}", "proven")
+        return MessageTrace(item.topic, item.link, item.msg_id, 0, 0, (step,), ended, None, None)
+
+
+def _names(case: Case, msg_id: int) -> list[str]:
+    """Return what a MsgId is called."""
+    return [item for item in (case.topic(msg_id), case.packet_name(msg_id), f"0x{msg_id:04x}") if item]
+
+
+def _timing(case: Case, stream: Stream, name: str) -> Timing:
+    is_into = id(stream) in case.commands.fates
+    rounds = rounds_into(case, stream) if is_into else rounds_out(case, stream)
+    place = next(at for at, item in enumerate(case.streams) if item is stream)
+    return Timing(name, stream.link.label, stream.msg_id, rounds, tuple(_endings(case, place)))
+
+
+def _endings(case: Case, place: int) -> Sequence[tuple[int, str]]:
+    """Return what became of the messages of a stream that did not come out, by the ledger."""
+    sums: dict[str, int] = {}
+    for entry in MessageLedger(case).ways[place].entries():
+        text = case.called(entry.text) if entry.ending == "lost" else ENDING_TEXTS[entry.ending]
+        sums[text] = sums.get(text, 0) + entry.number
+    fate = case.commands.fates.get(id(case.streams[place]))
+    behind = fate.passed_on if fate is not None else 0
+    return [*((number, text) for text, number in sums.items()), *[(behind, PASSED_ON)] * bool(behind)]

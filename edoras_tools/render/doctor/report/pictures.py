@@ -1,0 +1,111 @@
+"""Pictures of the way of one message, and of the rounds of a topic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.diagnosis.trace import MessageTrace
+from edoras_tools.render.doctor import trace as texts
+from edoras_tools.render.doctor.report import charts, parts
+from edoras_tools.render.terminal.text import clean, clip
+
+if TYPE_CHECKING:
+    from edoras_tools.diagnosis.rounds import Timing
+    from edoras_tools.render.doctor.report.parts import Made
+
+_RUNG: Final = 46
+_ROUNDS: Final = 12
+"""Rounds that a timing diagram shows."""
+
+
+def standalone(svg: str) -> str:
+    """Return a chart of a page as a picture of its own: light or dark as the system of its reader."""
+    style = (files("edoras_tools.render.doctor.report") / "style.css").read_text(encoding="utf-8")
+    head = '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" style="background:var(--card)"'
+    return (
+        svg.replace("<svg", head, 1).replace(">", f"><style>{escape(style, quote=False)}</style>", 1) + "\n"
+    )
+
+
+def trace_picture(trace: MessageTrace, zero_ns: int) -> str:
+    """Draw the way of a message as a ladder."""
+    rungs, x, right = [], 20, charts.CHART_WIDTH - 10
+    for place, (step, after_ns) in enumerate(zip(trace.steps, trace.after_ns, strict=True)):
+        y = 44 + place * _RUNG
+        when = "" if step.time_ns is None else f"{(step.time_ns - zero_ns) / 1e9:.6f} s"
+        after = "" if after_ns is None else f"+{after_ns / 1e6:,.3f} ms  "
+        packet = "" if step.packet is None else f"packet {step.packet:,}: "
+        rungs += [
+            f'<line class="rung" x1="{x}" x2="{x}" y1="{y}" y2="{y + _RUNG}"/>',
+            f'<circle class="{step.witness.replace(" ", "-")}" cx="{x}" cy="{y}" r="6"/>',
+            f'<text class="label" x="{x + 18}" y="{y + 4}">{escape(clean(step.hop))}</text>',
+            f'<text x="{x + 18}" y="{y + 20}">{escape(clip(clean(packet + step.text), 100))}</text>',
+            f'<text class="end" x="{right}" y="{y + 4}">{after}{when}  {step.witness}</text>',
+        ]
+    y = 44 + len(trace.steps) * _RUNG
+    style = "lossy" if texts.is_lost(trace) else "open" if trace.ended.ending == "open" else "good"
+    rungs += [
+        f'<text class="label" x="10" y="20">{escape(texts.title(trace))}</text>',
+        f'<circle class="ended {style}" cx="{x}" cy="{y}" r="8"/>',
+        f'<text class="label" x="{x + 18}" y="{y + 4}">{escape(clean(texts.ended_text(trace)))}</text>',
+        f'<text x="{x + 18}" y="{y + 20}">{escape(texts.usual_text(trace))}</text>',
+    ]
+    return charts.svg_box("".join(rungs), y + 34, f"{texts.title(trace)}: {texts.ended_text(trace)}")
+
+
+@dataclass(slots=True)
+class _Span:
+    """The time axis of a diagram, in s."""
+
+    begin: float
+    seconds: float
+
+
+def timing_picture(timing: Timing, zero_ns: int) -> str:
+    """Draw a topic's wake-ups, what waits, and what does not come out."""
+    rounds = timing.rounds
+    window = texts.TimingWindow.worst(rounds, _ROUNDS)
+    span = _Span((window.start_ns - zero_ns) / 1e9, (window.end_ns - window.start_ns) / 1e9)
+    depth, mine = rounds.depth(), window.messages
+    seconds = (rounds.time_ns[mine] - window.start_ns) / 1e9
+    inside = depth[mine] if len(rounds.wakes_ns) else depth[mine] * 0 + 1
+    points = list(zip(seconds.tolist(), inside.tolist(), rounds.out[mine].tolist(), strict=True))
+    most = max([rounds.limit, *inside.tolist()]) + 1
+    title = f"{timing.topic}: {'; '.join(texts.facts(timing))}"
+    frame = charts.Frame(span, most, "messages", title)
+    for when in window.wakes_ns:
+        frame.line([((when - window.start_ns) / 1e9, 0.0), ((when - window.start_ns) / 1e9, most)], "wake")
+    if len(rounds.wakes_ns):
+        frame.level(rounds.limit, "limit", f"{rounds.limit} may wait, {rounds.limit_from}")
+    shift = 0.4 if len(rounds.wakes_ns) else 0.0
+    frame.dots([(at, level) for at, level, out in points if out or not rounds.visible], "run")
+    frame.dots([(at, level + shift) for at, level, out in points if not out and rounds.visible], "run lossy")
+    return frame.svg()
+
+
+def trace_svg(subject: MessageTrace | Timing, zero_ns: int, name: str) -> str:
+    """Return a picture of a message's way, or of a topic's rounds.
+
+    Args:
+        zero_ns: what times count from.
+        name: of the capture.
+    """
+    picture = trace_picture if isinstance(subject, MessageTrace) else timing_picture
+    drawn = picture(subject, zero_ns)  # type: ignore[arg-type]
+    return standalone(drawn.replace('aria-label="', f'aria-label="{escape(name, quote=True)}, ', 1))
+
+
+def trace_page(subject: MessageTrace | Timing, zero_ns: int, name: str, origin: Made) -> str:
+    """Return a page with the picture and, for readers of text, all that it says."""
+    if isinstance(subject, MessageTrace):
+        title, picture = texts.title(subject), trace_picture(subject, zero_ns)
+        lines = [line.plain for line in texts.ladder(subject, zero_ns, 80)]
+    else:
+        title, picture = subject.topic, timing_picture(subject, zero_ns)
+        lines = [line.plain for line in texts.diagram(subject, zero_ns, 80)]
+    text = f'<div class="scroll"><pre>{escape(chr(10).join(lines))}</pre></div>'
+    body = [parts.heading(name), f'<figure class="chart">{picture}</figure>', text, parts.footer(origin)]
+    return parts.document(f"{title}, {name}", body)

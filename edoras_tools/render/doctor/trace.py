@@ -1,0 +1,211 @@
+"""The way of one message, and the rounds of a topic, as text: a ladder, a timing diagram, Mermaid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from rich.text import Text
+
+from edoras_tools.render import units
+from edoras_tools.render.capture.sequence import mermaid_text
+from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.text import clean, clip, fit, fit_right, wrap
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.diagnosis.rounds import Rounds, Timing
+    from edoras_tools.diagnosis.trace import MessageTrace
+
+_WIDEST: Final = 100
+_TIME, _AFTER, _WITNESS = 13, 13, 8
+_HEAD: Final = 9
+"""Columns of the names of a diagram's lines."""
+COLUMNS_A_ROUND: Final = 10
+"""Columns of a diagram that one round takes."""
+
+
+def title(trace: MessageTrace) -> str:
+    """Return which message it is: ``/cmd_vel (0x1827 on CI), message 25 of 600``."""
+    if trace.link == "" or not trace.of:
+        return clean(trace.topic or "a message")
+    which = f"0x{trace.msg_id:04x} on {trace.link.upper()}" if trace.msg_id >= 0 else trace.link.upper()
+    return clean(f"{trace.topic or 'a message'} ({which}), message {trace.nth:,} of {trace.of:,}")
+
+
+def usual_text(trace: MessageTrace) -> str:
+    """Return how long the message took, and how long others did."""
+    if trace.delay_ns is None:
+        return ""
+    took = "took" if trace.ended.ending in {"delivered", "sent_out"} else "followed for"
+    text = f"{took} {_milliseconds(trace.delay_ns)}"
+    if trace.usual is None:
+        return text
+    own = (trace.usual.p50, trace.usual.p99, trace.usual.most)
+    p50, p99, most = (units.milliseconds(item) for item in own)
+    return f"{text}; the {trace.usual.count:,} of which that is measured: p50 {p50}, p99 {p99}, max {most}"
+
+
+def ended_text(trace: MessageTrace) -> str:
+    """Return how it ended, and how that is known."""
+    ended = trace.ended
+    where = f", at {ended.hop}" if ended.ending not in {"delivered", "sent_out", "lost"} else ""
+    return f"{ended.text}{where} ({ended.witness})"
+
+
+def is_lost(trace: MessageTrace) -> bool:
+    """Tell whether the message did not arrive, as far as that is known."""
+    return trace.ended.ending in {"lost", "unaccounted"}
+
+
+def ladder(trace: MessageTrace, zero_ns: int, width: int) -> list[Text]:
+    """Return the way of a message, a rung for each place.
+
+    Args:
+        zero_ns: what times count from.
+        width: columns.
+    """
+    width = min(width, _WIDEST)
+    room = width - 2 - _TIME - _AFTER - 2 - _WITNESS
+    lines = [Text(clip(title(trace), width), palette.STRONG)]
+    head = f"  {fit('where', room)}{fit_right('time', _TIME)}{fit_right('after', _AFTER)}  known"
+    lines.append(Text(head, palette.DIM))
+    for step, after_ns in zip(trace.steps, trace.after_ns, strict=True):
+        when = "" if step.time_ns is None else f"{(step.time_ns - zero_ns) / 1e9:.6f} s"
+        after = "" if after_ns is None else f"+{_milliseconds(after_ns)}"
+        line = Text(f"● {fit(clean(step.hop), room)}{fit_right(when, _TIME)}{fit_right(after, _AFTER)}  ")
+        lines.append(line.append(step.witness, palette.DIM if step.witness == "unknown" else ""))
+        text = f"packet {step.packet:,}: {step.text}" if step.packet is not None else step.text
+        lines += [Text(f"│   {part}", palette.DIM) for part in wrap(clean(text), width - 4)]
+    style = Level.ERROR.style if is_lost(trace) else palette.GOOD if trace.ended.ending != "open" else ""
+    mark = "✗" if is_lost(trace) else "?" if trace.ended.ending == "open" else "✓"
+    for place, part in enumerate(wrap(clean(ended_text(trace)), width - 2)):
+        lines.append(Text(f"{'  ' if place else f'{mark} '}{part}", style))
+    if took := usual_text(trace):
+        lines += [Text(f"  {part}") for part in wrap(clean(took), width - 2)]
+    return lines
+
+
+def _milliseconds(value_ns: int) -> str:
+    """Return a time to the microsecond, so that the parts of a way add up."""
+    return f"{value_ns / 1e6:,.3f} ms"
+
+
+def trace_mermaid(trace: MessageTrace, zero_ns: int) -> Iterator[str]:
+    """Yield the lines of a Mermaid sequence diagram."""
+    yield "sequenceDiagram"
+    for place, step in enumerate(trace.steps):
+        yield f"    participant P{place} as {mermaid_text(step.hop)}"
+    for place, (step, after_ns) in enumerate(zip(trace.steps, trace.after_ns, strict=True)):
+        if place:
+            after = "" if after_ns is None else f"+{_milliseconds(after_ns)} "
+            yield f"    P{place - 1}->>P{place}: {mermaid_text(f'{after}({step.witness})')}"
+        when = "" if step.time_ns is None else f"{(step.time_ns - zero_ns) / 1e9:.6f} s, "
+        yield f"    Note over P{place}: {mermaid_text(f'{when}{step.text}')}"
+    last = len(trace.steps) - 1
+    arrow = "-x" if is_lost(trace) else "->>"
+    yield f"    P{last}{arrow}P{last}: {mermaid_text(ended_text(trace))}"
+
+
+@dataclass(frozen=True, slots=True)
+class TimingWindow:
+    """The part of a topic's rounds that a diagram shows.
+
+    Attributes:
+        rounds: all of them.
+        start_ns: where it begins.
+        end_ns: where it ends.
+    """
+
+    rounds: Rounds
+    start_ns: int
+    end_ns: int
+
+    @classmethod
+    def worst(cls, rounds: Rounds, count: int) -> TimingWindow:
+        """Return the first time of so many rounds in which most messages did not come out."""
+        length = count * rounds.round_ns
+        times, absent = rounds.time_ns, np.append(0, np.cumsum(~rounds.out))
+        begins = rounds.wakes_ns if len(rounds.wakes_ns) else times
+        first = np.searchsorted(times, begins)
+        lost = absent[np.searchsorted(times, begins + length)] - absent[first]
+        lost[first >= len(times)] = -1
+        start = int(begins[int(lost.argmax())]) if rounds.visible and len(begins) else int(times[0])
+        return cls(rounds, start, start + length)
+
+    @property
+    def messages(self) -> slice:
+        """The messages in it."""
+        first, last = np.searchsorted(self.rounds.time_ns, (self.start_ns, self.end_ns))
+        return slice(int(first), int(last))
+
+    @property
+    def wakes_ns(self) -> list[int]:
+        """The wake-ups in it."""
+        wakes = self.rounds.wakes_ns
+        return [int(item) for item in wakes[(wakes >= self.start_ns) & (wakes < self.end_ns)]]
+
+
+def facts(timing: Timing) -> list[str]:
+    """Return what the rounds of a topic say, a line each."""
+    rounds = timing.rounds
+    reads = f"{rounds.queue} wakes up every {rounds.round_ns / 1e6:.0f} ms ({rounds.round_from})"
+    lines = [f"{reads}; {rounds.limit} of this MsgId may wait in {rounds.pipe} ({rounds.limit_from})"]
+    sizes = {kind: count for kind, count in rounds.sizes().items() if kind[0] < kind[1]}
+    if not rounds.visible:
+        lines.append(f"{plural(len(rounds), 'message')} sent; nothing here shows which came out")
+        return lines
+    if sizes:
+        out, of = max(sizes, key=lambda kind: (sizes[kind], kind))
+        every = f"{rounds.round_ns / 1e6:.0f} ms"
+        lines.append(f"mostly {out} of {of} came out per {every}: in {plural(sizes[out, of], 'round')}")
+    came = int(rounds.out.sum())
+    rest = ", ".join(f"{number:,} {text}" for number, text in timing.endings)
+    lines.append(f"{plural(len(rounds), 'message')}, {came:,} came out" + (f"; {rest}" if rest else ""))
+    return lines
+
+
+def diagram(timing: Timing, zero_ns: int, width: int) -> list[Text]:
+    """Return a topic's wake-ups, what waited, and losses over time.
+
+    Args:
+        zero_ns: what times count from.
+        width: columns.
+    """
+    width, rounds = min(width, _WIDEST), timing.rounds
+    columns = width - _HEAD - 1
+    window = TimingWindow.worst(rounds, max(1, columns // COLUMNS_A_ROUND))
+    step = rounds.round_ns / COLUMNS_A_ROUND
+
+    def column(time_ns: int) -> int:
+        return min(columns - 1, int((time_ns - window.start_ns) / step))
+
+    wakes, waits, marks = [" "] * columns, [" "] * columns, [" "] * columns
+    for when in window.wakes_ns:
+        wakes[column(when)] = "▲"
+    depth = rounds.depth()
+    for place in range(len(rounds))[window.messages]:
+        at = column(int(rounds.time_ns[place]))
+        mark = ("●" if rounds.out[place] else "✗") if rounds.visible else "·"
+        marks[at] = "✗" if "✗" in {mark, marks[at]} else mark
+        if len(rounds.wakes_ns):
+            waits[at] = str(depth[place]) if depth[place] < 10 else "+"
+    name = f"{timing.topic} (0x{timing.msg_id:04x} on {timing.link.upper()})"
+    lines = [Text(clip(clean(name), width), palette.STRONG)]
+    lines += [Text(part) for text in facts(timing) for part in wrap(clean(text), width)]
+    begin = (window.start_ns - zero_ns) / 1e9
+    lines += [Text(""), Text(f"from {begin:.3f} s, a column is {step / 1e6:.0f} ms", palette.DIM)]
+    rows = {"wake-up": wakes, "waiting": waits, "message": marks}
+    for head, cells in rows.items():
+        if head == "message" or len(rounds.wakes_ns):
+            line = Text(f"{fit(head, _HEAD)} ")
+            for cell in cells:
+                line.append(cell, Level.ERROR.style if cell == "✗" else "")
+            line.rstrip()
+            lines.append(line)
+    key = "▲ wake-up   waiting: with this one   ● came out   ✗ did not" if rounds.visible else "· sent"
+    return [*lines, Text(key, palette.DIM)]
