@@ -14,7 +14,7 @@ QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis rend
 SEARCHES := $(addprefix --ignore=tests/,$(addprefix diagnosis/,test_variants.py test_cuts.py test_truth.py) \
 	$(addprefix io/formats/,mcap/test_recover.py test_split.py))
 
-.PHONY: help venv demo test same-bytes check long lint format bench kill explore fuzz soak lock sbom judges ros fprime npm yamcs cosmos docs dist clean
+.PHONY: help venv demo test tests same-bytes check long lint format bench kill explore fuzz soak lock sbom judges ros fprime npm yamcs cosmos docs dist clean
 
 help:  ## Show what there is to make.
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -55,7 +55,10 @@ yamcs: venv  ## Install Yamcs and a Java runtime from their wheels, a judge of t
 cosmos: venv  ## Install OpenC3 COSMOS's Python package, a judge of the tests, where it can be had.
 	@.ci/install-cosmos $(BIN)/python
 
-test: venv judges ros fprime npm yamcs cosmos lint  ## Run every check and test.
+test: venv judges ros fprime npm cosmos  ## Run every check and test, the checks beside the tests.
+	@$(MAKE) --no-print-directory -j2 tests lint
+
+tests: venv
 	$(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
 
 same-bytes: venv  ## Compare what the commands print and write with the hashes in tests/same_bytes/: a minute.

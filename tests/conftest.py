@@ -23,8 +23,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "edoras"))
 # As edoras itself does: to look for garbage more often takes a sixth of all the time, and finds next to none.
 gc.set_threshold(200_000)
 
-# A screen is drawn fifteen times a second at the most, not sixty: that is a quarter of what views take.
-os.environ.setdefault("TEXTUAL_FPS", "15")
+# A screen is drawn five times a second at the most, not sixty: that is a third of what views take.
+os.environ.setdefault("TEXTUAL_FPS", "5")
 
 # What whoever runs the tests has set for their own terminal is not what the tests speak of.
 for name in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR", "COLORFGBG", "ROS_DISTRO"):

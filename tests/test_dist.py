@@ -52,6 +52,7 @@ def references(markdown):
     return re.findall(r'(?:href|src)="([^"]*)"', MarkdownIt().render(markdown))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
 def test_every_link_and_picture_is_an_address(made, kind):
     text = getattr(made, kind).get_payload()

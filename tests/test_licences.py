@@ -83,6 +83,7 @@ def test_each_is_listed_with_its_licence(sbom):
     assert gpl <= set(GPL)
 
 
+@pytest.mark.long
 def test_the_bill_of_materials_is_whole(sbom, monkeypatch, tmp_path):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1")
     monkeypatch.setattr("sys.argv", ["make_sbom.py", str(tmp_path / "new/bill.json")])

@@ -1,6 +1,7 @@
 """Python 3.10 is that of ROS 2 Humble: nothing newer is used, and what it does not have is in one file."""
 
 import ast
+import re
 
 import pytest
 from effort import LONG
@@ -10,12 +11,13 @@ from edoras_tools.older import Flags, StrEnum
 
 NEWER = {("enum", "StrEnum"), ("datetime", "UTC"), ("typing", "Self"), ("typing", "assert_never")}
 """Names of Python 3.11. ``Self`` comes from ``typing_extensions``, where only types are checked."""
+WORDS = re.compile(r"\b(StrEnum|UTC|Self|assert_never|tomllib|from_bytes)\b")
 
 
 def newer(source):
     """The lines of a source that Python 3.10 cannot run, and why."""
     tree = ast.parse(source, feature_version=(3, 10))
-    for node in ast.walk(tree):
+    for node in ast.walk(tree) if WORDS.search(source) else ():
         match node:
             case ast.ImportFrom(module=module, names=names):
                 if used := {(module, item.name) for item in names} & NEWER:

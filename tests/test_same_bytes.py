@@ -26,6 +26,7 @@ def test_all_outputs_are_the_committed_ones():
     assert ran.returncode == 0, ran.stdout + ran.stderr
 
 
+@pytest.mark.long
 def test_another_output_is_noticed(tmp_path):
     """A copy of the committed hashes, one of them changed and one of a line that nobody runs."""
     line = "inject --dry-run --json noop ci"

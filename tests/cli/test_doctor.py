@@ -26,7 +26,7 @@ CAPTURES = {
 SMALL = [name for name in CAPTURES if name != "d3_cpu1_cpu2"]
 
 
-@pytest.mark.long("d3_cpu1_cpu2-*", "c1_tlm_rate_limit4-True")
+@pytest.mark.quick("[ae]*-True", "[bcf]*-False")
 @pytest.mark.parametrize("configured", [True, False])
 @pytest.mark.parametrize("name", CAPTURES)
 def test_json_holds_to_its_schema_and_loss_to_its_exit_code(name, configured, call, captures, missions):
@@ -150,7 +150,7 @@ def test_every_listing_has_as_many_as_are_lost(name, call, captures):
     assert table.splitlines()[-1].startswith(f"{lost:,} message")
 
 
-@pytest.mark.quick("aligned")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("order", "together"),
     long_but([(1, True), (-1, False)], [(1, True), (-1, True), (1, False), (-1, False)]),
@@ -174,6 +174,7 @@ def test_a_listing_of_several_files_has_as_many_as_are_lost(order, together, cal
     assert by_msg_id == sum((Counter({row["msg_id"]: row["lost"]}) for row in rows), Counter())
 
 
+@pytest.mark.long
 def test_a_listing_of_files_judged_one_by_one_has_the_values_of_each(call, captures, missions, tmp_path):
     """Packets of both are numbered from 1 in their own file."""
     rover, others = datagrams(captures("a_rover")), datagrams(captures("d3_cpu1_cpu2"))
@@ -407,6 +408,7 @@ def test_many_verdicts_alike_are_one_table_of_a_report(report, call, captures):
     assert text.count("<article") == len(told) - sum(rows) + len(rows)
 
 
+@pytest.mark.long
 def test_charts_of_a_report_are_told_apart(report, captures):
     text = report(captures("d3_cpu1_cpu2")).read_text()
     part = text.partition('id="rates-against-limits"')[2].partition("</section>")[0]

@@ -96,7 +96,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(call, rover, tmp_path, monkeyp
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.quick("csv")
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 def test_a_disk_that_fills_leaves_nothing_and_keeps_what_was_there(command, rover, tmp_path, suffix):
     if suffix == "parquet":

@@ -24,6 +24,7 @@ def test_an_unknown_command(call):
     assert call("help", "wireshark", "path", "x").code == 2
 
 
+@pytest.mark.long
 def test_manual_pages_are_roff_without_warnings(call, tmp_path):
     done = call("help", "--man", tmp_path / "man1")
     pages = sorted((tmp_path / "man1").iterdir())

@@ -4,6 +4,7 @@ import signal
 import socket
 from contextlib import closing
 
+import pytest
 from namespace import inside
 from waiting import Program
 
@@ -55,6 +56,7 @@ def test_what_is_dropped_is_shown_once_with_what_to_change(command):
     assert quiet.startswith("no program here listens on a UDP port of the links")
 
 
+@pytest.mark.long
 def test_a_recording_notes_what_the_kernel_drops_and_the_doctor_says_it(command, call, missions, tmp_path):
     path = tmp_path / "x.mcap"
     twist = bytes.fromhex("1827 0000 0045 0100") + bytes(68)

@@ -19,7 +19,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.quick("info", "record", "doctor")
+@pytest.mark.quick("doctor")
 @pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
 def test_bare_and_with_the_option(call, words):
     one, other, both = (
@@ -39,7 +39,7 @@ def test_a_rosbag2_directory_of_ours_is_a_capture(call, words, folder):
     assert len(one) > 100
 
 
-@pytest.mark.quick("None-1-72", "10-20-290")
+@pytest.mark.quick("10-20-290")
 @pytest.mark.parametrize(
     ("start", "end", "count"),
     [(10, 20, 290), (0.5, None, 1755), (None, 1, 72), (None, 100, 1827)],

@@ -59,7 +59,7 @@ def test_record_reports_as_info_does_and_names_its_output(call, captures, missio
     assert done.err == []
 
 
-@pytest.mark.quick("e_ci_errors", "f_sbn*")
+@pytest.mark.quick("e_ci_errors")
 @pytest.mark.parametrize("name", ["a_rover", "e_ci_errors", "f_sbn_disconnect"])
 def test_sniff_and_decode(name, call, captures, missions):
     lines = call("sniff", "-a", "--json", "-r", captures(name), *missions("rover_ground")).lines()

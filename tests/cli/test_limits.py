@@ -59,7 +59,7 @@ def test_the_size_of_a_file(limited, captures, tmp_path, name):
     assert (code, "File too large" in told) == (1, True)
 
 
-@pytest.mark.quick("x.pcapng")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["x.mcap", "x.pcap", "x.pcapng"])
 def test_nothing_is_left_where_nothing_can_be_written(limited, captures, tmp_path, name):
     """A service is started again and again while the disk is full."""
@@ -68,7 +68,7 @@ def test_nothing_is_left_where_nothing_can_be_written(limited, captures, tmp_pat
     assert f"{name}: cannot be written: File too large; name another file with -o or make room" in told
 
 
-@pytest.mark.quick("export")
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words",
     [
@@ -119,7 +119,7 @@ def garbled(path, share):
     return bytes(made)
 
 
-@pytest.mark.quick("1-doctor")
+@pytest.mark.long
 @pytest.mark.parametrize(("share", "command"), [(0.05, "doctor"), (1, "doctor"), (1, "report")])
 def test_garbled_times_are_no_reason_for_memory(limited, captures, missions, tmp_path, share, command):
     """Between two of them lie up to 136 years; a number for each second would be 32 GiB."""
@@ -129,7 +129,7 @@ def test_garbled_times_are_no_reason_for_memory(limited, captures, missions, tmp
     assert limited(resource.RLIMIT_AS, 1000 * MIB, command, path, *missions("rover_ground"), *more)[0] == 3
 
 
-@pytest.mark.quick("record")
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words",
     [

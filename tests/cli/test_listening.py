@@ -186,7 +186,7 @@ DEFAULTS = {
 }
 
 
-@pytest.mark.quick("record", "live", "proxy_sbn", "bridge")
+@pytest.mark.quick("record", "bridge")
 @pytest.mark.parametrize("name", DEFAULTS)
 def test_by_default_nothing_answers_another_machine(machines, command, tmp_path, name):
     words, expected = DEFAULTS[name]
@@ -236,7 +236,7 @@ WRITTEN = {
 }
 
 
-@pytest.mark.quick("token", "bridge")
+@pytest.mark.quick("token")
 @pytest.mark.parametrize("name", WRITTEN)
 def test_what_is_written_answers_and_it_is_said_who_may_speak(machines, command, tmp_path, name):
     words, expected, said = WRITTEN[name]
@@ -250,6 +250,7 @@ def test_what_is_written_answers_and_it_is_said_who_may_speak(machines, command,
     assert "hush-hush" not in err
 
 
+@pytest.mark.long
 def test_ros_2_over_dds_is_open_by_its_nature_and_it_is_said(machines, command):
     words = ["bridge", "-c", ROVER, "--ros", "dds"]
     ports, answering, err = asked(machines, command, words, [("udp", 1235), ("udp", 7400)])

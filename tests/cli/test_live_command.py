@@ -82,6 +82,7 @@ def test_web_pages_of_strangers_are_kept_out_and_told(started, captures):
     assert process.returncode == 0
 
 
+@pytest.mark.long
 def test_a_cut_off_recording_is_played_and_said_to_be_one(started, captures, missions, tmp_path):
     cut = tmp_path / "cut.pcap"
     cut.write_bytes(captures("a_rover").read_bytes()[:60_000])

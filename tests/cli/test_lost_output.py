@@ -56,7 +56,7 @@ def truncate(path):
     path.write_bytes(b"")
 
 
-@pytest.mark.quick("move*", "truncate*")
+@pytest.mark.quick("move-moved to")
 @pytest.mark.parametrize(
     ("how", "fate"),
     [(delete, "deleted"), (move, "moved to"), (replace, "replaced by another file"), (truncate, "truncated")],
@@ -155,6 +155,7 @@ def test_what_sends_tells_it_too(command, call, captures, command_name, tmp_path
     assert err.splitlines()[-1].startswith(f"edoras: {told}")
 
 
+@pytest.mark.long
 def test_what_sends_and_cannot_write(edoras, captures, tmp_path):
     """As on a full disk."""
     with Ear() as ear:

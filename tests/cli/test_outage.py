@@ -109,7 +109,7 @@ def test_record_goes_on(command, call, missions, recording, datagrams, suffix, t
     assert err.rstrip().endswith(", 3 times")
 
 
-@pytest.mark.quick("words0")
+@pytest.mark.long
 @pytest.mark.parametrize("words", [("sniff", "--json"), ("live", "--ws-port", "0"), ("doctor",)])
 def test_others_go_on(command, missions, words):
     def work():

@@ -269,6 +269,7 @@ def test_quiet_says_nothing(call, captures, tmp_path):
     assert (done.code, done.out, done.err) == (0, "", [])
 
 
+@pytest.mark.long
 def test_programs_of_one_command(captures, command, tmp_path):
     """``edoras-record`` and ``edoras-sniff`` are the commands themselves."""
     target = tmp_path / "x.pcap"

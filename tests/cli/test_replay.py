@@ -377,6 +377,7 @@ def test_steps_from_a_pipe(command, captures, receiver, ends, code):
     assert (report["sent"], take(), report["interrupted"]) == (3, [], True)
 
 
+@pytest.mark.long
 def test_the_program_of_one_command(captures, receiver):
     target, take = receiver
     words = [captures("a_rover"), "--to", "ci", "--target", target, *FAST, "-q", "-n", "4"]

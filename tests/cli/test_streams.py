@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 import zstandard
-from effort import long_but
+from effort import every, long_but
 from places import ROOT
 from waiting import HOST, PATIENCE_S, Program, free_ports, until
 
@@ -140,12 +140,13 @@ def test_a_full_disk_is_one_line(options, command, captures):
 
 def test_closed_streams(command, captures):
     line = f"'{command}' {{}} '{captures('a_rover')}' {{}}; echo $? >&3"
-    for options, closed, code in (
+    cases = [
         ("info", ">&-", b"0"),
         ("info", "2>&-", b"0"),
         ("info -c nowhere.yaml", "2>&-", b"2"),
         ("sniff -n 1 -r", ">&- 2>&-", b"0"),
-    ):
+    ]
+    for options, closed, code in every(3, cases):
         script = f"exec 3>&1; {line.format(options, closed)}"
         done = subprocess.run(["bash", "-c", script], capture_output=True, check=False, timeout=300)
         assert done.stdout.splitlines()[-1] == code
@@ -184,6 +185,7 @@ def on_terminal(command, *arguments, **environment):
     return bytes(written)
 
 
+@pytest.mark.long
 def test_a_recorder_at_a_stopped_terminal_goes_on_writing(command, tmp_path):
     """Ctrl-S, or a remote shell that hangs: what comes meanwhile is in the file, killed or not."""
     ours, theirs = pty.openpty()
@@ -245,6 +247,7 @@ def test_progress_is_for_terminals_and_leaves_its_line_behind(command, edoras, c
     assert ANSI not in edoras(*options).stderr
 
 
+@pytest.mark.long
 def test_names_and_terminals_that_are_no_text(command, edoras, captures, recording, tmp_path):
     """A file name of any bytes, a terminal of ASCII only: shown, escaped, recorded and never an error."""
     odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.pcap"))

@@ -65,6 +65,7 @@ def test_cut_captures(suffix, ends, whole, call, frames, tmp_path):
         assert there == 0 or frames(out) == chosen[:there], length
 
 
+@pytest.mark.quick("*routes-.pcapng", "*json-.mcap", "*mermaid-.pcap", "mission*")
 @pytest.mark.parametrize("suffix", [".pcap", ".pcapng", ".mcap"])
 @pytest.mark.parametrize(
     "command",

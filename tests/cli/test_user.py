@@ -79,7 +79,7 @@ def test_root_is_given_up_and_the_capture_goes_on(program, place, live):
     assert path.stat().st_uid == 65534
 
 
-@pytest.mark.quick("deleted")
+@pytest.mark.long
 @pytest.mark.parametrize("deleted", [False, True], ids=["down", "deleted"])
 def test_the_socket_that_is_kept_follows_the_interface(program, place, datagrams, deleted):
     """Nobody may open another one: it is bound again when the interface is back, or is made anew."""
@@ -120,6 +120,7 @@ def test_a_folder_that_the_user_cannot_write_is_refused_at_the_start(program, pl
     assert not (place.parent / "x.mcap").exists()
 
 
+@pytest.mark.long
 def test_so_is_what_live_records(program, place):
     words = ["live", "-i", "lo", "--ws-port", "0", "--user", "nobody", "-o", str(place.parent / "x.mcap")]
     done = subprocess.run([*program, *words], capture_output=True, text=True, check=False)

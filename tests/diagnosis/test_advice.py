@@ -99,7 +99,7 @@ def test_publish_at_most_so_many(lab, hz):
     assert lost_of(lab.examine(done, drops=0), GENERATED) == problem.left == 0
 
 
-@pytest.mark.quick("60")
+@pytest.mark.long
 @pytest.mark.parametrize("hz", [60, 100])
 def test_publish_so_slowly_that_a_peers_pipe_never_fills(lab, hz):
     def run(rate):

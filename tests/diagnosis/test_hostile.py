@@ -32,6 +32,7 @@ def used_s(command, path):
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("command", "kind"),
     long_but(
@@ -48,6 +49,7 @@ def test_four_times_as_much_takes_at_most_six_times_as_long(tmp_path, command, k
     assert used[1] <= 6 * max(used[0], LEAST_S)
 
 
+@pytest.mark.quick("doctor-4-0.003")
 @pytest.mark.parametrize(
     ("seed", "share"),
     long_but(

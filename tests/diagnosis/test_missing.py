@@ -37,6 +37,7 @@ def test_telemetry_is_told_by_its_counts(lab):
     assert all((item.number, item.count) == (None, 1) for item in found)
 
 
+@pytest.mark.long
 def test_of_losses_that_are_fewer_than_what_may_be_meant_it_is_said(lab):
     found = missing(lab.read(CAPTURES / "d3_cpu1_cpu2.pcap.gz").case)
     vague = [item for item in found if item.one_of is not None]

@@ -896,6 +896,7 @@ def test_fires(rule, lab, tmp_path, msg_id):
         assert item.lost is None or item.of is None or 0 < item.lost <= item.of
 
 
+@pytest.mark.quick("rover", "two-arms")
 @pytest.mark.parametrize("scenario", ["rover", "arm", "two-rovers", "two-arms"])
 def test_silent_on_sound_traffic(scenario, lab):
     sent, counters = lab.simulate(scenario, seconds=60)

@@ -42,7 +42,10 @@ def lines(found, width, words=""):
     return shown.get().splitlines()
 
 
-@pytest.mark.long("d3_cpu1_cpu2", "c4_cmd_rate")
+@pytest.mark.quick(
+    *("[abef]_*", "c3*", "boots", "chaos", "network_bad", "processor_reset", "sbn_peer", "slow_app"),
+    *("two_robots", "n[1358]*", "p*", "q[12]*"),
+)
 @pytest.mark.parametrize("name", CAPTURES)
 def test_the_first_screen_is_true_and_fits(name, diagnosed):
     found = diagnosed(name)

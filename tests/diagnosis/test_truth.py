@@ -129,6 +129,7 @@ def test_what_the_full_pipe_of_two_arms_lost_is_counted_once(seconds, lab):
     assert lab.examine(sent).lost == counters.pipe_overflows
 
 
+@pytest.mark.long
 def test_two_instances_of_one_boot_time_are_told_apart(lab):
     first = Simulation(scenario="rover", command_rate_hz=10.0, start_ns=lab.start_ns)
     second = Simulation(
@@ -156,7 +157,7 @@ def test_a_table_with_other_limits_is_measured(lab):
     assert "20.0/s get through" in verdict.reason
 
 
-@pytest.mark.quick("False")
+@pytest.mark.long
 @pytest.mark.parametrize("configured", [True, False])
 def test_two_routes_share_the_counter_and_telemetry_keeps_its_own(configured, lab):
     sent, counters = lab.simulate("two-arms", hz=10.0, state_hz=10.0, seconds=60)

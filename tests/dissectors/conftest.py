@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from xml.parsers import expat
 
 import pytest
@@ -32,6 +33,15 @@ OURS = "ccsds_sp cfe sbn robot racs2 frames fprime edoras ros2cdr"
 PREFIXES = tuple(f"{name}." for name in (*OURS.split(), "ros2"))
 
 
+COLUMNS = """
+local file, tap = assert(io.open("%s", "w")), Listener.new("frame")
+function tap.packet(packet)
+  file:write(packet.number, "\\t", tostring(packet.cols.protocol), "\\t", tostring(packet.cols.info), "\\n")
+end
+"""
+"""Lua that writes the columns. With the tree tshark makes none, but for statistics, here of no flows."""
+
+
 @dataclass
 class Frame:
     """What tshark says of one frame: field name to (show, raw bytes as hex) of each occurrence."""
@@ -49,8 +59,9 @@ class Tshark:
         if settings is not None:
             script.write_text(dissector(settings)[0])
 
-    def run(self, *arguments, script=True):
-        lua = ["-X", f"lua_script:{self.script}"] if script else []
+    def run(self, *arguments, script=True, more=()):
+        scripts = [*([self.script] if script else []), *more]
+        lua = [word for path in scripts for word in ("-X", f"lua_script:{path}")]
         command = ["tshark", "-n", *lua, *map(str, arguments)]
         done = subprocess.run(command, capture_output=True, check=False, timeout=300)
         said = [line for line in done.stderr.decode().splitlines() if line and "Running as user" not in line]
@@ -75,12 +86,15 @@ class Tshark:
 
         parser = expat.ParserCreate()
         parser.StartElementHandler = start
-        parser.Parse(self.run("-r", capture, "-T", "pdml", "-J", OURS, *options), True)
-        columns = ["-T", "fields", "-e", "frame.number", "-e", "_ws.col.Protocol", "-e", "_ws.col.Info"]
-        for line in self.run("-r", capture, *columns, *options).decode().splitlines():
-            number, protocol, info = line.split("\t", 2)
-            frame = found.setdefault(int(number), Frame())
-            frame.protocol, frame.info = protocol, info
+        with TemporaryDirectory() as folder:
+            columns, script = Path(folder, "columns.txt"), Path(folder, "columns.lua")
+            script.write_text(COLUMNS % columns)
+            both = ["-T", "pdml", "-J", OURS, "-z", "flow,lbm_uim,standard", *options]
+            parser.Parse(self.run("-r", capture, *both, more=[script]), True)
+            for line in columns.read_text().splitlines():
+                number, protocol, info = line.split("\t", 2)
+                frame = found.setdefault(int(number), Frame())
+                frame.protocol, frame.info = protocol, info
         return found
 
 

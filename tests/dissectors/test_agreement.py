@@ -96,7 +96,7 @@ def taught():
     scapy_layers.use({})
 
 
-@pytest.mark.quick("e_ci_errors", "f_sbn_disconnect")
+@pytest.mark.quick("f_sbn_disconnect")
 @pytest.mark.parametrize("name", long_but(OF_EACH_KIND, SAMPLE_MISSIONS))
 def test_on_every_packet_of_every_capture(name, tshark, taught, judge):
     configs = missions(SAMPLE_MISSIONS[name])

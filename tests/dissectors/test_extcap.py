@@ -145,6 +145,7 @@ def test_a_capture(way, launcher, tmp_path):
     assert all(payload[0] & 0x10 for payload in got)
 
 
+@pytest.mark.long
 def test_it_ends_when_wireshark_goes(launcher, tmp_path):
     options = "--extcap-interface=edoras-to", "--listen=127.0.0.1:0"
     with begin(launcher, tmp_path, *options) as (program, reader):
@@ -161,6 +162,7 @@ def test_ctrl_c_and_wireshark_s_own_signal_end_it_silently(launcher, tmp_path):
         assert program.end(signal.SIGTERM) == ("", "")
 
 
+@pytest.mark.long
 def test_it_ends_silently_while_nobody_reads_yet(launcher, tmp_path):
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)

@@ -54,7 +54,7 @@ def test_any_frames_of_f_prime(agreed, tmp_path_factory, frames):
 GDS, ROVER = ("10.0.0.1", 50000), ("10.0.0.2", 40000)
 
 
-@pytest.mark.quick("ccsds")
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["own", "ccsds"])
 def test_f_prime_over_tcp(kind, agreed, tmp_path):
     """In both directions, cut anywhere, with what keeps the connection alive between frames."""
@@ -175,7 +175,7 @@ COUNTS = {
 }
 
 
-@pytest.mark.quick("1", "2")
+@pytest.mark.quick("2")
 @pytest.mark.parametrize("seed", range(3))
 def test_a_connection_whose_capture_begins_inside_a_frame(seed, tshark, tmp_path):
     """Every frame that is whole behind is shown, with a check or without."""
@@ -202,7 +202,7 @@ def test_a_connection_whose_capture_begins_inside_a_frame(seed, tshark, tmp_path
     assert found == expected
 
 
-@pytest.mark.quick("ccsds-1", "own-20")
+@pytest.mark.quick("ccsds-1")
 @pytest.mark.parametrize("first", [1, 5, 20, 33])
 @pytest.mark.parametrize("kind", ["own", "ccsds"])
 def test_a_connection_of_f_prime_whose_capture_begins_inside_a_frame(kind, first, tshark, tmp_path):

@@ -197,6 +197,7 @@ def test_every_finding_has_its_expert_information():
         assert f'label = "{finding.label}"' in text
 
 
+@pytest.mark.long
 def test_what_an_icmp_error_quotes_is_not_counted(tshark, tmp_path, write_pcap):
     inner = write_pcap(tmp_path / "inner.pcap", [(1235, 1234, cfe.emit_command(0x1806, 0))]).read_bytes()[40:]
     icmp = bytes.fromhex("0303000000000000") + inner
@@ -208,6 +209,7 @@ def test_what_an_icmp_error_quotes_is_not_counted(tshark, tmp_path, write_pcap):
     assert frames[1].protocol == "ICMP"
 
 
+@pytest.mark.long
 def test_two_copies_are_one(tshark, tmp_path):
     """Wireshark's folder and -X at once: the second gives way, and a chosen one makes others give way."""
     plugins = tmp_path / ".local/lib/wireshark/plugins"

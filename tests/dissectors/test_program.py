@@ -139,7 +139,7 @@ def test_the_page_shows_what_tshark_says():
     shown = re.findall(r"^\$ (.* -r .*)\n((?:[^$].*\n)*)", "".join(blocks), re.MULTILINE)
     ours = Path(sys.executable).parent
     assert len(shown) > 3
-    for command, output in every(3, shown):
+    for command, output in every(5, shown):
         done = subprocess.run(
             command,
             shell=True,

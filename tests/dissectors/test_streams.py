@@ -51,7 +51,7 @@ def test_sbn_messages_of_any_segments(cuts, tshark, tmp_path):
         assert [int(value, 0) for value in values] == [item[name] for item in headers]
 
 
-@pytest.mark.quick("1", "6", "11")
+@pytest.mark.quick("6")
 @pytest.mark.parametrize("seed", range(12))
 def test_a_capture_that_begins_inside_a_message_shows_every_whole_one_behind(seed, tshark, tmp_path):
     """In segments that begin anywhere, too; our own decoder starts with one of these messages."""

@@ -52,6 +52,8 @@ QUICK = [page for page in REFRESHED if page.stem not in {"sweep", "balance", "ar
     "docs/analysis.md",
     "docs/settings.md",
     "docs/replay.md",
+    "docs/plot.md",
+    "docs/export.md",
 )
 @pytest.mark.parametrize("page", long_but(QUICK, REFRESHED), ids=identity)
 def test_the_output_shown_is_the_output(page, refresh, typed, tmp_path):
@@ -162,6 +164,7 @@ def test_every_path_that_contributing_names_is_there():
     assert [item for item in plain if not (ROOT / item).exists()] == []
 
 
+@pytest.mark.long
 def test_the_picture_of_the_folders_is_as_they_are(make_house):
     assert make_house.PICTURE.read_text() == make_house.picture()
 

@@ -169,6 +169,7 @@ def known(name):
     return [item for item in found if item.startswith((*PACKAGES, "test_msgs", "builtin_interfaces"))], store
 
 
+@pytest.mark.quick("kilted")
 @pytest.mark.parametrize("name", INSTALLED)
 def test_every_message_is_what_rclpy_reads_and_writes(name):
     names, store = known(name)

@@ -67,7 +67,7 @@ def test_info_is_the_same_with_any_number_of_processes(path):
     assert found[0]["datagrams"] > 500
 
 
-@settings(max_examples=examples(10, part=2, least=5))
+@settings(max_examples=examples(10, part=3, least=3))
 @given(
     window=st.integers(6_000, 200_000),
     batches=st.integers(1, 6),
@@ -102,7 +102,7 @@ READERS = ("all", "none", "every third")
 IN_TURNS = list(zip(FILES, cycle(READERS)))
 
 
-@pytest.mark.quick("f_sbn_disconnect.pcap-*", "e_ci_errors.pcap-none")
+@pytest.mark.quick("f_sbn*")
 @pytest.mark.parametrize(
     ("path", "here"),
     long_but(IN_TURNS, list(product(FILES, READERS))),
@@ -132,6 +132,7 @@ def test_whoever_decodes_a_batch_reads_the_same(path, here, monkeypatch):
         assert decoder.context.detected == other.context.detected
 
 
+@pytest.mark.long
 def test_what_is_said_of_the_whole_so_far_is_said_once(tmp_path):
     """Conversations of another build begin late, one after the other: a note names all of them."""
 

@@ -73,7 +73,7 @@ ROVERS = {
 }
 
 
-@pytest.mark.quick("a_rover", "p6b*")
+@pytest.mark.quick("p6b_extended_header")
 @pytest.mark.parametrize("name", ROVERS)
 def test_what_comes_out_of_cfs_tells_when_it_went_in(tmp_path, name):
     traffic = datagrams(ROOT / f"tests/captures/{name}.pcap.zst")
@@ -87,6 +87,7 @@ def test_what_comes_out_of_cfs_tells_when_it_went_in(tmp_path, name):
         assert (found.lost, found.unaccounted) == (whole.lost, whole.unaccounted)
 
 
+@pytest.mark.quick("1")
 @pytest.mark.parametrize("order", [1, -1])
 def test_two_hosts_that_captured_the_same_are_one(order):
     paths = sorted((ROOT / "tests/captures").glob("n12_two_hosts_*.pcap*"))[::order]
@@ -144,7 +145,7 @@ def test_the_drift_of_two_hosts_clocks_is_told_and_taken_out(tmp_path, order, pp
     assert low <= seconds <= high <= low + 0.005
 
 
-@pytest.mark.quick("20")
+@pytest.mark.long
 @pytest.mark.parametrize("ppm", [20, -200])
 def test_the_drift_between_parts_of_streams_is_told_by_their_counts(tmp_path, traffic, ppm):
     split = SPLITS["every other datagram"]
@@ -166,6 +167,7 @@ def test_a_drift_that_order_alone_cannot_show_is_not_claimed(tmp_path, traffic):
     assert (found.lost, found.unaccounted) == (6601, 0)
 
 
+@pytest.mark.long
 def test_a_third_capture_is_aligned_by_the_one_it_shares_packets_with(tmp_path):
     flight = datagrams(ROOT / "tests/captures/n12_two_hosts_flight.pcap.zst")
     commands = [item for item in flight if item.destination[1] == 1234]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from effort import examples
+from effort import every, examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -20,7 +20,7 @@ def test_the_packages_are_there():
     assert {name.split("/")[0] for name in TYPES} == set(PACKAGES)
 
 
-@pytest.mark.parametrize("name", TYPES)
+@pytest.mark.parametrize("name", every(2, TYPES))
 @settings(max_examples=examples(25, least=3), deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), little=st.booleans())
 def test_both_directions(store, rosbags_store, tools, name, data, little):
@@ -35,7 +35,7 @@ def test_both_directions(store, rosbags_store, tools, name, data, little):
     assert tools.exact(store.decode(name, store.encode(name, expected))) == tools.exact(expected)
 
 
-@pytest.mark.parametrize("name", TYPES)
+@pytest.mark.parametrize("name", every(2, TYPES))
 @settings(max_examples=examples(15, least=3), deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_what_rosbags_reads_is_valid(store, rosbags_store, tools, name, data):

@@ -19,7 +19,7 @@ def without_floats(info):
     return {**info, "routes": rows}
 
 
-@pytest.mark.quick("b_arm_single", "f_sbn_disconnect")
+@pytest.mark.quick("f_sbn*")
 @pytest.mark.parametrize("capture", CAPTURES)
 def test_the_decode_is_as_expected(capture, expected, make_expected):
     wanted, got = expected[capture], json.loads(make_expected.text(make_expected.expected(capture)))
@@ -32,7 +32,7 @@ def test_the_decode_is_as_expected(capture, expected, make_expected):
         assert one == other
 
 
-@pytest.mark.quick("b_arm_single", "f_sbn_disconnect")
+@pytest.mark.quick("b_arm*")
 @pytest.mark.parametrize("capture", CAPTURES)
 def test_numbers_times_ends_and_lengths_are_those_of_scapy(capture, expected, captures):
     from scapy.layers.inet import IP, UDP

@@ -137,6 +137,7 @@ def test_any_order_adds_up(events, size):
     assert (other.written, other.captured, other.copies) == (writer.written, writer.captured, writer.copies)
 
 
+@pytest.mark.long
 def test_more_holes_than_are_kept_are_all_counted():
     numbers = np.arange(1, 60_001)
     kept = numbers[(numbers * 7919 % 10 < 6) | (numbers == 1)].tolist()

@@ -119,7 +119,7 @@ def drawn(tmp_path_factory):
     return made, printed(gcc(folder, "program", text), data), data, text
 
 
-@pytest.mark.quick("2", "5")
+@pytest.mark.quick("2")
 @pytest.mark.parametrize("version", [2, 3, 4, 5])
 def test_offsets_sizes_and_values_are_the_compilers(version, drawn, tmp_path):
     made, said, data, text = drawn

@@ -15,7 +15,7 @@ _ALL = LONG or os.environ.get("HYPOTHESIS_PROFILE") == "explore"
 _PART = 16
 
 
-def examples(count, part=_PART, least=10):
+def examples(count, part=_PART, least=6):
     """Return how many of ``count`` examples this run draws: one of ``part``, but so many at least."""
     return count if _ALL else min(count, max(least, count // part))
 

@@ -160,6 +160,7 @@ def test_report(call, index, tmp_path):
     assert call("archive", "report", "-o", index / "x.duckdb").code == 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("width", "scheme"), long_but([(400, "dark")], [(400, "dark"), (1280, "light")]))
 def test_chromium_shows_the_report(width, scheme, call, index, tmp_path):
     call("archive", "report", "-o", tmp_path / "r.html")

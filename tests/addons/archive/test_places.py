@@ -117,6 +117,7 @@ def updated(index, root, scheduler):
         return bring_up_to_date(opened, Update((root,), Settings(), scheduler=scheduler))
 
 
+@pytest.mark.long
 def test_a_bucket_is_indexed_as_a_folder(s3, scheduler, tmp_path):
     index = tmp_path / "x.duckdb"
     if LONG:
@@ -142,6 +143,7 @@ def test_a_bucket_is_indexed_as_a_folder(s3, scheduler, tmp_path):
     assert report.bad == ["s3://fleet/day 1/new.pcap: is empty; a capture has at least a header"]
 
 
+@pytest.mark.long
 def test_what_cannot_be_listed_is_told(s3, monkeypatch, tmp_path):
     def refused(root):
         s3fs.S3FileSystem.clear_instance_cache()

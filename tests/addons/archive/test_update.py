@@ -182,6 +182,7 @@ def test_only_what_is_new_or_changed_is_read(folder, updated):
     assert updated(index, folder, again=True).report.read == 3
 
 
+@pytest.mark.long
 def test_other_settings_read_all_again(folder, updated):
     index = folder / "x.duckdb"
     updated(index, folder)
@@ -258,6 +259,7 @@ def test_a_file_that_changes_while_it_is_read_has_no_rows(folder, updated, monke
     assert updated(index, folder).report.read == 2, "the next update reads it"
 
 
+@pytest.mark.long
 def test_captures_of_a_group_are_read_as_if_alone(tmp_path):
     """Also after a recording that carries missions of its own."""
     source, own = open_files([ROVER]), tmp_path / "own.mcap"
@@ -308,6 +310,7 @@ def test_a_lost_worker_changes_nothing(folder, updated, scheduler):
     assert found.report.read == 2
 
 
+@pytest.mark.long
 def test_progress_is_shown_before_the_first_capture_is_read_and_after_the_last(folder, updated):
     steps = []
     updated(folder / "z.duckdb", folder, progress=SimpleNamespace(step=lambda *item: steps.append(item)))

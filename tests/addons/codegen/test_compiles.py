@@ -38,6 +38,7 @@ def judged(program, corpus, times, **environment):
     return dict(line.rsplit(": ", 1) for line in done.stdout.splitlines())
 
 
+@pytest.mark.long
 def test_spoilt_messages_under_sanitizers(cc, tools, generated, corpus, tmp_path):
     program = build(cc, tools, generated, tmp_path / "judge", *tools.FLAGS, *SANITIZERS)
     statuses = judged([*tools.steady(), program], corpus, TIMES, ASAN_OPTIONS="detect_leaks=0")

@@ -6,7 +6,7 @@ import math
 import struct
 
 import pytest
-from effort import examples
+from effort import every, examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
@@ -33,7 +33,7 @@ def test_every_package_is_there():
     assert {name.split("/")[0] for name in STANDARD} == set(PACKAGES)
 
 
-@pytest.mark.parametrize("name", TYPES)
+@pytest.mark.parametrize("name", every(2, TYPES))
 @few
 @given(data=st.data())
 def test_both_ways(library, store, rosbags_store, tools, name, data):
@@ -64,7 +64,7 @@ def test_new_messages_have_their_defaults(library, store, name):
     assert library.encode(name, library.created(name)) == (library.OK, store.encode(name, {}))
 
 
-@pytest.mark.parametrize("name", TYPES)
+@pytest.mark.parametrize("name", every(2, TYPES))
 @few
 @given(data=st.data())
 def test_what_is_read_is_what_our_reader_reads(library, store, tools, name, data):

@@ -165,6 +165,7 @@ def test_another_program_hears_what_rosbags_wrote(node, peer, until):
         assert bytes.fromhex(line["cdr"]) == judged(name, values)
 
 
+@pytest.mark.long
 def test_an_empty_message_is_one_byte(node, peer, until):
     graph, heard = node(), []
     graph.subscribe("/in", "std_msgs/msg/Empty", Qos(), heard.append)
@@ -219,6 +220,7 @@ def test_a_late_subscriber_gets_the_last_messages_where_they_are_kept(node, peer
     assert [line["values"]["data"] for line in peer.heard("rt/gone")] == ["new"]
 
 
+@pytest.mark.long
 def test_a_late_subscriber_is_given_no_more_than_it_asked_for(node, peer, until):
     graph, heard = node(), []
     graph.subscribe("/kept", STRING, Qos(transient_local=True, depth=9), heard.append)
@@ -314,6 +316,7 @@ def test_a_subscriber_that_stands_still_holds_up_only_who_keeps_all(node, peer, 
     until(lambda: len(peer.heard("rt/whole")) == sent.count(whole))
 
 
+@pytest.mark.long
 def test_large_messages_arrive_whole(node, peer, until):
     graph = node()
     publish = graph.advertise("/large", STRING, Qos())

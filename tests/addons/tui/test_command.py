@@ -119,6 +119,7 @@ def test_it_runs_on_a_terminal_and_gives_it_back(key, on_terminal):
     assert b"Traceback" not in terminal.seen
 
 
+@pytest.mark.long
 def test_a_pipe_gives_packets_while_the_terminal_gives_keys(on_terminal):
     reading, writing = os.pipe()
     terminal = on_terminal("-r", "-", stdin=reading)

@@ -2,6 +2,7 @@
 
 import socket
 
+import pytest
 from places import ROOT
 
 from edoras_tools.decode import Options
@@ -57,6 +58,7 @@ def test_what_comes_is_followed_until_the_user_looks_back(drive):
     drive(script, source=sender.source, options=sender.options, follow=True)
 
 
+@pytest.mark.long
 def test_a_filter_holds_for_what_comes_later(drive):
     sender = Sender()
 
@@ -103,6 +105,7 @@ def test_enough_is_enough(drive):
     drive(script, source=sender.source, options=sender.options, limits=Limits(5))
 
 
+@pytest.mark.long
 def test_a_file_that_is_too_large_is_shown_from_its_beginning(drive):
     async def script(hands):
         app = hands.app

@@ -153,6 +153,7 @@ def test_every_byte_of_every_layer_finds_a_field_that_holds_it(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_branches_close_and_stay_closed(drive):
     async def script(hands):
         layers = hands.app.layers
@@ -196,6 +197,7 @@ def test_a_filter_shows_what_it_lets_pass_and_keeps_the_packet(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_a_filter_that_nothing_passes_says_so(drive):
     async def script(hands):
         await hands.filter("msg_id == 0x0999")
@@ -352,6 +354,7 @@ def test_the_filter_of_the_command_line_is_the_first(drive):
     drive(script, selection=Selection(links=(SBN,), where="msg_id == 0x082a"))
 
 
+@pytest.mark.long
 def test_a_field_becomes_a_filter(drive):
     async def script(hands):
         app = hands.app
@@ -391,6 +394,7 @@ def test_search_goes_to_the_next_and_round_the_end(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_marks_are_gone_between_and_filtered_for(drive):
     async def script(hands):
         app = hands.app
@@ -425,6 +429,7 @@ def test_routes_are_counted_and_filter(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_routes_are_sorted_by_any_column(drive):
     titles = ["Link", "MsgId", "Topic", "Count", "Mean", "Jitter", "Gaps", "Bytes"]
 
@@ -451,6 +456,7 @@ def test_routes_are_sorted_by_any_column(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_rates_are_those_of_the_packets_shown(drive):
     async def script(hands):
         app = hands.app
@@ -528,6 +534,7 @@ def test_time_is_told_four_ways(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_columns_are_chosen_and_fields_become_columns(drive):
     async def script(hands):
         app = hands.app
@@ -570,6 +577,7 @@ def test_the_selected_field_becomes_a_column(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_the_frame_is_shown_and_linked_too(drive):
     async def script(hands):
         app = hands.app
@@ -588,6 +596,7 @@ def test_the_frame_is_shown_and_linked_too(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_panes_grow_and_shrink(drive):
     async def script(hands):
         app = hands.app
@@ -604,7 +613,7 @@ def test_panes_grow_and_shrink(drive):
     drive(script)
 
 
-@pytest.mark.quick("15;0-dark", "0;default;7-light")
+@pytest.mark.quick("15;0-dark")
 @pytest.mark.parametrize(
     ("colours", "theme"),
     [
@@ -626,6 +635,7 @@ def test_the_theme_is_that_of_the_terminal(drive, monkeypatch, colours, theme):
     drive(script)
 
 
+@pytest.mark.long
 def test_help_comes_and_goes(drive):
     async def script(hands):
         await hands.press("question_mark")

@@ -146,7 +146,7 @@ TURNS = 1 if LONG else 3
 def test_every_field_of_the_captures(path, name):
     with closing(open_file(path)) as source:
         batch = next(source.batches())
-    rows = np.random.default_rng(1).choice(len(batch), min(len(batch), examples(250, 2)), replace=False)
+    rows = np.random.default_rng(1).choice(len(batch), min(len(batch), examples(250, 5)), replace=False)
     turn = CAPTURES.index(path) // len(NAMES)  # the captures before it had the other names
     assert agree(batch.take(np.sort(rows)), name, turn=turn) > 100 // TURNS
 
@@ -277,7 +277,7 @@ OPTIONS = st.sampled_from(
 )
 
 
-@settings(max_examples=examples(100, least=5))
+@settings(max_examples=examples(100, least=3))
 @given(rows=ROWS, name=st.sampled_from(sorted(MISSIONS)), options=OPTIONS)
 @example(rows=[], name="lists", options=Options())
 @example(rows=[(item, 2236, 2234, 0) for item in LISTED], name="lists", options=Options())
@@ -335,7 +335,7 @@ CASES = st.sampled_from(sorted(MISSIONS)).flatmap(lambda name: st.tuples(st.just
 
 
 # Many of them are mistakes, and are drawn again.
-@settings(max_examples=examples(200, 8), suppress_health_check=[HealthCheck.filter_too_much])
+@settings(max_examples=examples(200, 16), suppress_health_check=[HealthCheck.filter_too_much])
 @given(rows=ROWS, case=CASES)
 @example(rows=[(item, 2236, 2234, 0) for item in POOL], case=("rover", "not summary contains 'x=' and sbn"))
 def test_whole_filters(rows, case):

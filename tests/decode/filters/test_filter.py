@@ -173,6 +173,7 @@ def test_what_passes(capture, text, wanted):
     assert Where(text, context).judge(packets).tolist() == expected
 
 
+@pytest.mark.long
 def test_that_the_cases_tell_packets_apart():
     told = 0
     for capture, text, _ in CASES:

@@ -57,7 +57,7 @@ def frames(batch):
     ]
 
 
-@pytest.mark.quick("options0-*", "options1-.mcap-10000", "options2-.pcap-97", "options3-.pcapng-97")
+@pytest.mark.quick("*-97")
 @pytest.mark.parametrize("step", [10_000, 97])
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_parts_are_the_whole(suffix, options, step, written, batch):
             assert all(50_000 < path.stat().st_size <= 60_000 for path in paths[:-1])
 
 
-@pytest.mark.quick(".pcap")
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", [".pcap", ".pcapng"])
 def test_a_frame_that_is_larger_than_a_part_is_alone_in_it(suffix, written, batch):
     paths, _ = written(suffix, split_bytes=1)

@@ -77,6 +77,7 @@ def truncate(path):
     file_of(path).write_bytes(b"")
 
 
+@pytest.mark.quick("delete*.mcap", "replace*.pcap", "truncate*.pcapng", "delete*bag")
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize(
     ("how", "fate"),
@@ -161,6 +162,7 @@ def test_what_is_taken_away_at_the_end(name, batches, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.quick("x.mcap")
 @pytest.mark.parametrize("name", KINDS)
 def test_again_and_again(name, batches, tmp_path):
     recording = Recording(tmp_path / name)

@@ -95,6 +95,7 @@ def test_the_packets_leave_at_their_times_in_a_session(capture):
     assert packets[-1][0] - packets[0][0] > 0.9 * 0.05 * (len(SENT) - 1)
 
 
+@pytest.mark.long
 def test_as_captured_and_twice_as_fast(capture):
     cfs = CfsSide(answers=False)
     done = replayed(capture, cfs.port, "--tcp", "--role", "captured", "--speed", "20")

@@ -124,7 +124,7 @@ def parts(tmp_path):
     return write
 
 
-@pytest.mark.quick("*-10000", "latched-33")
+@pytest.mark.quick("latched-33")
 @pytest.mark.parametrize("step", [10_000, 33])
 @pytest.mark.parametrize("change", [latched, renamed])
 def test_each_part_begins_with_the_last_message(change, step, parts):

@@ -36,7 +36,9 @@ def texts(bench, rows, names):
     return column_texts(rows, fields(names, bench.columns.context))
 
 
-@pytest.mark.long("summary")
+@pytest.mark.long(
+    "summary", "*_time", "source*", "ccsds.*", "sbn.*", "cfe_event*", "event_type", "pose*", "name*"
+)
 @pytest.mark.parametrize(("capture", "mission", "name"), CASES, ids=[case[2] for case in CASES])
 def test_a_filter_reads_back_what_is_printed(capture, mission, name, captures):
     bench, rows = rows_of(captures, capture, mission)

@@ -9,6 +9,7 @@ from random import Random
 
 import numpy as np
 import pytest
+from effort import examples
 from places import CAPTURES
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, contents
@@ -76,7 +77,7 @@ def test_every_type_is_told_alike(one, monkeypatch):
     routes, packets, nested = [], [], set()
     for msg_id, name in enumerate(TYPES.types(), 0x1A00):
         dice = Random(name)
-        messages = [{}, {}, *(arbitrary(TYPES, name, dice) for _ in range(3))]
+        messages = [{}, {}, *(arbitrary(TYPES, name, dice) for _ in range(examples(3, 3, 1)))]
         messages.append(odd(messages[-1]))
         cdrs = [TYPES.encode(name, values, big_endian=big) for values in messages for big in (False, True)]
         packets += [cfe.emit_command(msg_id, 1, DEFAULT.emit(cdr)) for cdr in cdrs]

@@ -26,7 +26,7 @@ def held(source, text, folder, settings=SETTINGS):
     return check(source, settings.workbench(source.info), load_expectations(path))
 
 
-@pytest.mark.long("d3*", "c4*", "c1*", "c3*")
+@pytest.mark.quick("a_rover*", "f_sbn*", "n10*", "n5*", "p6b*")
 @pytest.mark.parametrize(
     ("name", "configured"),
     long_but(list(zip(RECORDINGS, cycle((True, False)))), list(product(RECORDINGS, (True, False)))),
@@ -84,6 +84,7 @@ def good():
     return draft(run(), SETTINGS.workbench())
 
 
+@pytest.mark.long
 def test_another_good_run_passes(good, tmp_path):
     assert good.notes == []
     report = held(run(seconds=55, start_s=1_800_100_000, seed=7), good.text, tmp_path)

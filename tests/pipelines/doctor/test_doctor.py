@@ -241,7 +241,7 @@ def test_what_is_followed_over_chapters_comes_to_the_one_that_judges(monkeypatch
     assert two.diagnosis.capture.frames.channels
 
 
-@pytest.mark.quick("os.fork")
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["os.fork", "mmap.mmap"])
 def test_where_there_is_no_other_process_this_one_judges(monkeypatch, what):
     path = ROOT / "samples/captures/a_rover.pcap"

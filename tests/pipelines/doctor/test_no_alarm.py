@@ -26,7 +26,7 @@ def diagnosed(seconds, hz, scenario):
     return examine(SimulatedSource(run, int(seconds * SECOND)), bench).diagnosis
 
 
-@pytest.mark.quick("arm")
+@pytest.mark.long
 @pytest.mark.limit(3600)
 @pytest.mark.parametrize("scenario", long_but(["arm", "two-rovers"], DEMOS))
 def test_a_clean_demo_of_hours_has_no_verdict(scenario):

@@ -76,7 +76,7 @@ CASES = {
 }
 
 
-@pytest.mark.quick("Arrow", "selected")
+@pytest.mark.quick("Arrow")
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_tables_are_the_same_with_any_number_of_processes(case, tmp_path, submitted):
     name, layout, how = case
@@ -86,7 +86,7 @@ def test_tables_are_the_same_with_any_number_of_processes(case, tmp_path, submit
     assert len(submitted) > 2
 
 
-@pytest.mark.quick("jsonl")
+@pytest.mark.long
 @pytest.mark.parametrize("layout", ["csv", "jsonl", "parquet", "arrow"])
 def test_so_they_are_if_everything_is_written_late(layout, tmp_path, submitted, monkeypatch):
     one, late = exported(tmp_path, 1, ROVER, settings("a_rover"), layout), []
@@ -104,6 +104,7 @@ def test_so_they_are_if_everything_is_written_late(layout, tmp_path, submitted, 
     assert len(submitted) > 2
 
 
+@pytest.mark.long
 def test_so_are_those_of_a_recording_of_topics(tmp_path, submitted):
     source = open_files([ROVER])
     record(source, settings("a_rover").workbench(source.info), Target(tmp_path / "bag", rosbag2=True))
@@ -126,7 +127,7 @@ def test_a_process_that_was_killed_leaves_nothing(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.quick("write-1-1", "write-1-2", "complete-1-2")
+@pytest.mark.quick("write-1-2")
 @pytest.mark.parametrize("jobs", [1, 2])
 @pytest.mark.parametrize(
     ("what", "which"), [("write", 1), ("write", 40), ("complete", 1), ("complete", 2), ("complete", 9)]

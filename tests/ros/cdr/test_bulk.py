@@ -127,6 +127,7 @@ def damaged(draw, cdr):
     return bytes(cdr)
 
 
+@pytest.mark.quick("together-*")
 @pytest.mark.parametrize("name", TYPES)
 @FEW
 @given(data=st.data())
@@ -137,6 +138,7 @@ def test_mixed_batches(store, tools, name, data):
     check(store, name, cdrs, *laid_out(cdrs, data.draw(st.lists(st.integers(0, 5), max_size=6))))
 
 
+@pytest.mark.quick("together-*")
 @pytest.mark.parametrize("name", TYPES)
 @FEW
 @given(garbage=st.lists(st.binary(max_size=60), max_size=6), plain=st.booleans())
@@ -145,6 +147,7 @@ def test_garbage(store, name, garbage, plain):
     check(store, name, cdrs, *laid_out(cdrs))
 
 
+@pytest.mark.quick("together-*")
 @pytest.mark.parametrize("name", TYPES)
 @FEW
 @given(

@@ -81,6 +81,7 @@ def demos(tmp_path_factory):
     return made
 
 
+@pytest.mark.quick("arm", "two-rovers")
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_commands_move_the_robots_and_what_is_said_arrives_byte_for_byte(demos, scenario):
     summary = demos[scenario].summary()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
+import pytest
 from effort import examples
 from hypothesis import given, settings
 from scenarios import START_NS, flights, fly
@@ -15,7 +16,7 @@ from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.units import SECOND
 
 
-@settings(max_examples=examples(30))
+@settings(max_examples=examples(30, least=5))
 @given(flights())
 def test_its_sums_are_the_counters_of_the_emulator(flight):
     simulation, sent = fly(flight)
@@ -43,6 +44,7 @@ def test_its_sums_are_the_counters_of_the_emulator(flight):
     )
 
 
+@pytest.mark.long
 @settings(max_examples=3)
 @given(flights())
 def test_keeping_it_changes_nothing_that_is_sent(flight):

@@ -215,6 +215,7 @@ def test_c4_at_every_rate_as_many_commands_are_lost_within_three_points(command_
         assert flight == max(emulated) == 0 or rate > 8
 
 
+@pytest.mark.long
 def test_the_guide_has_these_figures(command_rates):
     guide = (ROOT / "docs/sim.md").read_text()
     for rate, (sent, flight, emulated) in command_rates.items():

@@ -136,6 +136,7 @@ def test_a_peer_s_states_reach_cfs_at_any_rate_and_what_they_cause_elsewhere_is_
     assert "0x0828 (/robot_1/ground/pose) was lost too, at TO_LAB_TLM_PIPE" in summary["notes"]
 
 
+@pytest.mark.long
 def test_who_publishes_the_route_already_is_counted_in(bench):
     summary = run(bench(*ROVER), "/telemetry_pose", "rover", rates=(1, 16))
     assert 6 <= summary["threshold_hz"] <= 8
@@ -143,6 +144,7 @@ def test_who_publishes_the_route_already_is_counted_in(bench):
     assert counts(summary)[4] == (pytest.approx(32, abs=3), 0)
 
 
+@pytest.mark.long
 def test_the_socket_is_the_limit_where_the_pipe_is_not(bench):
     summary = run(bench(*ROVER), "/cmd_vel", "rover", rates=(16, 64), limit=255)
     assert summary["limiting_hop"] == "CI_LAB_APP socket"
@@ -154,6 +156,7 @@ def test_the_socket_is_the_limit_where_the_pipe_is_not(bench):
 # Sizes
 
 
+@pytest.mark.long
 def test_ci_cuts_at_768_bytes_and_the_echo_shows_it(bench):
     summary = run(bench(*ROVER), "/cmd_vel", "rover", rates=(2, 2), sizes=(76, 2000))
     assert (summary["threshold_bytes"], summary["first_loss_bytes"]) == (768, 769)
@@ -280,6 +283,7 @@ def test_notes_on_sizes_name_the_bridge_of_the_link(bench, name, sizes, notes):
     assert all(note in text for note, text in zip(notes, told, strict=True))
 
 
+@pytest.mark.long
 def test_watching_what_somebody_else_publishes_too_fast(bench, monkeypatch):
     class Busy(Simulation):
         def __init__(self, *arguments, **more):
@@ -324,6 +328,7 @@ def ports():
     return free_ports(3)
 
 
+@pytest.mark.long
 def test_on_real_sockets_the_same_hop_is_found(bench, ports):
     """A hasty cFS, so that the test is quick: 400 Hz are 10 in 25 ms, and 4 may wait."""
     ci, to, own = ports

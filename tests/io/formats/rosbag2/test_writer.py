@@ -50,6 +50,7 @@ def test_a_split_bag_is_one_bag(tmp_path, types, mission, info, made_up):
         assert sum(1 for _ in reader.messages()) == metadata["message_count"]
 
 
+@pytest.mark.quick("humble*", "kilted*")
 @pytest.mark.parametrize(
     ("distro", "version"),
     [("foxy", 5), ("humble", 5), ("iron", 8), ("jazzy", 9), ("kilted", 9), ("rolling", 9)],
