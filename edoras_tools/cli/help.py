@@ -157,7 +157,7 @@ def _decoding(context: Any) -> str:
     fields = {item.name: get_args(item.annotation)[1].help for item in parameters(DecodingOptions)[2:]}
     with formatter.section("Decoding"):
         formatter.write_dl([(name.replace("_", "-"), text) for name, text in fields.items()])
-    with formatter.section("Constants of cFS, for doctor, report, trace, check and sim"):
+    with formatter.section("Constants of cFS, for doctor, report, trace, hz, check and sim"):
         usual = SimProfile()
         numbers = {item.name: getattr(usual, item.name) for item in dataclasses.fields(usual)}
         whole = [f"{name}={value}" for name, value in numbers.items() if type(value) is int]

@@ -41,7 +41,7 @@ _NO_MEMORY: Final = (
 """Texts of errors other than ``MemoryError`` that mean that memory is exhausted."""
 
 _OF_THE_CORE: Final = {
-    "Look": ("sniff", "info", "decode", "live", "plot", "trace", "host"),
+    "Look": ("sniff", "info", "decode", "live", "plot", "trace", "hz", "host"),
     "Record": ("record", "recover", "export", "files"),
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "proxy"),

@@ -274,7 +274,8 @@ Duration = Annotated[int | None, Option(parser=duration, help="Stop after this t
 Unproved = Annotated[bool, Option("--unproved", help="Also keep messages that no checksum covers.")]
 Jobs = Annotated[int | None, Option(parser=count, help="Processes to use; default: free cores, up to 3.")]
 EveryPort = Annotated[bool, Option("--all", "-a", help="Live: also UDP that belongs to no link.")]
-RosDomain = Annotated[int | None, Option(min=0, max=MOST_DOMAIN, help="ROS_DOMAIN_ID is the usual.")]
+RosDomain = Annotated[int | None, Option(min=0, max=MOST_DOMAIN, hidden=True)]
+"""Usually it is said by ROS_DOMAIN_ID, as ROS has it."""
 RosOption = Annotated[
     list[Any] | None, Option("--ros-option", parser=name_value, metavar="NAME=VALUE", help="An option of it.")
 ]
@@ -449,7 +450,7 @@ def _refuse_constants(constants: Sequence[str]) -> None:
             hint = did_you_mean(name, [item.replace("_", "-") for item in SETTINGS], 1)
             raise ConfigError(
                 f"--set {text}: {name} says nothing of how packets are decoded; "
-                f"{hint or 'constants of cFS are for doctor, report, trace, check and sim'}"
+                f"{hint or 'constants of cFS are for doctor, report, trace, hz, check and sim'}"
             )
 
 

@@ -50,7 +50,6 @@ def trace(
     ] = None,
     force: recordings.Force = False,
     printing: options.PrintOptions,
-    times: options.TimeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
     """Follow one message hop by hop, or a topic's rounds.
@@ -59,7 +58,6 @@ def trace(
     shows that. Exit code 3: it was lost.
     """
     from edoras_tools.pipelines.doctor.doctor import examine, profile_with
-    from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.doctor.trace import Tracing
 
     files, request = _request(arguments or [], read or [], which)
@@ -71,8 +69,7 @@ def trace(
         inputs = InputOptions(FileOptions(files))
         source, bench = open_input(inputs, decoding.settings(constants=True), aligned=True, progress=bar)
         tracing = Tracing(bench.columns.context, profile_with(decoding.constants), request)
-        scope = Scope(period=times.period())
-        findings = examine(source, bench, scope=scope, progress=bar, examination=tracing)
+        findings = examine(source, bench, progress=bar, examination=tracing)
     no_datagrams(source)
     if findings.failure is not None:
         tell(str(findings.failure))

@@ -119,7 +119,7 @@ def test_a_setting_that_there_is_not(call, captures):
     assert (done.code, done.out) == (2, "")
     assert "did you mean envelope?" in done.err[0]
     done = call("sniff", captures("a_rover"), "--set", "app_msg_limit=8")
-    assert done.err[0].endswith("constants of cFS are for doctor, report, trace, check and sim")
+    assert done.err[0].endswith("constants of cFS are for doctor, report, trace, hz, check and sim")
 
 
 def test_help_decoding_has_every_setting(call):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.diagnosis.case import Case
 from edoras_tools.diagnosis.evidence.relays.proxied import proxied
 from edoras_tools.diagnosis.examination import Chapter, Diagnosis, Examination, judge_single
+from edoras_tools.diagnosis.hop_rates import TopicRates, topic_rates
 from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rounds import Timing, rounds_into, rounds_out
@@ -42,12 +43,14 @@ class TraceRequest:
         topic: a topic, or a name or MsgId that tables show.
         nth: which of its messages, from 1.
         lost: which of those that were lost, of the topic or of all, from 1.
+        window: the rates of so many messages of the topic are asked for.
     """
 
     packet: int | None = None
     topic: str | None = None
     nth: int | None = None
     lost: int | None = None
+    window: int | None = None
 
 
 class Tracing(Examination):
@@ -56,6 +59,7 @@ class Tracing(Examination):
     Attributes:
         trace: the way of the message, once it was met.
         timing: the rounds of the topic, of the chapter that lost most.
+        rates: the rates of the topic, of the last chapter that has it.
     """
 
     def __init__(self, context: Context, profile: SimProfile, request: TraceRequest) -> None:
@@ -63,6 +67,7 @@ class Tracing(Examination):
         self.request = request
         self.trace: MessageTrace | None = None
         self.timing: Timing | None = None
+        self.rates: list[TopicRates] = []
         self._passed = 0
         self._names: dict[str, None] = {}
 
@@ -85,7 +90,7 @@ class Tracing(Examination):
             RouteError: it is not there.
         """
         request = self.request
-        if self.trace is not None or self.timing is not None:
+        if self.trace is not None or self.timing is not None or self.rates:
             return
         if request.packet is not None:
             raise RouteError(
@@ -114,6 +119,9 @@ class Tracing(Examination):
         if request.nth is not None:
             self.trace = Tracer(case).nth(streams, request.nth - self._passed) if streams else None
             self._passed += sum(messages_in(item) for item in streams)
+        elif request.window is not None:
+            names = request.topic or "", request.window
+            self.rates = [topic_rates(case, item, *names) for item in streams] or self.rates
         elif streams:
             timings = [_timing(case, item, request.topic or "") for item in streams]
             best = max([*timings, *filter(None, [self.timing])], key=lambda item: item.lost)

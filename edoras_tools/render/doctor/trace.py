@@ -13,11 +13,13 @@ from edoras_tools.render.capture.sequence import mermaid_text
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean, clip, fit, fit_right, wrap
+from edoras_tools.render.units import NONE
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from edoras_tools.diagnosis.hop_rates import HopRate, TopicRates
     from edoras_tools.diagnosis.rounds import Rounds, Timing
     from edoras_tools.diagnosis.trace import MessageTrace
 
@@ -209,3 +211,24 @@ def diagram(timing: Timing, zero_ns: int, width: int) -> list[Text]:
             lines.append(line)
     key = "▲ wake-up   waiting: with this one   ● came out   ✗ did not" if rounds.visible else "· sent"
     return [*lines, Text(key, palette.DIM)]
+
+
+def rate_lines(rates: TopicRates) -> list[str]:
+    """Return the rates of a topic: all of them in one line, then a line for each hop."""
+    every = ", ".join(f"{hop.hop} {_hertz(hop)}" for hop in rates.hops)
+    lines = [clean(f"{rates.topic} (0x{rates.msg_id:04x} on {rates.link.upper()}): {every}")]
+    head = "".join(item.rjust(11) for item in ("rate", "min", "max", "std dev", "messages"))
+    lines.append(f"{'':<24}{head}")
+    for hop in rates.hops:
+        spread = [
+            NONE if item is None else f"{item:.{digits}f} s"
+            for item, digits in ((hop.least_s, 3), (hop.greatest_s, 3), (hop.deviation_s, 5))
+        ]
+        count = NONE if hop.count is None else f"{'' if hop.exact else 'about '}{hop.count:,}"
+        cells = "".join(item.rjust(11) for item in (_hertz(hop), *spread, count))
+        lines.append(f"{fit(clean(hop.hop), 24)}{cells}")
+    return [*lines, f"of the last {plural(rates.window, 'message')}"]
+
+
+def _hertz(hop: HopRate) -> str:
+    return "not seen" if hop.rate_hz is None else f"{hop.rate_hz:.1f}"

@@ -56,12 +56,12 @@ class DemoOptions(NamedTuple):
             help="States that each of two robots sends; default 250.",
         ),
     ] = None
+    ros_options: options.RosOption = None
     max_rate: Annotated[float, Option(min=0, metavar="HZ", help="States that are forwarded; 0: all.")] = 30.0
     live: Annotated[bool, Option("--live", help="Show it in Foxglove, and drive the robots there.")] = False
     ws_port: Annotated[int | None, Option(min=0, max=65535, hidden=True)] = None
     distro: Annotated[str, Option(envvar="ROS_DISTRO", hidden=True)] = options.DISTRO
     domain: options.RosDomain = None
-    ros_options: options.RosOption = None
 
     def plan(self, scenario: ScenarioName, output: Path, *, replace: bool) -> DemoPlan:
         """Return these options in the form that pipelines take."""
