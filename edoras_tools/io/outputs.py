@@ -282,7 +282,7 @@ def lock_older(path: Path) -> int:
     return fileno
 
 
-def short_name(name: str, suffix: str) -> str:
+def name_that_fits(name: str, suffix: str) -> str:
     """Return a file name that file systems take: what is too long for them ends in a hash of the whole."""
     data = os.fsencode(name)
     if len(data) + len(os.fsencode(suffix)) > _LONGEST:

@@ -19,9 +19,9 @@ from edoras_tools.io.outputs import (
     Patience,
     check_links,
     check_new,
+    name_that_fits,
     opener,
     path_beside,
-    short_name,
     waiting_for_room,
     write_bytes,
 )
@@ -297,8 +297,8 @@ class TestNewFile:
         assert [(item.name, item.read_bytes()) for item in tmp_path.iterdir()] == [("x", b"page")]
 
     def test_long_names(self, tmp_path):
-        assert short_name("short", ".csv") == "short.csv"
-        names = [short_name("\u00e4" * 150 + end, ".csv") for end in "ab"]
+        assert name_that_fits("short", ".csv") == "short.csv"
+        names = [name_that_fits("\u00e4" * 150 + end, ".csv") for end in "ab"]
         assert names[0] != names[1]
         assert max(len(name.encode()) for name in names) < 200
         write_bytes(tmp_path / ("x" * 255), b"new")

@@ -13,7 +13,7 @@ from urllib.parse import quote
 from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.formats.columns import TableFile, TableHead
 from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, Format, written_as
-from edoras_tools.io.outputs import check_links, in_the_way, refuse_existing, refuse_input, short_name
+from edoras_tools.io.outputs import check_links, in_the_way, name_that_fits, refuse_existing, refuse_input
 from edoras_tools.io.topics.rows import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.streams import FAULTS, OWN_TOPICS
 from edoras_tools.pipelines.export.judged import JUDGED
@@ -104,7 +104,7 @@ class ExportTarget:
         if not self.folder:
             return self.path
         name = ".".join(quote(part, safe=" ~").replace(".", "%2E") for part in topic.strip("/").split("/"))
-        return self.path / short_name(name, self.format.suffix)
+        return self.path / name_that_fits(name, self.format.suffix)
 
 
 @dataclass(slots=True)
