@@ -31,8 +31,8 @@ INDEX_PLACE: Final = np.dtype([("channel_id", "<u2"), ("offset", "<u8")])
 """In a ChunkIndex record: the position of a channel's MessageIndex record."""
 CHUNK_INDEX_HEAD: Final = struct.Struct("<QQQQI")
 """Start time, end time, position and length of the chunk, bytes of ``INDEX_PLACE`` entries."""
-MAX_CHUNK_BYTES: Final = 1 << 30
-"""A chunk with a length above this is considered damaged."""
+MAX_CHUNK_BYTES: Final = 128 << 20
+"""A chunk, or another record, that holds more is not read: some three times its size are in memory."""
 CHUNK_HEAD_BYTES: Final = CHUNK_HEAD.size + 16 + 8
 """Bytes of a chunk's head with up to 16 letters for the compression."""
 _LENGTH: Final = struct.Struct("<Q")

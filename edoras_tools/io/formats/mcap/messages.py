@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -9,10 +10,10 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Schema
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.index import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
+from edoras_tools.io.formats.mcap.index import INDEX_ENTRY, INDEX_HEAD, MAX_CHUNK_BYTES, RECORD_HEAD
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
 from edoras_tools.io.formats.mcap.recovery.walk import walk
-from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
+from edoras_tools.io.formats.mcap.unpack import chunk_records
 from edoras_tools.io.topics.rows import MAGIC, RECORD, RECORD_BYTES, RECORD_PREFIX_BYTES
 from edoras_tools.wire.arrays.window import read_at
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 _BATCH_BYTES: Final = 4 << 20
 """Chunks are put together up to this."""
+_BEFORE: Final = "; all before was read"
 
 
 class SelectedMessages(NamedTuple):
@@ -92,6 +94,8 @@ def scanned(path: Path, name: str) -> Iterator[SelectedMessages | Schema | Chann
             if end > file.size:
                 record = None
                 break
+            if opcode not in {Opcode.CHUNK, Opcode.ATTACHMENT} and end - start > MAX_CHUNK_BYTES:
+                raise CaptureError(f"{name}: the record at byte {place} is too large{_BEFORE}")
             if opcode == Opcode.MESSAGE:
                 loose += file.read(place, end)
             elif opcode in {Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL}:
@@ -99,7 +103,9 @@ def scanned(path: Path, name: str) -> Iterator[SelectedMessages | Schema | Chann
                     yield from _walked(loose)
                     loose = bytearray()
                 if opcode == Opcode.CHUNK:
-                    yield from _walked(_chunk_records(file.read(start, end), name, place))
+                    yield from _walked(
+                        chunk_records(name, place, end - start, lambda: file.read(start, end), _BEFORE)  # noqa: B023
+                    )
                 elif (content := parse(opcode, file.read(start, end))) is not None:
                     yield content
             if len(loose) >= _BATCH_BYTES:
@@ -112,23 +118,17 @@ def scanned(path: Path, name: str) -> Iterator[SelectedMessages | Schema | Chann
             raise CaptureError(f"{name}: is cut off at byte {place} of {file.size}; all before was read")
 
 
-def _chunk_records(content: bytes | memoryview, name: str, place: int) -> bytes | memoryview:
-    head = chunk_head(content)
-    if head is not None and head.compression not in COMPRESSIONS:
-        raise CaptureError(f"{name}: chunks are compressed with {head.compression!r}; there are zstd and lz4")
-    raw, proof = unpack_chunk(head, content[head.data :]) if head is not None else (b"", Proof.FAILED)
-    if proof is Proof.FAILED:
-        raise _damaged_at(name, place)
-    return raw
-
-
 def _walked(raw: bytes | bytearray | memoryview) -> Iterator[SelectedMessages | Schema | Channel]:
-    """Yield the channels among some records, then the messages."""
+    """Yield the channels among some records, then the messages, as many at once as a batch may have."""
     records = walk(bytes(raw))
     yield from (item for item in records.others if isinstance(item, (Schema, Channel)))
-    if len(records):
-        heads = read_at(records.data, records.start, np.dtype(RECORD))
-        yield _selected(heads, records.data, records.start + RECORD_BYTES)
+    edges = np.searchsorted(records.start, np.arange(0, len(records.data) + _BATCH_BYTES, _BATCH_BYTES))
+    for first, last in pairwise(edges.tolist()):
+        if first < last:
+            start, stop = records.start[first:last], int(records.end[last - 1])
+            data = records.data[int(start[0]) : stop]
+            start = start - start[0]
+            yield _selected(read_at(data, start, np.dtype(RECORD)), data, start + RECORD_BYTES)
 
 
 def joined_messages(parts: Sequence[SelectedMessages]) -> SelectedMessages:
@@ -157,9 +157,12 @@ def _offsets(file: IO[bytes], index: ChunkIndex, channel: int) -> NDArray[np.int
 
 
 def _unpacked(file: IO[bytes], name: str, index: ChunkIndex) -> NDArray[np.uint8]:
-    file.seek(index.chunk_start_offset)
-    content = memoryview(file.read(index.chunk_length))[RECORD_HEAD.size :]
-    return np.frombuffer(_chunk_records(content, name, index.chunk_start_offset), np.uint8)
+    def content() -> bytes:
+        file.seek(index.chunk_start_offset + RECORD_HEAD.size)
+        return file.read(index.chunk_length - RECORD_HEAD.size)
+
+    place, size = index.chunk_start_offset, index.chunk_length - RECORD_HEAD.size
+    return np.frombuffer(chunk_records(name, place, size, content, _BEFORE), np.uint8)
 
 
 def _messages(
@@ -188,8 +191,4 @@ def _selected(heads: NDArray[Any], data: NDArray[np.uint8], start: NDArray[np.in
 
 
 def _damaged(name: str, index: ChunkIndex) -> CaptureError:
-    return _damaged_at(name, index.chunk_start_offset)
-
-
-def _damaged_at(name: str, place: int) -> CaptureError:
-    return CaptureError(f"{name}: the chunk at byte {place} is damaged; all before was read")
+    return CaptureError(f"{name}: the chunk at byte {index.chunk_start_offset} is damaged{_BEFORE}")

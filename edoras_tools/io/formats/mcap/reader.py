@@ -22,9 +22,15 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from edoras_tools.errors import CaptureError, NoDatagramsError, WireError, os_errors
-from edoras_tools.io.formats.mcap.index import INDEX_ENTRY, INDEX_HEAD, RECORD_HEAD, chunk_head
+from edoras_tools.io.formats.mcap.index import (
+    CHUNK_HEAD_BYTES,
+    INDEX_ENTRY,
+    INDEX_HEAD,
+    MAX_CHUNK_BYTES,
+    RECORD_HEAD,
+)
 from edoras_tools.io.formats.mcap.messages import scanned
-from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, unpack_chunk
+from edoras_tools.io.formats.mcap.unpack import chunk_records
 from edoras_tools.io.formats.table import TOPIC_READERS
 from edoras_tools.io.frames.frame_batch import FrameBatch, joined_frames
 from edoras_tools.io.frames.linklayer import Demux
@@ -250,17 +256,8 @@ class McapSource:
 
     def _chunk(self, start: int, end: int) -> NDArray[np.uint8]:
         """Decompress the chunk whose content starts at ``start``."""
-        content = memoryview(self._read(start, end))
-        head = chunk_head(content)
-        if head is not None and head.compression not in COMPRESSIONS:
-            raise CaptureError(
-                f"{self._name}: the chunk at byte {start} is compressed with {head.compression!r}, "
-                "which is not supported; zstd and lz4 are"
-            )
-        raw, proof = unpack_chunk(head, content[head.data :]) if head else (b"", Proof.FAILED)
-        if proof is Proof.FAILED:
-            raise CaptureError(f"{self._name}: the chunk at byte {start} is damaged and was left out")
-        return _array(raw)
+        ending = " and was left out"
+        return _array(chunk_records(self._name, start, end - start, lambda: self._read(start, end), ending))
 
     def _index(self, position: int) -> tuple[NDArray[np.int64] | None, int]:
         """Read the message index after a chunk.
@@ -344,7 +341,8 @@ class McapSource:
         return True
 
     def _remember(self, opcode: int, start: int, end: int) -> None:
-        if opcode in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT}:
+        described = opcode in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT}
+        if described and end - start <= MAX_CHUNK_BYTES:  # none of ours is larger
             self._learn(opcode, self._read(start, end))
 
     def _learn(self, opcode: int, content: bytes) -> None:
@@ -391,6 +389,8 @@ class McapSource:
         return (opcode, start, start + length) if start + length <= self._size else None
 
     def _read(self, start: int, end: int) -> bytes:
+        if end - start > MAX_CHUNK_BYTES + CHUNK_HEAD_BYTES:
+            raise CaptureError(f"{self._name}: the record at byte {start} is too large and was left out")
         with os_errors(f"{self._name}: cannot be read"):
             self._file.seek(start)
             return self._file.read(max(end - start, 0))

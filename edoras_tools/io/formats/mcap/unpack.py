@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING, Any
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from edoras_tools.io.formats.mcap.index import MAX_CHUNK_BYTES, ChunkHead
+from edoras_tools.errors import CaptureError
+from edoras_tools.io.formats.mcap.index import CHUNK_HEAD_BYTES, MAX_CHUNK_BYTES, ChunkHead, chunk_head
 from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
 
 COMPRESSIONS = ("", "zstd", "lz4")
-_PIECE_BYTES = 1 << 12
+_PIECE_BYTES = 1 << 9
+"""Small: zstd makes up to 16 MiB of so many bytes."""
 _UNKNOWN_SIZE = (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR)
 
 
@@ -45,8 +47,45 @@ def unpack_chunk(head: ChunkHead, packed: bytes | memoryview) -> tuple[bytes | m
     return raw, Proof.NONE
 
 
+def chunk_records(
+    name: str, place: int, size: int, read: Callable[[], bytes], ending: str
+) -> bytes | memoryview:
+    """Return the records of a chunk, as every reader takes them.
+
+    Args:
+        name: of the file, for messages.
+        place: of the chunk, likewise.
+        size: bytes of its content in the file.
+        read: returns its content; not called where that is too much.
+        ending: what the reader does with the rest of the file, likewise.
+
+    Raises:
+        CaptureError: it is too large, damaged, or compressed with something else.
+    """
+    content = memoryview(read() if size <= MAX_CHUNK_BYTES + CHUNK_HEAD_BYTES else b"")
+    head = chunk_head(content)
+    if not content or (head is not None and head.size > MAX_CHUNK_BYTES):
+        most = MAX_CHUNK_BYTES >> 20
+        raise CaptureError(f"{name}: the chunk at byte {place} holds more than {most} MiB{ending}")
+    if head is not None and head.compression not in COMPRESSIONS:
+        raise CaptureError(
+            f"{name}: the chunk at byte {place} is compressed with {head.compression!r}, "
+            "which is not supported; zstd and lz4 are"
+        )
+    raw, proof = unpack_chunk(head, content[head.data :]) if head is not None else (b"", Proof.FAILED)
+    if proof is Proof.FAILED:
+        raise CaptureError(f"{name}: the chunk at byte {place} is damaged{ending}")
+    return raw
+
+
 def _decompress(head: ChunkHead, packed: bytes | memoryview) -> tuple[bytes | memoryview, bool]:
-    """Return a chunk's records, and whether the compression's own checksum proved them."""
+    """Return a chunk's records, and whether the compression's own checksum proved them.
+
+    Raises:
+        ValueError: there are more than ``MAX_CHUNK_BYTES``, or the compression is unknown.
+    """
+    if head.size > MAX_CHUNK_BYTES:
+        raise ValueError(head.size)
     if head.compression == "":
         return packed, False
     if head.compression == "zstd":

@@ -167,6 +167,8 @@ class Scan:
 
     def _record(self, place: int, opcode: int, start: int, end: int, *, searched: bool) -> Piece | None:
         """Return a record that is not a chunk and is completely in the file."""
+        if end - start > MAX_CHUNK_BYTES:
+            return None
         if opcode == Opcode.MESSAGE:
             if end - start < MESSAGE_HEAD.size or (self._chunks and (searched or self._broken)):
                 return None
@@ -176,8 +178,6 @@ class Scan:
         if opcode == Opcode.MESSAGE_INDEX:
             entries, after = self._indexes(place)
             return Piece(opcode, place, after, entries=entries) if entries else None
-        if end - start > MAX_CHUNK_BYTES:
-            return None
         if opcode >= _PRIVATE:
             return None if searched or not self._follows(end, 1) else Piece(opcode, place, end)
         record = parse(opcode, self._file.read(start, end))

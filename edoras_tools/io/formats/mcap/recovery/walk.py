@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -152,7 +153,7 @@ def _at(data: NDArray[np.uint8], starts: NDArray[np.int64]) -> Walked | None:
 
 def _one_by_one(data: NDArray[np.uint8]) -> Walked:
     view = data.data
-    rows: list[tuple[int, int, int, int]] = []
+    rows = array("Q")  # four numbers a message: as objects, those of a chunk may take a gigabyte
     others: list[Any] = []
     place = 0
     while place + RECORD_HEAD.size <= len(data):
@@ -162,20 +163,20 @@ def _one_by_one(data: NDArray[np.uint8]) -> Walked:
             break
         if opcode == Opcode.MESSAGE and length >= MESSAGE_HEAD.size:
             channel_id, _, log_time, _ = MESSAGE_HEAD.unpack_from(view, start)
-            rows.append((channel_id, log_time, place, end))
+            rows.extend((channel_id, log_time, place, end))
         else:
             record = parse(opcode, bytes(view[start:end]))
             if record is None:
                 break
             others.append(record)
         place = end
-    channel, log_time, starts, ends = zip(*rows, strict=True) if rows else ((), (), (), ())
+    columns = np.frombuffer(rows, np.uint64).reshape(-1, 4).T
     return Walked(
         data,
-        np.array(channel, np.uint16),
-        np.array(log_time, np.uint64),
-        np.array(starts, np.int64),
-        np.array(ends, np.int64),
+        columns[0].astype(np.uint16),
+        columns[1].copy(),
+        columns[2].astype(np.int64),
+        columns[3].astype(np.int64),
         others,
         place,
     )
