@@ -47,6 +47,8 @@ _ENDING: Final = (
 _MOST_KEPT: Final = 4096
 _FEW: Final = 4
 """Fewer packets than these of each MsgId, or of four, are dissected sooner than columns are made of them."""
+_STRUCTS: Final = 64
+"""MsgIds besides those of routes that are counted at most: what has no C struct either costs nothing each."""
 
 
 class Contents(Generic[Content]):
@@ -71,7 +73,8 @@ class Contents(Generic[Content]):
 
     def of(self, rows: ColumnRows) -> list[Content]:
         """Return what is said of each row."""
-        few = len(rows) < _FEW * max(4, len(set(rows.column("msg_id").tolist())))
+        ids, routes = (len(set(column.tolist())) for column in (rows.column("msg_id"), rows.routes()))
+        few = len(rows) < _FEW * max(4, min(ids, routes + _STRUCTS))
         contents = [None] * len(rows) if few else self._of_columns(rows)
         return [
             self._dissected(rows, place) if content is None else content

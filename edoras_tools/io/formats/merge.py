@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from heapq import heappop, heappush
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -118,12 +119,25 @@ class MergedSource:
         """
         errors: list[str] = []
         heads = [_Head(source, errors) for source in self._sources]
-        number = 1
-        while heads := [head for head in heads if head.fill()]:
-            until = min(int(head.keys[-1]) for head in heads)
+        number, touched = 1, [*range(len(heads))]
+        ends: list[tuple[int, int]] = []
+        begins: list[tuple[int, int]] = []
+        while True:
+            for place in touched:
+                if heads[place].fill():
+                    heappush(ends, (heads[place].end, place))
+                    heappush(begins, (int(heads[place].keys[0]), place))
+            while ends and ends[0][0] != heads[ends[0][1]].end:  # of what was taken meanwhile
+                heappop(ends)
+            if not ends:
+                break
             # The first source that ends at this time may deliver it completely: later ones hold it back.
-            last = next(place for place, head in enumerate(heads) if head.keys[-1] == until)
-            parts = [head.take(until, whole=place <= last) for place, head in enumerate(heads)]
+            until, last = ends[0]
+            touched = []
+            while begins and begins[0] <= (until, last):
+                touched.append(heappop(begins)[1])
+            touched.sort()
+            parts = [heads[place].take(until, whole=place <= last) for place in touched]
             batch = _in_order([part for part in parts if part is not None])
             yield replace(batch, number=np.arange(number, number + len(batch)))
             number += len(batch)
@@ -149,6 +163,11 @@ class _Head:
         self._rest: PacketBatch | None = None
         self._latest = np.iinfo(np.int64).min
         self.keys: NDArray[np.int64] = np.empty(0, dtype=np.int64)
+
+    @property
+    def end(self) -> int:
+        """The key of the last one; the smallest number where none waits."""
+        return int(self.keys[-1]) if len(self.keys) else np.iinfo(np.int64).min
 
     def fill(self) -> bool:
         """Read until some datagram waits; False at the end of the source."""

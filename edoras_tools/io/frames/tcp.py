@@ -50,6 +50,8 @@ _FAR: Final = 1 << 26
 """A segment this far from the others is of another connection with the same ports."""
 _BEFORE: Final = 64
 """The most segments that come before the first one of their connection."""
+_MANY: Final = 8
+"""Missing bytes of one direction, from which on the pieces between are looked at together."""
 _FIRST_WINDOW: Final = 1 << 10
 _WINDOW: Final = 1 << 16
 """Bytes that are searched at once for the start of a message, at first and at most,"""
@@ -144,6 +146,7 @@ class _Rows:
         findings: ``Finding`` bits.
         direction: index into ``directions``.
         appended: bytes put in order; they follow the data of the segments.
+        bytes: how many these are.
     """
 
     segment: list[NDArray[np.int64]] = field(default_factory=list)
@@ -154,6 +157,7 @@ class _Rows:
     findings: list[NDArray[np.uint32]] = field(default_factory=list)
     direction: list[NDArray[np.int64]] = field(default_factory=list)
     appended: list[NDArray[np.uint8]] = field(default_factory=list)
+    bytes: int = 0
 
 
 class StreamReassembler:
@@ -293,11 +297,21 @@ class _Follow:
         pieces, again = self._pieces(members, base)
         breaks = np.flatnonzero(pieces.begin > np.append(0, (pieces.begin + pieces.length)[:-1]))
         edges = [*breaks.tolist(), len(pieces)]
+        given_up = self._lost(pieces, breaks, reached, base) | final
+        ends = self._alone(pieces, breaks, given_up)
         waiting = members[:0]
-        at = 0
-        for edge in edges:
+        at = skipped = 0
+        for place, edge in enumerate(edges):
+            if place < skipped:
+                continue
             more = edge < len(pieces)
-            lost = more and (final or self._is_lost(pieces, edge, reached, base))
+            lost = more and bool(given_up[place])
+            if lost and ends[place] > place and self._is_known(pieces, at):
+                skipped, edge = int(ends[place]), edges[ends[place] - 1]  # noqa: PLW2901
+                self._put_alone(pieces.part(slice(at, edge)), base)
+                way.next = (base + int(pieces.begin[edge])) % _WRAP
+                at = edge
+                continue
             waiting = self._run(pieces.part(slice(at, edge)), base, keep=not (lost or final))
             if more and not lost:
                 waiting = np.concatenate((waiting, pieces.segment[edge:]))
@@ -348,13 +362,48 @@ class _Follow:
         copies = members[np.array(sorted(again), np.int64)]
         return pieces, copies[segments.fresh[copies]]
 
-    def _is_lost(self, pieces: _Pieces, edge: int, reached: NDArray[np.int64] | None, base: int) -> bool:
-        """Return whether the bytes before a piece will not come any more."""
+    def _lost(
+        self, pieces: _Pieces, breaks: NDArray[np.intp], reached: NDArray[np.int64] | None, base: int
+    ) -> NDArray[np.bool_]:
+        """Return, for each piece behind missing bytes, whether these will not come any more."""
         time_ns = self.segments.frames.time_ns
-        passed = int(time_ns.max() - time_ns[pieces.segment[edge]])
-        if passed > _LATE_NS and reached is not None and len(reached):
-            return passed > _PATIENCE_NS or bool(_from(base, reached).max() >= pieces.begin[edge])
-        return passed > _PATIENCE_NS
+        passed = time_ns.max() - time_ns[pieces.segment[breaks]]
+        lost = passed > _PATIENCE_NS
+        if reached is not None and len(reached):
+            lost |= (passed > _LATE_NS) & (_from(base, reached).max() >= pieces.begin[breaks])
+        return np.asarray(lost)
+
+    def _alone(self, pieces: _Pieces, breaks: NDArray[np.intp], lost: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Return how far pieces follow each other that are a message each, with lost bytes before the next.
+
+        Returns:
+            For each run that missing bytes end, the first that is none of these, of the same sender; so one
+            that is none has its own place.
+        """
+        framing, nobody = self.way.framing, np.arange(len(breaks))
+        if len(breaks) < _MANY or framing.sender == slice(0):
+            return nobody
+        data, first = self.segments.frames.data, np.append(0, breaks[:-1])
+        offset, length = pieces.offset[first], pieces.length[first]
+        alone = lost & (breaks - first == 1) & (framing.lengths(data, offset, offset + length) == length)
+        sender = gather(data, offset, framing.head)[:, framing.sender]
+        others = np.append(True, (sender[1:] != sender[:-1]).any(axis=1))
+        bounds = np.append(np.flatnonzero(~alone | others), len(breaks))
+        return np.where(alone, bounds[np.searchsorted(bounds, nobody, side="right")], nobody)
+
+    def _is_known(self, pieces: _Pieces, at: int) -> bool:
+        """Return whether a piece begins as all messages of this direction do."""
+        way, data = self.way, self.segments.frames.data
+        own = gather(data, pieces.offset[at : at + 1], way.framing.head)[:, way.framing.sender]
+        return way.sender is not None and bool((own == way.sender).all())
+
+    def _put_alone(self, pieces: _Pieces, base: int) -> None:
+        """Add pieces that are a message each, with missing bytes behind each."""
+        self._add(pieces.segment, pieces.offset, pieces.length, base + pieces.begin)
+        self.rows.whole[-1][:] = pieces.untrimmed
+        self.rows.findings[-1][1:] = _GAP
+        self._mark_gap()
+        self.way.synced, self.way.synchronized, self.way.gap = False, True, True
 
     def _run(self, pieces: _Pieces, base: int, *, keep: bool) -> NDArray[np.int64]:
         """Cut bytes without a gap; return the segments that wait for the rest of a message.
@@ -389,8 +438,9 @@ class _Follow:
         last = np.searchsorted(cut.local + pieces.length, start + length)
         whole = (cut.local[last] == start) & (pieces.length[last] == length) & pieces.untrimmed[last]
         whole &= latest[last] == pieces.segment[last]
-        used = len(self.segments.frames.data) + sum(map(len, rows.appended))
+        used = len(self.segments.frames.data) + rows.bytes
         rows.appended.append(cut.buffer)
+        rows.bytes += len(cut.buffer)
         self._add(
             latest[last],
             np.where(whole, pieces.offset[last], used + start),
@@ -603,7 +653,7 @@ def _batch(segments: Segments, rows: _Rows, ways: list[_Direction]) -> PacketBat
             [np.empty(0, bool if item.name == "whole" else np.int64), *getattr(rows, item.name)]
         )
         for item in fields(_Rows)
-        if item.name != "appended"
+        if item.name not in {"appended", "bytes"}
     }
     order = np.argsort(column["segment"], kind="stable")
     column = {name: values[order] for name, values in column.items()}
