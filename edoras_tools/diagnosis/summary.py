@@ -240,8 +240,9 @@ def _problem(
         unseen = of < lost or not rows[0].link
         about = f"{'' if unseen else f'of {of:,} '}{_names(found, rows)} "
         text = f"{'' if alone else about}{_place(cause, rows, own)}{_when(found, own)}"
-        if cause in _AT_QUEUES and own:
-            text += f": {advice.why if advice else own[0].reason.partition(': ')[2]}"
+        why = advice.why if advice else own[0].reason.partition(": ")[2] if own else ""
+        if cause in _AT_QUEUES and why:
+            text += f": {why}"
     return Problem(lost, text, remedy, Severity.ERROR, tuple(own), advice.left if advice else None)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from edoras_tools.cfs import names, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.before_ci import BeforeCi
 from edoras_tools.diagnosis.accounting.claims import POSSIBLE, settle_known, settle_rest
-from edoras_tools.diagnosis.accounting.doubt import doubt
+from edoras_tools.diagnosis.accounting.doubt import doubt, hold_back
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, follow, loss_of
 from edoras_tools.diagnosis.accounting.leftover import Leftover
 from edoras_tools.diagnosis.accounting.losses import (
@@ -115,6 +115,7 @@ class Commands:
         for fate in fates:
             self._pass_on(fate)
             pipes.claim(fate)
+        hold_back(known, telemetry, quality)
         claims = [*telemetry.claims, *pipes.claims]
         shared = settle_known(counts, claims)
         tails = {claim.flow: sum(claim.taken.values()) for claim in claims if claim.rank == POSSIBLE}

@@ -6,18 +6,45 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.accounting.claims import shares
+from edoras_tools.diagnosis.accounting.claims import MISSING, shares
 from edoras_tools.diagnosis.quality import CONFIDENCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from edoras_tools.diagnosis.accounting.bus import Telemetry
+    from edoras_tools.diagnosis.accounting.claims import Claim
     from edoras_tools.diagnosis.accounting.fates import Fate
     from edoras_tools.diagnosis.accounting.losses import Known, Loss
     from edoras_tools.diagnosis.quality import Quality
 
 _UNEXPLAINED: Final = frozenset({"after", "unknown", "fragments"})
+
+
+def hold_back(known: Known, telemetry: Telemetry, quality: Quality) -> None:
+    """Keep counts from what the capture may have missed, where no event names it and no pipe was full of it.
+
+    Such a claim takes what nothing else explains; a capture that lacks frames lacks what explains it, too.
+    """
+    claims: dict[int, list[Claim]] = {}
+    for claim in telemetry.claims:
+        if claim.rank == MISSING:
+            claims.setdefault(claim.flow, []).append(claim)
+    missing = sum(claim.number for own in claims.values() for claim in own)
+    if not missing or quality.excludes(missing / (sum(map(len, known.streams)) + missing)):
+        return
+    for stream in known.streams:
+        own = claims.get(id(stream), [])
+        most = [claim.number for claim in own]
+        of = len(stream) + int(stream.missing.sum())
+        number = min(sum(most), quality.may_have_missed(of, _sure(known)))
+        for claim, share in zip(own, shares(number, most, most), strict=True):
+            claim.number -= share
+
+
+def _sure(known: Known) -> float:
+    """Return the confidence for one of many streams: that one lacks more than by itself is no wonder."""
+    return 1 - (1 - CONFIDENCE) / len(known.streams)
 
 
 def doubt(known: Known, telemetry: Telemetry, fates: Sequence[Fate], quality: Quality) -> None:
@@ -43,8 +70,7 @@ def doubt(known: Known, telemetry: Telemetry, fates: Sequence[Fate], quality: Qu
     missing += sum(fate.unaccounted for fate in unseen)
     if not missing or quality.excludes(missing / sent):
         return
-    # That one of many lacks more than it would by itself is no wonder.
-    sure = 1 - (1 - CONFIDENCE) / len(known.streams)
+    sure = _sure(known)
     for stream in known.streams:
         own = gaps.get(id(stream), [])
         most = [number for _, number in own]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import command_ingest
+from edoras_tools.cfs import command_ingest, executive_services
 from edoras_tools.diagnosis.accounting.losses import BEFORE_CI, CI_SOCKET, Among, Known, Loss, LossKind
 from edoras_tools.units import SECOND
 
@@ -162,7 +162,7 @@ def _newer(
     """Tell which messages may have given way to one that was sent some time later.
 
     An application that keeps the newest for SBN takes together what waited before it: for a few rounds where
-    CI has more than it reads, and for all of a time in which cFS stood still.
+    CI has more than it reads, and for all of a time in which cFS stood still or nobody woke applications.
     """
     out = np.zeros(len(times), bool)
     if not any(hop.rewritten and hop.out.link.peers for hop in hops):
@@ -174,7 +174,9 @@ def _newer(
     next_ns = times[came[behind]]
     out[rows] = next_ns - times[first] <= 2 * WAITS_NS
     for system, owner in known.timeline.subjects:
-        for span in known.timeline.spans(owner, "stalled", system):
+        sleeps = owner.kind == "app" and owner.name in executive_services.SCHEDULERS
+        states = ("stopped", "restarting") if sleeps else ("stalled",)
+        for span in (span for state in states for span in known.timeline.spans(owner, state, system)):
             out[rows] |= (times[rows] > span.start_lo - SECOND) & (next_ns <= span.end_hi + SECOND)
     return out
 

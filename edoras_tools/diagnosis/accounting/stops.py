@@ -12,9 +12,10 @@ Rules:
    application that was started again took it, or whether it was for the one that stopped, nothing shows.
    So it is after a command that stops one, where no event that answers it can be read.
 4. What came over SBN, or was to leave over it, is lost while SBN was stopped, and while the peer that it was
-   for was away or had not subscribed to it: the timeline says when.
-5. What an application was to send on by Telemetry Output is lost while that sent nothing until it was
-   enabled, or had no entry for it: it did not come out, and could not.
+   for was away or had not subscribed to it: the timeline says when. Of what an application that keeps the
+   newest was to send, that is one message a round.
+5. What an application was to send on by Telemetry Output is lost while that was stopped, sent nothing until
+   it was enabled, or had no entry for it: it did not come out, and could not.
 """
 
 from __future__ import annotations
@@ -37,7 +38,10 @@ from edoras_tools.units import SECOND
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from edoras_tools.diagnosis.evidence.timeline.table import Timeline
+    from edoras_tools.diagnosis.matching.crossing import Hop
 
 
 _LINKS: Final = frozenset({*command_ingest.NAMES, *telemetry_output.NAMES, sbn.NAME})
@@ -48,6 +52,9 @@ _CLOSED: Final[Mapping[str, tuple[int, LossKind, str]]] = {
     "subscription": (2, "unsubscribed", "SBN peer"),
 }
 """Kind of the subject that was closed to which of several is the cause, the kind of the loss, and where."""
+_LEAST_ROUNDS: Final = 5
+_FASTER: Final = 1.25
+"""Messages that come faster than rounds by this give way to newer ones."""
 _COMMAND_NS: Final = 10 * SECOND
 """An application that is told to stop may take so long."""
 
@@ -165,6 +172,8 @@ class Stops:
         back = times[fate.arrived & (times > item.start_ns + WAITS_NS)]
         until_ns = int(back[0]) if len(back) else None
         inside = fate.open & (times > item.start_ns - WAITS_NS) & (fate.stop < 0)
+        if item.app in executive_services.SCHEDULERS:
+            inside &= ~fate.newer  # nobody woke the application: it kept the newest
         if until_ns is not None:
             inside &= times < until_ns
         # What arrived last was taken before it stopped.
@@ -181,30 +190,29 @@ class Stops:
     def _mark_closed(self, fate: Fate) -> None:
         """Mark the messages that came over SBN, or were to leave over it, when that was closed (rule 4)."""
         known, stream = self._known, fate.stream
-        system = known.system(stream)
-        ways = [Way(stream.msg_id, stream.link, system, to_cfs=True)]
+        system, peer = known.system(stream), known.network.identity_of.get
+        ways: list[tuple[Way, Hop | None]] = [(Way(stream.msg_id, stream.link, system, to_cfs=True), None)]
         if all(hop.out.link.peers for hop in fate.hops):
             ways += [
-                Way(
-                    hop.out.msg_id,
-                    hop.out.link,
-                    system,
-                    peer=known.network.identity_of.get(hop.out.receiver, ""),
-                )
+                (Way(hop.out.msg_id, hop.out.link, system, peer=peer(hop.out.receiver, "")), hop)
                 for hop in fate.hops
             ]
         times = known.captured(stream)
         closed = [
-            (_CLOSED[reason.span.change.subject.kind], reason)
-            for way in ways
+            (_CLOSED[reason.span.change.subject.kind], reason, way_out)
+            for way, way_out in ways
             if way.link.peers
             for reason in reasons_for(known.timeline, way, 0, NEVER, known.at)
             if reason.span.change.subject.kind in _CLOSED and reason.span.change.state != "silent"
         ]
         for early_ns, until in ((0, "end_lo"), (WAITS_NS, "end_hi")):
-            for (_, kind, hop), (span, text) in sorted(closed, key=itemgetter(0)):
+            for (_, kind, hop), (span, text), way_out in sorted(closed, key=itemgetter(0)):
                 inside = fate.open & ~fate.newer & (fate.stop < 0)
                 inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
+                if way_out is not None and inside.any():
+                    older = inside & ~_newest(known, fate, way_out)
+                    fate.newer |= older
+                    inside &= ~older
                 cause = _Cause(kind, hop, (text,))
                 if inside.any() and cause not in self._causes:
                     self._causes.append(cause)
@@ -216,8 +224,8 @@ class Stops:
         known, outs = self._known, [hop.out for hop in fate.hops]
         if not all(out.link.only_from_cfs for out in outs):
             return
-        spans = {
-            (*item, f"Telemetry Output sent nothing until it was enabled, {known.at(item[1])}")
+        spans: set[tuple[int, int, LossKind, str]] = {
+            (*item, "disabled", f"Telemetry Output sent nothing until it was enabled, {known.at(item[1])}")
             for out in outs
             for item in silences_of(known, out.sender)
         }
@@ -226,24 +234,38 @@ class Stops:
             way = Way(out.msg_id, out.link, known.system(fate.stream))
             for span, text in reasons_for(known.timeline, way, 0, NEVER, known.at):
                 if span.change.subject.kind == "entry" or (span.change.state == "stopped" and not span.end):
-                    spans.add((span.start_lo, span.end_lo, text))
+                    kind: LossKind = "stopped" if span.change.state == "stopped" else "disabled"
+                    spans.add((span.start_lo, span.end_lo, kind, text))
                 elif span.change.state == "stopped":
                     stopped.append(span)  # what is missing from counts tells of that
         times = known.captured(fate.stream)
-        for start_ns, end_ns, text in sorted(spans):
+        for start_ns, end_ns, kind, text in sorted(spans):
             inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
             if inside.any() and not any(span.overlaps(start_ns, end_ns) for span in stopped):
                 fate.stop[inside] = len(self._causes)
-                self._causes.append(_Cause("disabled", telemetry_output.NAME, (text,)))
+                self._causes.append(_Cause(kind, telemetry_output.NAME, (text,)))
 
     def tell(self) -> None:
-        """Make losses of what was marked and no counter counted."""
+        """Make losses of what was marked, did not come out by the counts there, and no counter has."""
         for fate in self._fates:
-            for place in np.unique(fate.stop[fate.open & (fate.stop >= 0)]).tolist():
-                chosen = np.flatnonzero(fate.open & (fate.stop == place))
+            open_ = fate.open & ~fate.passed
+            for place in np.unique(fate.stop[open_ & (fate.stop >= 0)]).tolist():
+                chosen = np.flatnonzero(open_ & (fate.stop == place))
                 fate.claim(chosen)
                 kind, hop, evidence = self._causes[place]
                 self.losses.append(loss_of(self._known, fate, kind, chosen, list(evidence), hop=hop))
+
+
+def _newest(known: Known, fate: Fate, hop: Hop) -> NDArray[np.bool_]:
+    """Tell which messages an application that keeps the newest would send: the last of each of its rounds."""
+    times, out = known.captured(fate.stream), known.captured(hop.out)
+    steps = np.diff(out)[hop.out.missing[:-1] == 0]
+    period = int(np.median(steps)) if len(steps) >= _LEAST_ROUNDS else 0
+    if not fate.newer.any() or period < _FASTER * float(np.median(np.diff(times))):
+        return np.ones(len(times), bool)
+    before = out[np.maximum(np.searchsorted(out, times) - 1, 0)]
+    turn = (times - before) // period
+    return np.append((np.diff(before) != 0) | (np.diff(turn) != 0), True)
 
 
 def _asked(known: Known, fate: Fate) -> None:

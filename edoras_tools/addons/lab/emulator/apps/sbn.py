@@ -32,7 +32,7 @@ class SbnApp:
 
     def __init__(self, cfs: Cfs) -> None:
         self._cfs = cfs
-        self._is_dead = False
+        self._is_dead = self._has_left = False
         cfs.events.register(facts.NAME, now=cfs.scheduler.now)
         self.node = SbnNode(cfs.profile, cfs.bus, now=cfs.scheduler.now)
         self.socket: Fifo[bytes] = cfs.account.watch(
@@ -91,10 +91,14 @@ class SbnApp:
             elif restart:
                 cfs.spawn(self._receive())
             yield Work(profile.work_ns)
+        self._has_left = True  # it deletes its receiving tasks itself
+        self._do(self.node.leave())
 
     def _receive(self) -> Task:
         while True:
             data = yield Receive(self.socket)
+            if self._has_left:
+                return
             actions = self.node.receive_datagram(data, now=self._cfs.scheduler.now)
             self._do(actions)
             if actions.failed:

@@ -170,16 +170,28 @@ class SbnNode:
         """Leave every peer, as before a new table: one that is connected is told."""
         actions = Actions()
         for index, state in enumerate(self.peers.values()):
-            if state.connected:
-                actions.say(facts.SENDING_DISCONNECT, peer=state.config.peer)
-                self._send(state, state.connection.goodbye(), actions)
-                self._disconnect(state, actions)
+            self._part(state, actions)
             actions.say(facts.UNLOADED, index=index)
         actions.say(facts.NET_ENDED)
         for peer in self.peers:
             actions.say(facts.UNSUBSCRIBED, processor_id=peer.processor_id)
             actions.say(facts.ALREADY_DISCONNECTED, peer=peer)
         return actions
+
+    def leave(self) -> Actions:
+        """Leave every peer that is connected, as SBN does when it ends."""
+        actions = Actions()
+        for state in self.peers.values():
+            if state.connected:
+                self._part(state, actions)
+                actions.say(facts.ALREADY_DISCONNECTED, peer=state.config.peer)
+        return actions
+
+    def _part(self, state: PeerState, actions: Actions) -> None:
+        if state.connected:
+            actions.say(facts.SENDING_DISCONNECT, peer=state.config.peer)
+            self._send(state, state.connection.goodbye(), actions)
+            self._disconnect(state, actions)
 
     def _serve(self, state: PeerState, actions: Actions, now: int) -> None:
         connection = state.connection
