@@ -409,12 +409,18 @@ class Case:
     @cached_property
     def commands(self) -> Commands:
         """What became of everything that went into cFS."""
-        telemetry = Telemetry(self.known, self._counts)
-        return Commands(self.known, self._counts, self.ingests, self.refused, telemetry, self.quality)
+        telemetry = Telemetry(self.known, self.loss_counts)
+        return Commands(self.known, self.loss_counts, self.ingests, self.refused, telemetry, self.quality)
 
     @cached_property
-    def _counts(self) -> dict[int, Counts]:
-        return {instance: Counts.of(track) for instance, track in self.tracks.items() if len(track.times) > 1}
+    def loss_counts(self) -> dict[int, Counts]:
+        """The growth of each instance's loss counters, less what has been told of it."""
+        items, profile = self.instances.items, self.profile
+        return {
+            at: Counts.of(track, items[at].boot_ns(profile))
+            for at, track in self.tracks.items()
+            if len(track.times) > 1
+        }
 
     @cached_property
     def losses(self) -> list[Loss]:

@@ -238,7 +238,8 @@ def _problem(
     else:
         of = sent_of(found, rows)
         unseen = of < lost or not rows[0].link
-        about = f"{'' if unseen else f'of {of:,} '}{_names(found, rows)} "
+        whole = "of " * (rows[0].msg_id is None) if unseen else f"of {of:,} "
+        about = f"{whole}{_names(found, rows)} "
         text = f"{'' if alone else about}{_place(cause, rows, own)}{_when(found, own)}"
         why = advice.why if advice else own[0].reason.partition(": ")[2] if own else ""
         if cause in _AT_QUEUES and why:
@@ -297,7 +298,7 @@ def _route(row: Row) -> tuple[Any, ...]:
 
 
 def _name(found: Diagnosis, row: Row) -> str:
-    unnamed = "of an unknown MsgId" if row.msg_id is None else f"0x{row.msg_id:04x}"
+    unnamed = "an unknown MsgId" if row.msg_id is None else f"0x{row.msg_id:04x}"
     return found.topics.get(row.route) or row.topic or row.name or unnamed
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from copy import deepcopy
 
 import pytest
-from truth import TRUTHS, Truth, diagnosis, judge
+from truth import TRUTHS, Truth, causes, diagnosis, judge
 
 FAILS: dict[str, str] = {}
 """Captures of which the doctor says what is false today, and why: each goes with what mends it."""
@@ -23,6 +23,15 @@ NAMES = [name for name in TRUTHS if name.startswith("season3/")]
 )
 def test_what_is_said_is_what_was_counted(name):
     assert judge(diagnosis(name), TRUTHS[name]) == []
+
+
+def test_what_the_first_count_has_of_a_capture_has_its_cause():
+    """Of q22 24 were lost before the first 0x803, which has 37: 13 are older."""
+    result = diagnosis("season3/q22_to_enabled_late_loss_at_the_end")
+    assert causes(result) == {"limit": result["lost"]}
+    assert result["unaccounted"] == 0
+    (older,) = [item for item in result["verdicts"] if item["rule"] == "older_losses"]
+    assert "13 losses counted by cFS 66:1 before 20.4 s, beside 24 of what is here" in str(older)
 
 
 ROW = {

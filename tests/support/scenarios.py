@@ -42,7 +42,8 @@ class Flight(NamedTuple):
     commands: tuple
 
 
-def _application(at, code, name):
+def application(at, code, name):
+    """Return a command to Executive Services that starts, stops or restarts an application."""
     file, entry = es.STARTS[name]
     payload = name.encode().ljust(es.APP_NAME_BYTES, b"\0")
     if code == es.START_APP:
@@ -82,12 +83,12 @@ def flights(draw, *, ends=True):
             draw(st.sampled_from(["EDORAS_APP", "CI_LAB_APP", "TO_LAB_APP"])),
         )
         code = draw(st.sampled_from([es.STOP_APP, es.RESTART_APP]))
-        commands.append(_application(at, code, name))
+        commands.append(application(at, code, name))
         if name == "TO_LAB_APP" and code == es.RESTART_APP:
             address = b"127.0.0.1".ljust(16, b"\0")
             commands.append((at + 8, telemetry_output.COMMAND_MSG_ID, telemetry_output.ENABLE, address))
         elif code == es.STOP_APP and name != "CI_LAB_APP":
-            commands.append(_application(at + 8, es.START_APP, name))
+            commands.append(application(at + 8, es.START_APP, name))
     hertz = draw(st.sampled_from([0.0, 1.0, 4.0, 9.0, 12.0, 20.0, 60.0]))
     return Flight(
         scenario,

@@ -43,8 +43,9 @@ POSSIBLE: Final = 7
 
 _APART_NS: Final = 3 * SECOND
 """What is missing, and what is counted within so long of it, are not two things."""
+BEFORE: Final = -1
 Place = tuple[int, PipeKind, int]
-"""A count: of which instance, of which kind, and in which second of that counter."""
+"""A count: of which instance, of which kind, and in which second of that counter; ``BEFORE`` its first."""
 
 
 @dataclass(slots=True)
@@ -54,17 +55,23 @@ class Counts:
     Attributes:
         times: i64 (n + 1,), of the samples.
         left: kind to i64 (n,), counts between two samples that nothing has taken.
+        first: kind to counts that the first sample had already, likewise.
+        boot_ns: all of these are of messages that were sent later.
     """
 
     times: NDArray[np.int64]
     left: dict[PipeKind, NDArray[np.int64]]
+    first: dict[PipeKind, int] = field(default_factory=dict)
+    boot_ns: int = 0
 
     @classmethod
-    def of(cls, track: Track) -> Counts:
-        """Lay out a track."""
+    def of(cls, track: Track, boot_ns: int) -> Counts:
+        """Lay out a track of a cFS that began at a time."""
         return cls(
             np.array(track.times, np.int64),
             {kind: _steps(track.totals[name]) for kind, name in COUNTERS.items()},
+            {kind: track.older.get(name, 0) for kind, name in COUNTERS.items()},
+            boot_ns,
         )
 
     def seconds(self, times: NDArray[np.int64]) -> NDArray[np.intp]:
@@ -187,7 +194,21 @@ def settle_known(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[
         sure = [claim for claim in claims if claim.rank in ranks]
         settle(counts, sure)
         settle(counts, sure, slack_ns)
+    _settle_first(counts, claims)
     return settle_possible(counts, claims)
+
+
+def _settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
+    """Give what a first sample had already to what surely is missing, was sent before it, and has a cause."""
+    for claim in claims:
+        low_ns, own = claim.low_ns, [(at, counts[at]) for at in claim.instances]
+        watched = any(item.times[0] <= low_ns <= item.times[-1] for _, item in own)
+        may = [at for at, item in own if item.boot_ns < low_ns < item.times[0] and not watched]
+        for kind in claim.kinds if claim.rank in (PRESSED, ABSENT) and len(may) == 1 else ():
+            first = counts[may[0]].first
+            if number := min(claim.open, first.get(kind, 0)):
+                claim.give((may[0], kind, BEFORE), number)
+                first[kind] -= number
 
 
 def settle_rest(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:

@@ -117,13 +117,16 @@ def silences_of(known: Known, sender: int) -> list[tuple[int, int]]:
     ]
     sent_ns = _sent_by(known, sender)
     owner = known.instances.owner(sender, int(sent_ns[0]))
+    boot_ns = None
     if owner != NOBODY:  # since it began, or the capture did
-        boot_ns = known.instances.items[owner].offset_ns + known.profile.boot_time_s * SECOND
+        boot_ns = known.instances.items[owner].boot_ns(known.profile)
         sent_ns = np.append(max(boot_ns, int(rows.time_ns[0])), sent_ns)
-    return silences(sent_ns, enabled, known.profile.to_wake_ns)
+    return silences(sent_ns, enabled, known.profile.to_wake_ns, boot_ns)
 
 
-def silences(sent_ns: NDArray[np.int64], enabled_ns: Sequence[int], wake_ns: int) -> list[tuple[int, int]]:
+def silences(
+    sent_ns: NDArray[np.int64], enabled_ns: Sequence[int], wake_ns: int, boot_ns: int | None = None
+) -> list[tuple[int, int]]:
     """Return when a Telemetry Output sent nothing, until it was enabled: between which two of its packets.
 
     It is silent for longer than it ever waits, and one command that enables it comes just before it goes on:
@@ -132,9 +135,12 @@ def silences(sent_ns: NDArray[np.int64], enabled_ns: Sequence[int], wake_ns: int
     Args:
         sent_ns: when it sent, in order.
         enabled_ns: when commands were sent that enable it.
+        boot_ns: it began then, and is silent from then on; as the first of the times where it is one.
     """
     found = []
-    for at in np.flatnonzero(np.diff(sent_ns) > _SILENT_WAKES * wake_ns).tolist():
+    most_ns = np.full(len(sent_ns), _SILENT_WAKES * wake_ns)[1:]
+    most_ns[:1][sent_ns[:1] == boot_ns] = wake_ns
+    for at in np.flatnonzero(np.diff(sent_ns) > most_ns).tolist():
         start_ns, end_ns = int(sent_ns[at]), int(sent_ns[at + 1])
         inside = [when for when in enabled_ns if start_ns < when < end_ns]
         if inside and min(inside) > end_ns - _SILENT_WAKES * wake_ns:

@@ -38,7 +38,6 @@ from edoras_tools.diagnosis.accounting.ports import PORT_CLOSED
 from edoras_tools.diagnosis.accounting.stops import Stops
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
-from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -159,7 +158,7 @@ class Commands:
             return  # its silence as a peer tells of that
         items, systems = known.instances.items, known.instances.systems
         for index, later in enumerate(items):
-            boot_ns = later.offset_ns + known.profile.boot_time_s * SECOND
+            boot_ns = later.boot_ns(known.profile)
             before = [
                 item.last_ns
                 for item, system in zip(items, systems, strict=True)

@@ -444,8 +444,7 @@ def _first(sources: Sources, sample: _Sample, sent_ns: NDArray[np.int64]) -> tup
     Mission time begins at a known value, which gives the moment of boot: before it nobody listened.
     """
     since_ns = int(sent_ns[0]) - 1 if len(sent_ns) else sample.seen_ns
-    offset_ns = sources.instances.items[sample.instance].offset_ns
-    boot_ns = offset_ns + sources.profile.boot_time_s * SECOND
+    boot_ns = sources.instances.items[sample.instance].boot_ns(sources.profile)
     return ("down" if since_ns < boot_ns < sample.seen_ns else "network"), since_ns
 
 

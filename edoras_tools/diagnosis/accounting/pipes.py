@@ -11,6 +11,7 @@ from edoras_tools.cfs import queues
 from edoras_tools.cfs.software_bus import STOPS_AFTER
 from edoras_tools.diagnosis.accounting.claims import (
     ABSENT,
+    BEFORE,
     INTO_STOP,
     POSSIBLE,
     PRESSED,
@@ -48,6 +49,7 @@ LATE_NS: Final = 2 * SECOND
 """A count is seen within so long of what it counts."""
 _RANKS: Final = (ABSENT, POSSIBLE + 1, POSSIBLE + 3, POSSIBLE + 2, INTO_STOP, POSSIBLE + 2)
 """Ranks of the claims of ``_standing`` messages."""
+_FIRST: Final = "; its first value already had some"
 _MAY_WAIT: Final = 2
 _BLIND: Final = 3
 _OVER: Final = 1.02
@@ -156,7 +158,8 @@ class Pipes:
             rows = np.arange(cut.first, cut.last + 1)
             among = rows[_standing(own.fate)[own.standing][rows]] if claim.taken else rows
             for (instance, kind), number in claim.by_kind().items():
-                self.lose(own.fate.stream, cut, kind, number, instance, among)
+                first = (instance, kind, BEFORE) in claim.taken
+                self.lose(own.fate.stream, cut, kind, number, instance, among, first=first)
                 chosen = own.rows[at : at + number]
                 own.fate.open[chosen] = own.fate.waits[chosen] = own.fate.blind[chosen] = False
                 at += number
@@ -184,12 +187,15 @@ class Pipes:
         number: int,
         instance: int,
         among: NDArray[np.intp],
+        *,
+        first: bool = False,
     ) -> None:
         """Add to the loss at a pipe of a span of a stream.
 
         Args:
             instance: the cFS that counted them.
             among: which they are, or are some of.
+            first: some are of what the first 0x803 had counted already.
         """
         loss = self._known_loss(stream, kind, instance, cut)
         if loss is not None:
@@ -198,7 +204,7 @@ class Pipes:
             loss.among = Among(stream, np.union1d(before, among))
             return
         reported, said = self._named(stream, kind, instance)
-        evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them"]
+        evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them{_FIRST if first else ''}"]
         if said is not None:
             window = cut.start_ns - LEAD_NS, cut.end_ns + TAIL_NS
             events = said.within(*window)
@@ -209,6 +215,7 @@ class Pipes:
                 evidence.append(f"cFS stops this event after {STOPS_AFTER}; the counter goes on")
         else:
             evidence.append("no event names it: suppressed, filtered, or lost itself")
+        of, start_ns, end_ns = self._sent_to(stream, cut, instance)
         self.losses.append(
             Loss(
                 kind=kind,
@@ -218,15 +225,28 @@ class Pipes:
                 stream=stream,
                 span=cut,
                 lost=number,
-                of=cut.count,
-                start_ns=cut.start_ns,
-                end_ns=cut.end_ns,
+                of=of,
+                start_ns=start_ns,
+                end_ns=end_ns,
                 confidence="high" if reported else "medium",
                 evidence=evidence,
                 sender=reported.sender if reported else "",
                 among=Among(stream, among),
             )
         )
+
+    def _sent_to(self, stream: Stream, cut: Span, instance: int) -> tuple[int, int, int]:
+        """Return how many of a span were sent in the life of one cFS, and from when to when."""
+        items, systems = self._known.instances.items, self._known.instances.systems
+        item, system = items[instance], systems[instance]
+        own = [other.offset_ns for other, its in zip(items, systems, strict=True) if its == system]
+        times = self._known.captured(stream)[cut.first : cut.last + 1]
+        boot_ns = item.boot_ns(self._known.profile)
+        inside = times[(times > (boot_ns if item.offset_ns > min(own) else 0))]
+        inside = inside[inside <= item.last_ns] if item.offset_ns < max(own) else inside
+        if not len(inside):
+            return cut.count, cut.start_ns, cut.end_ns
+        return len(inside), max(cut.start_ns, int(inside[0])), min(cut.end_ns, int(inside[-1]))
 
     def _known_loss(self, stream: Stream, kind: PipeKind, instance: int, cut: Span) -> Loss | None:
         """Return the loss of a span that an instance is known to have counted as a kind."""

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
@@ -59,6 +60,10 @@ class Instance:
     first_ns: int
     last_ns: int
     host: int
+
+    def boot_ns(self, profile: SimProfile) -> int:
+        """Return when it began, in capture time: its clock starts at a time that the profile has."""
+        return self.offset_ns + profile.boot_time_s * SECOND
 
 
 class Instances:

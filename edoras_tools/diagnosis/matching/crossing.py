@@ -40,6 +40,8 @@ _TO_ROBOT: Final = _BODIES, _VALUES, ("value_print", "stamped_print"), ("shared_
 """A robot is sent bare numbers, their bytes or values as the configured type has them, or a struct."""
 _REWRITTEN: Final = _BODIES, ("stamped_print", "stamped_print"), _VALUES
 """What streams of different MsgIds are compared by: fingerprints of what goes in and of what comes out."""
+_TIED: Final = 8
+"""So many ways in that are equally likely are looked at."""
 _COUNT: Final = "count"
 _OF_PACKETS: Final = ("packet_print", "packet_print"), (_COUNT, _COUNT)
 """Of one MsgId: the packets, and the counts of those that the capture cut."""
@@ -237,14 +239,51 @@ def _ways_in(
     parts = [part for kinds in _COMPARED for part in _scored(into, out, party, kinds)]
     place, at, order, score, near = (np.concatenate(part) for part in zip(*parts, strict=True))
     rank = np.maximum(score, _ALIKE)
-    best: dict[int, tuple[int, tuple[str, str]]] = {}
+    alike: dict[int, list[int]] = {}
     for index in np.lexsort((order, place, -near, -rank, order != 0, at)).tolist():
-        goes, comes, kinds = int(place[index]), int(at[index]), _COMPARED[order[index]]
-        if comes not in best and (
-            score[index] >= _ALIKE or _likely(into.of(goes, kinds[0]), out.of(comes, kinds[1]))
-        ):
-            best[comes] = goes, kinds
-    return best
+        kinds, likeliest = _COMPARED[order[index]], alike.setdefault(int(at[index]), [])
+        if not likeliest:
+            if score[index] >= _ALIKE or _likely(
+                into.of(place[index], kinds[0]), out.of(at[index], kinds[1])
+            ):
+                likeliest.append(index)
+        elif score[index] == score[likeliest[0]] >= _ALIKE and order[index] == order[likeliest[0]]:
+            likeliest.append(index)
+    chosen: dict[int, int] = {}
+    groups: dict[Hashable, dict[int, list[int]]] = {}
+    for comes, own in alike.items():
+        key = out.end[comes], out.instance[comes], comes if out.last_hop[comes] else NOBODY
+        if own:
+            groups.setdefault(key, {})[comes] = own
+    for group in groups.values():
+        chosen |= share_out(group, into.msg_id[place], out.msg_id)
+    return {comes: (int(place[index]), _COMPARED[order[index]]) for comes, index in chosen.items()}
+
+
+def share_out(
+    alike: dict[int, list[int]], came: NDArray[np.int64], went: NDArray[np.int64]
+) -> dict[int, int]:
+    """Give each way out one of the ways in that are equally likely: another one each, as far as there are.
+
+    Those with equal values on both sides go by the order of their MsgIds; else the first is the likeliest.
+
+    Args:
+        alike: way out to candidates.
+        came: MsgId of each candidate.
+        went: MsgId of each way out.
+    """
+    left = sorted(alike, key=lambda comes: (len(alike[comes]), int(went[comes])))
+    chosen: dict[int, int] = {}
+    taken: set[int] = set()
+    while left:
+        comes = left.pop(0)
+        free = [index for index in alike[comes] if int(came[index]) not in taken]
+        others = {int(came[index]) for other in left for index in alike[other]}
+        shared = [index for index in free if int(came[index]) in others]
+        index = min(shared or free or alike[comes], key=lambda at: int(came[at]) if shared else 0)
+        chosen[comes] = index
+        taken.add(int(came[index]))
+    return chosen
 
 
 class _Parties:
@@ -280,7 +319,7 @@ class _Parties:
 def _scored(
     into: _Ends, out: _Ends, party: _Parties, kinds: tuple[str, str]
 ) -> Iterator[Sequence[NDArray[Any]]]:
-    """Yield the likeliest way in of each way out by one kind of fingerprints, and those that may be it.
+    """Yield the likeliest ways in of each way out by one kind of fingerprints, and those that may be it.
 
     Some of the rest may be, where what came first had gone in before the capture began: ``_likely`` tells.
 
@@ -316,9 +355,11 @@ def _scored(
         there = party.follows(place, at)
         at, place, score = at[there], place[there], score[there]
         near = -np.abs((into.msg_id[place] & 0xF) - (out.msg_id[at] & 0xF))
-        first = np.lexsort((place, -near, -score, at))
-        first = first[np.append(True, np.diff(at[first]) != 0)[: len(first)]]
-        taken = np.union1d(first, np.flatnonzero(score < _ALIKE))
+        ranked = np.lexsort((place, -near, -score, at))
+        first = np.flatnonzero(np.append(True, np.diff(at[ranked]) != 0)[: len(ranked)])
+        nth = np.arange(len(ranked)) - np.repeat(first, np.diff(np.append(first, len(ranked))))
+        best = score[ranked][np.arange(len(ranked)) - nth]
+        taken = np.union1d(ranked[(score[ranked] == best) & (nth < _TIED)], np.flatnonzero(score < _ALIKE))
         yield place[taken], at[taken], np.full(len(taken), order), score[taken], near[taken]
 
 

@@ -358,16 +358,21 @@ def superseded(case: Case) -> Iterator[Verdict]:
 def older_losses(case: Case) -> Iterator[Verdict]:
     """The counters already stood above zero in the first 0x803 of the capture.
 
-    Name what is older, so that nobody blames this traffic for it.
+    Name what is older, and what of this capture's is among it, so that nobody blames it for the rest.
     """
     for instance, track in case.tracks.items():
         limits, overflows = track.older.get("msg_limits", 0), track.older.get("pipe_overflows", 0)
-        if limits or overflows:
-            first_ns = max(track.times[0], case.start_ns)  # it was made before it came
+        first_ns = max(track.times[0], case.start_ns)  # it was made before it came
+        of = limits + overflows
+        counts = case.loss_counts.get(instance)
+        here = of - sum(counts.first.values()) if counts else 0
+        if of > here:
+            losses = f"{of - here:,} loss{'es' * (of - here > 1)}"
+            beside = f", beside {here:,} of what is here" if here else ""
             yield Verdict(
                 Severity.NOTE,
-                f"{limits + overflows:,} losses of {case.label(instance)} happened before the capture began: "
-                "at start-up, or of earlier traffic",
+                f"{losses} counted by {case.label(instance)} before {case.at(first_ns)}{beside}: older than "
+                "this capture, or of traffic that it does not show",
                 hop="software bus",
                 span=(first_ns, first_ns),
                 evidence=(
