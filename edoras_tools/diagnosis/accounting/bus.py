@@ -355,18 +355,18 @@ class Telemetry:
             else f"sequence count: {came} never came"
         )
         window = span.start_ns - LEAD_NS, span.end_ns + TAIL_NS
-        found: list[tuple[bool, PipeKind]] = []
+        kinds: list[tuple[bool, PipeKind]] = []
         for kind in COUNTERS:
-            said = known.named(part.owner, stream.msg_id, kind, output=output)
-            told = bool(said and said.within(*window))
-            if said:
+            events = known.named(part.owner, stream.msg_id, kind, output=output)
+            names_it = bool(events and events.within(*window))
+            if events:
                 part.evidence.append(
-                    f"event CFE_SB {PIPE_EVENTS[kind]} x{said.count}: {said.records[0].message}"
+                    f"event CFE_SB {PIPE_EVENTS[kind]} x{events.count}: {events.records[0].message}"
                 )
             # Without its counter a full pipe proves nothing.
-            if told or (self._grown(part, COUNTERS[kind]) and pressed(known, stream, span, kind, gaps)):
-                found.append((not told, kind))
-        return tuple(kind for _, kind in sorted(found, key=lambda item: item[0]))
+            if names_it or (self._grown(part, COUNTERS[kind]) and pressed(known, stream, span, kind, gaps)):
+                kinds.append((not names_it, kind))
+        return tuple(kind for _, kind in sorted(kinds, key=lambda item: item[0]))
 
     def _tail(self, key: int) -> None:
         """Claim counts of what was lost behind the last message that came: no gap shows it."""

@@ -90,11 +90,11 @@ def outages(timeline: Timeline, begin_ns: int) -> list[Outage]:
     Args:
         begin_ns: when the capture begins.
     """
-    found = []
+    items = []
     for system, subject in timeline.subjects:
         changes = timeline.of(subject, system) if subject.kind == "app" else ()
         for state in ("stopped", "restarting"):
-            found += [
+            items += [
                 Outage(
                     subject.name,
                     span.start_lo,
@@ -112,10 +112,10 @@ def outages(timeline: Timeline, begin_ns: int) -> list[Outage]:
         if first and first.state == "running" and first.sure and len(first.rows) > 1:
             # It was told to start: it was stopped before the capture began, or never ran.
             start_ns, end_ns = begin_ns - 1, first.not_after_ns
-            found.append(
+            items.append(
                 Outage(subject.name, start_ns, end_ns, start_ns, first.not_before_ns, first.witness, system)
             )
-    return sorted(found, key=lambda item: item.start_ns)
+    return sorted(items, key=lambda item: item.start_ns)
 
 
 _STOPPED: Final[LossKind] = "stopped"
@@ -250,10 +250,10 @@ class Stops:
         for fate in self._fates:
             open_ = fate.open & ~fate.passed
             for place in np.unique(fate.stop[open_ & (fate.stop >= 0)]).tolist():
-                chosen = np.flatnonzero(open_ & (fate.stop == place))
-                fate.claim(chosen)
+                rows = np.flatnonzero(open_ & (fate.stop == place))
+                fate.claim(rows)
                 kind, hop, evidence = self._causes[place]
-                self.losses.append(loss_of(self._known, fate, kind, chosen, list(evidence), hop=hop))
+                self.losses.append(loss_of(self._known, fate, kind, rows, list(evidence), hop=hop))
 
 
 def _newest(known: Known, fate: Fate, hop: Hop) -> NDArray[np.bool_]:
@@ -271,10 +271,10 @@ def _newest(known: Known, fate: Fate, hop: Hop) -> NDArray[np.bool_]:
 def _asked(known: Known, fate: Fate) -> None:
     """Mark what was sent after a command that stops an application, where no event says what came of it."""
     rows = known.rows
-    said = [record.time_ns for record in known.payloads.events if record.app == executive_services.NAME]
+    answers_ns = [record.time_ns for record in known.payloads.events if record.app == executive_services.NAME]
     for item in known.payloads.executive:
         when, code = int(rows.time_ns[item.row]), item.function_code
-        answered = any(0 <= told - when <= _COMMAND_NS for told in said)
+        answered = any(0 <= answer_ns - when <= _COMMAND_NS for answer_ns in answers_ns)
         ends = code in executive_services.ENDS_APP and item.app not in _LINKS
         if ends and not answered and fate.stream.receiver == rows.destination[item.row]:
             fate.unfollowed = rows.time_ns[fate.stream.rows] > when
@@ -295,15 +295,15 @@ def _unfollowed(known: Known, fate: Fate, own: Sequence[Outage], *, alone: bool)
     }
     named = [item for item in own if any(pipe.startswith(item.app) for pipe in pipes)]
     surely = named or (own if alone and len({item.app for item in own}) == 1 else [])
-    found = []
+    losses = []
     for item in surely:
         inside = fate.open & (times > item.ended_ns)
         if item.end_ns is not None:
             inside &= times < item.asked_ns
-        if (chosen := np.flatnonzero(inside)).size:
-            fate.claim(chosen)
-            found.append(loss_of(known, fate, "stopped", chosen, [item.witness], hop=item.app))
+        if (lacking := np.flatnonzero(inside)).size:
+            fate.claim(lacking)
+            losses.append(loss_of(known, fate, "stopped", lacking, [item.witness], hop=item.app))
     first = min(surely or own, key=lambda item: item.start_ns)
     fate.unfollowed = times > first.start_ns
     fate.unfollowed_since = first.witness
-    return found
+    return losses

@@ -272,18 +272,15 @@ def share_out(
         came: MsgId of each candidate.
         went: MsgId of each way out.
     """
-    left = sorted(alike, key=lambda comes: (len(alike[comes]), int(went[comes])))
-    chosen: dict[int, int] = {}
-    taken: set[int] = set()
-    while left:
-        comes = left.pop(0)
-        free = [index for index in alike[comes] if int(came[index]) not in taken]
-        others = {int(came[index]) for other in left for index in alike[other]}
-        shared = [index for index in free if int(came[index]) in others]
-        index = min(shared or free or alike[comes], key=lambda at: int(came[at]) if shared else 0)
-        chosen[comes] = index
-        taken.add(int(came[index]))
-    return chosen
+    queue = sorted(alike, key=lambda comes: (len(alike[comes]), int(went[comes])))
+    ways: dict[int, int] = {}
+    for place, comes in enumerate(queue):
+        used = {int(came[index]) for index in ways.values()}
+        free = [index for index in alike[comes] if int(came[index]) not in used]
+        rivals = {int(came[index]) for other in queue[place + 1 :] for index in alike[other]}
+        both = [index for index in free if int(came[index]) in rivals]
+        ways[comes] = min(both, key=lambda index: int(came[index])) if both else (free or alike[comes])[0]
+    return ways
 
 
 class _Parties:
