@@ -27,6 +27,8 @@ from edoras_tools.render.capture import packet
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.doctor.doctor import screen
+from edoras_tools.render.doctor.report.pictures import standalone
+from edoras_tools.render.doctor.report.sankey import sankey
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.svg import terminal_picture, without_fonts
 from edoras_tools.render.terminal import palette
@@ -88,6 +90,12 @@ def doctor() -> str:
     source = open_files([path.with_suffix(".pcap.gz")])
     found = examine(source, settings.workbench()).diagnosis
     return terminal_picture([screen(found, 100)], width=100, title=f"edoras d3_cpu1_cpu2.pcap {_CONFIGS}")
+
+
+def balance() -> str:
+    """Draw the Sankey of a report."""
+    settings, path = _bench("a_rover", ("rover_ground",))
+    return standalone(sankey(examine(open_files([path]), settings.workbench()).diagnosis))
 
 
 def _three_panes(
@@ -182,6 +190,7 @@ PICTURES: Final[dict[str, Callable[[], str]]] = {
     "info": info,
     "doctor": doctor,
     "plot": plot,
+    "balance": balance,
     "tui": tui,
     "tui_filter": tui_filter,
     "tui_routes": tui_routes,

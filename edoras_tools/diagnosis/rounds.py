@@ -85,9 +85,11 @@ class Rounds:
 
     def depth(self) -> NDArray[np.int64]:
         """Return how many wait once each message came, itself where it got in; i64 (n,)."""
-        inside = np.cumsum(self.out, dtype=np.int64)
-        first = np.searchsorted(self.wake, self.wake)
-        return np.asarray(inside - np.append(0, inside)[first])
+        order = np.argsort(self.wake, kind="stable")
+        wake, inside = self.wake[order], np.cumsum(self.out[order], dtype=np.int64)
+        depth = np.empty_like(inside)
+        depth[order] = inside - np.append(0, inside)[np.searchsorted(wake, wake)]
+        return depth
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``trace --json``; of each message its time, wake-up and what waited."""
@@ -183,7 +185,7 @@ def rounds_into(case: Case, stream: Stream) -> Rounds:
         out,
         bool(out.any()),
         wakes,
-        np.maximum.accumulate(wake) if len(wakes) else np.full(len(stream), -1),
+        wake if len(wakes) else np.full(len(stream), -1),
         _period(wakes, pipe.round_ns),
         "measured" if len(wakes) else "assumed",
         pipe.usual_limit,

@@ -304,7 +304,9 @@ class Tracer:
         """Yield how a message that came in somewhere came out again."""
         before = next((item.time_ns for item in reversed(steps) if item.time_ns is not None), None)
         if leg.stream.link.last_hop:
-            yield self._captured(leg, "robot")
+            step = self._captured(leg, "robot")
+            # Times of two interfaces, or of a busy host: the doctor has no delays below 0 either.
+            yield replace(step, time_ns=max(step.time_ns or 0, before or 0))
             return
         rounds = rounds_out(self._case, leg.stream)
         yield from self._departure(leg, rounds, rounds.place(leg.row), before)

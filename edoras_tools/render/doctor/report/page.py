@@ -24,6 +24,7 @@ from edoras_tools.render.doctor.report.parts import (
     heading,
     section,
 )
+from edoras_tools.render.doctor.report.sankey import sankey, strip
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -34,19 +35,29 @@ if TYPE_CHECKING:
 _MOST_CHARTS: Final = 24
 _MOST_PROBLEMS: Final = 3
 _MOST_VERDICTS: Final = 200
+_KEY: Final = colour_key(
+    (("ci", "CI"), ("to", "TO"), ("sbn", "SBN"), ("error", "lost"), ("dim", "superseded, waiting, not seen"))
+)
 _ALIKE: Final = 4
 """Verdicts of one rule from here on share a table."""
 
 
 def page(result: Diagnosis, name: str, origin: Made) -> str:
     """Return the HTML page."""
-    sections = [section("Links", [links_picture(result)]), _verdicts(result)]
-    if result.case is not None and result.datagrams:
-        drawn = plots(result.case, result.choice)
+    sections = [section("Messages", [_card(sankey(result))], _KEY)]
+    drawn = plots(result.case, result.choice) if result.case is not None and result.datagrams else None
+    if drawn is not None:
+        sections.append(section("Routes over time", [_card(strip(drawn))]))
+    sections += [section("Links", [links_picture(result)]), _verdicts(result)]
+    if drawn is not None:
         sections += [_rates(drawn), _latency(drawn), _time(drawn), _sizes(drawn)]
     sections += [_balance(result), _routes(result), _habits(result)]
     parts = [_head(result, name), _summary(result), contents(sections), *sections, footer(origin)]
     return document(f"edoras report: {name}", parts)
+
+
+def _card(svg: str) -> str:
+    return f'<figure class="chart">{svg}</figure>' if svg else ""
 
 
 def _head(result: Diagnosis, name: str) -> str:

@@ -1,0 +1,56 @@
+"""The picture of the balance: bands as wide as the ledger's figures, and the same in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from xml.etree import ElementTree as ET
+
+import pytest
+from places import ROOT
+
+from edoras_tools.diagnosis.balance import ways
+from edoras_tools.diagnosis.ledger import summed
+from edoras_tools.diagnosis.plots import plots
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.render.doctor.report.sankey import bands, sankey, strip
+
+MISSION = ROOT / "samples/missions/rover_ground.yaml"
+NAMES = ("a_rover", "c4_cmd_rate", "n12_two_hosts_ground", "season3/q01_two_causes_one_counter")
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def result(request):
+    path = ROOT / f"tests/captures/{request.param}.pcap.zst"
+    return examine(open_file(path), Settings(configs=(MISSION,)).workbench()).diagnosis
+
+
+def test_widths_are_the_ledger(result):
+    """Each band's width is its messages by one scale; at each hop they add up to what came."""
+    tree = ET.fromstring(sankey(result))
+    drawn = [item for item in tree.iter("path") if "band" in item.get("class")]
+    scales = {
+        round(float(item.get("data-width")) / int(item.get("data-number")), 3)
+        for item in drawn
+        if int(item.get("data-number"))
+    }
+    assert max(scales) - min(scales) < 0.002
+    named = [way for way in ways(summed(result.balance)) if way.hops[0].route in result.topics]
+    lanes = [way for way in named if way.hops[0].came]
+    expected = Counter((row.hop, band.number) for way in lanes for row in way.hops for band in bands(row))
+    titles = [item.find("title").text.partition(": ") for item in drawn]
+    numbers = [int(item.get("data-number")) for item in drawn]
+    assert Counter((title[0], number) for title, number in zip(titles, numbers, strict=True)) == expected
+    assert all(title[2].startswith(f"{number:,} ") for title, number in zip(titles, numbers, strict=True))
+    for way in lanes:
+        for row in way.hops:
+            assert sum(band.number for band in bands(row)) == row.came + row.duplicated
+
+
+def test_it_is_said_in_words(result):
+    label = ET.fromstring(sankey(result)).get("aria-label")
+    for item in result.headlines[:3]:
+        if item.topic in result.topics.values():
+            assert f"{item.topic}: {item.sent:,} sent" in label
+    assert ET.fromstring(strip(plots(result.case))).get("aria-label").startswith("Routes over time. ")
