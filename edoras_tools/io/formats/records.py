@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 
 LARGEST_FRAME = 262144
 """Captured bytes of a frame that every reader accepts, even if the file has a smaller snap length."""
+_HEADERS = 256
+"""More bytes than a record has besides its frame, as far as it is searched for."""
+SEARCHED = 64 << 10
+"""Positions that are looked at together for the next record behind a damaged place."""
+FROM_THERE = "; the file is damaged from there on"
+_CUT = "ends inside {} {{}}; the capture was probably cut off while being written"
 
 
 class RecordSource(ABC):
@@ -55,6 +61,11 @@ class RecordSource(ABC):
             CaptureError: a record is damaged; raised after all records before it.
         """
 
+    def _next_record(self, start: int, end: int) -> int | None:
+        """Return where, between two positions of the window, a record surely begins; None if nowhere."""
+        del start, end
+        return None
+
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams; see ``Source.batches``."""
         try:
@@ -80,23 +91,50 @@ class RecordSource(ABC):
 
     def _batches(self) -> Iterator[PacketBatch]:
         window = self._window
+        failure: CaptureError | None = None
+        before = left_out = 0
+        searching = False
         while True:
-            for frames in self._frames():
-                batch = self._count(frames)
-                if len(batch):
-                    yield batch
-            if not window.advance(self._at):
-                break
-            self._at = 0
+            try:
+                for frames in self._frames() if not searching else ():
+                    batch = self._count(frames)
+                    if len(batch):
+                        yield batch
+                damage = None
+            except CaptureError as error:
+                damage = error
+            ended = False
+            if not searching and damage is None:
+                ended = not window.advance(self._at)
+                if not ended:
+                    self._at = 0
+                    continue
+                if self._at == window.end:
+                    break
+                damage = self._error(self._at, _CUT.format(self.unit))
+            if failure is None:
+                failure, before = damage, self.statistics.frames
+            found = self._next_record(self._at + 1, window.end)
+            searching = found is None
+            if found is None:
+                found = max(self._at, window.end - LARGEST_FRAME - _HEADERS)
+            left_out += found - self._at
+            self._at = found
+            if searching:
+                if ended or not window.advance(self._at):
+                    left_out += window.end - self._at
+                    break
+                self._at = 0
         rest = self._demux.finish()
         if rest is not None and len(rest):
             self.statistics.datagrams += len(rest)
             yield rest
-        if self._at < window.end:
-            raise self._error(
-                self._at,
-                f"ends inside {self.unit} {{}}; the capture was probably cut off while being written",
-            )
+        if failure is not None:
+            after = self.statistics.frames - before
+            if not after:
+                raise failure
+            what = str(failure).replace(FROM_THERE, "")
+            raise CaptureError(f"{what}, and {after:,} after it; {left_out:,} bytes were left out")
 
     def _count(self, frames: FrameBatch) -> PacketBatch:
         statistics = self.statistics

@@ -118,7 +118,7 @@ class CompressedStream:
         self._kind = kind
         self._input = head
         self._inflater: Any = None
-        self._output = b""
+        self._output = memoryview(b"")  # what is left of it is not copied: zstd makes up to 128 MiB of a call
         self._failure: CaptureError | None = None
         # Small: one call of zstd may return any amount, and an error loses all bytes of its call.
         self._buffer = memoryview(bytearray(1 << 12))
@@ -176,11 +176,11 @@ class CompressedStream:
         size = len(self._buffer)
         try:
             if self._kind == "gzip":
-                self._output = self._inflater.decompress(self._input, room)
+                self._output = memoryview(self._inflater.decompress(self._input, room))
                 # At the end of a member zlib also leaves these bytes in unused_data.
                 rest = b"" if self._inflater.eof else self._inflater.unconsumed_tail
             else:
-                self._output = self._inflater.decompress(self._input[:size])
+                self._output = memoryview(self._inflater.decompress(self._input[:size]))
                 rest = self._input[size:]
         except _errors() as error:
             self._fail(f"is corrupt ({error}); copy or unpack it again")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.records import LARGEST_FRAME, RecordSource
+from edoras_tools.io.formats.records import FROM_THERE, LARGEST_FRAME, SEARCHED, RecordSource
 from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import SourceInfo
@@ -32,6 +32,10 @@ MAGICS = {
 """Byte order, and the unit of the timestamps' second half in ns."""
 _LARGEST_SNAP_LENGTH = 16 << 20
 """A larger snap length is not trusted; Wireshark's own limit is far below."""
+_LOOKED_BACK = 8
+"""Records before a damaged place of which one may have a wrong length, so that others are in its frame."""
+_FAR_S = 86400
+"""Behind a damaged place no record is later or earlier than the last one by so much."""
 _STRIDE = 16 << 10
 _SIGHT = 512
 """A seed is searched for in the first _SIGHT bytes of every _STRIDE."""
@@ -64,6 +68,7 @@ class PcapSource(RecordSource):
         self._limit = max(LARGEST_FRAME, snap_length if snap_length <= _LARGEST_SNAP_LENGTH else 0)
         self._info = SourceInfo(name, "pcap", self._unit_ns, snap_length or LARGEST_FRAME)
         self._at = FILE_HEADER_BYTES
+        self._latest_s = 0
 
     @property
     def info(self) -> SourceInfo:
@@ -87,22 +92,55 @@ class PcapSource(RecordSource):
         positions, stop = walk_records(start, end, self._seeds(data, start, end), successor, step)
         headers = read_at(data, positions, np.dtype((dtype, 4)))
         captured = headers[:, 2].astype(np.int64)
-        absurd = captured > self._limit
+        absurd = (captured > self._limit) | ~headers.any(axis=1)  # zeros are no record
         if absurd.any():
             first = int(absurd.argmax())
             stop = int(positions[first])
             positions, headers, captured = positions[:first], headers[:first], captured[:first]
+        problem = self._problem(stop, end)
+        for row in range(max(0, len(positions) - _LOOKED_BACK), len(positions) if problem else 0):
+            first = int(positions[row]) + RECORD_HEADER_BYTES
+            if self._next_record(first, first + int(captured[row])) is not None:
+                problem = f"record {{}} claims a frame of {captured[row]} bytes, in which others begin"
+                stop = int(positions[row])
+                positions, headers, captured = positions[:row], headers[:row], captured[:row]
+                break
         self._at = stop
         if len(positions):
             yield self._batch(data, positions, headers, captured)
-        if stop + RECORD_HEADER_BYTES <= end:
-            claimed = step(stop) - stop - RECORD_HEADER_BYTES
-            if claimed > self._limit:
-                raise self._error(
-                    stop,
-                    f"record {{}} claims a frame of {claimed} bytes, but the maximum is {self._limit}; "
-                    "the file is damaged from there on",
-                )
+        if problem:
+            raise self._error(stop, f"{problem}{FROM_THERE}")
+
+    def _problem(self, at: int, end: int) -> str:
+        """Return why no record begins at a position; empty if one does, or it is not known yet."""
+        header = self._window.data[at : at + RECORD_HEADER_BYTES]
+        if at + RECORD_HEADER_BYTES > end:
+            return ""
+        if not header.any():
+            return "zeros are where record {} begins"
+        claimed = int(header.view(f"{self._order}u4")[2])
+        if claimed <= self._limit:
+            return ""
+        return f"record {{}} claims a frame of {claimed} bytes, but the maximum is {self._limit}"
+
+    def _next_record(self, start: int, end: int) -> int | None:
+        data = self._window.data
+        while start < end:
+            if not data[start]:  # there may be gigabytes of zeros, of which three begin a header at most
+                filled = data[start:end] != 0
+                start = max(start, start + int(filled.argmax()) - 11 if filled.any() else end)
+            places = np.arange(start, min(start + SEARCHED, end - RECORD_HEADER_BYTES))
+            sound, after = self._look(data, places, end + 1)
+            places, after = places[sound], after[sound]
+            behind = np.minimum(after, end - RECORD_HEADER_BYTES)
+            sound = (after == end) | self._look(data, behind, end + 1)[0]
+            if self._latest_s:
+                seconds = read_at(data, places, np.dtype(f"{self._order}u4")).astype(np.int64)
+                sound &= abs(seconds - self._latest_s) < _FAR_S
+            if sound.any():
+                return int(places[sound.argmax()])
+            start += SEARCHED
+        return None
 
     def _batch(
         self,
@@ -112,6 +150,7 @@ class PcapSource(RecordSource):
         captured: NDArray[np.int64],
     ) -> FrameBatch:
         time_ns = headers[:, 0].astype(np.int64)
+        self._latest_s = int(time_ns[-1])
         time_ns *= 1_000_000_000
         time_ns += headers[:, 1].astype(np.int64) * self._unit_ns
         first = self.statistics.frames + 1

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 import numpy as np
 
 from edoras_tools.io.formats.pcapng import LISTENED
-from edoras_tools.io.formats.records import LARGEST_FRAME, RecordSource
+from edoras_tools.io.formats.records import LARGEST_FRAME, SEARCHED, RecordSource
 from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import SourceInfo
@@ -213,6 +213,22 @@ class PcapngSource(RecordSource):
                 )
             if self._at == start:
                 return
+
+    def _next_record(self, start: int, end: int) -> int | None:
+        data, dtype = self._window.data, np.dtype(f"{self._order}u4")
+        last = end - _LEAST_BYTES[ENHANCED_PACKET]
+        for first in range(start, last + 1, SEARCHED):
+            places = np.arange(first, min(first + SEARCHED, last + 1))
+            words = read_at(data, places, np.dtype((dtype, 6)))
+            length = words[:, 1].astype(np.int64)
+            sound = (words[:, 0] == ENHANCED_PACKET) & (length & 3 == 0) & (places + length <= end)
+            sound &= (length >= _LEAST_BYTES[ENHANCED_PACKET]) & (words[:, 5] <= length - 32)
+            sound &= words[:, 2] < len(self._interfaces)
+            places, length = places[sound], length[sound]
+            sound = read_at(data, places + length - 4, dtype) == length
+            if sound.any():
+                return int(places[sound.argmax()])
+        return None
 
     def _begin_section(self, at: int) -> None:
         data = self._window.data[at : at + 16].tobytes()

@@ -244,3 +244,21 @@ def test_garbage_behind_a_header(content):
     with suppress(CaptureError):
         for batch in source.batches():
             assert len(batch)
+
+
+@pytest.mark.parametrize("damage", ["noise", "zeros", "length"])
+def test_behind_a_damaged_place_reading_goes_on(damage, tmp_path):
+    """At the next record that surely is one; also behind a length that covers others."""
+    content = bytearray((CAPTURES / "a_rover.pcap").read_bytes())
+    whole = len(read(CAPTURES / "a_rover.pcap")[0])
+    if damage == "length":
+        at = 24 + 16 + int.from_bytes(content[32:36], "little")  # the second record
+        content[at + 8 : at + 12] = (5000).to_bytes(4, "little")
+    else:
+        content[9000:9600] = bytes(600) if damage == "zeros" else bytes(range(1, 201)) * 3
+    path = tmp_path / "x.pcap"
+    path.write_bytes(content)
+    rows, error = read(path)
+    assert whole - 12 < len(rows) < whole
+    assert " packets before it were read, and " in error or "1 packet before it were read, and " in error
+    assert error.endswith(" bytes were left out")

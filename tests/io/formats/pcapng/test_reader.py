@@ -259,11 +259,12 @@ def test_damage_is_named_after_all_before_it(tmp_path, bad, what):
     good = section() + interface() + enhanced(FRAME) * 16
     path.write_bytes(good + bad + enhanced(FRAME) * 40)
     rows, error = read(path)
-    assert len(rows) == 16
+    assert len(rows) == 56
     assert what in error
     assert f"record 17 at byte {len(good)}" in error
     assert error.startswith(f"{path}: ")
-    assert error.endswith("16 packets before it were read")
+    assert "16 packets before it were read, and 40 after it; " in error
+    assert error.endswith(" bytes were left out")
 
 
 def test_a_packet_without_any_interface(tmp_path):
