@@ -20,8 +20,8 @@ settings.register_profile("edoras", deadline=None, derandomize=True, max_example
 settings.register_profile("explore", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "edoras"))
 
-# As edoras itself does: to look for garbage more often takes a sixth of all the time, and finds next to none.
-gc.set_threshold(200_000)
+# To look for garbage more often takes up to a sixth of all the time, and finds next to none.
+gc.set_threshold(1_000_000)
 
 # A screen is drawn five times a second at the most, not sixty: that is a third of what views take.
 os.environ.setdefault("TEXTUAL_FPS", "5")

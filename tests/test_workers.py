@@ -128,6 +128,7 @@ def test_the_others_end_their_test_and_take_down_what_they_set_up(
     assert not (tmp_path / "never").exists()
 
 
+@pytest.mark.long
 def test_a_mistake_in_a_file_is_told_before_any_test_runs(pytest_of, tmp_path):
     code, text = pytest_of("--workers=2", a="import nothing_of_that_name", b=FINE)
     assert code == 2

@@ -64,6 +64,7 @@ def test_many_verdicts_alike_are_one_entry(call, captures, monkeypatch):
         assert len(when) == len(alike)
 
 
+@pytest.mark.long
 def test_two_senders_of_one_msg_id_are_told_apart(call, captures, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     done = call("doctor", "-v", captures("d3_cpu1_cpu2"))

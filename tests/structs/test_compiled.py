@@ -132,6 +132,7 @@ def test_offsets_sizes_and_values_are_the_compilers(version, drawn, tmp_path):
     assert (again.structs, again.enums) == (layout.structs, layout.enums)
 
 
+@pytest.mark.long
 def test_without_offsets_a_layout_is_arranged_as_by_the_compiler(drawn, tmp_path):
     """What people write by hand: no offset, no size; packed where the compiler packed."""
     import re

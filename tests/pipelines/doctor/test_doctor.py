@@ -199,7 +199,7 @@ class _Parts:
                 yield batch.take(slice(first, first + self._rows))
 
 
-@pytest.mark.quick("a_rover")
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 @pytest.mark.parametrize("path", [*CAPTURES, ERRORS], ids=lambda path: path.stem)
 def test_chapters_are_judged_alike_by_any_number_of_processes(monkeypatch, path):
