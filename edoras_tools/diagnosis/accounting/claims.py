@@ -194,19 +194,26 @@ def settle_known(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[
         sure = [claim for claim in claims if claim.rank in ranks]
         settle(counts, sure)
         settle(counts, sure, slack_ns)
-    _settle_first(counts, claims)
     return settle_possible(counts, claims)
 
 
-def _settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
-    """Give what a first sample had already to what surely is missing, was sent before it, and has a cause."""
+def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: dict[int, int]) -> None:
+    """Give what a first sample had already to what surely is missing, was sent before it, and has a cause.
+
+    Args:
+        missed: id of a stream to how many of it the capture may have missed; they become fewer.
+    """
     for claim in claims:
         low_ns, own = claim.low_ns, [(at, counts[at]) for at in claim.instances]
         watched = any(item.times[0] <= low_ns <= item.times[-1] for _, item in own)
         may = [at for at, item in own if item.boot_ns < low_ns < item.times[0] and not watched]
-        for kind in claim.kinds if claim.rank in (PRESSED, ABSENT) and len(may) == 1 else ():
-            first = counts[may[0]].first
-            if number := min(claim.open, first.get(kind, 0)):
+        if claim.rank not in (PRESSED, ABSENT) or len(may) != 1:
+            continue
+        spared = min(claim.open, missed[claim.flow])
+        missed[claim.flow] -= spared
+        first = counts[may[0]].first
+        for kind in claim.kinds:
+            if number := min(claim.open - spared, first.get(kind, 0)):
                 claim.give((may[0], kind, BEFORE), number)
                 first[kind] -= number
 

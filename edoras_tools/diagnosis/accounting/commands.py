@@ -21,8 +21,8 @@ import numpy as np
 
 from edoras_tools.cfs import names, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.before_ci import BeforeCi
-from edoras_tools.diagnosis.accounting.claims import POSSIBLE, settle_known, settle_rest
-from edoras_tools.diagnosis.accounting.doubt import doubt, hold_back
+from edoras_tools.diagnosis.accounting.claims import POSSIBLE, settle_first, settle_known, settle_rest
+from edoras_tools.diagnosis.accounting.doubt import doubt, hold_back, may_be_missed
 from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, follow, loss_of
 from edoras_tools.diagnosis.accounting.leftover import Leftover
 from edoras_tools.diagnosis.accounting.losses import (
@@ -117,6 +117,7 @@ class Commands:
         hold_back(known, telemetry, quality)
         claims = [*telemetry.claims, *pipes.claims]
         shared = settle_known(counts, claims)
+        settle_first(counts, claims, may_be_missed(known, claims, quality))
         tails = {claim.flow: sum(claim.taken.values()) for claim in claims if claim.rank == POSSIBLE}
         pipes.tell()
         stops.tell()

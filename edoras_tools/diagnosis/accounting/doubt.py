@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.losses import Known, Loss
     from edoras_tools.diagnosis.quality import Quality
 
-_UNEXPLAINED: Final = frozenset({"after", "unknown", "fragments"})
+_UNEXPLAINED: Final = frozenset({"after", "unknown"})
 
 
 def hold_back(known: Known, telemetry: Telemetry, quality: Quality) -> None:
@@ -40,6 +41,18 @@ def hold_back(known: Known, telemetry: Telemetry, quality: Quality) -> None:
         number = min(sum(most), quality.may_have_missed(of, _sure(known)))
         for claim, share in zip(own, shares(number, most, most), strict=True):
             claim.number -= share
+
+
+def may_be_missed(known: Known, claims: Sequence[Claim], quality: Quality) -> dict[int, int]:
+    """Return id of a stream to how many the capture may have missed of those that no count explains yet."""
+    open_ = Counter[int]()
+    for claim in claims:
+        open_[claim.flow] += claim.open
+    sizes = {id(stream): len(stream) for stream in known.streams}
+    return {
+        flow: 0 if quality.excludes(open_[flow] / of) else quality.may_have_missed(of, _sure(known))
+        for flow, of in sizes.items()
+    }
 
 
 def _sure(known: Known) -> float:
