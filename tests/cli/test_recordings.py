@@ -53,6 +53,7 @@ WRITERS = {
     "check --junit": ("old.xml", ["check", CAPTURE, EXPECTED, "-c", ROVER]),
     "mission draft -o": ("old.yaml", ["mission", "draft", CAPTURE]),
     "xtce -o": ("old.xml", ["xtce", "-c", ROVER]),
+    "trace -o": ("old.svg", ["trace", CAPTURE, "-c", ROVER, "--topic", "/cmd_vel", "--nth", "1"]),
     "report -o": ("old.html", ["report", CAPTURE, "-c", ROVER]),
     "archive report -o": ("old.html", ["archive", "report", "--index", "x.duckdb"]),
     "sweep -o": ("old.svg", SWEEP),
@@ -82,7 +83,16 @@ KEPT = {
 """Options that name a file that is neither only read nor written anew."""
 READS = {
     *("FILE", "[FILE]...", "GOOD", "BAD", "--read", "--config", "--msg-path", "--structs", "--include"),
-    *("--against", "--bag", "--scenario", "FILE... FIELD...", "FILE... N", "DIR|URL..."),
+    *(
+        "--against",
+        "--bag",
+        "--scenario",
+        "FILE... FIELD...",
+        "FILE... N",
+        "FILE... [PACKET]",
+        "[FILE]... TOPIC",
+        "DIR|URL...",
+    ),
 }
 """Arguments and options that name what is read."""
 

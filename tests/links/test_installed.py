@@ -120,6 +120,7 @@ def test_it_is_sniffed_and_filtered(edoras, capture):
             for line in edoras("sniff", "-r", capture, "--json", *choice).splitlines()
         ]
 
+    assert numbers() == [1, 2, 3]
     assert numbers("--link", "radio") == [1, 2, 3]
     assert numbers("--link", "other") == [4]
     assert numbers("--where", "link == radio and radio.station == 7") == [2, 3]
