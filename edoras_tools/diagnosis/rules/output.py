@@ -243,23 +243,23 @@ def _added_again(case: Case, item: OutputCommand, when: int) -> str:
 def _restarted(case: Case, told: Callable[..., dict[str, Any]]) -> Iterator[Verdict]:
     """Say that Telemetry Output sends from another port: it was restarted."""
     rows = case.rows
-    moved = sorted(
-        {
-            int(rows.time_ns[stream.rows[at + 1]])
-            for stream in case.streams
-            if stream.link is TO
-            for at in (rows.source[stream.rows][1:] != rows.source[stream.rows][:-1]).nonzero()[0].tolist()
-        }
-    )
-    if moved:
+    moves = [
+        rows.time_ns[stream.rows[at : at + 2]].tolist()
+        for stream in case.streams
+        if stream.link is TO
+        for at in (rows.source[stream.rows][1:] != rows.source[stream.rows][:-1]).nonzero()[0].tolist()
+    ]
+    if moves:
+        end_ns = min(end for _, end in moves)
+        start_ns = max(start for start, _ in moves if start < end_ns)
         yield Verdict(
             Severity.WARNING,
-            f"Telemetry Output sends from another port at {case.at(moved[0])}: it was restarted, and forgot "
+            f"Telemetry Output sends from another port at {case.at(end_ns)}: it was restarted, and forgot "
             "that it was enabled",
             link="to",
             hop=telemetry_output.NAME,
-            span=(moved[0], moved[0]),
-            **told(moved[0]),
+            span=(start_ns, end_ns),
+            **told(end_ns),
             remedy=f"enable it again: {case.inject(ENABLE_OUTPUT)}",
         )
 
