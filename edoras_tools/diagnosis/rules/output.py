@@ -251,7 +251,7 @@ def _restarted(case: Case, told: Callable[..., dict[str, Any]]) -> Iterator[Verd
     ]
     if moves:
         end_ns = min(end for _, end in moves)
-        start_ns = max(start for start, _ in moves if start < end_ns)
+        start_ns = max((start for start, _ in moves if start < end_ns), default=end_ns)
         yield Verdict(
             Severity.WARNING,
             f"Telemetry Output sends from another port at {case.at(end_ns)}: it was restarted, and forgot "
