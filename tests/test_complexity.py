@@ -91,18 +91,22 @@ SIZES = {segments_behind_holes: 2000, pairs: 1500, msg_ids: 1500, files: 1000}
 
 @pytest.mark.parametrize("make", SIZES, ids=lambda make: make.__name__)
 def test_four_times_as_much_costs_at_most_six_times(make, tmp_path):
-    spent = []
+    """What is quadratic costs sixteen times as much in each of three tries; a busy machine not in all."""
     small = 12_500 if LONG else SIZES[make]
-    for place, count in enumerate(
-        (small // 4, small, 4 * small)
-    ):  # the first is to import what is imported late
-        path = tmp_path / f"{place}.pcap"
-        work = make(path, count)
-        began = time.process_time()
-        work(path)
-        spent.append(time.process_time() - began)
-    assert spent[2] < max(6 * spent[1], 0.1)
-    assert spent[2] < MOST_S
+    works = []
+    for count in (small, 4 * small):
+        path = tmp_path / f"{count}.pcap"
+        works.append((make(path, count), path))
+    spent(*works[0])  # to import what is imported late
+    tries = ((spent(*works[0]), spent(*works[1])) for _ in range(3))
+    assert any(more < max(6 * less, 0.3) and more < MOST_S for less, more in tries)
+
+
+def spent(work, path):
+    """Return the processor time of a piece of work, in s."""
+    began = time.process_time()
+    work(path)
+    return time.process_time() - began
 
 
 def test_many_msg_ids_are_not_dissected_one_by_one(tmp_path, monkeypatch):
