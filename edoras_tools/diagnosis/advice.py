@@ -268,7 +268,7 @@ def published_at(case: Case, stream: Stream) -> NDArray[np.int64]:
     when, mission = case.rows.time_ns[stream.rows], case.rows.mission_time_ns[stream.rows]
     if stream.instance != NOBODY and (mission > 0).all():
         when = np.maximum.accumulate(mission + case.instances.items[stream.instance].offset_ns)
-    counts = np.append(stream.missing[:-1], 0) + 1
+    counts = stream.counts
     at = np.cumsum(counts) - counts
     return np.interp(np.arange(int(counts.sum())), at, when.astype(np.float64)).astype(np.int64)
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.ledger import LedgerEntry
+    from edoras_tools.diagnosis.ledger import LedgerEntry, LedgerWay
     from edoras_tools.diagnosis.matching.streams import Stream
 
 USUAL_WINDOW: Final = 10_000
@@ -98,9 +98,10 @@ def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRat
     seconds = float(times[-1] - times[0]) / SECOND
     base = (len(times) - 1) / seconds if seconds > 0 else 0.0
     hops = [HopRate(APPLICATION if fate is None else "publisher", base, len(times), True, *_steps(times))]
-    hops += _inner(case, stream, first, len(times), base)
+    way = MessageLedger(case).way(stream)
+    hops += _inner(way, first, len(times), base)
     if fate is not None and not rounds.visible:
-        rate = _by_counters(case, stream, times)
+        rate = _by_counters(case, stream, way, times)
         hops.append(
             HopRate(APPLICATION, None if rate is None else hops[-1].rate_or(base) - rate, None, False)
         )
@@ -123,10 +124,8 @@ def _steps(times: NDArray[np.int64]) -> tuple[float, float, float] | tuple[()]:
     return (float(steps.min()), float(steps.max()), float(steps.std())) if len(steps) else ()
 
 
-def _inner(case: Case, stream: Stream, first: int, size: int, base: float) -> list[HopRate]:
+def _inner(way: LedgerWay, first: int, size: int, base: float) -> list[HopRate]:
     """Return the hops between the first and the last, by the ledger."""
-    place = next(at for at, item in enumerate(case.streams) if item is stream)
-    way = MessageLedger(case).ways[place]
     hops, share, exact = [], 1.0, True
     for row in way.rows()[:-1]:
         if row.hop in {BUS, APPLICATION}:
@@ -142,11 +141,9 @@ def _inner(case: Case, stream: Stream, first: int, size: int, base: float) -> li
     return hops
 
 
-def _by_counters(case: Case, stream: Stream, times: NDArray[np.int64]) -> float | None:
+def _by_counters(case: Case, stream: Stream, way: LedgerWay, times: NDArray[np.int64]) -> float | None:
     """Return how many a second the pipe of an application loses, by 0x803; None where others may share it."""
-    ways = MessageLedger(case).ways
-    place = next(at for at, item in enumerate(case.streams) if item is stream)
-    row = next((item for item in ways[place].rows() if item.hop == BUS), None)
+    row = next((item for item in way.rows() if item.hop == BUS), None)
     tracks = [track for at, track in case.tracks.items() if case.known.goes_to(stream, at)]
     if row is None or not row.observed or len(tracks) != 1:
         return None

@@ -365,7 +365,12 @@ class MessageLedger:
     """
 
     def __init__(self, case: Case) -> None:
+        self._streams = case.streams
         self.ways = list(_ways(case))
+
+    def way(self, stream: Stream) -> LedgerWay:
+        """Return the way of a stream's messages."""
+        return next(way for item, way in zip(self._streams, self.ways, strict=False) if item is stream)
 
     def rows(self) -> list[Row]:
         """Return a row for each traffic and hop."""

@@ -202,7 +202,7 @@ def rounds_out(case: Case, stream: Stream) -> Rounds:
         alike &= rows.destination == stream.receiver
     captured = rows.time_ns[stream.rows]
     wakes = _wakes([rows.time_ns[alike]], queue.round_ns)
-    counts = np.append(stream.missing[:-1], 0) + 1
+    counts = stream.counts
     row = np.repeat(np.arange(len(stream)), counts)
     behind = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
     times, out = published_at(case, stream), behind == 0

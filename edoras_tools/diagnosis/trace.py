@@ -168,7 +168,7 @@ class Tracer:
     def __init__(self, case: Case) -> None:
         self._case = case
         self._robots = find_robots(case.rows)
-        self._ways = MessageLedger(case).ways
+        self._ledger = MessageLedger(case)
 
     def packet(self, number: int) -> MessageTrace | None:
         """Return the way of the message in a packet; None where it is no message of a link.
@@ -206,7 +206,7 @@ class Tracer:
         if not 0 <= which < len(streams):
             return None
         stream = streams[which]
-        counts = np.cumsum(_counts(stream))
+        counts = np.cumsum(stream.counts)
         place = nth - int(first[which]) - 1
         row = int(np.searchsorted(counts, place, side="right"))
         return self.follow(_Leg(stream, row, place - (int(counts[row - 1]) if row else 0)))
@@ -223,7 +223,7 @@ class Tracer:
                 steps += self._inside(item, legs[place + 1] if place + 1 < len(legs) else None)
         ended = self._ended(last, steps)
         times = [step.time_ns for step in steps if step.time_ns is not None]
-        counts = _counts(head.stream)
+        counts = head.stream.counts
         return MessageTrace(
             topic=case.topic(head.stream.msg_id) or case.packet_name(head.stream.msg_id) or None,
             link=head.stream.link.label,
@@ -378,8 +378,7 @@ class Tracer:
         witness: Witness = "by model" if guessed and not leg.behind else "measured"
         if stream.link.last_hop:
             return MessageEnd("delivered", "robot", "came out to the robot", witness)
-        place = next(at for at, item in enumerate(self._case.streams) if item is stream)
-        way, fate = self._ways[place], self._case.commands.fates.get(id(stream))
+        way, fate = self._ledger.way(stream), self._case.commands.fates.get(id(stream))
         full = any(step.witness == "by model" and (step.waiting or 0) >= (step.limit or 1) for step in steps)
         if fate is not None and not fate.seen:
             return self._unfollowed(way, leg)
@@ -419,11 +418,7 @@ class Tracer:
 
 def messages_in(stream: Stream) -> int:
     """Return how many messages a stream has, those included that never came."""
-    return int(_counts(stream).sum())
-
-
-def _counts(stream: Stream) -> np.ndarray[Any, np.dtype[np.int64]]:
-    return np.append(stream.missing[:-1], 0) + 1
+    return int(stream.counts.sum())
 
 
 def way_end(way: LedgerWay) -> str:

@@ -113,21 +113,7 @@ def _default_text(member: CMember, place: str, name: str, value: str) -> str:
 def _read(message: Message) -> str:
     head = heads(message.name)["read"]
     loops = any(_loops(member) for member in message.members)
-    return function(head, ["uint32_t i"] * loops, "".join(map(_read_member, message.members)))
-
-
-def _read_member(member: CMember) -> str:
-    place = f"message->{member.name}"
-    if not member.elements:
-        return statement(_read_one(member, place))
-    if member.is_sequence:
-        data, limit = f"{place}.data", f"{place}.size"
-        text = statement(f"{limit} = edoras_read_count(reader, EDORAS_CAPACITY({data}));")
-    else:
-        data, limit, text = place, f"EDORAS_CAPACITY({place})", ""
-    if member.kind not in _ONE_BY_ONE:
-        return text + statement(f"edoras_read_many(reader, {data}, {limit}, sizeof({data}[0]));")
-    return text + loop(limit, _read_one(member, f"{data}[i]"))
+    return function(head, ["uint32_t i"] * loops, "".join(_member(item, "read") for item in message.members))
 
 
 def _read_one(member: CMember, place: str) -> str:
@@ -144,21 +130,23 @@ def _write(message: Message) -> str:
     loops = any(_loops(member) for member in message.members)
     counts = any(member.is_sequence for member in message.members)
     variables = ["uint32_t count"] * counts + ["uint32_t i"] * loops
-    return function(head, variables, "".join(map(_write_member, message.members)))
+    return function(head, variables, "".join(_member(item, "write") for item in message.members))
 
 
-def _write_member(member: CMember) -> str:
-    place = f"message->{member.name}"
+def _member(member: CMember, verb: str) -> str:
+    """Return the statements that read or write a member."""
+    place, stream = f"message->{member.name}", {"read": "reader", "write": "writer"}[verb]
+    one = _read_one if verb == "read" else _write_one
     if not member.elements:
-        return statement(_write_one(member, place))
+        return statement(one(member, place))
+    data, limit, text = place, f"EDORAS_CAPACITY({place})", ""
     if member.is_sequence:
-        data, limit = f"{place}.data", "count"
-        text = statement(f"count = edoras_write_count(writer, {place}.size, EDORAS_CAPACITY({data}));")
-    else:
-        data, limit, text = place, f"EDORAS_CAPACITY({place})", ""
+        data, size = f"{place}.data", f"{place}.size"
+        limit, counted = (size, "") if verb == "read" else ("count", f"{size}, ")
+        text = statement(f"{limit} = edoras_{verb}_count({stream}, {counted}EDORAS_CAPACITY({data}));")
     if member.kind not in _ONE_BY_ONE:
-        return text + statement(f"edoras_write_many(writer, {data}, {limit}, sizeof({data}[0]));")
-    return text + loop(limit, _write_one(member, f"{data}[i]"))
+        return text + statement(f"edoras_{verb}_many({stream}, {data}, {limit}, sizeof({data}[0]));")
+    return text + loop(limit, one(member, f"{data}[i]"))
 
 
 def _write_one(member: CMember, place: str) -> str:

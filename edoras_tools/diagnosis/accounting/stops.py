@@ -191,28 +191,30 @@ class Stops:
         """Mark the messages that came over SBN, or were to leave over it, when that was closed (rule 4)."""
         known, stream = self._known, fate.stream
         system, peer = known.system(stream), known.network.identity_of.get
-        ways: list[tuple[Way, Hop | None]] = [(Way(stream.msg_id, stream.link, system, to_cfs=True), None)]
+        every = np.ones(len(stream), bool)
+        ways = [(Way(stream.msg_id, stream.link, system, to_cfs=True), every)]
         if all(hop.out.link.peers for hop in fate.hops):
             ways += [
-                (Way(hop.out.msg_id, hop.out.link, system, peer=peer(hop.out.receiver, "")), hop)
+                (
+                    Way(hop.out.msg_id, hop.out.link, system, peer=peer(hop.out.receiver, "")),
+                    _newest(known, fate, hop),
+                )
                 for hop in fate.hops
             ]
         times = known.captured(stream)
         closed = [
-            (_CLOSED[reason.span.change.subject.kind], reason, way_out)
-            for way, way_out in ways
+            (_CLOSED[reason.span.change.subject.kind], reason, newest)
+            for way, newest in ways
             if way.link.peers
             for reason in reasons_for(known.timeline, way, 0, NEVER, known.at)
             if reason.span.change.subject.kind in _CLOSED and reason.span.change.state != "silent"
         ]
         for early_ns, until in ((0, "end_lo"), (WAITS_NS, "end_hi")):
-            for (_, kind, hop), (span, text), way_out in sorted(closed, key=itemgetter(0)):
+            for (_, kind, hop), (span, text), newest in sorted(closed, key=itemgetter(0)):
                 inside = fate.open & ~fate.newer & (fate.stop < 0)
                 inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
-                if way_out is not None and inside.any():
-                    older = inside & ~_newest(known, fate, way_out)
-                    fate.newer |= older
-                    inside &= ~older
+                fate.newer |= inside & ~newest
+                inside &= newest
                 cause = _Cause(kind, hop, (text,))
                 if inside.any() and cause not in self._causes:
                     self._causes.append(cause)

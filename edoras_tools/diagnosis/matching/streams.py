@@ -78,6 +78,11 @@ class Stream:
         """Whether its packets are commands."""
         return bool(VERSION_1.is_command(self.known_id))
 
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """How many messages each row stands for, i64: itself, and those behind it that never came."""
+        return np.append(self.missing[:-1], 0) + 1
+
     def __len__(self) -> int:
         return len(self.rows)
 

@@ -54,7 +54,7 @@ class TraceRequest:
 
 
 class Tracing(Examination):
-    """Takes batches as they come and keeps the trace that was request for; it gives no verdicts.
+    """Takes batches as they come and keeps the trace that was asked for; it gives no verdicts.
 
     Attributes:
         trace: the way of the message, once it was met.
@@ -84,7 +84,7 @@ class Tracing(Examination):
         )
 
     def check(self) -> None:
-        """Raise an error if what was request for is not there.
+        """Raise an error if what was asked for is not there.
 
         Raises:
             RouteError: it is not there.
@@ -159,16 +159,15 @@ def _names(case: Case, msg_id: int) -> list[str]:
 def _timing(case: Case, stream: Stream, name: str) -> Timing:
     is_into = id(stream) in case.commands.fates
     rounds = rounds_into(case, stream) if is_into else rounds_out(case, stream)
-    place = next(at for at, item in enumerate(case.streams) if item is stream)
-    return Timing(name, stream.link.label, stream.msg_id, rounds, tuple(_endings(case, place)))
+    return Timing(name, stream.link.label, stream.msg_id, rounds, tuple(_endings(case, stream)))
 
 
-def _endings(case: Case, place: int) -> Sequence[tuple[int, str]]:
+def _endings(case: Case, stream: Stream) -> Sequence[tuple[int, str]]:
     """Return what became of the messages of a stream that did not come out, by the ledger."""
     sums: dict[str, int] = {}
-    for entry in MessageLedger(case).ways[place].entries():
+    for entry in MessageLedger(case).way(stream).entries():
         text = case.called(entry.text) if entry.ending == "lost" else ENDING_TEXTS[entry.ending]
         sums[text] = sums.get(text, 0) + entry.number
-    fate = case.commands.fates.get(id(case.streams[place]))
+    fate = case.commands.fates.get(id(stream))
     behind = fate.passed_on if fate is not None else 0
     return [*((number, text) for text, number in sums.items()), *[(behind, PASSED_ON)] * bool(behind)]
