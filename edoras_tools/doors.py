@@ -32,7 +32,7 @@ KINDS: Final = {
     "parts": "part",
 }
 """What can be added, and what one of it is called; ``parts`` by add-ons alone: what commands of the core call
-for an option, as ``sniff --tui``."""
+for an option, as ``sniff --tui``, and one add-on of another."""
 _ADDONS: Final = "edoras_tools.addons"
 
 
@@ -129,7 +129,7 @@ def find(kind: str, name: str) -> Addition | None:
 
 
 def part(name: str) -> Any:
-    """Return a part of an add-on that a command of the core needs for an option.
+    """Return a part of an add-on that a command of the core needs for an option, or another add-on.
 
     Raises:
         ConfigError: the add-on's folder was deleted.

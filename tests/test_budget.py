@@ -39,7 +39,7 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(68_765, 150, 58_000),
+    "lines with code, core": Limit(68_251, 150, 58_000),
     "lines with code, all": Limit(80_765, 150, 84_000),  # with what is still to come
     "files": Limit(566, 10, 450),
     "files below 170 lines, of 1,000": Limit(445, 10, 500),  # a median of 170 lines or more

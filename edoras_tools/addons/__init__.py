@@ -103,5 +103,17 @@ ADDONS: Final = (
     Addon("tui", adds={"parts": {"panes": "cli"}}, extra="tui"),
     Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),
     Addon("dds", adds={"middleware": {"dds": ":DDS"}}, extra="dds"),
+    Addon(
+        "wireshark",
+        commands={
+            "wireshark": ListedCommand(
+                "Connect",
+                "Decode the links in Wireshark and tshark, to ROS fields.",
+                "cli.wireshark:wireshark",
+                before="xtce",
+            )
+        },
+        adds={"parts": {"wireshark": "program:open_packets"}},
+    ),
 )
 """What ships."""

@@ -45,7 +45,7 @@ _OF_THE_CORE: Final = {
     "Record": ("record", "recover", "export", "files"),
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "proxy"),
-    "Connect": ("bridge", "mission", "structs", "wireshark"),
+    "Connect": ("bridge", "mission", "structs"),
     "Try": ("samples", "help"),
 }
 """Each is a function, or a group of commands, in a module of the same name."""

@@ -12,6 +12,7 @@ from xml.parsers import expat
 
 import pytest
 
+from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.transfer import Unframer
@@ -21,7 +22,6 @@ from edoras_tools.links.racs2 import RACS2
 from edoras_tools.mission import Mission, load
 from edoras_tools.model import OTHER
 from edoras_tools.pipelines.reading import reading
-from edoras_tools.pipelines.wireshark.lua import dissector
 from edoras_tools.pipelines.workbench import Settings, Workbench
 from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.ros import TypeStore

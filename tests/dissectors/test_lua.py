@@ -12,6 +12,7 @@ import pytest
 from effort import every, long_but
 from places import ROOT
 
+from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.dissectors.lua import GUARD, own_digest
 from edoras_tools.dissectors.lua_text import literal, quoted
 from edoras_tools.io.formats.open import open_file
@@ -20,7 +21,6 @@ from edoras_tools.model import Finding, Peer
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.sniff import sniff
 from edoras_tools.pipelines.selection import Selection
-from edoras_tools.pipelines.wireshark.lua import dissector
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.sessions.sequence import BOOT_APART_NS, REPEATED, WINDOW
 from edoras_tools.units import SECOND

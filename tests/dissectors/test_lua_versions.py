@@ -10,8 +10,8 @@ import pytest
 from fprime_session import DICTIONARY
 from places import ROOT
 
+from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.pipelines.wireshark.lua import dissector
 from edoras_tools.pipelines.workbench import Settings
 
 LUAS = ["lua5.2", "lua5.4"]

@@ -116,7 +116,7 @@ def test_nobody_writes_files_in_another_way():
     others = {
         "ros/types/standard.py": "makes a file of this package, by hand",
         "cli/main.py": "the null device",
-        "pipelines/wireshark/extcap.py": "a pipe of Wireshark's",
+        "addons/wireshark/extcap.py": "a pipe of Wireshark's",
         "structs/debug_info/dwarf.py": "in a temporary folder of its own",
     }
     found = {

@@ -43,12 +43,12 @@ from spacepackets.cfdp.pdu.prompt import ResponseRequired
 from spacepackets.util import ByteFieldGenerator
 from transfer_frames import batch_of
 
+from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.cfdp import CFDP
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_FINDINGS, Finding
-from edoras_tools.pipelines.wireshark.lua import dissector
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.sessions.cfdp import Follower
 from edoras_tools.wire import cfdp, cfe

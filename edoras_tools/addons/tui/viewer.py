@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import subprocess
-import tempfile
 import threading
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
-from shutil import rmtree
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from textual import on, work
@@ -19,6 +14,7 @@ from textual.binding import Binding
 from textual.widgets import Input
 from textual.worker import get_current_worker
 
+from edoras_tools import doors
 from edoras_tools.addons.tui.data import messages
 from edoras_tools.addons.tui.data.feed import Feed, FilterThread
 from edoras_tools.addons.tui.data.rates import rate_figure
@@ -29,18 +25,14 @@ from edoras_tools.addons.tui.navigation import Navigation, filter_of
 from edoras_tools.addons.tui.panes import ViewOptions
 from edoras_tools.addons.tui.prompts import FilterLine
 from edoras_tools.decode.filters.rows import ColumnRows
-from edoras_tools.dissectors.lua import GUARD, own_digest
-from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.formats.pcapng.writer import PcapngSink
-from edoras_tools.io.outputs import write_bytes
+from edoras_tools.errors import EdorasError
 from edoras_tools.io.signals import ENDING
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.capture.conversation import Conversation
-from edoras_tools.pipelines.wireshark.lua import dissector
-from edoras_tools.pipelines.wireshark.program import SCRIPT, find_program
 from edoras_tools.render.severity import Level
 
 if TYPE_CHECKING:
+    import subprocess
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
@@ -51,44 +43,14 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Settings, Workbench
 
 
-_THEN_REMOVE: Final = '"$@"; rm -rf "$0"'
-"""A shell script: Wireshark may run longer than this process, and needs its files until it ends."""
-
-
 def open_in_wireshark(parts: Sequence[Part], row: int, settings: Settings) -> subprocess.Popen[bytes]:
-    """Write packets to a file and open Wireshark with our dissector on it.
-
-    Args:
-        parts: what ``Store.parts`` returned.
-        row: the packet to go to.
-
-    Returns:
-        The process, which removes the file when Wireshark ends.
-
-    Raises:
-        EdorasError: Wireshark is not installed, or the file cannot be written.
-    """
-    path = find_program("wireshark")
-    text, _ = dissector(settings)
-    folder = Path(tempfile.mkdtemp(prefix="edoras-"))
-    try:
-        script, capture = folder / SCRIPT, folder / "packets.pcapng"
-        write_bytes(script, text.encode())
-        with closing(PcapngSink(capture)) as sink:
-            for block, _, rows in parts:
-                sink.write(block.batch if isinstance(rows, range) else block.batch.take(np.asarray(rows)))
-        arguments = ["-X", f"lua_script:{script}", "-r", str(capture), "-g", str(row + 1)]
-        return subprocess.Popen(  # noqa: S603  the user asked for it
-            ["/bin/sh", "-c", _THEN_REMOVE, str(folder), path, *arguments],
-            env=os.environ | {GUARD: own_digest(text)},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-    except (OSError, CaptureError) as error:
-        rmtree(folder, ignore_errors=True)
-        raise CaptureError(f"Wireshark cannot be opened: {error}") from error
+    """Open Wireshark on packets, which ``Store.parts`` returned; see ``addons.wireshark.program``."""
+    batches = (
+        block.batch if isinstance(rows, range) else block.batch.take(np.asarray(rows))
+        for block, _, rows in parts
+    )
+    process: subprocess.Popen[bytes] = doors.part("wireshark")(batches, row, settings)
+    return process
 
 
 __all__ = ["ViewOptions", "Viewer"]

@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 from waiting import Program, free_ports
 
-from edoras_tools.cli.extcap import main
+from edoras_tools.addons.wireshark import extcap
+from edoras_tools.addons.wireshark.cli.extcap import main
+from edoras_tools.addons.wireshark.program import install_extcap
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import table
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Peer
-from edoras_tools.pipelines.wireshark import extcap
-from edoras_tools.pipelines.wireshark.program import install_extcap
 from edoras_tools.wire import cfe, sbn
 
 SENTENCE = re.compile(r"(extcap|interface|dlt|arg|value) (\{\w+=[^{}]*\})+")

@@ -22,7 +22,7 @@ wireshark.add_typer(extcap)
 
 
 def _dissector(decoding: options.DecodingOptions) -> str:
-    from edoras_tools.pipelines.wireshark.lua import dissector
+    from edoras_tools.addons.wireshark.lua import dissector
 
     text, warnings = dissector(decoding.settings())
     for warning in warnings:
@@ -34,9 +34,9 @@ def _dissector(decoding: options.DecodingOptions) -> str:
 @grouped
 def install(*, to: To = None, force: recordings.Force = False, decoding: options.DecodingOptions) -> None:
     """Copy the dissector to the personal plugin folder, with the missions of -c or the demos' routes."""
-    from edoras_tools.pipelines.wireshark import program as wireshark_program
+    from edoras_tools.addons.wireshark import program
 
-    sys.stdout.write(f"{wireshark_program.install(_dissector(decoding), to, force=force)}\n")
+    sys.stdout.write(f"{program.install(_dissector(decoding), to, force=force)}\n")
 
 
 @wireshark.command("print", cls=Command)
@@ -67,9 +67,9 @@ def run(
 
     For example: edoras wireshark run -r FILE -c MISSION -- -V
     """
-    from edoras_tools.pipelines.wireshark import program as wireshark_program
+    from edoras_tools.addons.wireshark import program
 
-    code = wireshark_program.run_program(_dissector(decoding), read, arguments or [], graphical=gui)
+    code = program.run_program(_dissector(decoding), read, arguments or [], graphical=gui)
     if code:
         raise Exit(code)
 
@@ -78,6 +78,6 @@ def run(
 @grouped
 def install_extcap(to: To = None, force: recordings.Force = False) -> None:
     """Copy the launcher of EDORAS CI, TO and SBN to Wireshark's extcap folder."""
-    from edoras_tools.pipelines.wireshark import program as wireshark_program
+    from edoras_tools.addons.wireshark import program
 
-    sys.stdout.write(f"{wireshark_program.install_extcap(to, force=force)}\n")
+    sys.stdout.write(f"{program.install_extcap(to, force=force)}\n")

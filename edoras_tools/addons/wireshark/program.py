@@ -13,6 +13,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.dissectors.lua import GUARD, own_digest
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.open import open_file
@@ -21,7 +22,10 @@ from edoras_tools.io.outputs import write_files
 from edoras_tools.pipelines.interrupt import on_interrupt
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from edoras_tools.model import PacketBatch
+    from edoras_tools.pipelines.workbench import Settings
 
 SCRIPT: Final = "edoras.lua"
 LAUNCHER: Final = "edoras-extcap"
@@ -30,6 +34,8 @@ OLDEST: Final = (3, 6)
 _READS: Final = frozenset({"pcap", "pcapng"})
 _COMPRESSED: Final = ".zst"
 """A suffix that not every Wireshark reads."""
+_THEN_REMOVE: Final = '"$@"; rm -rf "$0"'
+"""A shell script: Wireshark may run longer than this process, and needs its files until it ends."""
 
 
 def find_program(*names: str) -> str:
@@ -105,7 +111,7 @@ def install_extcap(folder: Path | None = None, *, force: bool = False) -> Path:
         ConfigError: another one is there.
     """
     folder = folder or _own_folder("Personal Extcap path", "Extcap path", noun="extcap programs")
-    text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m edoras_tools.cli.extcap "$@"\n'
+    text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m edoras_tools.addons.wireshark.cli.extcap "$@"\n'
     try:
         path = _write(folder / LAUNCHER, text, force=force)
         path.chmod(0o755)
@@ -135,6 +141,40 @@ def run_program(text: str, file: Path | None, arguments: Sequence[str], *, graph
             # Ctrl-C also reaches the program, which handles it itself.
             with on_interrupt(lambda: None):
                 return subprocess.run([*command, *arguments], env=environment, check=False).returncode  # noqa: S603
+
+
+def open_packets(batches: Iterable[PacketBatch], row: int, settings: Settings) -> subprocess.Popen[bytes]:
+    """Write packets to a file and open Wireshark with the dissector on it.
+
+    Args:
+        row: the packet to go to, from 0.
+
+    Returns:
+        The process, which removes the file when Wireshark ends.
+
+    Raises:
+        EdorasError: Wireshark is not installed, or the file cannot be written.
+    """
+    path = find_program("wireshark")
+    text, _ = dissector(settings)
+    folder = Path(tempfile.mkdtemp(prefix="edoras-"))
+    try:
+        script, capture = _write(folder / SCRIPT, text, force=False), folder / "packets.pcapng"
+        with closing(PcapngSink(capture)) as sink:
+            for batch in batches:
+                sink.write(batch)
+        arguments = ["-X", f"lua_script:{script}", "-r", str(capture), "-g", str(row + 1)]
+        return subprocess.Popen(  # noqa: S603  the user asked for it
+            ["/bin/sh", "-c", _THEN_REMOVE, str(folder), path, *arguments],
+            env=os.environ | {GUARD: own_digest(text)},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    except (OSError, CaptureError) as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise CaptureError(f"Wireshark cannot be opened: {error}") from error
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import pytest
 from effort import every
 from places import ROOT
 
-from edoras_tools.pipelines.wireshark import program as wireshark_program
+from edoras_tools.addons.wireshark import program as wireshark_program
 
 CAPTURE = ROOT / "samples/captures/a_rover.pcap"
 MISSION = ROOT / "samples/missions/rover_ground.yaml"

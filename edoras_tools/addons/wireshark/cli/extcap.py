@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _answer(asked: argparse.Namespace) -> list[str]:
-    from edoras_tools.pipelines.wireshark import extcap
+    from edoras_tools.addons.wireshark import extcap
 
     if asked.extcap_interfaces:
         return extcap.interfaces_answer()

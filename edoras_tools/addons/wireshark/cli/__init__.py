@@ -1,0 +1,1 @@
+"""``edoras wireshark``, and the program that Wireshark itself runs."""
