@@ -1,15 +1,20 @@
 """Advice is done: pasted into the same emulated run, as much is lost as it promised would be left."""
 
 import re
+import socket
+from io import StringIO
 
 import numpy as np
 import pytest
+from commands import call  # noqa: F401  a fixture
+from rich.console import Console
 
 from edoras_tools.cfs.commands import NAMED
 from edoras_tools.cfs.queues import Queue
 from edoras_tools.diagnosis.advice import Arrivals
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.model import Endpoint
+from edoras_tools.render.doctor.doctor import screen
 from edoras_tools.wire import cfe
 
 POSE, TWIST, GENERATED, TO_PEER = 0x0827, 0x1827, 0x08F1, 0x082A
@@ -37,17 +42,27 @@ def rate_in(remedy):
     return float(re.search(r"at most ([\d.]+) Hz", remedy)[1])
 
 
-def pasted(remedy, at_s):
-    """Return what a remedy says to paste, as datagrams to CI at a time."""
-    words = [line.split() for line in re.findall(r"edoras inject ([^;]+)", remedy)]
-    assert [name for name, *_ in words] == ["to-remove", "to-add"]
-    found = []
-    for place, (name, msg_id, *limit) in enumerate(words):
-        command = NAMED[name]
-        payload = command.payload(msg_id, int(limit[1]) if limit else 0)
-        data = cfe.emit_command(command.msg_id, command.function_code, payload, sequence_flags=0)
-        found.append((at_s + 0.1 * place, 1234, data))
-    return tuple(found)
+@pytest.fixture
+def pasted(call):  # noqa: F811
+    """A function: run the lines below ``do`` on the first screen; return what they send, a second apart."""
+
+    def run(found, at_s, *names):
+        console = Console(width=80, record=True, file=StringIO())
+        console.print(screen(found, 80, "run.pcap"))
+        rows = [row.strip() for row in console.export_text().splitlines()]
+        lines = list(dict.fromkeys(row for row in rows if row.startswith("edoras inject")))
+        assert [line.split()[2] for line in lines] == [*names]
+        feeds = []
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ci:
+            ci.bind(("127.0.0.1", 0))
+            ci.settimeout(30)
+            for place, line in enumerate(lines):
+                there = "--target", f"127.0.0.1:{ci.getsockname()[1]}"
+                assert call(*line.split()[1:], *there, "--no-listen").code == 0, line
+                feeds.append((at_s + place, 1234, ci.recv(2048)))
+        return tuple(feeds)
+
+    return run
 
 
 @pytest.mark.quick("20")
@@ -83,11 +98,14 @@ def generated(lab, rate, feeds=()):
 
 @pytest.mark.quick("30")
 @pytest.mark.parametrize("hz", [10, 30, 60])
-def test_let_telemetry_output_keep_more(lab, hz):
-    problem = problem_of(lab.examine(generated(lab, hz), drops=0), GENERATED)
+def test_let_telemetry_output_keep_more(lab, hz, pasted):
+    found = lab.examine(generated(lab, hz), drops=0)
+    problem = problem_of(found, GENERATED)
     if hz == 60:  # its pipe of 50 has no room for 30 of one MsgId beside all others and their bursts
         assert rate_in(problem.remedy) == 7.9
-    done = generated(lab, hz, pasted(problem.remedy, 4)) if "inject" in problem.remedy else generated(lab, 7)
+        done = generated(lab, 7)
+    else:
+        done = generated(lab, hz, pasted(found, 3, "to-remove", "to-add"))
     assert lost_of(lab.examine(done, drops=0), GENERATED) == problem.left == 0
 
 
@@ -147,6 +165,53 @@ def test_two_senders_share_what_one_may_send(lab, twist):
     each = float(re.search(r"([\d.]+) Hz each of 2 senders", problem.remedy)[1])
     done = with_commands(lab, twist, [5 + at / each for at in range(int(18 * each))], hz=each)
     assert lost_of(done, TWIST) == problem.left == 0
+
+
+def ordered(lab, name, argument="", feeds=(), seconds=SECONDS):
+    """Return a run in which somebody sends a named command after 8 s, with that command as captured."""
+    command = NAMED[name]
+    data = cfe.emit_command(
+        command.msg_id, command.function_code, command.payload(argument, 0), sequence_flags=0
+    )
+    traffic = lab.simulate(seconds=seconds, feeds=((8, 1234, data), *feeds))[0]
+    sent = [lab.at(at, OTHER_BRIDGE, lab.ci, data) for at, _, data in ((8, 1234, data), *feeds)]
+    return lab.merged(traffic, *sent)
+
+
+def came(lab, traffic, start_s, end_s, msg_id, port):
+    """Return how many of a MsgId go to a port in a time."""
+    span = lab.start_ns + int(start_s * 1e9), lab.start_ns + int(end_s * 1e9)
+    return sum(
+        item.destination.port == port and int.from_bytes(item.payload[:2], "big") == msg_id
+        for item in traffic
+        if span[0] <= item.time_ns < span[1]
+    )
+
+
+@pytest.mark.quick("*-stop-app-TO*")
+@pytest.mark.parametrize(
+    ("name", "argument", "lines"),
+    [
+        ("es-stop-app", "EDORAS_APP", ["es-start-app"]),
+        ("es-stop-app", "TO_LAB_APP", ["es-start-app", "to-enable"]),
+        ("es-restart-app", "TO_LAB_APP", ["to-enable"]),
+        ("to-remove", "0x0827", ["to-add"]),
+    ],
+    ids=lambda item: item if isinstance(item, str) else "",
+)
+def test_what_was_stopped_comes_again(name, argument, lines, lab, pasted):
+    traffic = ordered(lab, name, argument)
+    assert came(lab, traffic, 5, 8, POSE, 1235) > 1
+    assert not came(lab, traffic, 16, 24, POSE, 1235)
+    done = ordered(lab, name, argument, pasted(lab.examine(traffic, drops=0), 15, *lines))
+    assert came(lab, done, 17, 24, POSE, 1235) > 5
+
+
+def test_no_command_starts_a_command_ingest_that_is_stopped(lab, pasted):
+    found = lab.examine(ordered(lab, "es-stop-app", "CI_LAB_APP"), drops=0)
+    remedies = [item.remedy for item in summarize(found).problems]
+    assert any("start cFS again" in item for item in remedies)
+    assert pasted(found, 15) == ()
 
 
 def test_messages_are_spaced_no_more_than_needed():

@@ -253,9 +253,7 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             hop=item.app,
             span=(start_ns, end_ns),
             evidence=(item.witness,),
-            remedy=f"enable it again after it restarts: {case.inject(ENABLE_OUTPUT)}"
-            if item.app.startswith("TO_")
-            else _remedy(case, item.app),
+            remedy=_remedy(case, item.app, restarts=item.restarted),
         )
 
 
@@ -265,9 +263,18 @@ _REVIVE: Final = (
 )
 
 
-def _remedy(case: Case, app: str) -> str:
+def _remedy(case: Case, app: str, *, restarts: bool = False) -> str:
     """Return what helps: to start it again where it still does not run."""
     last = next((item for item in reversed(case.outages) if item.app == app), None)
-    if app not in STARTS or last is None or last.end_ns is not None:
-        return "send nothing while an application is restarted"
-    return f"start it again: {case.inject('es-start-app', app)}"
+    stands = app in STARTS and last is not None and last.end_ns is None and not restarts
+    is_output = app.startswith("TO_")
+    if stands and app in command_ingest.NAMES:
+        return "start cFS again, or CI from cFS's own side: while CI is stopped, no command gets in"
+    if stands:
+        line = case.inject("es-start-app", app)
+        if is_output:
+            return f"start it again, and a second later enable it: {line}; {case.inject(ENABLE_OUTPUT)}"
+        return f"start it again: {line}"
+    if is_output:
+        return f"enable it again after it restarts: {case.inject(ENABLE_OUTPUT)}"
+    return "send nothing while an application is restarted"
