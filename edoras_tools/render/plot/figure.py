@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.render.chart import ticks_between
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 AXIS: Final = "seconds since the start of the capture"
+_MOST_TICKS: Final = 6
 LIGHT_COLOURS: Final = ("#0072b2", "#c04a00", "#007f5f", "#a0437f", "#7a5c00", "#3d4a9e", "#4d4d4d")
 DARK_COLOURS: Final = ("#56b4e9", "#ff9e4a", "#2fcf9f", "#e79ac6", "#f0e442", "#aab4ff", "#c8c8c8")
 """Colours of lines on a light and a dark ground, after Okabe and Ito, for the colour-blind, too."""
@@ -36,6 +36,7 @@ class PlotLine:
         read: how many values, or messages of a rate, there were before any thinning.
         not_finite: how many more were NaN or infinite; these are not drawn.
         colour: number of its colour.
+        sign: of points that no line joins, a character for each in a terminal; empty of a line.
     """
 
     label: str
@@ -45,6 +46,7 @@ class PlotLine:
     read: int
     not_finite: int = 0
     colour: int = 0
+    sign: str = ""
 
     def thinned(self, columns: int, span: tuple[float, float]) -> PlotLine:
         """Return the line with at most two values in each column: the least and the greatest."""
@@ -81,12 +83,14 @@ class Panel:
         lines: the lines.
         unit: of the values, if it is known.
         beneath: it is a smaller one, such as rates; its axis begins at 0.
+        from_zero: its axis begins at 0.
     """
 
     title: str
     lines: Sequence[PlotLine]
     unit: str = ""
     beneath: bool = False
+    from_zero: bool = False
 
     @property
     def heading(self) -> str:
@@ -103,9 +107,9 @@ class Panel:
         """The least and the greatest value of its axis, with some room."""
         low = min((float(line.values.min()) for line in self.lines if len(line.values)), default=0.0)
         high = max((float(line.values.max()) for line in self.lines if len(line.values)), default=0.0)
-        low = min(low, 0.0) if self.beneath else low
+        low = min(low, 0.0) if self.beneath or self.from_zero else low
         room = (high - low) * 0.05 or abs(high) * 0.05 or 1.0
-        return low if self.beneath and not low else low - room, high + room
+        return low if (self.beneath or self.from_zero) and not low else low - room, high + room
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +140,7 @@ class Figure:
         marks: the events that are drawn; None if they are not asked for.
         events: how many events there are; of many close to each other the most severe one is drawn.
         notes: what else there is to say, a line each.
+        across: name of the axis that all panels share.
     """
 
     recordings: Sequence[str]
@@ -144,6 +149,7 @@ class Figure:
     marks: Sequence[EventMark] | None = None
     events: int = 0
     notes: Sequence[str] = field(default_factory=tuple)
+    across: str = AXIS
 
     @property
     def title(self) -> str:
@@ -167,6 +173,20 @@ class Figure:
         thinned = any(len(line.values) > 2 * columns for panel in self.panels for line in panel.lines)
         notes = [f"long lines: least and greatest value in each of {columns:,} columns of time"] * thinned
         return [*self.notes, *notes]
+
+
+def ticks(end: float, most: int = _MOST_TICKS) -> list[float]:
+    """Return round numbers from 0 up to ``end``, at most ``most``."""
+    return ticks_between(0, end, most) if end > 0 else [0.0]
+
+
+def ticks_between(low: float, high: float, most: int = _MOST_TICKS) -> list[float]:
+    """Return at most about ``most`` round numbers from ``low`` to ``high``, which is greater."""
+    rough = (high - low) / (most - 1)
+    unit = 10.0 ** math.floor(math.log10(rough))
+    step = next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= rough * (1 - 1e-9))
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [step * index for index in range(first, last + 1)]
 
 
 def tick_texts(low: float, high: float, most: int) -> list[tuple[float, str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.render.plot.figure import AXIS, DARK_COLOURS, DASHES, LIGHT_COLOURS, tick_texts
+from edoras_tools.render.plot.figure import DARK_COLOURS, DASHES, LIGHT_COLOURS, tick_texts
 from edoras_tools.render.terminal.text import clean, clip, wrap
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class _Drawing:
         for value, text in tick_texts(*figure.span, 9):
             self._text(self._x(value), self.y + 16, text, 'class="dim" text-anchor="middle"')
         self.y += 18
-        self._text(PLOT_WIDTH - _RIGHT, self.y + 18, AXIS, 'class="dim" text-anchor="end"')
+        self._text(PLOT_WIDTH - _RIGHT, self.y + 18, figure.across, 'class="dim" text-anchor="end"')
         self.y += 26
         for note in figure.footnotes(_COLUMNS):
             for part in wrap(clean(note), 82):
@@ -124,12 +124,13 @@ class _Drawing:
                 for moment, value in zip(thin.seconds.tolist(), thin.values.tolist(), strict=True)
             ]
             self.parts.append(
-                f'<path {_look(line)} stroke-linejoin="round" d="M{"L".join(points)}"/>' * bool(points)
+                f'<path {_look(line)} stroke-linejoin="round" d="M{"L".join(points)}"/>'
+                * bool(points)
+                * (not line.sign)
             )
-            if len(points) <= _SPARSE and not panel.beneath:
+            if line.sign or (len(points) <= _SPARSE and not panel.beneath):
                 dots = "".join(f"M{point}h0" for point in points)
-                look = f'class="c{line.colour % len(LIGHT_COLOURS)}" stroke-width="5" stroke-linecap="round"'
-                self.parts.append(f'<path {look} d="{dots}"/>')
+                self.parts.append(f'<path {_dots(line)} d="{dots}"/>')
         self.y = top + height
 
     def _rule(self, x1: float, y1: float, x2: float, y2: float, style: str = "rule") -> None:
@@ -143,7 +144,8 @@ class _Drawing:
             label = clip(clean(line.label), 72)
             if x > 10 and x + 36 + len(label) * _LETTER > PLOT_WIDTH:
                 x, self.y = 10.0, self.y + 20
-            self.parts.append(f'<path {_look(line)} d="M{x:.0f} {self.y - 9:.0f}h26"/>')
+            look, way = (_dots(line), "m13 0h0") if line.sign else (_look(line), "h26")
+            self.parts.append(f'<path {look} d="M{x:.0f} {self.y - 9:.0f}{way}"/>')
             self._text(x + 32, self.y - 4, label)
             x += 32 + len(label) * _LETTER + 14
 
@@ -172,3 +174,7 @@ def _look(line: PlotLine) -> str:
     dashes = DASHES[line.recording % len(DASHES)]
     dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
     return f'class="c{line.colour % len(LIGHT_COLOURS)}"{dashed} stroke-width="1.6"'
+
+
+def _dots(line: PlotLine) -> str:
+    return f'class="c{line.colour % len(LIGHT_COLOURS)}" stroke-width="5" stroke-linecap="round"'

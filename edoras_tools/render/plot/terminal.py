@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from rich.text import Text
 
-from edoras_tools.render.chart import scale_line
-from edoras_tools.render.plot.figure import AXIS, Figure, Panel, PlotLine, tick_texts
+from edoras_tools.render.plot.figure import Figure, Panel, PlotLine, tick_texts
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean, clip, wrap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -36,6 +35,7 @@ def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0) -> li
         rows: lines of each panel; 0 for the usual ones.
     """
     width = max(_NARROWEST, min(width, _WIDEST))
+    colour = colour or any(line.sign for panel in figure.panels for line in panel.lines)
     panels = figure.panels if colour else [single for panel in figure.panels for single in _split(panel)]
     margin = max(len(text) for panel in panels for _, text in _levels(panel))
     room = width - margin - 2
@@ -52,7 +52,7 @@ def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0) -> li
     ]
     lines.append(Text(" " * (margin + 2) + scale_line(places, room), palette.DIM))
     lines += _events(figure, room, margin)
-    lines.append(Text(AXIS.rjust(width), palette.DIM))
+    lines.append(Text(figure.across.rjust(width), palette.DIM))
     for note in figure.footnotes(2 * room):
         lines += [Text(part, palette.DIM) for part in wrap(clean(note), width)]
     return lines
@@ -74,7 +74,7 @@ def _heading(panel: Panel, width: int, *, colour: bool) -> list[Text]:
         if legend.cell_len and legend.cell_len + len(label) + 5 > width:
             lines.append(legend)
             legend = Text()
-        legend.append("  " * bool(legend.cell_len)).append(f"━ {label}", _style(place))
+        legend.append("  " * bool(legend.cell_len)).append(f"{line.sign or '━'} {label}", _style(place))
     return [*lines, legend]
 
 
@@ -92,18 +92,21 @@ def _field(panel: Panel, span: tuple[float, float], size: tuple[int, int], margi
     rows, room = size
     dots = np.zeros((rows, room), np.uint8)
     styles = np.zeros((rows, room), np.intp)
+    signs: dict[tuple[int, int], str] = {}
     low, high = panel.ends
     for place, line in enumerate(panel.lines):
         y, x = _dots(line.thinned(2 * room, span), span, (low, high), 4 * rows - 1, 2 * room - 1)
         np.bitwise_or.at(dots, (y // 4, x // 2), _DOTS[y % 4, x % 2])
         styles[y // 4, x // 2] = place
+        signs |= dict.fromkeys(zip((y // 4).tolist(), (x // 2).tolist(), strict=True), line.sign)
     labels = {round((high - value) / (high - low) * (rows - 1)): text for value, text in _levels(panel)}
     for row in range(rows):
         text = Text().append(
             labels.get(row, "").rjust(margin) + (" ┤" if row in labels else " │"), palette.DIM
         )
-        for dot, place in zip(dots[row].tolist(), styles[row].tolist(), strict=True):
-            text.append(chr(_BLANK + dot) if dot else " ", _style(place) if dot else "")
+        for cell, (dot, place) in enumerate(zip(dots[row].tolist(), styles[row].tolist(), strict=True)):
+            sign = signs.get((row, cell)) or (chr(_BLANK + dot) if dot else " ")
+            text.append(sign, _style(place) if dot else "")
         text.rstrip()
         yield text
 
@@ -114,6 +117,8 @@ def _dots(
     """Return the dots of a line and of the straight ways between its values; y counts from the top."""
     x = (line.seconds - span[0]) / (span[1] - span[0]) * last_x
     y = (ends[1] - line.values) / (ends[1] - ends[0]) * last_y
+    if line.sign:
+        return y.round().astype(np.intp).clip(0, last_y), x.round().astype(np.intp).clip(0, last_x)
     steps = np.ceil(np.maximum(np.abs(np.diff(x)), np.abs(np.diff(y)))).astype(np.intp) + 1
     start = np.repeat(np.arange(len(steps)), steps)
     share = (np.arange(len(start)) - np.repeat(np.cumsum(steps) - steps, steps)) / steps[start]
@@ -122,6 +127,21 @@ def _dots(
         for item in (y, x)
     ]
     return drawn[0].clip(0, last_y), drawn[1].clip(0, last_x)
+
+
+def scale_line(labels: Sequence[tuple[int, str]], room: int) -> str:
+    """Return the line below a horizontal axis.
+
+    Args:
+        labels: cell and text of each; one that would touch the one before it is left out.
+        room: cells.
+    """
+    scale = ""
+    for cell, text in labels:
+        at = min(max(0, cell - len(text) // 2), room - len(text))
+        if at > len(scale) or not scale:
+            scale = scale.ljust(at) + text
+    return scale
 
 
 def _events(figure: Figure, room: int, margin: int) -> list[Text]:

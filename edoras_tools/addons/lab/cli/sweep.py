@@ -228,13 +228,13 @@ def sweep(
 
 
 def _draw(summary: dict[str, Any], charts: ChartOptions) -> None:
-    from edoras_tools.addons.lab.views.sweep import threshold_line
+    from edoras_tools.addons.lab.views.sweep import chart, threshold_line
     from edoras_tools.io.outputs import write_bytes
-    from edoras_tools.render import chart
+    from edoras_tools.render.plot.svg import PLOT_WIDTH, plot_svg
     from edoras_tools.render.svg import png
 
-    picture = chart.svg(chart.Chart.of(summary), f"threshold {threshold_line(summary)}")
+    picture = plot_svg(chart(summary, f"threshold {threshold_line(summary)}"))
     if charts.svg is not None:
         write_bytes(charts.svg, picture.encode())
     if charts.png is not None:
-        write_bytes(charts.png, png(picture, 2 * chart.WIDTH))
+        write_bytes(charts.png, png(picture, 2 * PLOT_WIDTH))

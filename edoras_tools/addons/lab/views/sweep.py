@@ -6,18 +6,20 @@ import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
 from edoras_tools.render import units
-from edoras_tools.render.chart import Chart, terminal
+from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
+from edoras_tools.render.plot.terminal import plot_lines
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import Column, build, facts_grid, figure, plain
 from edoras_tools.render.terminal.terminal import detect_terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from rich.table import Table
 
@@ -35,7 +37,7 @@ def outcome(summary: Mapping[str, Any], width: int) -> RenderableType:
     if steps:
         parts += [_steps(steps, width), Text()]
     if len(steps) > 1:
-        parts += [*terminal(Chart.of(summary), min(width, _CHART_WIDTH)), Text()]
+        parts += [*plot_lines(chart(summary), min(width, _CHART_WIDTH), colour=True), Text()]
     facts = facts_grid()
     name = (
         summary["route"] if summary["route"] == summary["msg_id"] else "{route} ({msg_id})".format(**summary)
@@ -50,6 +52,40 @@ def outcome(summary: Mapping[str, Any], width: int) -> RenderableType:
     if summary["interrupted"]:
         facts.add_row("ended", "early, by Ctrl-C")
     return Group(*parts, facts)
+
+
+def chart(summary: Mapping[str, Any], *subtitle: str) -> Figure:
+    """Return what got through, against what was asked for.
+
+    Args:
+        subtitle: a line below the title.
+    """
+    by_size = summary["swept"] == "size"
+    points: dict[bool, list[tuple[float, float]]] = {False: [], True: []}
+    for step in summary["steps"]:
+        share = step["delivered"] / step["sent"] if step["sent"] else 0.0
+        x = step["size"] if by_size else step["rate_hz"]
+        points[bool(step["lost"])].append((x, 100 * share if by_size else x * share))
+    end = max((x for x, _ in points[False] + points[True]), default=1.0) or 1.0
+    ideal, clean = (100.0 if by_size else end), summary["threshold_bytes" if by_size else "threshold_hz"]
+    lines = [_line("what was asked for", [(0.0, 100.0 if by_size else 0.0), (end, ideal)], colour=6)]
+    if clean is not None:
+        lines.append(_line("threshold", [(clean, 0.0), (clean, ideal)], colour=2))
+    lines.append(_line("all arrived", sorted(points[False]), colour=0, sign="●"))
+    lines.append(_line("some were lost", sorted(points[True]), colour=1, sign="✗"))
+    panel = Panel(
+        f"{summary['route']}, {summary['msg_id']}",
+        [item for item in lines if len(item.values)],
+        "got through, %" if by_size else "got through, messages/s",
+        from_zero=True,
+    )
+    across = "packet size, bytes" if by_size else "asked for, messages/s"
+    return Figure(subtitle, [panel], (0.0, end), across=across)
+
+
+def _line(label: str, points: Sequence[tuple[float, float]], **look: Any) -> PlotLine:
+    x, y = np.array(points, np.float64).reshape(-1, 2).T
+    return PlotLine(label, 0 if "sign" in look else 1, x, y, len(points), **look)
 
 
 def plan(summary: Mapping[str, Any]) -> RenderableType:

@@ -6,7 +6,7 @@ from html import escape
 from math import ceil, floor
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from edoras_tools.render.chart import ticks
+from edoras_tools.render.plot.figure import ticks
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from edoras_tools.addons.lab.views import sweep
-from edoras_tools.render import chart
-from edoras_tools.render.chart import Chart, terminal, ticks
+from edoras_tools.render.plot.figure import ticks
+from edoras_tools.render.plot.svg import plot_svg
+from edoras_tools.render.plot.terminal import plot_lines
 
 SUMMARY = {
     "route": "/cmd_vel",
@@ -78,7 +79,8 @@ def test_the_threshold_in_words(changes, words):
 
 def test_sizes_have_their_own_words():
     assert sweep.threshold_line(BY_SIZE) == "between 800 and 900 bytes"
-    assert Chart.of(BY_SIZE).points[0] == (800, 100.0, False)
+    clean = sweep.chart(BY_SIZE).panels[0].lines[2]
+    assert (clean.label, clean.seconds.tolist(), clean.values.tolist()) == ("all arrived", [800], [100])
 
 
 def test_a_sweep_that_has_no_step_yet():
@@ -87,15 +89,17 @@ def test_a_sweep_that_has_no_step_yet():
 
 
 def test_the_chart_in_cells():
-    lines = [str(line) for line in terminal(Chart.of(SUMMARY), 60)]
+    lines = [str(line) for line in plot_lines(sweep.chart(SUMMARY), 60, colour=False)]
     assert max(len(line) for line in lines) <= 60
-    field = lines[1:13]
+    assert lines[1] == "━ what was asked for  ━ threshold  ● all arrived"
+    field = lines[3:13]
     assert sum(line.count("●") for line in field) == 1
     assert sum(line.count("✗") for line in field) == 2
     # What is asked for goes up to the right; what gets through does not.
-    assert field[0].rstrip().endswith("·")
+    assert not field[0].rstrip().endswith(("●", "✗"))
     heights = [index for index, line in enumerate(field) for mark in line if mark in "●✗"]
     assert max(heights) - min(heights) <= 3
+    assert lines[-1].strip() == "asked for, messages/s"
 
 
 @given(st.floats(1e-3, 1e6))
@@ -122,15 +126,18 @@ def test_any_sweep_can_be_drawn(pairs, width):
         }
         for rate, share in pairs
     ]
-    drawn = Chart.of({**SUMMARY, "steps": steps})
-    assert all(len(line) <= width for line in terminal(drawn, width))
-    ET.fromstring(chart.svg(drawn))
+    drawn = sweep.chart({**SUMMARY, "steps": steps})
+    assert all(len(line) <= width for line in plot_lines(drawn, width, colour=True))
+    ET.fromstring(plot_svg(drawn))
 
 
 def test_svg_stands_alone_and_is_escaped():
-    text = chart.svg(Chart.of({**SUMMARY, "route": "/a<b>&c"}), "threshold <here>")
+    text = plot_svg(sweep.chart({**SUMMARY, "route": "/a<b>&c"}, "threshold <here>"))
     root = ET.fromstring(text)
     assert "/a<b>&c, 0x1827" in "".join(root.itertext())
-    assert len([item for item in root if item.tag.endswith("circle")]) == 3
+    dots = [item for item in root if item.get("stroke-linecap") == "round" and "M" in item.get("d")]
+    assert (
+        sum(item.get("d").count("h0") for item in dots) == 3 + 2 + 4
+    )  # each step, two in the legend, ends of lines
     assert "href" not in text
     assert "@font-face" not in text
