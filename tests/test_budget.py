@@ -39,9 +39,9 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(68_251, 150, 58_000),
-    "lines with code, all": Limit(80_765, 150, 84_000),  # with what is still to come
-    "files": Limit(566, 10, 450),
+    "lines with code, core": Limit(68_156, 150, 58_000),
+    "lines with code, all": Limit(80_697, 150, 84_000),  # with what is still to come
+    "files": Limit(565, 10, 450),
     "files below 170 lines, of 1,000": Limit(445, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
     "files that record runs through": Limit(118, 2, 80),
