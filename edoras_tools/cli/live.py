@@ -24,7 +24,7 @@ from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.errors import ConfigError, EdorasError
 
 if TYPE_CHECKING:
-    from edoras_tools.io import LiveSource
+    from edoras_tools.io import Source
     from edoras_tools.io.foxglove.origins import OriginCheck
     from edoras_tools.io.foxglove.requests import PlaybackState
     from edoras_tools.io.foxglove.sink import FoxgloveSink, ServedSink
@@ -307,7 +307,7 @@ def _keyboard(
 
 
 def _show(
-    source: LiveSource,
+    source: Source,
     bench: Workbench,
     selection: Selection,
     serve: Callable[..., FoxgloveSink],
@@ -342,17 +342,14 @@ def _show(
 
 def _traffic(
     given: SourceOptions, settings: Settings, output: Path | None, *, every: bool
-) -> tuple[LiveSource, Workbench, Mapping[Receiver, Send]]:
+) -> tuple[Source, Workbench, Mapping[Receiver, Send]]:
     """Open the live source; return it, its workbench, and functions that send commands without a socket."""
     if given.sim is not None:
         from edoras_tools.pipelines.sending.options import Receiver
 
         running, bench = doors.part("simulation")(given.sim.value, settings, monotonic_ns)
         return running, bench, {Receiver.CI: running.command}
-    from edoras_tools.io.capture.device import DeviceSource
-
     source, bench = open_input(given.given, settings, every_port=every, output=output)
-    assert isinstance(source, DeviceSource)
     return source, bench, {}
 
 

@@ -332,15 +332,15 @@ def _record_snapshots(
     limits: Limits,
     printing: options.PrintOptions,
 ) -> None:
-    from edoras_tools.io.capture.device import DeviceSource
     from edoras_tools.pipelines.capture.snapshot import record_snapshots
     from edoras_tools.render.capture.watch import watcher
 
-    live = isinstance(source, DeviceSource)
     with ExitStack() as stack:
         stack.callback(source.close)
         triggers = asked.triggers(stack)
-        watch = stack.enter_context(watcher(source, None, quiet=printing.quiet or printing.json, live=live))
+        watch = stack.enter_context(
+            watcher(source, None, quiet=printing.quiet or printing.json, live=source.live)
+        )
         report, sink = record_snapshots(
             source,
             bench,
@@ -364,7 +364,7 @@ def _record_snapshots(
     elif not printing.quiet:
         files = plural(len(sink.snapshots), "snapshot") if sink.snapshots else "no trigger fired, no file"
         sys.stderr.write(f"{files}; {report.ledger.datagrams:,} datagrams were seen\n")
-    finish(report, live=live)
+    finish(report, live=source.live)
 
 
 def _target(files: TargetOptions, printing: options.PrintOptions, usual: str) -> Target:

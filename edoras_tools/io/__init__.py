@@ -1,21 +1,94 @@
 """Where datagrams come from and where they go: files, live capture, sockets, recordings.
 
-A ``Source`` yields packet batches, a ``Sink`` writes them.
+A ``Source`` yields packet batches, a ``Sink`` writes them. What not every one of them can do has a default
+here, so that nobody asks for the class of one: a source is made from :class:`SourceDefaults`, or from
+:class:`SourceOver` where it changes what another one yields; a sink from :class:`Sink`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
+    import numpy as np
+    from numpy.typing import NDArray
 
-__all__ = ["Sink", "Source"]
+    from edoras_tools.links.framing import Framing
+    from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
+    from edoras_tools.sessions.faults.fault import Fault
+
+    Room = Callable[[int], NDArray[np.uint8]]
+    """Returns memory of a size, u8."""
+
+__all__ = ["Sink", "Source", "SourceDefaults", "SourceOver"]
 
 
-class Source(Protocol):
+class SourceDefaults(Protocol):
+    """What a source can do besides being read, and is: the defaults are those of a file of frames."""
+
+    @property
+    def live(self) -> bool:
+        """Whether it has no end of its own: ``stop`` ends it."""
+        return False
+
+    @property
+    def on_this_host(self) -> bool:
+        """Whether it captures on this host now: the times are this clock's, the drops this kernel's."""
+        return False
+
+    @property
+    def part(self) -> int:
+        """Number of the clock of the last batch; the order of events of two clocks is not known."""
+        return 0
+
+    @property
+    def header(self) -> Mapping[str, Any]:
+        """The header of a file of cFE; else empty."""
+        return {}
+
+    def stop(self) -> None:
+        """Let a live source's batches end after what has arrived; for any thread or signal handler."""
+        self.discard()
+
+    def discard(self) -> int:
+        """Let a live source's batches end at once; return how many frames had arrived and are not yielded."""
+        return 0
+
+    def pace(self, gather_s: float, idle_s: float) -> None:
+        """Set the least time between two batches of a live source, and the most, where nothing arrives."""
+        del gather_s, idle_s
+
+    def follow(self, framings: Mapping[int, Framing]) -> None:
+        """Read the TCP streams of these ports, and no others; without it, of the links' usual ports.
+
+        Call it before the first batch.
+        """
+        del framings
+
+    def borrow(self, room: Room) -> None:
+        """Read into memory from ``room(size)``, if that saves copying it.
+
+        ``room`` must not return memory that batches still use, or that it returned last.
+        """
+        del room
+
+    def decoded(self, batch: PacketBatch, decode: Callable[[PacketBatch], Columns]) -> Columns:
+        """Return the columns of the batch that was yielded last, by ``decode`` if they are not there yet."""
+        return decode(batch)
+
+    def faults(self) -> list[Fault]:
+        """Return the faults that a proxy or a replay injected, of a recording that has them."""
+        return []
+
+    def host(self) -> list[HostCounters]:
+        """Return what the kernel of the recording host counted, of a recording that has it."""
+        return []
+
+
+class Source(SourceDefaults, Protocol):
     """Yields datagrams, one batch at a time."""
 
     @property
@@ -38,19 +111,40 @@ class Source(Protocol):
 
     def close(self) -> None:
         """Close files and sockets; may be called at any time, and twice."""
-        ...
 
 
-class LiveSource(Source, Protocol):
-    """A source without an end."""
+class SourceOver(SourceDefaults):
+    """A source over another one: all that it does not change is the other's."""
 
-    def stop(self) -> None:
-        """Let ``batches`` end after what has arrived; may be called from a signal handler."""
-        ...
+    def __init__(self, source: Source) -> None:
+        self._source = source
+
+    @property
+    def info(self) -> SourceInfo:
+        """Information on the other."""
+        return self._source.info
+
+    @property
+    def statistics(self) -> SourceStatistics:
+        """The other's counts."""
+        return self._source.statistics
+
+    def close(self) -> None:
+        """Close the other."""
+        self._source.close()
+
+
+for _name in (name for name in vars(SourceDefaults) if not name.startswith("_")):
+    setattr(SourceOver, _name, property(attrgetter(f"_source.{_name}")))
 
 
 class Sink(Protocol):
     """The interface of every sink."""
+
+    @property
+    def room(self) -> Room | None:
+        """Returns memory for a source to read into, if that saves copying it; see ``Source.borrow``."""
+        return None
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Write a batch and its columns; the caller must not change them afterwards.
@@ -59,12 +153,24 @@ class Sink(Protocol):
             CaptureError: the output cannot be written.
         """
 
+    def write_faults(self, faults: Sequence[Fault]) -> None:
+        """Write injected faults, with times in ns since 1970, if the format stores them."""
+        del faults
+
+    def write_host(self, host: HostCounters) -> None:
+        """Write what the kernel of this host counts now, if the format stores it."""
+        del host
+
     def flush(self) -> None:
         """Write everything received so far to the file; called at least once a second when live.
 
         Raises:
             CaptureError: the output cannot be written.
         """
+
+    def cut_short(self, *, empty: bool) -> None:
+        """Take note, before ``close``, that the input did not come to its end; ``empty``: nothing came."""
+        del empty
 
     def close(self, statistics: SourceStatistics) -> None:
         """Complete the output and close it; closing twice does nothing.

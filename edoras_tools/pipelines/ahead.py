@@ -21,19 +21,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.decode.columns import Begun
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.formats.merge import follow_streams, recorded_faults, recorded_host
+from edoras_tools.io import SourceOver
 from edoras_tools.io.processes import Workers, portable
 from edoras_tools.io.processors import jobs_for
-from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
+from edoras_tools.model import Columns, PacketBatch, SourceStatistics
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
 
     from edoras_tools.decode import ColumnDecoder
     from edoras_tools.io import Source
     from edoras_tools.io.processes import Desk
-    from edoras_tools.links.framing import Framing
-    from edoras_tools.sessions.faults.fault import Fault
 
     _Answer = tuple[PacketBatch | None, Columns | Begun | None, bytes, Exception | None]
     """A batch, its columns, what is known after it, pickled; at the end why there are no more."""
@@ -42,22 +40,17 @@ _BATCHES: Final = 5
 """Batches that are ahead, so that neither waits where one batch takes longer than another."""
 
 
-class Ahead:
+class Ahead(SourceOver):
     """A source that another process reads and decodes.
 
     Args:
         source: a file; it is closed.
-        decoder: decodes it; only the other process's changes.
-
-    Attributes:
-        info: the source's.
-        statistics: the source's, as of the batch that was yielded last.
+        decoder: decodes it; only the other process's changes. Statistics are as of the last batch.
     """
 
     def __init__(self, source: Source, decoder: ColumnDecoder) -> None:
-        self.info: SourceInfo = source.info
-        self.statistics = source.statistics
-        self._source, self._decoder = source, decoder
+        super().__init__(source)
+        self._decoder = decoder
         self._workers: Workers | None = None
         self._decoded: tuple[PacketBatch, Columns | Begun] | None = None
         self._detected: tuple[Any, ...] | None = None
@@ -91,10 +84,10 @@ class Ahead:
         if failure is not None:
             raise failure
 
-    def decode(self, batch: PacketBatch) -> Columns:
+    def decoded(self, batch: PacketBatch, decode: Callable[[PacketBatch], Columns]) -> Columns:
         """Return the columns of the batch that was yielded last; what else it is given is decoded here."""
         if self._decoded is None or self._decoded[0] is not batch:
-            return self._decoder.decode(batch)
+            return decode(batch)
         decoded = self._decoded[1]
         if not isinstance(decoded, Begun):
             self._decoder.learn(batch, decoded)
@@ -105,18 +98,6 @@ class Ahead:
         columns = self._decoder.finish(batch, decoded)
         self._decoder.learn(batch, columns)
         return columns
-
-    def follow(self, framings: Mapping[int, Framing]) -> None:
-        """See ``follow_streams``."""
-        follow_streams(self._source, framings)
-
-    def faults(self) -> list[Fault]:
-        """Return the faults in the source, if it has any."""
-        return recorded_faults(self._source)
-
-    def host(self) -> list[HostCounters]:
-        """Return the counters of the recording host, if the source has them."""
-        return recorded_host(self._source)
 
     def close(self) -> None:
         """Close the file, and end the other process."""
@@ -162,9 +143,7 @@ class _Reader:
     def set_up(self, desk: Desk) -> None:
         """Begin to read; into memory that the desk lends, if the source can."""
         self._desk = desk
-        borrow: Callable[[Any], None] | None = getattr(self._source, "borrow", None)
-        if borrow is not None:
-            borrow(desk.lend)
+        self._source.borrow(desk.lend)
         self._batches = self._source.batches()
 
     def next(self) -> _Answer:

@@ -13,19 +13,20 @@ from edoras_tools.diagnosis.evidence.clocks.alignment import align, boot_offsets
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.merge import MergedSource, follow_streams, merge_sources, recorded_faults
+from edoras_tools.io import SourceOver
+from edoras_tools.io.formats.merge import MergedSource, merge_sources
 from edoras_tools.io.formats.open import is_cfe_file, open_file
 from edoras_tools.units import SECOND
+from edoras_tools.wire.cfe_file import RESET_LOG
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from edoras_tools.io import Source
-    from edoras_tools.links.framing import Framing
-    from edoras_tools.model import HostCounters, PacketBatch, SourceInfo, SourceStatistics
+    from edoras_tools.model import HostCounters, PacketBatch
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress
     from edoras_tools.sessions.faults.fault import Fault
@@ -34,7 +35,7 @@ _MOST: Final = 1_000_000
 """Datagrams of each capture that are used to find the offset of its clock."""
 
 
-class Aligned:
+class Aligned(SourceOver):
     """A source whose clock is corrected, and some of whose frames are left out.
 
     Args:
@@ -43,29 +44,15 @@ class Aligned:
     """
 
     def __init__(self, source: Source, lines: Sequence[ClockLine], left_out: NDArray[np.int64]) -> None:
-        self._source = source
+        super().__init__(source)
         self._lines = lines
         self._left_out = left_out
 
-    @property
-    def info(self) -> SourceInfo:
-        """The source's information."""
-        return self._source.info
-
-    @property
-    def statistics(self) -> SourceStatistics:
-        """The source's statistics."""
-        return self._source.statistics
-
     def faults(self) -> list[Fault]:
         """Return the faults that were injected, with corrected times."""
-        faults = recorded_faults(self._source)
+        faults = super().faults()
         times = self._set_back(np.array([fault.time_ns for fault in faults], np.int64))
         return [fault._replace(time_ns=at) for fault, at in zip(faults, times.tolist(), strict=True)]
-
-    def follow(self, framings: Mapping[int, Framing]) -> None:
-        """Let the source read the TCP streams of these ports."""
-        follow_streams(self._source, framings)
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield the remaining datagrams, with corrected times."""
@@ -77,10 +64,6 @@ class Aligned:
         for line in self._lines:
             time_ns = line.set_back(time_ns)
         return time_ns
-
-    def close(self) -> None:
-        """Close the source."""
-        self._source.close()
 
 
 class OneByOne(MergedSource):
@@ -172,7 +155,7 @@ def _holds_resets(path: Path) -> bool:
         return False
     source = open_file(path)
     source.close()
-    return getattr(source, "holds_resets", False)
+    return bool(source.header["subtype"] == RESET_LOG)
 
 
 def _placed(
@@ -198,8 +181,7 @@ def _placed(
 def _of_cfe(path: Path) -> tuple[Source, str]:
     """Return a file of cFE opened, and the name of its cFS."""
     source = open_file(path)
-    header = source.header  # type: ignore[attr-defined]  # of a file of cFE
-    return source, f"{header['spacecraft_id']}:{header['processor_id']}"
+    return source, f"{source.header['spacecraft_id']}:{source.header['processor_id']}"
 
 
 def _not_placed(path: Path, name: str, boots: int) -> str:
@@ -218,7 +200,7 @@ def _recorded(path: Path, settings: Settings, progress: Progress | None) -> Reco
     try:
         bench = settings.workbench(source.info)
         recorder = Recorder(bench.columns.context)
-        follow_streams(source, bench.columns.context.framings)
+        source.follow(bench.columns.context.framings)
         for batch in _readable(source):
             if len(batch):
                 recorder.add(batch, bench.columns.decode(batch))

@@ -160,8 +160,7 @@ def interruptible(
         The batches, and an event that is set once they were interrupted. Those of a file or pipe then end
         with an ``InterruptError``.
     """
-    stop = getattr(source, "stop", None)
-    waiting = False
+    live, waiting = source.live, False
 
     def interrupt() -> None:
         # Interrupt only the wait for more, never the work on a batch.
@@ -186,8 +185,8 @@ def interruptible(
             yield batch
         raise interrupted(source)
 
-    with on_interrupt(stop or interrupt, patient=patient, in_handler=stop is None) as asked:
-        yield source.batches() if stop else batches(), asked
+    with on_interrupt(source.stop if live else interrupt, patient=patient, in_handler=not live) as asked:
+        yield source.batches() if live else batches(), asked
 
 
 class Keys:

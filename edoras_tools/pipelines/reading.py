@@ -16,7 +16,6 @@ import numpy as np
 from edoras_tools.decode.conversations import Conversations
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.pipelines.interrupt import interrupted, interruptible
@@ -118,14 +117,13 @@ class ReadLoop:
         """
         if not self.interrupted:
             return False
-        if not hasattr(self.source, "stop"):
+        if not self.source.live:
             raise interrupted(self.source)
         now = self.limits.clock()
         self._ends_ns = self._ends_ns or now + _ENDING_NS
-        discard = getattr(self.source, "discard", None)
-        if discard is None or now < self._ends_ns:
+        if now < self._ends_ns:
             return False
-        count = plural(at_hand + discard(), "packet")
+        count = plural(at_hand + self.source.discard(), "packet")
         self.bench.columns.context.notes.append(f"not shown: {count} that had arrived before Ctrl-C")
         return True
 
@@ -140,8 +138,6 @@ class ReadLoop:
         remaining, began = limits.count, limits.clock()
         examined = visible = Period()
         inside = False
-        # A source that another process reads has decoded its batches already.
-        decode = getattr(self.source, "decode", bench.columns.decode)
         for whole in self._until_failure():
             if len(whole):
                 if self.begin_ns is None:
@@ -156,7 +152,7 @@ class ReadLoop:
                 batch = whole.take(examined.holds(whole.time_ns - begin_ns))
                 self.outside += len(whole) - len(batch)
                 bench.columns.learn(whole)  # what is announced before the period names what is in it
-            columns = decode(batch)
+            columns = self.source.decoded(batch, bench.columns.decode)
             if (columns.link == RTPS).any():
                 batch, columns = self._with_samples(batch, columns)
             self._follow(batch, columns)
@@ -171,7 +167,7 @@ class ReadLoop:
             if limits.count and not remaining:
                 return
             if limits.duration_ns and limits.clock() - began >= limits.duration_ns:
-                if not hasattr(self.source, "stop"):
+                if not self.source.live:
                     return
                 self.source.stop()  # what arrived until now is still read
         if self._fragmented is not None and self._left_samples is not None:
@@ -184,7 +180,7 @@ class ReadLoop:
                 "some times are before the year 2000 and others are not: a clock was not set, and spans and "
                 "rates over both are wrong; choose one of them with --start and --end"
             )
-        if self.begin_ns is not None and not (inside or self.interrupted or hasattr(self.source, "stop")):
+        if self.begin_ns is not None and not (inside or self.interrupted or self.source.live):
             raise outside(self.source.info.name, self.begin_ns, self.last_ns)
 
     def _with_samples(self, batch: PacketBatch, columns: Columns) -> tuple[PacketBatch, Columns]:
@@ -255,7 +251,7 @@ def reading(
     """
     with closing(source):
         ready = (selection or Selection()).over(bench)
-        follow_streams(source, bench.columns.context.framings)
+        source.follow(bench.columns.context.framings)
         with interruptible(source, patient=patient) as (batches, interrupt):
             spoken = Conversations(bench.columns.context)
             yield ReadLoop(

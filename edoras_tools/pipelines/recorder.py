@@ -23,6 +23,7 @@ from mmap import mmap
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.io import SourceDefaults
 from edoras_tools.io.formats.tee import Tee
 from edoras_tools.io.frames.build import HEADER_BYTES, FramePage
 from edoras_tools.io.frames.linklayer import Demux
@@ -65,7 +66,7 @@ class _Page:
 
 
 @dataclass(frozen=True, slots=True)
-class PushedSource:
+class PushedSource(SourceDefaults):
     """The parts of a source that a sink needs, when datagrams are pushed to it."""
 
     info: SourceInfo

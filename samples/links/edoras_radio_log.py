@@ -61,11 +61,6 @@ class RadioLogSource(RecordSource):
         self._at = len(MAGIC)
         self._info = SourceInfo(window.stream.name, LOG.name)
 
-    @property
-    def info(self) -> SourceInfo:
-        """Information on the source."""
-        return self._info
-
     def _frames(self) -> Iterator[FrameBatch]:
         data, start, end = self._window.data, self._at, self._window.end
 

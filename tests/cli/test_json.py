@@ -6,6 +6,7 @@ import re
 import pytest
 from schema import check, published
 
+from edoras_tools.io import SourceDefaults
 from edoras_tools.io.capture import live
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.model import Finding, SourceInfo, SourceStatistics
@@ -91,8 +92,10 @@ def test_recover(call, captures, tmp_path):
     assert not (tmp_path / "z.mcap").exists()
 
 
-class Lossy:
+class Lossy(SourceDefaults):
     """A live source whose kernel lost packets."""
+
+    live = True
 
     def __init__(self, batches):
         self.info = SourceInfo("lo", "live")

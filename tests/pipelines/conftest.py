@@ -12,6 +12,7 @@ import pytest
 from places import ROOT
 from waiting import HOST, PATIENCE_S
 
+from edoras_tools.io import SourceDefaults
 from edoras_tools.io.net.buffer import DatagramBuffer
 from edoras_tools.links.ci import CI
 from edoras_tools.model import Columns, Endpoint, PacketBatch, SourceInfo, SourceStatistics
@@ -99,8 +100,10 @@ def row():
     return make
 
 
-class _Source:
+class _Source(SourceDefaults):
     """A source of given batches; calls what stands between them."""
+
+    live = False
 
     def __init__(self, items, **statistics):
         self.info = SourceInfo("made up", "pcap")

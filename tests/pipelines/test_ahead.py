@@ -87,7 +87,7 @@ def test_batches_are_the_same_however_they_are_cut(window, batches, room, slot):
         with closing(here), closing(ahead):
             for one, other in zip_longest(here.batches(), ahead.batches()):
                 assert isinstance(other, PacketBatch)
-                columns = ahead.decode(other)
+                columns = ahead.decoded(other, ahead._decoder.decode)
                 assert isinstance(columns, Columns)
                 assert same(decoder.decode(one), columns)
                 assert same(one, other)
@@ -124,7 +124,7 @@ def test_whoever_decodes_a_batch_reads_the_same(path, here, monkeypatch):
         for expected, batch in zip_longest(one.batches(), ahead.batches()):
             begun += isinstance(ahead._decoded[1], Begun)
             batches += 1
-            assert same(decoder.decode(expected), ahead.decode(batch))
+            assert same(decoder.decode(expected), ahead.decoded(batch, other.decode))
     assert begun == {"all": batches, "none": 0, "every third": -(-batches // 3)}[here]
     assert decoder.context.notes == other.context.notes
     assert decoder.context.described == other.context.described
@@ -155,7 +155,7 @@ def test_what_is_said_of_the_whole_so_far_is_said_once(tmp_path):
     ahead = Ahead(source, decoder)
     with closing(ahead):
         for batch in ahead.batches():
-            ahead.decode(batch)
+            ahead.decoded(batch, decoder.decode)
     assert "headers" not in decoder.context.described
 
 

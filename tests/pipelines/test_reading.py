@@ -46,7 +46,7 @@ def test_a_duration_of_a_live_source_ends_after_what_has_arrived(bench, batches,
     """A consumer that is too slow is behind when the time is over: it gets the rest."""
 
     class Live(made_up):
-        stops = 0
+        live, stops = True, 0
 
         def stop(self):
             self.stops += 1
@@ -128,6 +128,8 @@ def test_ctrl_c_ends_it_after_the_batch_at_hand(number, bench, batches, made_up)
 
 def test_after_ctrl_c_a_live_list_ends_soon_and_says_what_it_does_not_show(bench, batches, made_up):
     class Live(made_up):
+        live = True
+
         def stop(self):
             pass
 

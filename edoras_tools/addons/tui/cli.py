@@ -50,7 +50,6 @@ def show(
     """
     from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 
-    live = hasattr(source, "stop")
     try:
         selection.over(bench)
         _take_keyboard()
@@ -58,7 +57,7 @@ def show(
             selection,
             settings,
             time_format=time,
-            follow=live,
+            follow=source.live,
             limits=limits,
             verbose=verbose,
         )
@@ -73,7 +72,7 @@ def show(
         raise CaptureError(viewer.failure)
     # Only a file that was read to its end is known to be empty.
     count, context = viewer.ledger.datagrams, bench.columns.context
-    nothing_shown(source, count, context, live=live or viewer.reading, every=True)
+    nothing_shown(source, count, context, live=source.live or viewer.reading, every=True)
 
 
 def _take_keyboard() -> None:

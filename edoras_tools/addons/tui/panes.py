@@ -174,7 +174,7 @@ class Panes(App[None]):
     def __init__(self, source: Source, bench: Workbench, choice: ViewOptions) -> None:
         super().__init__()
         self.title = f"edoras sniff {source.info.name}"
-        self.live = hasattr(source, "stop")
+        self.live = source.live
         self.store = Store(choice.limit if self.live else 0)
         self.ledger = Ledger(bench.mission)
         self.reading = True

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.io import SourceDefaults
 from edoras_tools.io.frames.frame_batch import FrameBatch, joined_frames
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import InterfaceOutage, PacketBatch, SourceInfo, SourceStatistics
@@ -104,7 +105,7 @@ class Device(ABC):
         """Release everything."""
 
 
-class DeviceSource:
+class DeviceSource(SourceDefaults):
     """A ``Source`` over a ``Device``.
 
     Reading starts in the constructor: nothing that arrives afterwards is missed without being counted.
@@ -125,6 +126,8 @@ class DeviceSource:
             much as one of a thousand. The first frames after a silence do not wait. The device is read when
             a batch is due, and more often if it cannot hold so much.
     """
+
+    live = on_this_host = True
 
     def __init__(
         self,
@@ -192,6 +195,10 @@ class DeviceSource:
                 raise end
             if end is None:
                 return
+
+    def pace(self, gather_s: float, idle_s: float) -> None:
+        """Set ``gather_s`` and ``idle_s``."""
+        self.gather_s, self.idle_s = gather_s, idle_s
 
     def follow(self, framings: Mapping[int, Framing]) -> None:
         """Read the TCP streams of these ports, and no others; call it before the first batch."""

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, ClassVar
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.io import Sink
 from edoras_tools.io.outputs import OutputFile, output_name
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch, SourceStatistics
 
 
-class CaptureFileSink:
+class CaptureFileSink(Sink):
     """Writes the frames of batches to a file; the formats implement ``_lay_out`` and ``_finish``.
 
     Attributes:

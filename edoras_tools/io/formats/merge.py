@@ -10,41 +10,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.io import SourceDefaults
 from edoras_tools.model import HostCounters, PacketBatch, SourceInfo, SourceStatistics, concatenate
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.io import Source
     from edoras_tools.links.framing import Framing
     from edoras_tools.sessions.faults.fault import Fault
-
-
-def recorded_faults(source: Source) -> list[Fault]:
-    """Return the faults that a proxy or a replay injected, if the source is a recording that has them."""
-    faults: Callable[[], list[Fault]] | None = getattr(source, "faults", None)
-    return faults() if faults else []
-
-
-def recorded_host(source: Source) -> list[HostCounters]:
-    """Return what the kernel of the recording host counted, if the source is a recording that has it."""
-    host: Callable[[], list[HostCounters]] | None = getattr(source, "host", None)
-    return host() if host else []
-
-
-def follow_streams(source: Source, framings: Mapping[int, Framing]) -> None:
-    """Let a source read the TCP streams of these ports, and no others; without it, of the links' usual ports.
-
-    Args:
-        source: one that was not read yet; those without frames have no streams.
-        framings: how messages are cut, by port.
-    """
-    follow = getattr(source, "follow", None)
-    if follow is not None:
-        follow(framings)
 
 
 def merge_sources(sources: Sequence[Source]) -> Source:
@@ -61,7 +38,7 @@ def merge_sources(sources: Sequence[Source]) -> Source:
     return sources[0] if len(sources) == 1 else MergedSource(sources)
 
 
-class MergedSource:
+class MergedSource(SourceDefaults):
     """See ``merge_sources``."""
 
     def __init__(self, sources: Sequence[Source]) -> None:
@@ -100,15 +77,15 @@ class MergedSource:
     def follow(self, framings: Mapping[int, Framing]) -> None:
         """Read the TCP streams of these ports, and no others; call it before the first batch."""
         for source in self._sources:
-            follow_streams(source, framings)
+            source.follow(framings)
 
     def faults(self) -> list[Fault]:
         """Return the injected faults of all recordings."""
-        return [fault for source in self._sources for fault in recorded_faults(source)]
+        return [fault for source in self._sources for fault in source.faults()]
 
     def host(self) -> list[HostCounters]:
         """Return the kernel's counters of the host of all recordings, if they are of one."""
-        counters = [item for source in self._sources if (item := recorded_host(source))]
+        counters = [item for source in self._sources if (item := source.host())]
         return counters[0] if len(counters) == 1 else []
 
     def batches(self) -> Iterator[PacketBatch]:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.io import SourceDefaults
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from edoras_tools.io import Room
     from edoras_tools.io.formats.stream import Window
     from edoras_tools.io.frames.frame_batch import FrameBatch
     from edoras_tools.links.framing import Framing
@@ -29,10 +28,10 @@ FROM_THERE = "; the file is damaged from there on"
 _CUT = "ends inside {} {{}}; the capture was probably cut off while being written"
 
 
-class RecordSource(ABC):
+class RecordSource(SourceDefaults):
     """A source that reads records from windows of a stream.
 
-    A format implements how records become frames.
+    A format implements how records become frames, and sets ``_info``.
 
     Attributes:
         statistics: the counts so far.
@@ -40,6 +39,7 @@ class RecordSource(ABC):
 
     unit = "record"
     """The format's name for its records."""
+    _info: SourceInfo
 
     def __init__(self, window: Window) -> None:
         self.statistics = SourceStatistics(total_bytes=window.stream.total_bytes)
@@ -49,9 +49,9 @@ class RecordSource(ABC):
         """Position in the window of the first byte that is not yet in a frame."""
 
     @property
-    @abstractmethod
     def info(self) -> SourceInfo:
         """Information on the source, as far as it was read."""
+        return self._info
 
     @abstractmethod
     def _frames(self) -> Iterator[FrameBatch]:
@@ -78,11 +78,8 @@ class RecordSource(ABC):
         """Read the TCP streams of these ports, and no others; call it before the first batch."""
         self._demux.framings = framings
 
-    def borrow(self, room: Callable[[int], NDArray[np.uint8]]) -> None:
-        """Read into memory from ``room(size)``, u8, instead of newly allocated memory.
-
-        ``room`` must not return memory that batches still use, or that it returned last.
-        """
+    def borrow(self, room: Room) -> None:
+        """Read into memory from ``room(size)``, u8, instead of newly allocated memory."""
         self._window.room = room
 
     def close(self) -> None:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.io import Sink
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
     from pathlib import Path
@@ -59,7 +61,7 @@ class RecordingOptions:
         return bool(self.split_bytes or self.split_ns or self.split_count)
 
 
-class SplitCaptureSink:
+class SplitCaptureSink(Sink):
     """Writes the frames of batches to ``NAME_0.pcap``, ``NAME_1.pcap`` and so on, each complete.
 
     Args:

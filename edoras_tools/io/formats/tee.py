@@ -5,15 +5,16 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
+from edoras_tools.io import Sink
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.io import Sink
     from edoras_tools.model import Columns, PacketBatch, SourceStatistics
     from edoras_tools.sessions.faults.fault import Fault
 
 
-class Tee:
+class Tee(Sink):
     """A ``Sink`` that forwards to others, in order; an error of one ends it for all.
 
     Args:
@@ -32,11 +33,9 @@ class Tee:
             sink.write(batch, columns)
 
     def write_faults(self, faults: Sequence[Fault]) -> None:
-        """Write injected faults to the sinks that store them."""
+        """Write injected faults to all sinks."""
         for sink in self._sinks:
-            take = getattr(sink, "write_faults", None)
-            if take is not None:
-                take(faults)
+            sink.write_faults(faults)
 
     def flush(self) -> None:
         """Flush all sinks."""

@@ -111,7 +111,7 @@ class Keep:
     datagrams: int = 0
 
 
-class WatchedSink:
+class WatchedSink(Sink):
     """A sink that continues if its file is lost.
 
     Args:
@@ -176,15 +176,11 @@ class WatchedSink:
 
     def write_faults(self, faults: Sequence[Fault]) -> None:
         """Write injected faults, if the format stores them."""
-        take = getattr(self._sink, "write_faults", None)
-        if take is not None:
-            take(faults)
+        self._open().write_faults(faults)
 
     def write_host(self, host: HostCounters) -> None:
         """Write the kernel's counters of this host, if the format stores them."""
-        take = getattr(self._sink, "write_host", None)
-        if take is not None:
-            take(host)
+        self._open().write_host(host)
 
     def flush(self) -> None:
         """Write everything received so far to the file."""
@@ -212,13 +208,12 @@ class WatchedSink:
                 self._syncing.result()
             self._to_disk(self._files(), None)
 
-    def spare_older(self) -> None:
-        """Leave the file that would be replaced as it is: the input did not come to its end."""
+    def cut_short(self, *, empty: bool) -> None:
+        """Leave the file that would be replaced as it is; ``empty``: delete the output, and its directory."""
         if self._sink and self._sink.output:
             self._sink.output.spares = True
-
-    def remove(self) -> None:
-        """Close the output and delete it, with the directory that it is alone in: nothing was recorded."""
+        if not empty:
+            return
         self.abandon()
         for output in (self._sink.output,) if self._sink and self._sink.output else ():
             output.remove()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs.names import message_name
+from edoras_tools.io import Sink
 from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.cfe import fault_messages
 from edoras_tools.io.topics.recorded import RecordedStreams
@@ -269,7 +270,7 @@ def _route(link: int, msg_id: int, topic: str) -> dict[str, Any]:
     }
 
 
-class ServedSink:
+class ServedSink(Sink):
     """What is shown, or played, over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
 
     Attributes:

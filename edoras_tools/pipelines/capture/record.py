@@ -9,9 +9,7 @@ from time import time_ns
 from typing import TYPE_CHECKING, Any
 
 from edoras_tools.errors import ConfigError, EdorasError, os_errors
-from edoras_tools.io.capture.device import DeviceSource
 from edoras_tools.io.formats.pcapng import LISTENED
-from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.formats.split import RecordingOptions, SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import FileSink, Keep, OutputLoss, WatchedSink
@@ -281,14 +279,13 @@ def open_sink(
         messages: FileSink = make(
             path, bench.mission, bench.types, info, options, statistics=source.statistics
         )
-        lend = getattr(messages, "lend", None)
-        if lend and isinstance(source, RecordSource):
-            source.borrow(lend)
+        if messages.room:
+            source.borrow(messages.room)
         return messages
 
     sync_s, keep = target.sync_ns / 1e9, Keep(target.keep_files, target.keep_bytes)
     sink = WatchedSink(target.path, begin, target.on_warning, source.statistics, sync_s=sync_s, keep=keep)
-    if isinstance(source, DeviceSource) and sink.replaces:
+    if source.on_this_host and sink.replaces:
         target.on_warning(
             f"{target.path} is replaced at the end; until then the recording is {sink.paths[-1]}"
         )
@@ -325,7 +322,7 @@ def record(
     selection = replace(selection, announced=True) if selection else None
     began = limits.clock()
     with reading(source, bench, selection, limits, keeps_failure=True) as loop, ExitStack() as stack:
-        if isinstance(source, DeviceSource):
+        if source.on_this_host:
 
             def over() -> bool:
                 late = limits.duration_ns and limits.clock() - began >= limits.duration_ns
@@ -344,7 +341,7 @@ def record(
             tap=tap,
             by_route=by_route,
             sequences=sequences,
-            patient=isinstance(source, DeviceSource) and watcher is None and tap is None,
+            patient=source.on_this_host and watcher is None and tap is None,
         )
     report.outputs, report.losses, report.keep = list(sink.paths), sink.losses, sink.keep
     return report
@@ -380,15 +377,13 @@ def pour(
         Ledger(bench.mission, sequences), source, notes=context.notes, endpoints=context.endpoints
     )
     live = not source.statistics.total_bytes  # without flushes, a file always gives the same recording
-    flushing = Flushing(sink, loop.limits.clock, time_ns if isinstance(source, DeviceSource) else None)
+    flushing = Flushing(sink, loop.limits.clock, time_ns if source.on_this_host else None)
     host = None
-    if isinstance(source, DeviceSource):
-        source.gather_s = FLUSH_NS / 1e9
-        source.idle_s = 2 * source.gather_s if patient else source.gather_s
+    if source.on_this_host:
+        source.pace(FLUSH_NS / 1e9, (1 + patient) * FLUSH_NS / 1e9)
         from edoras_tools.pipelines.capture.host import HostWatch
 
         host = HostWatch(set(bench.columns.context.capture_ports()))
-    note: Callable[[HostCounters], None] | None = getattr(sink, "write_host", None)
     wrote = ended = False
     waiting = Waiting(patient=patient, clock=loop.limits.clock)
 
@@ -398,8 +393,8 @@ def pour(
             wrote = True
             sink.write(*pair)
             flushing.took(pair[0])
-        if note and counters:
-            note(counters)
+        if counters:
+            sink.write_host(counters)
             flushing.noted()
         if live:
             flushing.look()  # first, because the rest can wait
@@ -413,27 +408,25 @@ def pour(
                 tap(*pair)
 
     try:
-        if host and note:
-            note(host.now())
+        if host:
+            sink.write_host(host.now())
         for rows in loop:
             if len(rows):
                 waiting.add(*rows.alone())
             if not waiting.waits:  # else the counters of this host are not worth a chunk of their own
-                write(waiting.take(), host.due() if host and note else None)
+                write(waiting.take(), host.due() if host else None)
             if watcher is not None:
                 watcher.update(report)
         if (rest := waiting.take()) is not None:
             write(rest, None)
-        if host and note:
-            note(host.now())
+        if host:
+            sink.write_host(host.now())
         report.failure = loop.failure
         report.notes = [*report.notes, *loop.conversations.recorded()]
         ended = not report.failure
     finally:
         source.close()
-        if not ended and isinstance(sink, WatchedSink):
-            sink.spare_older()
-            if not wrote:
-                sink.remove()
+        if not ended:
+            sink.cut_short(empty=not wrote)
         sink.close(source.statistics)
     return report

@@ -23,7 +23,7 @@ import numpy as np
 
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.errors import os_errors
-from edoras_tools.io.capture.device import DeviceSource
+from edoras_tools.io import Sink
 from edoras_tools.io.formats.watched import Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import path_beside
 from edoras_tools.model import Columns, Finding, PacketBatch, SourceStatistics
@@ -131,7 +131,7 @@ class _Piece:
         return self.batch.data.nbytes + ROW_BYTES * len(self.batch)
 
 
-class SnapshotSink:
+class SnapshotSink(Sink):
     """A sink that keeps what it is given, and writes what triggers ask for.
 
     Args:
@@ -168,7 +168,7 @@ class SnapshotSink:
         self.dropped = 0
         self._plan, self._target, self._begin = plan, target, begin
         self._triggers = triggers or Triggers()
-        self._live, self._clock = isinstance(source, DeviceSource), clock
+        self._live, self._clock = source.on_this_host, clock
         self._statistics = source.statistics
         self._where = [Where(text, context) for text in plan.where]
         self._rules = RuleTrigger(context, plan.rules, any_error=plan.any_rule, apart=self._live)

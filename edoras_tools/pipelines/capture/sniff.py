@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.pipelines.reading import Limits, selected_rows
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ def decode_packet(source: Source, bench: Workbench, number: int) -> Decoded:
         CaptureError: there is no such datagram.
     """
     last = 0
-    follow_streams(source, bench.columns.context.framings)
+    source.follow(bench.columns.context.framings)
     try:
         for batch in source.batches():
             bench.columns.decode(batch)

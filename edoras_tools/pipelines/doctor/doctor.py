@@ -20,12 +20,9 @@ from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.errors import CaptureError, ConfigError, EdorasError
 from edoras_tools.io.formats.cfe.contents import message_limits, network_peers
-from edoras_tools.io.formats.merge import follow_streams, recorded_faults, recorded_host
-from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.formats.text import json_value
 from edoras_tools.io.processes import Workers
 from edoras_tools.io.processors import jobs_for
-from edoras_tools.pipelines.clocks import OneByOne
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.words import did_you_mean
@@ -152,8 +149,7 @@ def judged_apart(examination: Examination, source: Source, jobs: int) -> Iterato
             for judge in judges:
                 ends.enter_context(closing(judge.workers))
             judges_ = _Judges(examination, judges)
-            if isinstance(source, RecordSource):
-                source.borrow(judges_.lend)
+            source.borrow(judges_.lend)
             examination.let(judges_)
         yield
 
@@ -258,7 +254,7 @@ def examine(
         source.close()
         raise
     pace = pace or Pace(lambda: 0)
-    host = tuple(recorded_host(source))
+    host = tuple(source.host())
 
     def diagnose() -> Diagnosis:
         statistics = source.statistics
@@ -285,9 +281,9 @@ def examine(
             source, bench, limits=limits, examined=scope.period, keeps_failure=True, conversing=conversing
         ) as loop,
     ):
-        part, faults = 0, recorded_faults(source)
+        part, faults = 0, source.faults()
         for rows in loop:
-            if isinstance(source, OneByOne) and source.part != part:
+            if source.part != part:
                 examination.separate()
                 part = source.part
             if scope.period:
@@ -363,7 +359,7 @@ def list_missing(
     rows = [item for item in diagnosis.missing if choice is None or choice.takes(*item.concerns)]
     places = {item.number: place for place, item in enumerate(rows) if item.number is not None}
     dissector = Dissector(bench.columns.context, detail=False)
-    follow_streams(source, bench.columns.context.framings)
+    source.follow(bench.columns.context.framings)
     try:
         for batch in source.batches() if places else ():
             if progress is not None:

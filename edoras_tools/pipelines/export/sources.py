@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError, EdorasError, InterruptError
-from edoras_tools.io.formats.merge import recorded_faults
 from edoras_tools.io.formats.open import is_cfe_file
-from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.processes import InOrder, Workers
 from edoras_tools.io.processors import jobs_for
 from edoras_tools.io.topics.cfe import fault_messages
@@ -167,8 +165,7 @@ class TopicSource(ABC):
                 killed = CaptureError(f"{self.name}: {why}; --jobs 1 needs only one")
                 with suppress(OSError):  # without them it takes longer
                     workers = ends.enter_context(closing(Workers(count - 1, work, killed, yields=not jobs)))
-                    if isinstance(source, RecordSource):
-                        source.borrow(workers.lend)
+                    source.borrow(workers.lend)
             results = InOrder(work, workers)
             loop = ends.enter_context(
                 reading(source, bench, scope.selection, examined=scope.period, keeps_failure=True)
@@ -310,7 +307,7 @@ class CaptureTopics(TopicSource):
         rest = [streams.finish()] if statistics else []
         rest.append(streams.outages(source.statistics.outages))
         period = scope.period.since(self.zero_ns)
-        faults = [item for item in recorded_faults(source) if period.holds(item.time_ns - self.zero_ns)]
+        faults = [item for item in source.faults() if period.holds(item.time_ns - self.zero_ns)]
         rest.append(fault_messages(faults, self._places.index(FAULTS)))
         for messages in rest:
             for block in self._blocks([messages], len(messages), requested, self._places):

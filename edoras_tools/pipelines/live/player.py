@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.io.formats.open import kept_recording
 from edoras_tools.io.formats.stream import SettledFile
 from edoras_tools.io.foxglove.requests import PlaybackRequest, PlaybackState
@@ -311,7 +310,7 @@ class RecordingPlayer:
     def _measure(self, progress: Progress | None) -> tuple[int, int]:
         """Read the recording once; return its start and end."""
         source = self._reopen()
-        follow_streams(source, self._bench.columns.context.framings)
+        source.follow(self._bench.columns.context.framings)
         first, last, last_ns = 1 << 63, -1, -1
         try:
             for batch in source.batches():
@@ -349,7 +348,7 @@ class RecordingPlayer:
     def _read(self, start_ns: int, sink: ServedSink) -> Generator[_Piece]:
         """Yield what was captured from a time on; first show the last earlier message of each topic."""
         source = self._reopen()
-        follow_streams(source, self._bench.columns.context.framings)
+        source.follow(self._bench.columns.context.framings)
         latest: dict[int, _Piece] = {}
         before, fragmented = True, FragmentedSamples()
         try:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.io.formats.watched import OutputLoss, WatchedSink
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
@@ -25,6 +24,7 @@ from edoras_tools.units import MILLISECOND
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.net.transmit import SendStatistics
     from edoras_tools.io.net.wire import Arrival, Wire
     from edoras_tools.pipelines.workbench import Workbench
@@ -134,7 +134,7 @@ class SentRecording:
             self._sink.write(batch, self._bench.columns.decode(batch))
             self._source.statistics.frames += len(frames)
             self._source.statistics.datagrams += len(batch)
-        if self._faults and isinstance(self._sink, WatchedSink):
+        if self._faults:
             self._sink.write_faults(self._faults)
         self._faults = []
         self._sink.flush()

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError, ConfigError, WireError
-from edoras_tools.io.formats.merge import follow_streams
 from edoras_tools.links.sbn import BRIDGE_PORT
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.pipelines.selection import Period, Selection
@@ -78,7 +77,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
     first_ns, remaining, size, seen_towards, over_tcp, period = -1, choice.count, 0, 0, 0, Period()
     try:
         selection = choice.selection.over(bench)
-        follow_streams(source, bench.columns.context.framings)
+        source.follow(bench.columns.context.framings)
         for batch in source.batches():
             if not len(batch):
                 continue

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
+from edoras_tools.io import SourceOver
 from edoras_tools.io.outputs import output_name
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import departures, link_text, msg_id_text, route_text
@@ -18,7 +19,7 @@ from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveRun, LiveTable, Moment, title_line
 from edoras_tools.render.terminal.table import Column, build, count_cell, one_line, plain
 from edoras_tools.render.terminal.terminal import detect_terminal
-from edoras_tools.render.terminal.text import CountedSource, ReadingRun, Watcher, clean, size_of
+from edoras_tools.render.terminal.text import ReadingRun, Watcher, clean, size_of
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -102,7 +103,7 @@ _PATIENCE_S: Final = 0.3
 
 
 def watcher(
-    source: CountedSource, output: Path | None, *, quiet: bool, live: bool
+    source: Source, output: Path | None, *, quiet: bool, live: bool
 ) -> AbstractContextManager[Watcher[ReadingRun] | None]:
     """Return what shows a run on standard error: a live table, a progress bar, or nothing.
 
@@ -125,20 +126,14 @@ def watcher(
     return live_table(title, error_console(), output)
 
 
-class Followed:
-    """A source that shows how far it is read, where standard error is a terminal and that takes a while.
-
-    All else is the source's own.
-    """
+class Followed(SourceOver):
+    """A source that shows how far it is read, where standard error is a terminal and that takes a while."""
 
     def __init__(self, source: Source, *, quiet: bool) -> None:
-        self._source = source
+        super().__init__(source)
         self._shows = not quiet and detect_terminal(sys.stderr).interactive
         self._since = monotonic()
         self._bar: FileProgress | None = None
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._source, name)
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield the source's batches; the bar vanishes at their end."""

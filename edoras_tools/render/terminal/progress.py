@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from typing_extensions import Self
 
+    from edoras_tools.io import Source
     from edoras_tools.model import SourceStatistics
-    from edoras_tools.render.terminal.text import CountedSource, ReadingRun
+    from edoras_tools.render.terminal.text import ReadingRun
 
 _REFRESH_S: Final = 0.1
 _PATIENCE_S: Final = 0.3
@@ -48,7 +49,7 @@ class FileProgress:
     ) -> None:
         self._clock = clock
         self._began = self._drawn = self._since = clock()
-        self._source: CountedSource | None = None
+        self._source: Source | None = None
         self._progress: Progress | None = None
         if not quiet and console.is_terminal:
             self._progress = Progress(
@@ -75,7 +76,7 @@ class FileProgress:
         """Draw how far a run's source is read."""
         self.read(report.source)
 
-    def read(self, source: CountedSource) -> None:
+    def read(self, source: Source) -> None:
         """Draw how far the source is read, if the last drawing is long enough ago."""
         statistics = source.statistics
         if self._source not in (None, source):

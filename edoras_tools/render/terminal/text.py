@@ -11,30 +11,16 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from edoras_tools.model import SourceInfo, SourceStatistics
+    from edoras_tools.io import Source
 
 
 _Run_contra = TypeVar("_Run_contra", contravariant=True)
 
 
-class CountedSource(Protocol):
-    """A source and its counts."""
-
-    @property
-    def info(self) -> SourceInfo:
-        """What it is."""
-        ...
-
-    @property
-    def statistics(self) -> SourceStatistics:
-        """The counts, as they are now."""
-        ...
-
-
 class Progress(Protocol):
     """Receives the progress of long work; cheap to call."""
 
-    def read(self, source: CountedSource) -> None:
+    def read(self, source: Source) -> None:
         """Take how far a source is read."""
         ...
 
@@ -47,7 +33,7 @@ class ReadingRun(Protocol):
     """A run that reads a source."""
 
     @property
-    def source(self) -> CountedSource:
+    def source(self) -> Source:
         """Where the datagrams come from."""
         ...
 

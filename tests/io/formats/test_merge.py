@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from places import CAPTURES
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.io import SourceDefaults
 from edoras_tools.io.formats.merge import merge_sources
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.frame_batch import FrameBatch
@@ -16,7 +17,7 @@ from edoras_tools.io.frames.linklayer import demux
 from edoras_tools.model import SourceInfo, SourceStatistics
 
 
-class Listed:
+class Listed(SourceDefaults):
     """A source of given times; the payload of a datagram is its name and place."""
 
     def __init__(self, name, batches, error=None, version=4):

@@ -3,11 +3,12 @@ from __future__ import annotations
 import pytest
 
 from edoras_tools.errors import CaptureError
+from edoras_tools.io import Sink
 from edoras_tools.io.formats.tee import Tee
 from edoras_tools.model import SourceStatistics
 
 
-class Written:
+class Written(Sink):
     def __init__(self, failure=None):
         self.calls = []
         self._failure = failure

@@ -21,6 +21,7 @@ from edoras_tools.cli import endings
 from edoras_tools.cli.endings import LOST
 from edoras_tools.decode import Options
 from edoras_tools.errors import CaptureError, ConfigError, InterruptError, RouteError
+from edoras_tools.io import Sink
 from edoras_tools.io.formats.mcap import writer
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.net.receive import UdpSource
@@ -34,7 +35,7 @@ from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 
 
-class Sink:
+class Kept(Sink):
     """Remembers what is done to it."""
 
     def __init__(self, fail_at=None):
@@ -61,7 +62,7 @@ def sink(monkeypatch):
     """A function: a sink that is opened whatever the target says."""
 
     def make(**keywords):
-        made = Sink(**keywords)
+        made = Kept(**keywords)
         monkeypatch.setattr(module, "open_sink", lambda *_, **__: made)
         return made
 
@@ -232,7 +233,7 @@ def test_ctrl_c_of_a_live_source_takes_what_arrived(bench, batches, made_up, sin
     """A live source is told to stop, and goes on until it has handed over everything."""
     opened, source = sink(), made_up([])
     stopped = threading.Event()
-    source.stop = stopped.set
+    source.live, source.stop = True, stopped.set
 
     def given():
         yield batches[0]
@@ -250,7 +251,7 @@ def test_ctrl_c_of_a_live_source_takes_what_arrived(bench, batches, made_up, sin
 def test_a_second_ctrl_c_does_not_wait(bench, batches, made_up, sink):
     """For a sink that hangs; what it has is still closed."""
     opened, source = sink(), made_up([])
-    source.stop = lambda: None
+    source.live, source.stop = True, lambda: None
 
     def given():
         yield batches[0]

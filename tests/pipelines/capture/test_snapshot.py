@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,12 +11,14 @@ from hypothesis import strategies as st
 from places import ROOT
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.io import Sink
 from edoras_tools.io.formats.watched import Keep
-from edoras_tools.model import SourceStatistics
+from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.record import Target, check_output
 from edoras_tools.pipelines.capture.snapshot import SnapshotPlan, SnapshotSink, record_snapshots
 from edoras_tools.pipelines.capture.triggers import Triggers
 from edoras_tools.pipelines.reading import Limits
+from edoras_tools.pipelines.recorder import PushedSource
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.units import SECOND
 
@@ -34,7 +35,7 @@ def made(times):
     return batch, BENCH.columns.decode(batch)
 
 
-class File:
+class File(Sink):
     """A sink that remembers which datagrams it was given."""
 
     def __init__(self, path):
@@ -59,7 +60,7 @@ class Recorder:
     def __init__(self, folder, *, live=False, target=None, triggers=None, **plan):
         self.files, self.said = [], []
         target = replace(target or Target(folder / "a.pcap"), on_warning=self.said.append)
-        source = SimpleNamespace(statistics=SourceStatistics())
+        source = PushedSource(SourceInfo("", ""), SourceStatistics())
         self.sink = SnapshotSink(
             SnapshotPlan(**plan), source, BENCH.columns.context, target, self.begin, triggers=triggers
         )

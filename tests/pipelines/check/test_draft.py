@@ -9,6 +9,7 @@ from places import CAPTURES, MISSIONS, ROOT
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import SimulatedSource
 from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.io import SourceDefaults
 from edoras_tools.pipelines.check.draft import draft
 from edoras_tools.pipelines.check.expectations import load_expectations
 from edoras_tools.pipelines.check.run import check, junit
@@ -63,7 +64,7 @@ def run(seconds=40, hertz=5.0, start_s=1_800_000_000, **profile):
     return SimulatedSource(simulation, seconds * SECOND)
 
 
-class Muted:
+class Muted(SourceDefaults):
     """A run in which telemetry of one MsgId stops halfway."""
 
     def __init__(self, source):

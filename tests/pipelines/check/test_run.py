@@ -5,6 +5,7 @@ import pytest
 from places import CAPTURES, MISSIONS
 
 from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.io import SourceDefaults
 from edoras_tools.pipelines.check.expectations import load_expectations
 from edoras_tools.pipelines.check.run import check
 from edoras_tools.pipelines.doctor.scope import Scope
@@ -127,7 +128,7 @@ def test_every_batch_counts_alike(checked):
         "    - never: time > 60\n    - {after: time > 50, within: 150ms, then: linear.x > 0}\n"
     )
 
-    class Small:
+    class Small(SourceDefaults):
         def __init__(self):
             self.inner = open_files([ROVER])
             self.info, self.statistics = self.inner.info, self.inner.statistics
@@ -205,7 +206,7 @@ def test_a_source_that_ends_early_fails(checked, tmp_path):
 
 
 def test_nothing_examined_fails(checked):
-    class Nothing:
+    class Nothing(SourceDefaults):
         def __init__(self):
             inner = open_files([ROVER])
             inner.close()

@@ -16,6 +16,7 @@ from edoras_tools.addons.lab.emulator.source import SimulatedSource
 from edoras_tools.diagnosis import examination
 from edoras_tools.diagnosis.rules import RULES
 from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.io import SourceDefaults
 from edoras_tools.links.to import TO
 from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.pipelines.doctor.doctor import Pace, examine, profile_with
@@ -71,7 +72,7 @@ def test_progress_is_told_after_every_batch_and_while_judging():
     assert steps[-1] == ("judging", len(RULES), len(RULES))
 
 
-class Broken:
+class Broken(SourceDefaults):
     """A source that fails after its first batches."""
 
     def __init__(self):
@@ -186,7 +187,7 @@ def chapters(monkeypatch, path, jobs, *, listing=False, configs=()):
     return examine(parts, bench, pace=Pace(lambda: 0, jobs=jobs), examination=judge)
 
 
-class _Parts:
+class _Parts(SourceDefaults):
     """A source in smaller batches."""
 
     def __init__(self, source, rows):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from edoras_tools.io import SourceDefaults
 from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.render.capture import watch
 from edoras_tools.render.terminal.live_table import LiveTable
@@ -57,7 +58,7 @@ def test_recorded_counts_a_directory_and_bears_an_empty_one(summary, tmp_path):
     )
 
 
-class File:
+class File(SourceDefaults):
     """A file of three batches, each of which takes a second to read."""
 
     info = SourceInfo("big.pcap", "pcap")
@@ -91,7 +92,7 @@ def test_a_source_that_is_followed_shows_how_far_it_is_until_something_is_printe
     monkeypatch.setattr(watch, "monotonic", lambda: now[0])
     monkeypatch.setattr("edoras_tools.render.terminal.progress.FileProgress", Bar)
     source = watch.Followed(File(now), quiet=quiet)
-    assert (source.info.name, hasattr(source, "stop")) == ("big.pcap", False)
+    assert (source.info.name, source.live) == ("big.pcap", False)
     printed = ([] if item == [0] else item for item in source.batches())
     assert list(source.printed(printed)) == [[], [1], [2]]
     told = ["big.pcap", 100, 200, "gone", "big.pcap", 300, "gone"]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.lab.emulator import BOOT_NS, MISSIONS, Scenario, Simulation
 from edoras_tools.addons.lab.emulator.simulation import WireDatagram
+from edoras_tools.io import SourceDefaults
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import Endpoint, PacketBatch, SourceInfo, SourceStatistics
@@ -27,7 +28,7 @@ _COMMAND_SENDER: Final = Endpoint("127.0.0.1", 50000)
 """Where the user's commands come from: a port that nothing else of the simulation has."""
 
 
-class _SimulationSource:
+class _SimulationSource(SourceDefaults):
     """What both sources have: an identity, counts, and batches made of datagrams.
 
     Args:
@@ -81,6 +82,8 @@ class RealTimeSource(_SimulationSource):
         simulation: what to run, from where it stands.
         clock: monotonic time in ns.
     """
+
+    live = True
 
     def __init__(self, simulation: Simulation, clock: Callable[[], int]) -> None:
         super().__init__(simulation)

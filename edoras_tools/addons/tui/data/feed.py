@@ -102,9 +102,7 @@ class Feed(threading.Thread):
     def stop(self) -> None:
         """Ask the thread to end; a live source is read up to what has already arrived."""
         self._stopping.set()
-        stop = getattr(self._source, "stop", None)
-        if stop is not None:
-            stop()
+        self._source.stop()
 
     def run(self) -> None:
         """Read until the end; report it with ``ended``."""

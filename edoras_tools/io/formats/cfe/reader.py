@@ -10,7 +10,7 @@ that of the entry before them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cfe_file import FILE_HEADER, ON_TIME_LINE, RESET_ENTRY, kind_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -42,10 +42,10 @@ class CfePacketSource(RecordSource):
 
     Attributes:
         header: the fields of ``FILE_HEADER``.
-        holds_resets: whether it is a reset log.
     """
 
     unit = "packet"
+    header: Mapping[str, Any] = {}
 
     def __init__(self, window: Window) -> None:
         """Read the file header.
@@ -71,8 +71,7 @@ class CfePacketSource(RecordSource):
             raise CaptureError(
                 f"{name}: is a cFE {kind}, which has no packets; 'edoras info {name}' shows what is in it"
             )
-        self.holds_resets = subtype == cfe_file.RESET_LOG
-        if self.holds_resets:
+        if subtype == cfe_file.RESET_LOG:
             self.unit = "entry"
         self._at = cfe_file.OF_PACKETS.get(subtype, FILE_HEADER.size)
         self._info = SourceInfo(name, f"cFE {kind}")
@@ -85,15 +84,10 @@ class CfePacketSource(RecordSource):
                 f"{name}: ends inside Data Storage's header, at byte {window.end} of {self._at}"
             )
 
-    @property
-    def info(self) -> SourceInfo:
-        """Information on the source."""
-        return self._info
-
     def _frames(self) -> Iterator[FrameBatch]:
         window = self._window
         data, start, end = window.data, self._at, window.end
-        if self.holds_resets:
+        if self.header["subtype"] == cfe_file.RESET_LOG:
             yield from self._entries(data, start, end)
             return
 

@@ -22,6 +22,7 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from edoras_tools.errors import CaptureError, NoDatagramsError, WireError, os_errors
+from edoras_tools.io import SourceDefaults
 from edoras_tools.io.formats.mcap.index import (
     CHUNK_HEAD_BYTES,
     INDEX_ENTRY,
@@ -61,7 +62,7 @@ _KIND = 0xFFFF
 """The bits of a CDR encapsulation that contain the byte order; the rest are options."""
 
 
-class McapSource:
+class McapSource(SourceDefaults):
     """Reads a recording.
 
     Args:

@@ -11,6 +11,7 @@ import numpy as np
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError
+from edoras_tools.io import Sink
 from edoras_tools.io.formats.mcap.chunks import ChunkPress, ChunkWriter
 from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
 from edoras_tools.io.formats.split import RecordingOptions, part_path
@@ -29,10 +30,9 @@ from edoras_tools.io.topics.streams import (
 from edoras_tools.model import Finding, InterfaceOutage
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from edoras_tools.io import Room
     from edoras_tools.io.outputs import OutputFile
     from edoras_tools.mission import Mission
     from edoras_tools.model import (
@@ -60,7 +60,7 @@ _ROW_BYTES = 200
 """Approximate bytes of a datagram's messages besides its frame."""
 
 
-class McapSink:
+class McapSink(Sink):
     """Writes batches to an MCAP file, or to several if it is split.
 
     Messages are in the order of the batches: for each datagram the complete datagram, then the message inside
@@ -135,7 +135,7 @@ class McapSink:
                 self._chunks = self._chunk_writer()
 
     @property
-    def lend(self) -> Callable[[int], NDArray[np.uint8]] | None:
+    def room(self) -> Room | None:
         """Returns memory for the source to read into, if that saves copying it; see ``Workers.lend``."""
         return self._workers.lend if self._workers else None
 

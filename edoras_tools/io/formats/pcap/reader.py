@@ -70,11 +70,6 @@ class PcapSource(RecordSource):
         self._at = FILE_HEADER_BYTES
         self._latest_s = 0
 
-    @property
-    def info(self) -> SourceInfo:
-        """Information on the source."""
-        return self._info
-
     def _frames(self) -> Iterator[FrameBatch]:
         data, start, end = self._window.data, self._at, self._window.end
         captured_at = np.ndarray((data.size - 11,), dtype="V4", buffer=data.data, offset=8, strides=(1,))

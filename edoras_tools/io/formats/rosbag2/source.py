@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError, NoDatagramsError
-from edoras_tools.io.formats.merge import MergedSource, recorded_host
+from edoras_tools.io import SourceDefaults
+from edoras_tools.io.formats.merge import MergedSource
 from edoras_tools.io.formats.rosbag2.reader import METADATA, files_of, open_topic_file, unpacked
 from edoras_tools.model import RECORDED, PacketBatch, SourceInfo, SourceStatistics
 
@@ -48,7 +49,7 @@ class FolderSource(MergedSource):
 
     def host(self) -> list[HostCounters]:
         """Return the kernel's counters of the recording host, of all parts."""
-        return [*chain.from_iterable(map(recorded_host, self._sources))]
+        return [*chain.from_iterable(source.host() for source in self._sources)]
 
 
 def open_folder(path: Path, open_part: Callable[[Path], Source]) -> Source | None:
@@ -126,7 +127,7 @@ class NumberedTopics:
         return self._numbers[key]
 
 
-class MessageSource:
+class MessageSource(SourceDefaults):
     """Reads one recording.
 
     Attributes:

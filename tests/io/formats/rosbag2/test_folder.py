@@ -7,7 +7,6 @@ import pytest
 from places import ROOT
 
 from edoras_tools.errors import CaptureError, NoDatagramsError
-from edoras_tools.io.formats.merge import recorded_host
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.source import FolderSource
 from edoras_tools.model import HostCounters
@@ -68,5 +67,5 @@ def test_the_counters_of_the_host_come_from_all_parts(folder):
         def host(self):
             return [HostCounters(self.number, ())]
 
-    told = recorded_host(FolderSource(folder, [Part(1), Part(2)]))
+    told = FolderSource(folder, [Part(1), Part(2)]).host()
     assert [item.time_ns for item in told] == [1, 2]
