@@ -14,6 +14,7 @@ from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, finish
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.cli.recordings import known_topics
 from edoras_tools.errors import ConfigError
 
 
@@ -36,7 +37,7 @@ def info(
             raise ConfigError(
                 "--verify checks whole files: options that select a part have no effect with it"
             )
-        _verify(paths, printing)
+        _verify(paths, printing, decoding)
         return
     from edoras_tools.io.formats.cfe.contents import read_cfe_file
     from edoras_tools.pipelines.capture.info import inspect
@@ -69,7 +70,7 @@ def info(
     finish(report, live=False)
 
 
-def _verify(files: list[Path], printing: options.PrintOptions) -> None:
+def _verify(files: list[Path], printing: options.PrintOptions, decoding: options.DecodingOptions) -> None:
     """Check recordings, and the files of rosbag2 directories; the exit code is as for ``recover``.
 
     Raises:
@@ -78,11 +79,12 @@ def _verify(files: list[Path], printing: options.PrintOptions) -> None:
     from edoras_tools.io.formats.mcap.recover import verify
     from edoras_tools.render.capture.watch import byte_progress
 
+    topics = known_topics(decoding.config)
     every = [item for path in files for item in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
     lost = False
     for path in every:
         with byte_progress(path, quiet=printing.quiet or printing.json) as progress:
-            report = verify(path, progress=progress)
+            report = verify(path, topics=topics, progress=progress)
         lost |= report.lost
         if printing.json:
             print_json({"source": str(path), **asdict(report)})

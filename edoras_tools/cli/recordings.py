@@ -15,6 +15,7 @@ from edoras_tools.io.outputs import STDOUT, check_new, write_bytes
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
     from edoras_tools.pipelines.capture.record import Target
 
 
@@ -34,6 +35,21 @@ Output = Annotated[
     ),
 ]
 Force = Annotated[bool, Option("--force", help="Overwrite an existing output.")]
+
+
+def known_topics(config: Sequence[Path] | None) -> KnownTopics:
+    """Return the topics that a recording with these missions has.
+
+    Raises:
+        ConfigError: a mission has errors.
+    """
+    from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
+    from edoras_tools.pipelines.workbench import Settings
+
+    if not config:
+        return KnownTopics()
+    bench = Settings(tuple(config)).workbench()
+    return KnownTopics(bench.mission, bench.types)
 
 
 def recording_target(output: Path | None, *, force: bool, inputs: Sequence[Path] = ()) -> Target | None:

@@ -20,13 +20,15 @@ from edoras_tools.io.outputs import in_the_way, refuse_existing
 def recover(
     file: Annotated[Path, Argument(metavar="FILE", help="A damaged or cut-off MCAP recording.")],
     output: Annotated[Path | None, Option("--output", "-o", help="Default: FILE.recovered.mcap.")] = None,
+    config: options.Config = None,
     force: recordings.Force = False,
     unproved: options.Unproved = False,
     json: options.Json = False,
 ) -> None:
     """Repair a recording that was cut off or damaged.
 
-    It keeps what a checksum proves, and counts the rest.
+    It keeps what a checksum proves, and counts the rest. With -c it knows the mission's topics without their
+    description.
     """
     from edoras_tools.io.formats.mcap.recover import recover as run
     from edoras_tools.render.capture.watch import byte_progress
@@ -36,7 +38,9 @@ def recover(
     if there and not force and not (file.exists() and target.samefile(file)):
         refuse_existing(there)
     with byte_progress(file, quiet=json) as progress:
-        report = run(file, target, unproved=unproved, progress=progress)
+        report = run(
+            file, target, topics=recordings.known_topics(config), unproved=unproved, progress=progress
+        )
     if json:
         print_json({**asdict(report), "output": None if report.whole else str(target)})
     else:

@@ -79,6 +79,8 @@ class NewFile:
 
     Attributes:
         file: to write to.
+        place: where it can be opened until it is complete.
+        regular: whether it gets a name: it is no pipe and no device.
 
     Raises:
         OSError: from every method: it cannot be written, another user's link would be followed, or what has
@@ -101,6 +103,8 @@ class NewFile:
         mode = "wb" if fileno >= 0 or not self._part else "xb"
         opened = fileno if fileno >= 0 else self._part or path
         self.file: IO[bytes] = open(opened, mode, opener=opener)  # noqa: SIM115  closed below
+        self.regular = self._part is not None
+        self.place = Path(f"/proc/self/fd/{fileno}") if fileno >= 0 else self._part or path
         if existing and self._part:
             _take_after(self.file.fileno(), existing)
 

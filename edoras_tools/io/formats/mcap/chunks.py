@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import zstandard
 
-from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks, pack_chunks
+from edoras_tools.io.formats.mcap.file import LEVEL, McapFile, PackedChunks, pack_chunks
 from edoras_tools.io.formats.mcap.index import MessageIndex
 from edoras_tools.io.processes import InOrder, Workers
 from edoras_tools.io.topics.rows import Messages, within_rows
@@ -38,8 +38,6 @@ CHUNK_BYTES = 128 << 10
 """Uncompressed bytes of a full chunk; more by at most one message."""
 _BUFFER_BYTES = 8 << 20
 """Bytes that are laid out at once, and then divided into chunks."""
-_LEVEL = -1
-"""zstd level: an eighth faster than 1 for a twentieth more bytes; still faster levels compress much worse."""
 _ENOUGH = 16 << 20
 """Bytes that compressing a buffer may need. Where memory runs out inside ``multi_compress_to_buffer``,
 zstandard 0.25 frees some of it twice and the process aborts; asked for before, it is a ``MemoryError``."""
@@ -51,7 +49,7 @@ class ChunkPress:
     """Makes chunks of messages."""
 
     def __init__(self) -> None:
-        self._compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
+        self._compressor = zstandard.ZstdCompressor(level=LEVEL, write_checksum=True)
         self._buffer = _blank()
         self._index = MessageIndex()
         self.used = 0

@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
@@ -30,7 +31,14 @@ from mcap.records import (
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, os_errors
-from edoras_tools.io.formats.mcap.index import CHUNK_HEAD, CHUNK_INDEX_HEAD, RECORD_HEAD, ChunkHead
+from edoras_tools.io.formats.mcap.index import (
+    CHUNK_HEAD,
+    CHUNK_INDEX_HEAD,
+    INDEX_ENTRY,
+    INDEX_HEAD,
+    RECORD_HEAD,
+    ChunkHead,
+)
 from edoras_tools.io.outputs import STDOUT, OutputFile, output_name
 from edoras_tools.io.topics.rows import MAGIC
 from edoras_tools.wire.arrays.crc import crc32
@@ -47,6 +55,10 @@ if TYPE_CHECKING:
 
 _FOOTER_BYTES_IN_CRC = 9 + 8 + 8
 """The summary's CRC covers the footer record up to the CRC itself."""
+_REPEATED = 200
+"""Schemas and channels stand in the file again whenever so many times their size was written."""
+LEVEL = -1
+"""zstd level: an eighth faster than 1 for a twentieth more bytes; still faster levels compress much worse."""
 
 
 @dataclass(slots=True, eq=False)
@@ -232,6 +244,11 @@ class McapFile:
         self._offered = offered
         self.summary = Summary()
         self._checksum = 0
+        self._again = 0
+        """Size of the file from which on the next chunk begins with all schemas and channels."""
+        self._news: list[McapRecord] = []
+        """Those that no chunk has yet; from the second chunk after them on one has."""
+        self._news_from = 0
         with os_errors(f"{path}: cannot be created"):
             self.output = OutputFile(path)
         try:
@@ -255,7 +272,7 @@ class McapFile:
         data = definition.encode() if isinstance(definition, str) else definition
         schema = Schema(id=len(self.summary.schemas) + 1, data=data, encoding=encoding, name=name)
         self.summary.schemas[schema.id] = schema
-        self.add_bytes(record_bytes(schema))
+        self._describe(schema)
         return schema.id
 
     def add_channel(
@@ -271,8 +288,14 @@ class McapFile:
             schema_id=schema_id,
         )
         self.summary.channels[channel.id] = channel
-        self.add_bytes(record_bytes(channel))
+        self._describe(channel)
         return channel.id
+
+    def _describe(self, record: Schema | Channel) -> None:
+        """Write a record where it is first needed, and once more in the second chunk from here on."""
+        self.add_bytes(record_bytes(record))
+        self._news.append(record)
+        self._news_from = self.summary.chunks + 1
 
     def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Write an attachment, logged at ``time_ns``."""
@@ -290,17 +313,44 @@ class McapFile:
         self.summary.metadata.append(index)
 
     def add_chunks(self, chunks: PackedChunks) -> None:
-        """Write chunks and their message indexes to the operating system, in one call."""
+        """Write chunks and their message indexes to the operating system, in one call.
+
+        Some begin with schemas and channels again, so that a damaged beginning costs only itself.
+        """
         places = chunks.places.copy()
         places["offset"] += np.uint64(self.size)
-        at = self.size
+        at, start, written = self.size, 0, 0
+        pieces: list[_Bytes] = []
         spans = pairwise(chunks.place_edges.tolist())
         for head, (length, after), (first, last) in zip(chunks.heads, chunks.sizes, spans, strict=True):
-            self.summary.add_chunk(head, (at, length), places[first:last].tobytes(), after)
-            at += length + after
-        self.add_bytes(chunks.data.data)
+            size = length
+            if records := self._due(at):
+                stretch = chunks.data[start : start + length + after]
+                head, piece, index = _beginning_with(records, head, stretch)  # noqa: PLW2901  what is written
+                pieces += chunks.data[written:start].data, piece, index
+                written = start + length + after
+                size = len(piece)
+                places["offset"][first:] += np.uint64(size - length)
+            self.summary.add_chunk(head, (at, size), places[first:last].tobytes(), after)
+            at += size + after
+            start += length + after
+        self.add_bytes(*pieces, chunks.data[written:].data)
         if chunks.counts:
             self.summary.add_messages(chunks.counts, chunks.start_ns, chunks.end_ns)
+
+    def _due(self, size: int) -> bytes:
+        """Return the schemas and channels that the chunk at a position begins with; mostly none."""
+        every = [*self.summary.schemas.values(), *self.summary.channels.values()]
+        if self._again and size >= self._again:
+            records: list[McapRecord] = [*every]
+        elif self._news and self.summary.chunks >= self._news_from:
+            records = self._news
+        else:
+            return b""
+        self._news = []
+        if len(records) == len(every):
+            self._again = size + _REPEATED * len(record_bytes(*every))
+        return record_bytes(*records)
 
     def finish(self) -> None:
         """Write the summary and close the file; it replaces an older one."""
@@ -331,6 +381,30 @@ class McapFile:
         return CaptureError(
             f"{output_name(self.path)}: cannot be written: {error.strerror or error}; {advice}"
         )
+
+
+def _beginning_with(
+    records: bytes, head: ChunkHead, stretch: NDArray[np.uint8]
+) -> tuple[ChunkHead, bytes, memoryview]:
+    """Put records before those of a chunk, compressed with zstd.
+
+    Args:
+        stretch: u8, the chunk's record and its message indexes.
+
+    Returns:
+        Its head, its record, and its message indexes.
+    """
+    data = len(_chunk_start(head))
+    end = data + head.length
+    raw = records + zstandard.ZstdDecompressor().decompress(stretch[data:end].data, head.size)
+    packed = zstandard.ZstdCompressor(level=LEVEL, write_checksum=True).compress(raw)
+    head = head._replace(size=len(raw), crc=crc32(raw), length=len(packed))
+    index, at = stretch[end:].copy(), 0
+    while at < len(index):
+        entries = at + INDEX_HEAD.itemsize
+        at = entries + int(index[at : at + INDEX_HEAD.itemsize].view(INDEX_HEAD)["bytes"][0])
+        index[entries:at].view(INDEX_ENTRY)["offset"] += np.uint64(len(records))
+    return head, _chunk_start(head) + packed, index.data
 
 
 def _chunk_start(head: ChunkHead) -> bytes:

@@ -3,16 +3,19 @@
 How records are found: ``scan``. What is kept:
 
 1. A chunk with a correct checksum, with the channels of the file that it belongs to: those of the summary
-   that lists the chunk, else those that were read before it.
+   that lists the chunk, else those of a chunk near it whose checksum is right, else those that came before.
 2. Nothing of a chunk with a wrong checksum, or of one that is cut off: a wrong bit often decompresses without
    error to other bytes. Its readable messages are counted, and kept only on request.
 3. Data that never had a checksum, as far as it can be read: there is no way to check it.
-4. Nothing of a channel that is unknown, or of which two different records exist.
+4. A channel whose record is lost is one of our recorder if all its messages are as that would write them;
+   else it is ``/unknown/N``. Where a summary says which channels there are, no other one is kept.
+
+What describes a chunk may stand behind it, so a damaged file is read once more with what the first reading
+found. The result is read through its own index, and by the ``mcap`` library, before it gets its name.
 """
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,16 +35,24 @@ from mcap.records import (
 
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, os_errors
+from edoras_tools.io.formats.mcap.chunks import CHUNK_BYTES
 from edoras_tools.io.formats.mcap.file import McapFile, join_chunks, pack_chunks, record_bytes
 from edoras_tools.io.formats.mcap.index import MESSAGE_HEAD, RECORD_HEAD
-from edoras_tools.io.formats.mcap.recovery.numbering import Definitions, Numbering, renumbered
+from edoras_tools.io.formats.mcap.recovery.numbering import (
+    Definitions,
+    KnownTopics,
+    Numbering,
+    Stretch,
+    renumbered,
+)
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes
-from edoras_tools.io.formats.mcap.recovery.report import FilePart, LostStretch, Recovery
+from edoras_tools.io.formats.mcap.recovery.report import FilePart, LostStretch, Recovery, read_again
 from edoras_tools.io.formats.mcap.recovery.scan import Piece, Scan
 from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary, summaries
+from edoras_tools.io.formats.mcap.recovery.walk import walk
 from edoras_tools.io.formats.mcap.unpack import Proof
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
-from edoras_tools.io.outputs import lock_older
+from edoras_tools.io.outputs import NewFile
 from edoras_tools.io.topics.rows import MAGIC
 
 if TYPE_CHECKING:
@@ -53,33 +64,46 @@ _COPY_BYTES = 1 << 20
 
 
 def verify(
-    source: str | Path, *, unproved: bool = False, progress: Callable[[int, int], None] = lambda *_: None
+    source: str | Path,
+    *,
+    topics: KnownTopics | None = None,
+    unproved: bool = False,
+    progress: Callable[[int, int], None] = lambda *_: None,
 ) -> Recovery:
     """Read a recording completely, check every checksum, and report what ``recover`` would do.
 
-    ``progress`` is called with the bytes that were read, and with all.
+    Arguments are those of ``recover``.
 
     Raises:
         CaptureError: it cannot be read, is not an MCAP file, or has no message that could be kept.
     """
-    source = Path(source)
-    with FileBytes(source) as file:
-        report = _Assembly(file, None, unproved=unproved).run(progress)
-        if not report.whole and not sum(report.messages.values()):
-            damaged = any(loss.messages for loss in report.losses) or report.left_out
-            if not damaged and file.read(0, len(MAGIC)) != MAGIC:
-                raise CaptureError(
-                    f"{source}: is not an MCAP file, or one without any complete record; what is whole of a "
-                    "pcap or pcapng, edoras record -r copies"
-                )
-            raise CaptureError(f"{source}: it contains nothing to recover{_why(report)}")
-    return report
+    with FileBytes(Path(source)) as file:
+        return _examined(file, topics or KnownTopics(), progress, unproved=unproved)[0]
+
+
+def _examined(
+    file: FileBytes, topics: KnownTopics, progress: Callable[[int, int], None], *, unproved: bool
+) -> tuple[Recovery, Sequence[Stretch]]:
+    """Return what could be recovered, and what is to be known for that."""
+    first = _Assembly(file, None, topics, unproved=unproved)
+    report, stretches = first.run(progress), first.stretches
+    if first.doubtful and any(item.proved or item.fits for item in stretches):
+        report = _Assembly(file, None, topics, stretches, unproved=unproved).run(progress)
+    else:
+        stretches = []
+    if not report.whole and not sum(report.messages.values()):
+        damaged = any(loss.messages for loss in report.losses) or report.left_out
+        if not damaged and file.read(0, len(MAGIC)) != MAGIC:
+            raise CaptureError(f"{file.path}: is not an MCAP file, or one without any complete record")
+        raise CaptureError(f"{file.path}: it contains nothing to recover{_why(report)}")
+    return report, stretches
 
 
 def recover(
     source: str | Path,
     target: str | Path,
     *,
+    topics: KnownTopics | None = None,
     unproved: bool = False,
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> Recovery:
@@ -90,8 +114,9 @@ def recover(
     Args:
         source: the file; it is only read.
         target: the file to write; it appears when it is complete, and only if ``source`` is not intact.
+        topics: those of a recording of ours whose description is lost.
         unproved: also keep readable messages of damaged and cut-off chunks.
-        progress: called with the bytes that were read, and with all; twice if there is something to write.
+        progress: called with the bytes that were read, and with all; once more for each further reading.
 
     Returns:
         The report.
@@ -103,43 +128,51 @@ def recover(
     source, target = Path(source), Path(target)
     if target.exists() and source.exists() and target.samefile(source):
         raise CaptureError(f"{target}: is the recording itself; name another file to write")
-    report = verify(source, unproved=unproved, progress=progress)
-    if report.whole:
-        return report
-    regular = target.is_file() or not target.exists()
-    older = -1
-    with os_errors(f"{target}: cannot be written"):
-        older = lock_older(target)
-    part = target.with_name(f"{target.name}.part") if regular else target
+    topics = topics or KnownTopics()
     with FileBytes(source) as file:
-        out = None
+        report, stretches = _examined(file, topics, progress, unproved=unproved)
+        if report.whole:
+            return report
+        with os_errors(f"{target}: cannot be written"):
+            new = NewFile(target)
         try:
-            out = McapFile(part, header=b"")
-            report = _Assembly(file, out, unproved=unproved).run(progress)
-            if regular:
-                part.replace(target)
-        except BaseException as error:
-            if out is not None:
-                out.abandon()
-                if regular:
-                    part.unlink(missing_ok=True)
-            if isinstance(error, CaptureError):
-                raise CaptureError(
-                    str(error).partition("; `edoras")[0].replace(str(part), str(target))
-                ) from error
-            if isinstance(error, OSError):
-                raise CaptureError(f"{target}: cannot be written: {error.strerror or error}") from error
-            raise
+            out = McapFile(new.place, header=b"")
+            report = _Assembly(file, out, topics, stretches, unproved=unproved).run(progress)
+            if new.regular:
+                report = read_again(new.place, report)
+            new.keep()
+        except CaptureError as error:
+            text = str(error).partition("; `edoras")[0].replace(str(new.place), str(target))
+            raise CaptureError(text) from error
+        except OSError as error:
+            raise CaptureError(f"{target}: cannot be written: {error.strerror or error}") from error
         finally:
-            if older >= 0:
-                os.close(older)
+            new.remove()
     return report
 
 
 class _Assembly:
-    """Assembles what the scan finds; ``out`` is None if it is only counted."""
+    """Assembles what the scan finds; ``out`` is None if it is only counted.
 
-    def __init__(self, file: FileBytes, out: McapFile | None, *, unproved: bool) -> None:
+    Args:
+        known: ``stretches`` of an earlier reading.
+    """
+
+    def __init__(
+        self,
+        file: FileBytes,
+        out: McapFile | None,
+        topics: KnownTopics,
+        known: Sequence[Stretch] = (),
+        *,
+        unproved: bool,
+    ) -> None:
+        self._topics, self._known = topics, known
+        self.stretches: list[Stretch] = []
+        self.doubtful = False
+        """Whether another reading with ``stretches`` may find more."""
+        self._unknown: set[int] = set()
+        self._loose = bytearray()
         self._file = file
         self._out = out
         self._unproved = unproved
@@ -163,6 +196,8 @@ class _Assembly:
         for piece in self._scan.pieces():
             self._take(piece)
             progress(piece.end, self._file.size)
+        self._put_loose()
+        self.doubtful |= any(part.definitions.altered for part in self._parts)
         self._parts = [part for part in self._parts if part.ended or part.gaps or part.listed or part.others]
         whole = self._whole()
         if self._out is not None:
@@ -178,14 +213,14 @@ class _Assembly:
         return Recovery(
             whole=whole,
             messages=messages,
-            chunks=self._chunks,
+            chunks=self._pieces if whole else self._chunks,
             salvaged=self._salvaged,
             kept_bytes=self._file.size - self._lost_bytes,
             lost_bytes=self._lost_bytes,
             proved=self._proved,
             unproved=self._free,
             left_out=self._left_out,
-            lost=any(part.lost for part in self._parts),
+            lost=bool(self._unknown) or any(part.lost for part in self._parts),
             lost_messages=None if None in missing else sum(item or 0 for item in missing),
             losses=self._losses,
             reasons=[] if whole else list(self._reasons),
@@ -209,9 +244,35 @@ class _Assembly:
         definitions = (section.schemas, section.channels) if section else ({}, {})
         part = FilePart(Definitions(*definitions), section, start)
         self._parts.append(part)
+        self._next_stretch()
         if section is not None:
             self._of[section] = part
         return part
+
+    def _next_stretch(self) -> None:
+        self.stretches.append(Stretch())
+
+    @property
+    def _stretch(self) -> Stretch:
+        """What is known of the stretch that is being read."""
+        place = len(self.stretches) - 1
+        return self._known[place] if place < len(self._known) else Stretch()
+
+    def _definition(self, part: FilePart, number: int) -> tuple[Channel, Schema | None] | None:
+        """Return a channel and its schema; None if the file cannot have it."""
+        part.definitions.late = self._stretch.proved
+        definition = part.definitions.channel(number)
+        if definition is None and part.definitions.complete:
+            return None
+        if definition is not None and (definition[1] or not definition[0].schema_id):
+            return definition
+        self.doubtful = True
+        if definition is not None:
+            return definition[0], self._topics.schema(definition[0].topic)
+        if definition := self._topics.channel(number, self._stretch):
+            return definition
+        self._unknown.add(number)
+        return Channel(number, f"/unknown/{number}", "", {}, 0), None
 
     def _of_place(self, place: int) -> FilePart | None:
         """Return the file that a position certainly belongs to; None if that is unknown."""
@@ -228,6 +289,7 @@ class _Assembly:
         if part.ended:  # its summary, which is built new
             self._reasons["its summary is damaged or cut off"] = None
             return
+        self._next_stretch()
         size = piece.end - piece.start
         part.gaps = True
         part.gap_bytes += size
@@ -256,10 +318,13 @@ class _Assembly:
     def _salvage(self, part: FilePart, piece: Piece, walked: Walked) -> None:
         """Keep the readable messages of a damaged chunk, if requested; otherwise count them."""
         rows = walked.agree(piece.entries) if piece.entries else np.ones(len(walked), bool)
-        walked = walked.take(rows)
+        others, walked = walked.others, walked.take(rows)
         if piece.proof is not Proof.NONE and not self._unproved:
             self._left_out += len(walked)
             return
+        for record in others:
+            if isinstance(record, Schema | Channel):
+                part.definitions.learn(record)
         before = self._total
         self._keep(part, walked, None)
         self._salvaged += self._total - before
@@ -334,12 +399,9 @@ class _Assembly:
         """Write the messages of a chunk whose channels are known; unchanged if ``piece`` is intact."""
         self._begin()
         definitions = [record for record in walked.others if isinstance(record, Schema | Channel)]
-        for record in definitions:
-            part.definitions.learn(record)
         ids = np.unique(walked.channel).tolist()
-        channels = {
-            key: definition for key in ids if (definition := part.definitions.channel(key)) is not None
-        }
+        self._learn(part, definitions, walked, proved=piece is not None and piece.proof is Proof.CHECKSUM)
+        channels = {key: definition for key in ids if (definition := self._definition(part, key)) is not None}
         numbers = {key: self._numbering.number(*definition) for key, definition in channels.items()}
         stands = (
             piece is not None
@@ -359,6 +421,7 @@ class _Assembly:
             walked = walked.take(np.isin(walked.channel, list(channels))).rebuilt(numbers)
         if not stands and not len(walked):
             return
+        self._put_loose()
         self._chunks += 1
         for number in np.unique(walked.channel).tolist():
             count = int(np.count_nonzero(walked.channel == number))
@@ -367,6 +430,28 @@ class _Assembly:
             part.last_ns = int(walked.log_time.max())
         if self._out is not None:
             self._write(self._out, walked, piece, stands=stands)
+
+    def _learn(
+        self, part: FilePart, definitions: Sequence[Schema | Channel], walked: Walked, *, proved: bool
+    ) -> None:
+        """Take note of the schemas and channels in a chunk, and of what channels without one may be."""
+        for record in definitions:
+            part.definitions.learn(record)
+            if proved:
+                self.stretches[-1].learn(record)
+        if proved and not self._known and not part.definitions.complete:
+            fits = self.stretches[-1].fits
+            for key in np.unique(walked.channel).tolist():
+                if part.definitions.channel(key) is None:
+                    fits[key] = fits.get(key, True) and self._topics.fits(key, walked)
+
+    def _put_loose(self) -> None:
+        """Make a chunk of the messages that are in none: an index leads to chunks only."""
+        if self._loose:
+            walked, self._loose = walk(bytes(self._loose)), bytearray()
+            self._chunks += 1
+            if self._out is not None:
+                self._write(self._out, walked, None, stands=False)
 
     def _stand(self, part: FilePart, definitions: Sequence[Schema | Channel]) -> bool:
         """Return whether these definitions are the part's own, and keep their numbers."""
@@ -431,7 +516,7 @@ class _Assembly:
 
     def _message(self, part: FilePart, piece: Piece) -> None:
         channel_id, _, log_time, _ = MESSAGE_HEAD.unpack_from(piece.record)
-        definition = part.definitions.channel(channel_id)
+        definition = self._definition(part, channel_id)
         if definition is None:
             part.gaps = True
             span, reason = piece.end - piece.start, "a message of a channel without a description"
@@ -444,10 +529,10 @@ class _Assembly:
         part.others += 1
         part.loose += 1
         part.last_ns = log_time
-        if self._out is not None:
-            content = renumbered(piece.record, number)
-            self._out.add_bytes(RECORD_HEAD.pack(Opcode.MESSAGE, len(content)), content)
-            self._out.summary.add_messages({number: 1}, log_time, log_time)
+        content = renumbered(piece.record, number)
+        self._loose += RECORD_HEAD.pack(Opcode.MESSAGE, len(content)) + content
+        if len(self._loose) >= CHUNK_BYTES:
+            self._put_loose()
 
     def _extra(self, part: FilePart, piece: Piece) -> None:
         """Copy a metadata record, an attachment, or a private record."""
@@ -490,6 +575,10 @@ class _Assembly:
             "it ends without its last records: what followed is unknown": not part.ended,
             "it has no intact summary": section is None or section.statistics is None,
             "a schema or a channel differs from that in its summary": part.definitions.altered,
+            "messages stand beside its chunks, where no index leads": self._pieces and part.loose,
+            f"the description of {len(self._unknown)} channels is lost: /unknown/N has their messages": (
+                self._unknown
+            ),
         }
         if section is not None and section.statistics is not None:
             ends = section.base == 0 and section.end == self._file.size

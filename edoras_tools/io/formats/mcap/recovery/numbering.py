@@ -1,17 +1,25 @@
-"""Schemas and channels of one or several files, numbered and written for one file."""
+"""Schemas and channels: those of one or several files, what is known without them, and one file's numbers."""
 
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
 from mcap.records import Channel, Schema
 
 from edoras_tools.io.formats.mcap.file import McapFile, record_bytes
+from edoras_tools.io.topics.rows import RECORD_BYTES
+from edoras_tools.io.topics.streams import Streams
+from edoras_tools.mission import Mission
+from edoras_tools.ros import TypeStore
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable
+    from collections.abc import Hashable, Mapping
+
+    from edoras_tools.io.formats.mcap.recovery.walk import Walked
 
 
 class Definitions:
@@ -23,6 +31,7 @@ class Definitions:
 
     Attributes:
         altered: whether a record differed from a proved one.
+        late: those that chunks further on prove.
     """
 
     def __init__(self, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
@@ -31,6 +40,16 @@ class Definitions:
         self._known |= {(Schema, key): item for key, item in schemas.items()}
         self._known |= {(Channel, key): item for key, item in channels.items()}
         self.altered = False
+        self.late: Mapping[tuple[type, int], Schema | Channel | None] = {}
+
+    @property
+    def complete(self) -> bool:
+        """Whether a summary says which channels there are."""
+        return any(kind is Channel for kind, _ in self._proved)
+
+    def _record(self, kind: type, number: int) -> Schema | Channel | None:
+        key = kind, number
+        return self._known.get(key) if key in self._proved else self.late.get(key) or self._known.get(key)
 
     def learn(self, record: Schema | Channel) -> None:
         """Add a record. Proved records are never replaced; of two that differ, neither is used."""
@@ -46,17 +65,12 @@ class Definitions:
 
     def agrees(self, record: Schema | Channel) -> bool:
         """Return whether a record is the one that is used, or the only one of its kind and number."""
-        return self._known.get((type(record), record.id), record) == record
+        return (self._record(type(record), record.id) or record) == record
 
     def channel(self, channel_id: int) -> tuple[Channel, Schema | None] | None:
-        """Return a channel and its schema; None if either is unknown."""
-        channel = self._known.get((Channel, channel_id))
-        if not isinstance(channel, Channel):
-            return None
-        schema = self._known.get((Schema, channel.schema_id))
-        if isinstance(schema, Schema):
-            return channel, schema
-        return None if channel.schema_id else (channel, None)
+        """Return a channel and its schema, None for one that is unknown; None if the channel is."""
+        channel = self._record(Channel, channel_id)
+        return (channel, self.schema(channel.schema_id)) if isinstance(channel, Channel) else None
 
     def below(self, record: Schema | Channel) -> Schema | None:
         """Return the schema of a channel; None if it is unknown, and for a schema."""
@@ -64,8 +78,73 @@ class Definitions:
 
     def schema(self, schema_id: int) -> Schema | None:
         """Return a schema; None if it is unknown."""
-        schema = self._known.get((Schema, schema_id))
+        schema = self._record(Schema, schema_id)
         return schema if isinstance(schema, Schema) else None
+
+
+@dataclass(slots=True)
+class Stretch:
+    """What one reading of a file learns of a stretch without a damaged place, for the next reading.
+
+    Attributes:
+        proved: schemas and channels in chunks whose checksum is right; None where two of them differ.
+        fits: of each channel without a record, whether all its messages are as our recorder would write them.
+    """
+
+    proved: dict[tuple[type, int], Schema | Channel | None] = field(default_factory=dict)
+    fits: dict[int, bool] = field(default_factory=dict)
+
+    def learn(self, record: Schema | Channel) -> None:
+        """Add a record of a chunk whose checksum is right."""
+        key = type(record), record.id
+        self.proved[key] = record if self.proved.get(key, record) == record else None
+
+
+class KnownTopics:
+    """The channels of a recording of ours, as they are numbered: the project's own, then the mission's."""
+
+    def __init__(self, mission: Mission | None = None, types: TypeStore | None = None) -> None:
+        self._mission, self._types = mission or Mission(), types or TypeStore()
+
+    @cached_property
+    def _channels(self) -> list[tuple[Channel, Schema]]:
+        streams = Streams(self._mission, self._types)
+        schemas = {
+            name: Schema(id=number, name=name, encoding="ros2msg", data=text.encode())
+            for number, (name, text) in enumerate(streams.definitions.items(), 1)
+        }
+        return [
+            (
+                Channel(
+                    id=number,
+                    topic=topic.name,
+                    message_encoding=topic.encoding,
+                    metadata={"offered_qos_profiles": "", **topic.metadata},
+                    schema_id=schemas[topic.type].id,
+                ),
+                schemas[topic.type],
+            )
+            for number, topic in enumerate(streams.topics, 1)
+        ]
+
+    def fits(self, number: int, walked: Walked) -> bool:
+        """Tell whether all messages of a channel in a chunk are valid for the type that it would have."""
+        if not 0 < number <= len(self._channels):
+            return False
+        rows = walked.channel == number
+        offset = walked.start[rows] + RECORD_BYTES
+        length = (walked.end[rows] - offset).astype(np.int32)
+        name = self._channels[number - 1][1].name
+        behind = self._types.trailing(name, walked.data, offset, length)
+        return bool(((behind >= 0) & (behind <= self._types.most_trailing(name))).all())
+
+    def channel(self, number: int, stretch: Stretch) -> tuple[Channel, Schema] | None:
+        """Return a channel and its schema; None if the stretch is not of our recorder: it has datagrams."""
+        return self._channels[number - 1] if stretch.fits.get(1) and stretch.fits.get(number) else None
+
+    def schema(self, topic: str) -> Schema | None:
+        """Return the schema of a topic whose own is lost; None if nobody knows it."""
+        return next((schema for channel, schema in self._channels if channel.topic == topic), None)
 
 
 class Numbering:

@@ -8,7 +8,8 @@ Rules that the search keeps:
 2. A chunk with a damaged head is found by its compressed frame, if that has its own checksum.
 3. Nothing inside a damaged chunk is accepted as a record of the file: messages outside of chunks count only
    in files that have no chunks.
-4. If a summary is intact, chunks after a damaged place must be in its index. Other data that looks like a
+4. A message in which others begin, one behind the other and of its time, has a wrong length.
+5. If a summary is intact, chunks after a damaged place must be in its index. Other data that looks like a
    chunk is part of something else: of a recording inside a message or an attachment.
 """
 
@@ -56,6 +57,10 @@ _PRIVATE: Final = 0x80
 """Opcodes from here on are private; readers skip them."""
 _TRIES: Final = 2
 """Records that must follow each other if none has a checksum."""
+_MESSAGES: Final = re.compile(rb"(?s)(?=\x05.{3}\x00{5})")
+_INSIDE: Final = 3
+"""Messages that stand one behind the other inside what is none."""
+_NEAR_NS: Final = 86400 * 10**9
 
 
 @dataclass(slots=True)
@@ -95,6 +100,8 @@ class Scan:
         self._sections = sections
         self._chunks = self._checked = self._broken = False
         """For the current file: whether it has chunks, chunks with a checksum, and a damaged place."""
+        self._largest = 0
+        """Bytes of the largest message outside of chunks."""
         self._next: Piece | None = None
         """The result of the last search."""
 
@@ -174,16 +181,39 @@ class Scan:
                 return None
             if searched and not self._follows(end, _TRIES):
                 return None
+            if (end - start > self._largest or not self._follows(end, 1)) and self._swallows(start, end):
+                return None
+            self._largest = max(self._largest, end - start)
             return Piece(opcode, place, end, self._file.read(start, end))
         if opcode == Opcode.MESSAGE_INDEX:
             entries, after = self._indexes(place)
             return Piece(opcode, place, after, entries=entries) if entries else None
         if opcode >= _PRIVATE:
-            return None if searched or not self._follows(end, 1) else Piece(opcode, place, end)
+            if searched or not self._follows(end, 1):
+                return None
+            return self._chunk(place, start, end, searched=True) or Piece(opcode, place, end)
         record = parse(opcode, self._file.read(start, end))
         if record is None or (searched and not self._follows(end, _TRIES)):
             return None
         return Piece(opcode, place, end, record)
+
+    def _swallows(self, start: int, end: int) -> bool:
+        """Tell whether a message's length covers others that follow it."""
+        time_ns = MESSAGE_HEAD.unpack(self._file.read(start, start + MESSAGE_HEAD.size))[2]
+        for place in self._file.find(_MESSAGES, start + MESSAGE_HEAD.size, end):
+            at = place
+            for _ in range(_INSIDE):
+                head = self._file.read(at, at + RECORD_HEAD.size + MESSAGE_HEAD.size)
+                if len(head) < RECORD_HEAD.size + MESSAGE_HEAD.size or at >= end:
+                    break
+                opcode, length = RECORD_HEAD.unpack_from(head)
+                near = abs(MESSAGE_HEAD.unpack_from(head, RECORD_HEAD.size)[2] - time_ns) < _NEAR_NS
+                if opcode != Opcode.MESSAGE or not near or not MESSAGE_HEAD.size <= length <= MAX_CHUNK_BYTES:
+                    break
+                at += RECORD_HEAD.size + length
+            else:
+                return True
+        return False
 
     def _follows(self, place: int, count: int) -> bool:
         """Return whether ``count`` records follow, or the file ends."""
