@@ -64,10 +64,11 @@ def refreshed(page: Path, folder: Path, run: Callable[[str], tuple[int, str]] = 
 
     Args:
         page: a Markdown file.
-        folder: empty; commands run in it, and find the repository's ``samples`` there.
+        folder: empty; commands run in it, and find the repository's ``samples`` and ``tests`` there.
         run: as ``shell``.
     """
-    (folder / "samples").symlink_to(ROOT / "samples", target_is_directory=True)
+    for name in ("samples", "tests"):
+        (folder / name).symlink_to(ROOT / name, target_is_directory=True)
     with _inside(folder):
         runner = _Runner(run)
         text = FENCED.sub(runner.block, page.read_text(encoding="utf-8"))

@@ -200,7 +200,7 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     now, fits = _with_limit(queue, msg_id, limit), False
     if measured or loss.offered_hz > rate:
         fits = _explains(own.between(loss.start_ns, loss.end_ns).lost((now,), msg_id), loss.lost)
-    slower = _spread(own, queue, limit, slower, ("published", "TO" if output else "SBN"))
+    slower = _spread(case, own, queue, limit, slower, ("published", "TO" if output else "SBN"))
     slow = max(own.spaced(SECOND / _safe(rate), msg_id).lost((now,), msg_id)) if fits else None
     if not output:
         return Advice(why, slower, slow)
@@ -233,7 +233,9 @@ def _explains(model: list[int], lost: int, waiting: int = 0) -> bool:
     return any(least * item - _FEW <= lost + waiting and lost <= most * item + _FEW for item in model)
 
 
-def _spread(own: Arrivals, queue: queues.Queue, limit: int, slower: str, words: tuple[str, str]) -> str:
+def _spread(
+    case: Case, own: Arrivals, queue: queues.Queue, limit: int, slower: str, words: tuple[str, str]
+) -> str:
     """Return how to send: slower, or spread out; or that whoever reads the queue was late.
 
     Args:
@@ -244,7 +246,8 @@ def _spread(own: Arrivals, queue: queues.Queue, limit: int, slower: str, words: 
     most = own.most(queue.round_ns)
     if most <= limit:
         return f"see what keeps {reader} from its pipe (its console, the load of its host)"
-    if own.most(_WHILE_NS) * SECOND <= queue.rate_hz(limit) * _WHILE_NS:
+    while_ns = min(_WHILE_NS, case.end_ns - case.start_ns)
+    if own.most(while_ns) * SECOND <= queue.rate_hz(limit) * while_ns:
         every = f"{queue.round_ns // MILLISECOND} ms"
         return f"spread what is {did}: at most {limit} in {every} (up to {most:,} were)"
     return f"{slower} (up to {own.most(SECOND):,} a second were {did})"
@@ -314,7 +317,7 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     slower = f"send at most {_safe(clean):g} Hz"
     if senders > 1:
         slower += f" in all, {_safe(clean / senders):g} Hz each of {plural(senders, 'sender')}"
-    slower = _spread(own, pipe, limit, slower, ("sent", "the application's task"))
+    slower = _spread(case, own, pipe, limit, slower, ("sent", "the application's task"))
     need = min(own.most(pipe.round_ns * _LATE) + 1, pipe.depth if over_network else socket.reads)
     higher = (*way[:-1], _with_limit(pipe, stream.msg_id, need))
     if need > limit and not max(arrivals.lost(higher, stream.msg_id)):

@@ -82,6 +82,11 @@ def test_subscribe_with_so_high_a_limit(lab, hz):
     assert counters.msg_limits == problem.left == 0
 
 
+def test_a_short_capture_of_a_steady_stream_is_no_burst(lab):
+    problem = problem_of(lab.examine(lab.simulate(hz=10, seconds=8)[0], drops=0), TWIST)
+    assert rate_in(problem.remedy) == 7.9
+
+
 def test_send_so_slowly_that_cis_socket_never_fills(lab):
     problem = problem_of(lab.examine(lab.simulate(hz=60, seconds=SECONDS)[0], drops=0), TWIST)
     assert "subscribe" not in problem.remedy  # no limit helps where CI does not read so many
