@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -16,7 +17,9 @@ from edoras_tools.io.formats.table import READ
 
 if TYPE_CHECKING:
     from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.sending.replay import ReplaySelection
+    from edoras_tools.pipelines.workbench import Workbench
 
 
 def pair(text: str) -> tuple[str, str]:
@@ -36,7 +39,9 @@ class SourceOptions(NamedTuple):
     """What is sent, and where."""
 
     file: Annotated[Path, Argument(metavar="FILE", help=f"{READ}; with --from-topics also rosbag2.")]
-    to: Annotated[str, Option(metavar="LINK", help="ci, sbn (as an SBN peer) or ground (the ground bridge).")]
+    to: Annotated[
+        str, Option(metavar="LINK", help="ci, sbn, ground, another LINK or LINK:up, udp:HOST:PORT.")
+    ]
     from_topics: Annotated[bool, Option("--from-topics", help="Make packets of ROS messages.")] = False
 
 
@@ -87,6 +92,14 @@ class ChangeOptions(NamedTuple):
     restamp: Annotated[bool, Option("--restamp", help="Set header stamps to the time of sending.")] = False
 
 
+def _towards(send_options: SendOptions, text: str, bench: Workbench) -> SendOptions:
+    """Return options with the receiver, and what it and the mission say."""
+    from edoras_tools.pipelines.sending.options import receiver
+
+    to, target = receiver(text, bench.columns.context)
+    return replace(send_options, to=to, target=send_options.target or target).placed(bench.mission)
+
+
 @grouped
 def replay(
     source: SourceOptions,
@@ -104,7 +117,6 @@ def replay(
     next datagram, q quits.
     """
     from edoras_tools.pipelines.sending import replay as pipeline
-    from edoras_tools.pipelines.sending.options import Receiver
     from edoras_tools.pipelines.sending.run import Transmission
     from edoras_tools.wire.cfe import STANDARD
 
@@ -113,7 +125,6 @@ def replay(
     choice = part.choice(chosen.selection())
     send_options = replace(
         send_options,
-        to=sending.one_of(Receiver, source.to, "--to"),
         speed=1.0 if pace.speed in {None, inf} else pace.speed,
         rates=tuple(pace.rate or ()),
         unpaced=pace.fastest or pace.speed == inf,
@@ -126,7 +137,7 @@ def replay(
 
         bag = open_rosbag(source.file)
         bench = settings.workbench()
-        send_options = send_options.placed(bench.mission)
+        send_options = _towards(send_options, source.to, bench)
         renamed = {"/" + old.removeprefix("/"): new for old, new in pairs if not old[:1].isdigit()}
         loaded = load_topics(bag, bench, send_options, choice, renamed)
         pairs = [(old, new) for old, new in pairs if old[:1].isdigit()]
@@ -134,10 +145,11 @@ def replay(
         from edoras_tools.pipelines.workbench import open_files
         from edoras_tools.render.capture.watch import Followed
 
-        recording = Followed(open_files([source.file]), quiet=ending.printing.quiet or ending.printing.json)
-        bench = settings.workbench(recording.info)
-        send_options = send_options.placed(bench.mission)
-        loaded = pipeline.load_datagrams(recording, bench, send_options, choice)
+        quiet = ending.printing.quiet or ending.printing.json
+        with closing(Followed(open_files([source.file]), quiet=quiet)) as recording:
+            bench = settings.workbench(recording.info)
+            send_options = _towards(send_options, source.to, bench)
+            loaded = pipeline.load_datagrams(recording, bench, send_options, choice)
     headers = pipeline.headers_named(change.write_headers) if change.write_headers else None
     read_as = bench.columns.context.options.headers
     extended = (headers or read_as or STANDARD).extended

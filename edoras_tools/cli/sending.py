@@ -228,8 +228,8 @@ def carry_out(
         tell_reach(send_options.listen, "answer", instead="--no-listen receives no answers")
     recording = None
     goal = recordings.recording_target(ending.output, force=ending.force, inputs=inputs)
-    if goal and send_options.tcp:
-        raise ConfigError("-o records datagrams: with --tcp capture the connection with edoras record -i lo")
+    if goal and send_options.over_tcp:
+        raise ConfigError("-o records datagrams: over TCP capture the connection with edoras record -i lo")
     if goal:
         from edoras_tools.pipelines.sending.recording import SentRecording
 

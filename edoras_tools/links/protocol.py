@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.framing import Framing
     from edoras_tools.links.reading import Reading
+    from edoras_tools.links.sending import LinkSending
     from edoras_tools.wire.rtps.parameters import Announcement
     from edoras_tools.wire.transfer_frames import FrameFormat
 
@@ -270,6 +271,16 @@ class LinkProtocol(Link):
     wireshark: ClassVar[str] = ""
     framing: ClassVar[Framing | None] = None
     magic: ClassVar[bytes] = b""
+
+    def send(self, site: Site, *, up: bool) -> LinkSending | None:
+        """Return how its messages are sent again; None where nothing sends them.
+
+        Args:
+            site: what the mission says.
+            up: towards the flight software, or the other way.
+        """
+        del site, up
+        return None
 
     @property
     def port_decides(self) -> bool:

@@ -5,11 +5,16 @@ The paper calls it serial.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
+from edoras_tools.doors import imported
 from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol, Seen
 from edoras_tools.model import Transport
 from edoras_tools.wire.robot import CFS_PORT, ROBOT_PORT, SENT_TO
+
+if TYPE_CHECKING:
+    from edoras_tools.links.protocol import Site
+    from edoras_tools.links.sending import LinkSending
 
 
 class RobotLink(LinkProtocol):
@@ -32,6 +37,14 @@ class RobotLink(LinkProtocol):
         layout.size: Form((layout,), port, doubles=sum(slot.field.kind == "float" for slot in layout.slots))
         for layout, port in SENT_TO.items()
     }
+
+    def send(self, site: Site, *, up: bool) -> LinkSending:
+        """Return how commands go to the robot, or its states to the flight app."""
+        del site
+        port = CFS_PORT if up else ROBOT_PORT
+        lengths = [layout.size for layout, to in SENT_TO.items() if to == port]
+        sending: LinkSending = imported("edoras_tools.links.sending:FormSending")(self, port, lengths)
+        return sending
 
     def recognise(self, facts: Seen) -> Any:
         """Return how sure it is: certain where a struct of that length is bound to that port."""

@@ -109,18 +109,39 @@ class Outgoing:
         return replace(self, data=self.data.copy())
 
     @classmethod
-    def of(cls, link: Link, batch: PacketBatch, columns: Columns) -> Outgoing:
-        """Take the payloads of a batch out of their frames."""
-        length = batch.length.astype(np.int64)
-        offset = np.cumsum(length) - length
-        shift = offset - batch.offset
+    def bare(cls, link: Link, messages: Sequence[bytes], time_ns: NDArray[np.int64]) -> Outgoing:
+        """Lay out messages without packets."""
+        length = np.array([len(item) for item in messages], np.int32)
+        none, nothing = np.full(len(messages), -1, np.int64), np.zeros(len(messages), np.uint8)
+        return cls(
+            link=link,
+            data=np.frombuffer(bytearray(b"".join(messages)), np.uint8),
+            offset=np.cumsum(length, dtype=np.int64) - length,
+            length=length,
+            time_ns=time_ns,
+            packet_offset=none,
+            packet_length=np.zeros(len(messages), np.int32),
+            header_length=nothing,
+            headers=nothing,
+            msg_id=np.full(len(messages), NO_MSG_ID, np.int32),
+            cdr_offset=none,
+            route=np.full(len(messages), NO_ROUTE, np.int16),
+        )
+
+    @classmethod
+    def of(cls, link: Link, batch: PacketBatch, columns: Columns, *, packets: bool = False) -> Outgoing:
+        """Take the payloads of a batch out of their frames; or their space packets."""
+        start = columns.packet_offset if packets else batch.offset
+        length = columns.packet_length if packets else batch.length
+        offset = np.cumsum(length, dtype=np.int64) - length
+        shift = offset - start
         data = np.empty(int(length.sum()), np.uint8)
-        copy_rows(data, offset, batch.data, batch.offset, length)
+        copy_rows(data, offset, batch.data, start, length)
         return cls(
             link=link,
             data=data,
             offset=offset,
-            length=batch.length,
+            length=length,
             time_ns=batch.time_ns,
             packet_offset=_moved(columns.packet_offset, shift),
             packet_length=columns.packet_length,

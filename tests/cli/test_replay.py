@@ -297,7 +297,7 @@ def test_a_peer_that_never_answers(call, captures, receiver):
         (
             ["replay", "{a_rover}", "--to", "sbn"],
             1,
-            "contains no SBN datagrams towards cFS; it has 601 for --to ci",
+            "contains no SBN datagrams towards cFS; it has 601 of CI (--to ci)",
         ),
         (["replay", "{a_rover}", "--to", "moon"], 2, "'moon' is not one of ci, sbn, ground"),
         (["replay", "{a_rover}"], 2, "--to"),

@@ -12,7 +12,7 @@ from edoras_tools.cfs.commands import ENABLE_OUTPUT, NAMED, Argument
 from edoras_tools.cfs.telemetry_output import USUAL_LIMIT
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import own_address
-from edoras_tools.pipelines.sending.options import Receiver, SendOptions
+from edoras_tools.pipelines.sending.options import LinkReceiver, Receiver, SendOptions
 from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.pipelines.sending.topics import Encoder, routes_towards, sender_of
 from edoras_tools.pipelines.sending.wait_for import enable_output
@@ -167,7 +167,7 @@ def _messages(injection: Injection, bench: Workbench, options: SendOptions) -> I
         yield encoder.packet(bench.types.encode(route.type, values), 0)
 
 
-def _route(name: str, mission: Mission, to: Receiver) -> Route:
+def _route(name: str, mission: Mission, to: Receiver | LinkReceiver) -> Route:
     """Return the route of that name: the one that goes to the receiver, if there are several."""
     towards = routes_towards(to, mission)
     try:

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.net.wire import Wire
+    from edoras_tools.links.sending import SendingSession
     from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.sending.responses import Responses
     from edoras_tools.pipelines.sending.wait_for import Condition
@@ -188,7 +189,7 @@ class Sending:
         wire: where to send.
         schedule: what to send, and when.
         report: updated during the run.
-        session: the SBN session that it belongs to.
+        session: the session that it belongs to.
         faults: the faults to inject.
         note: called with each fault.
         keys: the keyboard.
@@ -201,7 +202,7 @@ class Sending:
         schedule: SendSchedule,
         report: SendReport,
         *,
-        session: SbnConnection | None = None,
+        session: SbnConnection | SendingSession | None = None,
         faults: FaultMachine | None = None,
         note: Callable[[Sequence[Fault]], None] = lambda _: None,
         keys: Keys | None = None,
@@ -352,13 +353,13 @@ class Sending:
         responses.ingest.sent = self._wire.statistics.sent
         for item in self._wire.receive():
             responses.add(item.link, item.payload, now + self._epoch_ns)
-            if session is not None and item.link.peers:
-                self._put(session.receive_datagram(item.payload, now=now).datagrams)
+            if session is not None and item.link == self._schedule.out.link:
+                self._put(session.answer(item.payload, now=now))
         if session is not None:
             if now - self.report.last_ns < _ROUND_NS:
                 session.sent(now=now)
             if now >= session.next_ns:
-                self._put(session.service(now=now).datagrams)
+                self._put(session.due(now=now))
         self._refusals(now)
         for key in self._keys.pressed() if self._keys else "":
             self._act_on(key)
@@ -417,6 +418,7 @@ class Sending:
                 and bool(ingest.reports)
                 and not ingest.is_final
             )
+            follows = follows or bool(self._session and self._session.busy)
             follows = follows or (bool(expected.missing) and now - began < expected.within_ns)
             if now >= until and not follows:
                 break

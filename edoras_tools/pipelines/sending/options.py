@@ -10,9 +10,10 @@ import numpy as np
 
 from edoras_tools.cfs.names import message_name
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.io.net.address import LOOPBACK, is_loopback, own_address
-from edoras_tools.links.table import carrying
-from edoras_tools.model import NO_MSG_ID, Endpoint, Link, Peer
+from edoras_tools.io.net.address import LOOPBACK, is_loopback, own_address, parse_endpoint
+from edoras_tools.links.sending import LinkSending
+from edoras_tools.links.table import carrying, links
+from edoras_tools.model import NO_MSG_ID, OTHER, Endpoint, Link, Peer
 from edoras_tools.older import StrEnum
 from edoras_tools.sessions.outgoing import ChecksumRule, Outgoing, SequenceRule
 from edoras_tools.sessions.pacing import Pacing
@@ -23,6 +24,7 @@ from edoras_tools.wire.cfe import STANDARD, Headers
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from edoras_tools.links.protocol import Site
     from edoras_tools.mission import Mission
 
 
@@ -106,9 +108,70 @@ class Receiver(StrEnum):
     GROUND = "ground"
 
     @property
+    def sending(self) -> LinkSending | None:
+        """None: cFS's own links are sent as they were captured, changed where an option says so."""
+        return None
+
+    @property
     def link(self) -> Link:
         """The link to this receiver."""
         return carrying("flight" if self is Receiver.SBN else "ground", to_cfs=self is not Receiver.GROUND)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkReceiver:
+    """Who receives the messages of a link that are sent as its door ``send`` says; of no link: bare payloads.
+
+    Attributes:
+        value: as it was named.
+        sending: how.
+    """
+
+    value: str
+    sending: LinkSending
+
+    def __str__(self) -> str:
+        return self.value
+
+    @property
+    def link(self) -> Link:
+        """The link to this receiver."""
+        return self.sending.link
+
+
+def receiver(text: str, site: Site) -> tuple[Receiver | LinkReceiver, Endpoint | None]:
+    """Read ``--to``; return who receives, and where, if it says so.
+
+    Args:
+        text: ``ci``, ``sbn`` or ``ground``; the label of another link, with ``:up`` towards the flight
+            software; or ``udp:HOST:PORT``.
+        site: what the mission says.
+
+    Raises:
+        ConfigError: there is no such link, or nothing sends its messages.
+    """
+    text = text.lower()
+    if text in {*Receiver}:
+        return Receiver(text), None
+    label, _, rest = text.partition(":")
+    if label == "udp" and rest:
+        return LinkReceiver(text, LinkSending(OTHER)), parse_endpoint(rest)
+    known = {item.label: item for item in links() if item.send(site, up=False)}
+    if label not in known or rest not in {"", "up", "down"}:
+        raise ConfigError(
+            f"--to: {text!r} is not one of {', '.join([*Receiver, *known])}, udp:HOST:PORT; LINK:up is "
+            "towards the flight software"
+        )
+    sending = known[label].send(site, up=rest == "up")
+    if sending is None:
+        raise ConfigError(f"--to {text}: nothing is sent on {label} towards the flight software")
+    return LinkReceiver(text, sending), None
+
+
+def sends(site: Site) -> dict[Link, str]:
+    """Return the option that sends the messages of a link, of each that has one."""
+    own: dict[Link, str] = {item: f"--to {item.label}" for item in links() if item.send(site, up=False)}
+    return own | {item.link: f"--to {item}" for item in Receiver} | {OTHER: "--to udp:HOST:PORT"}
 
 
 class Role(StrEnum):
@@ -155,7 +218,7 @@ class SendOptions:
         tcp: SBN: on one TCP connection to the target, which listens.
     """
 
-    to: Receiver = Receiver.CI
+    to: Receiver | LinkReceiver = Receiver.CI
     target: Endpoint | None = None
     sender: Peer | None = None
     role: Role = Role.STOCK
@@ -191,6 +254,8 @@ class SendOptions:
         """
         if self.unlimited and self.max_rate_hz:
             raise ConfigError("--unlimited removes the limit that --max-rate sets; name one of them")
+        if self.to.sending:
+            self._check_link()
         if self.tcp and (self.to is not Receiver.SBN or self.role is Role.BRIDGE):
             raise ConfigError(
                 "--tcp sends SBN as cFS's TCP module does: it needs --to sbn, and no --role bridge"
@@ -214,6 +279,29 @@ class SendOptions:
             if item != "nothing" and not listens:
                 raise ConfigError(f"--wait-for {item} needs answers: leave --no-listen out")
 
+    def _check_link(self) -> None:
+        """Refuse options of cFS's own links for another one.
+
+        Raises:
+            ConfigError: there are some.
+        """
+        own = {
+            "--listen": self.listen,
+            "--expect": self.expect,
+            "--max-loss": self.max_loss is not None,
+            "--as": self.sender,
+            "--tcp": self.tcp,
+            "--sequence": self.sequence is not SequenceRule.KEEP,
+            "--checksum": self.checksum is not ChecksumRule.KEEP,
+        }
+        if wrong := [name for name, value in own.items() if value]:
+            raise ConfigError(f"{wrong[0]} is for {', '.join(Receiver)}; not for --to {self.to}")
+
+    @property
+    def over_tcp(self) -> bool:
+        """Whether all goes over one TCP connection."""
+        return self.tcp or bool(self.to.sending and self.to.sending.framing)
+
     @property
     def follows_ci(self) -> bool:
         """Whether CI's own count can show how much of what is sent it has read."""
@@ -221,8 +309,23 @@ class SendOptions:
 
     @property
     def has_session(self) -> bool:
-        """Whether an SBN session is held while sending."""
+        """Whether a session is held while sending: of SBN, or of the link that it goes to."""
+        if self.to.sending:
+            return self.to.sending.session is not None
         return self.to is Receiver.SBN and self.role is not Role.CAPTURED
+
+    def _ports(self, mission: Mission) -> tuple[int, int | None, int]:
+        """Return the usual ports: where it goes, where answers come, where cFS's telemetry comes."""
+        ground, flight = next(iter(mission.ground), None), next(iter(mission.flight), None)
+        telemetry = ground.bridge_port if ground else 1235
+        if self.to.sending:
+            return self.to.sending.port, None, telemetry
+        to_port, listen_port = {
+            Receiver.CI: (ground.fsw_port if ground else 1234, telemetry),
+            Receiver.SBN: (flight.peer_port, flight.udp_receive_port) if flight else (2234, 2236),
+            Receiver.GROUND: (telemetry, None),
+        }[Receiver(self.to.value)]
+        return to_port, listen_port, telemetry
 
     def placed(self, mission: Mission) -> SendOptions:
         """Return these options with the mission's values and the defaults filled in.
@@ -231,12 +334,9 @@ class SendOptions:
             ConfigError: options contradict each other, or a condition is not known.
         """
         self._check()
-        ground, flight = next(iter(mission.ground), None), next(iter(mission.flight), None)
-        to_port, listen_port = {
-            Receiver.CI: (ground.fsw_port, ground.bridge_port) if ground else (1234, 1235),
-            Receiver.SBN: (flight.peer_port, flight.udp_receive_port) if flight else (2234, 2236),
-            Receiver.GROUND: (ground.bridge_port if ground else 1235, None),
-        }[self.to]
+        to_port, listen_port, events_port = self._ports(mission)
+        if not (self.target or to_port):
+            raise ConfigError(f"--to {self.to}: name where it goes, with --target HOST:PORT")
         target = self.target or Endpoint(LOOPBACK, to_port)
         listen, near = self.listen, is_loopback(target.address)
         if listen is None and listen_port is not None:
@@ -245,9 +345,9 @@ class SendOptions:
             listen = None
         events = None
         if self.to is Receiver.SBN and not self.no_listen and listen is not None:
-            events = Endpoint(listen.address, ground.bridge_port if ground else 1235)
+            events = Endpoint(listen.address, events_port)
         linger = _LISTEN_NS
-        if listen is None or self.no_listen:
+        if (listen is None or self.no_listen) and not self.has_session:
             linger = _OWN_REFUSAL_NS if near else _REFUSAL_NS
         wait_for = self.wait_for or (("peer",) if self.has_session else ())
         return replace(

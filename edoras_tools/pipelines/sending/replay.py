@@ -9,9 +9,18 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError, ConfigError, WireError
 from edoras_tools.links.sbn import BRIDGE_PORT
-from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
+from edoras_tools.links.table import link
+from edoras_tools.model import NO_MSG_ID, Columns, Finding, Link, PacketBatch
+from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.selection import Period, Selection
-from edoras_tools.pipelines.sending.options import Receiver, SendOptions, called, fits
+from edoras_tools.pipelines.sending.options import (
+    LinkReceiver,
+    Receiver,
+    SendOptions,
+    called,
+    fits,
+    sends,
+)
 from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.sessions.outgoing import Changes, Outgoing, join_datagrams
 from edoras_tools.wire import cfe, sbn
@@ -23,6 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io import Source
+    from edoras_tools.links.sending import LinkSending
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.ros import TypeStore
@@ -71,27 +81,22 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
         RouteError: a topic is not configured.
     """
     parts: list[Outgoing] = []
-    notes: list[str] = []
     subscriptions: set[int] = set()
     links = np.zeros(256, np.int64)
-    first_ns, remaining, size, seen_towards, over_tcp, period = -1, choice.count, 0, 0, 0, Period()
-    try:
+    remaining, size, seen_towards, over_tcp, cut = choice.count, 0, 0, 0, 0
+    sending = options.to.sending
+    with reading(source, bench) as loop:
         selection = choice.selection.over(bench)
-        source.follow(bench.columns.context.framings)
-        for batch in source.batches():
-            if not len(batch):
-                continue
-            columns = bench.columns.decode(batch)
+        for whole in loop:
+            batch, columns = whole.batch, whole.columns
             links += np.bincount(columns.link, minlength=256)
-            if first_ns < 0:
-                first_ns = int(batch.time_ns[0])
-                period = choice.period.since(first_ns)
+            period = choice.period.since(whole.begin_ns)
             towards = _towards(batch, columns, options, bench.mission)
             seen_towards += int(np.count_nonzero(towards))
-            if options.has_session:
+            if options.to is Receiver.SBN and options.has_session:
                 subscriptions |= _subscriptions(batch, columns, towards)
                 towards &= columns.sbn_msg_type == sbn.MsgType.APP
-            elapsed = batch.time_ns - first_ns
+            elapsed = batch.time_ns - whole.begin_ns
             towards &= period.holds(elapsed)
             towards &= _routes(columns, choice.routes, bench.mission)
             rows = np.flatnonzero(towards)
@@ -100,35 +105,46 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
                 mask, columns = mask.take(slice(0, remaining)), columns.take(slice(0, remaining))
                 remaining -= len(mask)
             if len(mask):
-                parts.append(Outgoing.of(options.to.link, mask, columns))
-                cut = int(np.count_nonzero(mask.capture_findings & np.uint32(Finding.CAPTURE_CUT)))
-                streams = 0 if mask.streams is None else int(np.count_nonzero(mask.streams))
-                over_tcp += streams
-                if cut:
-                    notes.append(f"{cut:,} datagrams were cut by the capture, and are sent cut")
+                packets = bool(sending and sending.packets)
+                parts.append(Outgoing.of(options.to.link, mask, columns, packets=packets))
+                cut += int(np.count_nonzero(mask.capture_findings & np.uint32(Finding.CAPTURE_CUT)))
+                over_tcp += 0 if mask.streams is None else int(np.count_nonzero(mask.streams))
                 size += len(parts[-1].data)
             if size > _MOST_BYTES:
                 raise CaptureError(
                     f"{source.info.name}: more than 4 GiB to send; select less with --start, --end"
                 )
             if (choice.count and not remaining) or (
-                period.end_ns and int(elapsed[-1]) > period.end_ns + 10**9
+                period.end_ns and len(elapsed) and int(elapsed[-1]) > period.end_ns + 10**9
             ):
                 break
-    finally:
-        source.close()
+    others = _others(options.to.link, links, sends(bench.columns.context))
     if not parts:
-        raise CaptureError(f"{source.info.name}: {_nothing(options.to, links, seen_towards)}")
-    if over_tcp and not options.tcp:
+        raise CaptureError(f"{source.info.name}: {_nothing(options.to, others, seen_towards)}")
+    notes = [f"{cut:,} datagrams were cut by the capture, and are sent cut"] if cut else []
+    if over_tcp and not options.over_tcp:
         notes.append(
             f"{over_tcp:,} of them came over TCP, and are sent as datagrams; --tcp sends them over TCP"
         )
-    return Loaded(join_datagrams(parts), tuple(sorted(subscriptions)), tuple(notes))
+    out = _anew(join_datagrams(parts), sending)
+    notes += sending.refusals if sending else ()
+    if any(link.bridge != options.to.link.bridge or not link.bridge for link in others):
+        notes.append(f"left out: {listed([*others.values()])}")
+    return Loaded(out, tuple(sorted(subscriptions)), tuple(notes))
+
+
+def _anew(out: Outgoing, sending: LinkSending | None) -> Outgoing:
+    """Return what is sent for recorded messages."""
+    if sending is None or not sending.renews:
+        return out
+    return Outgoing.bare(out.link, *sending.made([out[row] for row in range(len(out))], out.time_ns))
 
 
 def _towards(
     batch: PacketBatch, columns: Columns, options: SendOptions, mission: Mission
 ) -> NDArray[np.bool_]:
+    if options.to.sending:
+        return options.to.sending.chosen(batch, columns)
     towards: NDArray[np.bool_] = columns.link == options.to.link
     if options.to is Receiver.SBN:
         ports = [link.peer_port for link in mission.flight] or [_SBN_PORT]
@@ -167,16 +183,22 @@ def _routes(columns: Columns, patterns: Sequence[str], mission: Mission) -> NDAr
     return np.isin(columns.msg_id, fitting)
 
 
-def _nothing(to: Receiver, links: NDArray[np.int64], number: int) -> str:
+def _others(own: Link, links: NDArray[np.int64], options: Mapping[Link, str]) -> dict[Link, str]:
+    """Return what a file holds of other links, in words, with the option that sends it."""
+    return {
+        link(code): f"{int(links[code]):,} of {link(code).name if code else 'no link'} "
+        f"({options.get(link(code), 'nothing sends it')})"
+        for code in np.flatnonzero(links).tolist()
+        if code != own
+    }
+
+
+def _nothing(to: Receiver | LinkReceiver, others: Mapping[Link, str], number: int) -> str:
+    what = f"messages for {to}" if isinstance(to, LinkReceiver) else _WHAT[to]
     if number:
-        return f"none of its {number:,} {_WHAT[to]} was selected; remove some of the selection options"
-    others = [
-        f"{int(links[item.link]):,} for --to {item}"
-        for item in Receiver
-        if item is not to and links[item.link]
-    ]
-    hint = f"it has {' and '.join(others)}" if others else "it has no link traffic; other ports: --port"
-    return f"contains no {_WHAT[to]}; {hint}"
+        return f"none of its {number:,} {what} was selected; remove some of the selection options"
+    hint = f"it has {listed([*others.values()])}" if others else "it has no traffic at all"
+    return f"contains no {what}; {hint}; other ports: --port"
 
 
 def headers_named(name: str) -> cfe.Headers:

@@ -193,6 +193,9 @@ class Responses:
                 self.network[name] = self.network.get(name, 0) + 1
                 return
             data = data[sbn.HEADER.size :]
+        elif not link.packets:
+            self.network[link.name] = self.network.get(link.name, 0) + 1
+            return
         if len(data) < 2:
             return
         msg_id = self._mission.msg_ids.of(data)

@@ -27,6 +27,7 @@ from edoras_tools.wire import cfe
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from edoras_tools.links.sending import SendingSession
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.sending.expect import AwaitedResults
@@ -115,6 +116,7 @@ class Transmission:
     def plan(self) -> dict[str, Any]:
         """Return what would be sent, in the shape of ``--dry-run --json``."""
         options, rate = self.options, self.table.rate_hz
+        is_sbn = options.to is Receiver.SBN
         msg_ids, counts = np.unique(self.out.msg_id, return_counts=True)
         topics = {route.msg_id: route.topic for route in reversed(self.mission.routes)}
         return {
@@ -122,7 +124,7 @@ class Transmission:
             "to": options.to.value,
             "target": str(options.target),
             "listen": str(options.listen) if options.listen else None,
-            "sender": str(options.identity(self.mission)) if options.has_session else None,
+            "sender": str(options.identity(self.mission)) if is_sbn and options.has_session else None,
             "wait_for": list(options.wait_for),
             "datagrams": self.total,
             "passes": options.passes or None,
@@ -212,6 +214,8 @@ class Transmission:
             )
             wait_for = chain(wait_for, count_known(self.out, options, report.responses, wire))
             sending.run(wait_for, options.timeout_ns)
+        if options.to.sending and options.to.sending.session:
+            report.notes += options.to.sending.session.notes()
         if report.to_ci and report.failure is None:
             report.notes += self._unanswered(report.responses, local)
         if recorded is not None:
@@ -251,7 +255,9 @@ class Transmission:
             options.follow_ns,
         )
 
-    def _session(self, now: int) -> SbnConnection | None:
+    def _session(self, now: int) -> SbnConnection | SendingSession | None:
+        if self.options.to.sending:
+            return self.options.to.sending.session
         if not self.options.has_session:
             return None
         habits = PUBLIC_BRIDGE if self.options.role is Role.BRIDGE else CLIENT
@@ -267,7 +273,8 @@ def _transmitter(options: SendOptions) -> Transmitter | StreamTransmitter:
         CaptureError: the target cannot be reached.
     """
     assert options.target is not None
-    framing = protocol(options.to.link).framing
-    if options.tcp and framing is not None:
+    sending = options.to.sending
+    framing = sending.framing if sending else protocol(options.to.link).framing if options.tcp else None
+    if framing is not None:
         return StreamTransmitter(options.target, framing)
     return Transmitter(options.target, options.listen if options.to is Receiver.SBN else None)

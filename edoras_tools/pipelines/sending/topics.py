@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs.time_services import EPOCH_S
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
-from edoras_tools.pipelines.sending.options import Receiver, SendOptions, fits
+from edoras_tools.pipelines.sending.options import LinkReceiver, Receiver, SendOptions, fits
 from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.units import SECOND
@@ -70,7 +70,7 @@ class Encoder:
         return Packet(data, time_ns, self.index, head + self.envelope.size)
 
 
-def routes_towards(to: Receiver, mission: Mission) -> list[Route]:
+def routes_towards(to: Receiver | LinkReceiver, mission: Mission) -> list[Route]:
     """Return the routes whose messages go to a receiver."""
     return [
         route

@@ -11,6 +11,7 @@ from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.io.net.address import ANY_ADDRESS, own_address
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.pipelines.sending.options import called
+from edoras_tools.sessions.sbn.connection import SbnConnection
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
 
@@ -18,12 +19,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from edoras_tools.io.net.wire import Wire
+    from edoras_tools.links.sending import SendingSession
     from edoras_tools.mission import Mission
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.sending.responses import Responses
     from edoras_tools.sessions.outgoing import Outgoing
-    from edoras_tools.sessions.sbn.connection import SbnConnection
 
 _MOST_NAMED: Final = 4
 _ONE_REPORT_NS: Final = 4300 * MILLISECOND
@@ -59,7 +60,7 @@ def conditions(
     mission: Mission,
     *,
     responses: Responses,
-    session: SbnConnection | None,
+    session: SbnConnection | SendingSession | None,
     wire: Wire,
     local: Endpoint,
 ) -> Iterator[Condition]:
@@ -75,12 +76,21 @@ def conditions(
         local: where answers are received.
     """
     for item in options.wait_for:
-        if item == "peer" and session is not None:
+        if item == "peer" and session is not None and options.to.sending:
+            yield Condition("peer", lambda: session.connected, lambda seconds: _silent(options, seconds))
+        elif item == "peer" and isinstance(session, SbnConnection):
             yield _peer(out, options, mission, responses, session=session, wire=wire, local=local)
         elif item == "to-enabled":
             yield _enabled(options, responses, wire, local)
         elif item.startswith("event:"):
             yield _event(item.removeprefix("event:"), responses, local)
+
+
+def _silent(options: SendOptions, seconds: float) -> str:
+    return (
+        f"{options.target} did not answer as a receiver of {options.to.link.name} within {seconds:.1f} s; "
+        "name it with --target"
+    )
 
 
 def _peer(

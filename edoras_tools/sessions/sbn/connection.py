@@ -69,6 +69,9 @@ class SbnConnection:
         subscribed_ns: when this side last sent all its subscriptions.
     """
 
+    busy = False
+    """Nothing is waited for after the last message."""
+
     def __init__(
         self,
         own: Peer,
@@ -143,6 +146,14 @@ class SbnConnection:
         if header["msg_size"] < 0 or not expected:
             return Step((_refused(data, header["msg_size"], sender),))
         return self._take(data, header["msg_type"], sender, now)
+
+    def answer(self, data: bytes, *, now: int) -> list[bytes]:
+        """Take a datagram, any bytes; return what that asks for."""
+        return list(self.receive_datagram(data, now=now).datagrams)
+
+    def due(self, *, now: int) -> list[bytes]:
+        """Do what is due; return the datagrams for it."""
+        return list(self.service(now=now).datagrams)
 
     def service(self, *, now: int) -> Step:
         """Do what is due: read, find that the peer is lost, ask for a connection, send a heartbeat."""

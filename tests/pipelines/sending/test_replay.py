@@ -133,7 +133,7 @@ def test_times_count_from_the_first_datagram_of_the_recording(start, end, rover,
             Receiver.SBN,
             "a_rover",
             ReplaySelection(),
-            "contains no SBN datagrams towards cFS; it has 601 for --to ci and 582",
+            r"contains no SBN datagrams towards cFS; it has 601 of CI \(--to ci\), 582 of TO",
         ),
         (
             Receiver.CI,

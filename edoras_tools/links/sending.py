@@ -1,0 +1,109 @@
+"""What the door ``send`` of a link gives: how what a recording holds of it goes out again.
+
+Bytes and times in, bytes out: the pipeline has the socket and the clock. A link says which rows it sends,
+what of them must be new (counts, checksums, transaction ids), what is said before, between and after
+(handshake, heartbeats, what is asked for again), and what it refuses, and why.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.framing import Framing
+    from edoras_tools.model import Columns, Link, PacketBatch
+
+_NEVER: Final = 2**63 - 1
+
+
+class SendingSession:
+    """What is said besides the messages; times in ns, monotonic. This one is silent."""
+
+    connected = True
+    """Whether messages may go; else a second later it is asked again, up to ``--timeout``."""
+    next_ns = _NEVER
+    """When ``due`` has something to say."""
+    busy = False
+    """Whether the receiver still needs something after the last message."""
+
+    def due(self, *, now: int) -> Iterable[bytes]:
+        """Return what is due: a handshake, a heartbeat, what was not acknowledged."""
+        del now
+        return ()
+
+    def answer(self, data: bytes, *, now: int) -> Iterable[bytes]:
+        """Take what the receiver sends, any bytes; return what that asks for."""
+        del data, now
+        return ()
+
+    def sent(self, *, now: int) -> None:
+        """Note that messages were sent."""
+        del now
+
+    def goodbye(self) -> Iterable[bytes]:
+        """Return what ends the session."""
+        return ()
+
+    def notes(self) -> Iterable[str]:
+        """Return what became of it, for the user, a line each."""
+        return ()
+
+
+class LinkSending:
+    """How the messages of a link are sent again; what stands here is right for bare datagrams.
+
+    Args:
+        link: as given.
+
+    Attributes:
+        link: of the messages.
+        port: where the receiver usually listens; 0: it has to be named.
+        framing: cuts what the receiver answers; the messages then go over one TCP connection, else over UDP.
+        renews: whether ``made`` makes others of the recorded messages.
+        packets: whether the messages are the space packets of the rows, without what is in front of them.
+        session: what is said besides the messages; None: nothing.
+        refusals: what is not sent, and why, a line each; known once all rows were asked for.
+    """
+
+    port: int = 0
+    framing: Framing | None = None
+    renews: ClassVar[bool] = False
+    packets: ClassVar[bool] = False
+    session: SendingSession | None = None
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.refusals: list[str] = []
+
+    def chosen(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+        """Tell which rows go to the receiver, bool (n,)."""
+        del batch
+        return np.asarray(columns.link == self.link)
+
+    def made(
+        self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
+    ) -> tuple[list[bytes], NDArray[np.int64]]:
+        """Return what is sent for all messages, and when; for a link that ``renews``.
+
+        Raises:
+            ConfigError: nothing can be made of them; says what is missing.
+        """
+        return list(messages), time_ns
+
+
+class FormSending(LinkSending):
+    """Messages of some lengths, as they are: those that are sent to one port."""
+
+    def __init__(self, link: Link, port: int, lengths: Sequence[int]) -> None:
+        super().__init__(link)
+        self.port, self._lengths = port, lengths
+
+    def chosen(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+        """Tell which rows have one of the lengths."""
+        return super().chosen(batch, columns) & np.isin(batch.length, self._lengths)
