@@ -12,10 +12,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import s3fs
 from distributed import LocalCluster
 from effort import LONG
-from moto.server import ThreadedMotoServer
 from places import CAPTURES
 
 from edoras_tools.addons.archive.index import open_index
@@ -33,6 +31,8 @@ FRESH = {"skip_instance_cache": True}
 @pytest.fixture(scope="module")
 def server():
     """An S3 server: ``start``, ``stop``, and its ``url``; what it holds stays while it is stopped."""
+    from moto.server import ThreadedMotoServer  # as s3fs, only where it is used: a second
+
     own = SimpleNamespace(server=None, port=0)
 
     def start():
@@ -54,6 +54,8 @@ def server():
 @pytest.fixture
 def s3(server, monkeypatch, tmp_path):
     """The server with captures in a bucket, and ``files``, to write others."""
+    import s3fs
+
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.setenv(name, "x")
     monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
@@ -61,7 +63,8 @@ def s3(server, monkeypatch, tmp_path):
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     monkeypatch.setenv("AWS_ENDPOINT_URL", server.url)
     monkeypatch.setenv("HOME", str(tmp_path))
-    s3fs.S3FileSystem.clear_instance_cache()
+    server.forget = s3fs.S3FileSystem.clear_instance_cache
+    server.forget()
     urllib.request.urlopen(f"{server.url}/moto-api/reset", data=b"").close()
     server.files = s3fs.S3FileSystem(**FRESH)
     server.files.mkdir("fleet")
@@ -69,7 +72,7 @@ def s3(server, monkeypatch, tmp_path):
         server.files.put_file(str(CAPTURES / f"{name}.pcap"), f"fleet/day 1/{name}.pcap")
     server.files.pipe_file("fleet/readme.txt", b"none")
     yield server
-    s3fs.S3FileSystem.clear_instance_cache()
+    server.forget()
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +149,7 @@ def test_a_bucket_is_indexed_as_a_folder(s3, scheduler, tmp_path):
 @pytest.mark.long
 def test_what_cannot_be_listed_is_told(s3, monkeypatch, tmp_path):
     def refused(root):
-        s3fs.S3FileSystem.clear_instance_cache()
+        s3.forget()
         with pytest.raises(CaptureError) as error:
             find_captures([root])
         assert "\n" not in str(error.value)
