@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warm
 from hypothesis import given
 from hypothesis import strategies as st
 from places import SAMPLES
@@ -98,9 +99,23 @@ def capture(tmp_path_factory):
 
 @pytest.fixture
 def edoras(site):
-    def run(*command, program=(EDORAS,)):
+    """A function: run ``edoras`` where the package is installed, from a server that knows it; its output."""
+
+    def run(*command):
+        done = warm.run(*command, packages=site, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run
+
+
+@pytest.fixture
+def started(site):
+    """A function: the same for a program that is started as users do; its output."""
+
+    def run(*command):
         done = subprocess.run(
-            [*program, *map(str, command)],
+            [*map(str, command)],
             env={**os.environ, "PYTHONPATH": str(site)},
             capture_output=True,
             text=True,
@@ -136,8 +151,8 @@ def test_it_is_recorded_and_read_back(edoras, capture, tmp_path):
     assert back == edoras("sniff", "-r", capture, "--json", "--link", "radio")
 
 
-def test_its_command_counts_who_heard_the_modem(edoras, capture):
-    assert edoras("radio", capture) == (
+def test_its_command_counts_who_heard_the_modem(edoras, started, capture):
+    assert started(EDORAS, "radio", capture) == (
         "station 7  2 datagrams  -90 to -90 dBm\nstation 9  1 datagrams  -90 to -90 dBm\n"
     )
     listed = " ".join(edoras("--help").split())
@@ -210,8 +225,8 @@ def test_it_is_counted(edoras, capture):
     assert "RADIO" in edoras("sniff", "-r", capture, "--stat", "routes")
 
 
-def test_it_is_shown_in_the_three_panes(edoras, capture):
-    shown = edoras("-c", PANES, capture, program=(sys.executable,))
+def test_it_is_shown_in_the_three_panes(started, capture):
+    shown = started(sys.executable, "-c", PANES, capture)
     packets, layers, octets = shown.split("PANE\n")[1:]
     assert "RADIO" in packets
     assert "Radio modem" in layers

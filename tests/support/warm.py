@@ -1,6 +1,7 @@
 """``edoras`` in processes that have its modules already: a server forks them, each is a process of its own.
 
 To start is most of what a short command takes; for tests that run many, and are not about how it starts.
+A server may have a folder of packages of its own, as ``PYTHONPATH`` names one.
 """
 
 from __future__ import annotations
@@ -27,7 +28,15 @@ PR_SET_CHILD_SUBREAPER = 36
 
 
 class Popen(subprocess.Popen):
-    """``subprocess.Popen``, but ``edoras`` comes from the server, unless it is to start in a special way."""
+    """``subprocess.Popen``, but ``edoras`` comes from the server, unless it is to start in a special way.
+
+    Args:
+        packages: a folder of packages that it has too.
+    """
+
+    def __init__(self, *arguments, packages="", **options):
+        self._packages = str(packages)
+        super().__init__(*arguments, **options)
 
     def _execute_child(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest):
         ends, how = rest[3:9], rest[9 : 9 + len(PLAIN)]
@@ -36,7 +45,7 @@ class Popen(subprocess.Popen):
             super()._execute_child(args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest)
             return
         streams = [end if end >= 0 else number for number, end in enumerate((ends[0], ends[3], ends[5]))]
-        self.pid = _server(os.getpid()).start([*map(os.fspath, args)], str(cwd or Path.cwd()), streams)
+        self.pid = _server(os.getpid(), self._packages).start([*map(os.fspath, args)], str(cwd or Path.cwd()), streams)
         self._child_created = True
         self._close_pipe_fds(*ends)
 
@@ -64,14 +73,15 @@ def _in_its_network():
 class _Server:
     """The side of the tests."""
 
-    def __init__(self):
+    def __init__(self, packages):
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._one_at_a_time = threading.Lock()
+        environ = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # as edoras does: threads do not survive a fork
         self._process = subprocess.Popen(
             [sys.executable, __file__, str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # as edoras does: threads do not survive a fork
+            env=environ | ({"PYTHONPATH": packages} if packages else {}),
         )
         theirs.close()
 
@@ -91,8 +101,8 @@ class _Server:
 
 
 @cache
-def _server(_process):
-    return _Server()
+def _server(_process, packages):
+    return _Server(packages)
 
 
 def serve(asked):

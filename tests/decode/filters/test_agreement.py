@@ -140,7 +140,7 @@ TURNS = 1 if LONG else 3
 
 @pytest.mark.parametrize(
     ("path", "name"),
-    long_but(IN_TURNS[: len(NAMES) * 3], list(product(CAPTURES, NAMES))),
+    long_but(IN_TURNS[: len(NAMES)], list(product(CAPTURES, NAMES))),
     ids=lambda item: item if isinstance(item, str) else item.name.partition(".")[0],
 )
 def test_every_field_of_the_captures(path, name):

@@ -37,6 +37,7 @@ streamConfig:
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not HERE, reason=WHY)
 def test_yamcs_reads_and_sends_what_we_do(tmp_path):
     http, telemetry = free_ports(2)
