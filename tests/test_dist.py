@@ -67,6 +67,7 @@ def test_every_link_and_picture_is_an_address(made, kind):
     assert all(item.startswith(f"{REPOSITORY}/raw/HEAD/docs/pictures/") for item in pictures)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
 def test_the_project_s_addresses(made, kind):
     urls = dict(item.split(", ") for item in getattr(made, kind).get_all("Project-URL"))
@@ -76,6 +77,7 @@ def test_the_project_s_addresses(made, kind):
         assert (ROOT / urls[name].removeprefix(f"{REPOSITORY}/blob/HEAD/")).is_file()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["wheel", "sdist"])
 def test_the_licences_and_the_authors(made, kind):
     metadata, project = getattr(made, kind), TOML.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -97,6 +99,7 @@ def test_the_licences_and_the_authors(made, kind):
     assert {name: made.files[f"{folder}/licenses/{name}"].decode() for name in names} == texts
 
 
+@pytest.mark.long
 def test_the_files_under_the_gpl_are_those_that_import_scapy(made):
     gpl = {name for name, text in made.files.items() if b"\n# SPDX-License-Identifier: GPL" in b"\n" + text}
     scapy = {
@@ -108,11 +111,13 @@ def test_the_files_under_the_gpl_are_those_that_import_scapy(made):
     assert len(gpl) == 3
 
 
+@pytest.mark.long
 def test_the_sdist_has_the_changelog_and_no_part_of_the_tests(made):
     assert "CHANGELOG.md" in made.packed
     assert [name for name in made.packed if name.startswith("tests/")] == []
 
 
+@pytest.mark.long
 def test_the_wheel_that_is_built_from_the_sdist_has_all_files(made):
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True)
     homes = {"dissectors/": "edoras_tools/dissectors/", "samples/": "edoras_tools/samples/"}

@@ -143,11 +143,14 @@ def command_of(words):
 
 @pytest.fixture(scope="module")
 def index(tmp_path_factory):
-    """An index of one capture."""
+    """An index of one capture; the worker that makes it is a thread, not a process that is started."""
+    from distributed import LocalCluster
+
     path = tmp_path_factory.mktemp("index") / "x.duckdb"
-    words = ["archive", CAPTURE, "-c", ROVER, "--jobs", "1", "-q", "--index", path]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["edoras", *map(str, words)])
+    words = ["archive", CAPTURE, "-c", ROVER, "-q", "--index", path]
+    local = {"protocol": "tcp", "host": HOST, "dashboard_address": None, "silence_logs": 60}
+    with LocalCluster(n_workers=1, processes=False, **local) as cluster, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["edoras", *map(str, words), "--scheduler", cluster.scheduler_address])
         with pytest.raises(SystemExit) as ending:
             here.edoras()
     assert ending.value.code == 0
