@@ -145,7 +145,8 @@ OPTIONS = {
 MESSAGES_ONLY = "samples/recordings/robot.mcap"
 """A recording of another tool: it has no datagrams."""
 QUICK = ("emulated/two_arms.pcap", "samples/captures/b_arm_single.pcap", "samples/fprime/rover.pcap")
-"""The captures of the quick part; of the rest of the lines it has all."""
+"""The captures of the quick part; of the rest of the lines it has all. What is in ``IN_PART`` it has of the
+second one only."""
 
 VIEWS = (
     *("sniff", "sniff -v", "sniff -V -n 120", "sniff -x -n 60", "sniff --json", "info", "info --json"),
@@ -192,8 +193,8 @@ def lines(*, quick: bool = False) -> list[str]:
     """Return all command lines."""
     made = list(_others())
     for capture in QUICK if quick else CAPTURES:
-        brief = capture.startswith(SEASON)
-        made += [line for line in _of_capture(capture) if not brief or line.startswith(BRIEF)]
+        brief, part = capture.startswith(SEASON), quick and capture != QUICK[1]
+        made += [line for line in _of_capture(capture, in_part=part) if not brief or line.startswith(BRIEF)]
     return sorted(made)
 
 
@@ -203,8 +204,9 @@ def _others() -> Iterator[str]:
         yield _with_missions(f"inject --dry-run --json {words}")
 
 
-def _of_capture(capture: str) -> Iterator[str]:
-    left_out = () if capture in QUICK or list(CAPTURES).index(capture) % 3 == 0 else IN_PART
+def _of_capture(capture: str, *, in_part: bool = False) -> Iterator[str]:
+    in_part |= capture not in QUICK and list(CAPTURES).index(capture) % 3 != 0
+    left_out = IN_PART if in_part else ()
     how = "".join(f" -c samples/missions/{name}.yaml" for name in CAPTURES[capture])
     how += "".join(f" {word}" for word in OPTIONS.get(capture, ()))
     if capture.startswith("emulated/"):

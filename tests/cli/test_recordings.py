@@ -5,11 +5,13 @@ import resource
 import signal
 import sys
 from functools import cache
+from itertools import cycle, product
 from pathlib import Path
 
 import here
 import pytest
 import typer
+from effort import long_but
 from places import ROOT
 from waiting import Program
 
@@ -149,7 +151,10 @@ def index(tmp_path_factory):
     path = tmp_path_factory.mktemp("index") / "x.duckdb"
     words = ["archive", CAPTURE, "-c", ROVER, "-q", "--index", path]
     local = {"protocol": "tcp", "host": HOST, "dashboard_address": None, "silence_logs": 60}
-    with LocalCluster(n_workers=1, processes=False, **local) as cluster, pytest.MonkeyPatch.context() as patch:
+    with (
+        LocalCluster(n_workers=1, processes=False, **local) as cluster,
+        pytest.MonkeyPatch.context() as patch,
+    ):
         patch.setattr(sys, "argv", ["edoras", *map(str, words), "--scheduler", cluster.scheduler_address])
         with pytest.raises(SystemExit) as ending:
             here.edoras()
@@ -328,8 +333,16 @@ OUTSIDE = {
 }
 
 
-@pytest.mark.parametrize(("start", "end"), [("500", ""), ("", "2001-01-01"), ("2030-01-01", "")])
-@pytest.mark.parametrize("name", OUTSIDE)
+BESIDE = [("500", ""), ("", "2001-01-01"), ("2030-01-01", "")]
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "end"),
+    long_but(
+        [(name, *times) for name, times in zip(OUTSIDE, cycle(BESIDE))],
+        [(name, *times) for name, times in product(OUTSIDE, BESIDE)],
+    ),
+)
 def test_a_time_outside_the_capture_leaves_nothing(call, tmp_path, monkeypatch, name, start, end):
     monkeypatch.chdir(tmp_path)
     words = [*OUTSIDE[name], CAPTURE, "-c", ROVER, *(("--start", start) if start else ("--end", end))]

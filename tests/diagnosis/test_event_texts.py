@@ -57,7 +57,7 @@ def test_no_text_of_an_event_ends_the_diagnosis(lab, events):
 
 @pytest.mark.parametrize(("app", "number", "text"), TEXTS)
 def test_no_text_of_an_event_is_cut_badly(app, number, text, lab):
-    told = [lab.event(4 + at / 20, app, number, text[:at]) for at in every(3, range(len(text) + 1))]
+    told = [lab.event(4 + at / 20, app, number, text[:at]) for at in every(7, range(len(text) + 1))]
     lab.examine(_traffic(lab, *told), lab.missions("two-rovers")).as_json()
 
 

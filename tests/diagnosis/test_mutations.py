@@ -74,11 +74,9 @@ plain = cache(lambda name: figures(diagnosed(FOLDER / f"{name}.pcap.zst", TRUTHS
 
 
 @pytest.mark.quick(
-    "*_rover-two arms",
     "b_arm*-a rover",
     "n[135]*-a rover",
     "p6b*-a rover",
-    "season3/q0*-a rover",
     "season3/[np]*-two arms",
 )
 @pytest.mark.parametrize("mission", MISSIONS if LONG else list(MISSIONS)[:2])

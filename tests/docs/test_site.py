@@ -27,7 +27,6 @@ def site(tmp_path_factory):
     return folder
 
 
-@pytest.mark.long
 def test_every_page_is_there_and_in_the_menu(site):
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"README"}
     assert pages <= {path.stem for path in site.glob("*.html")}

@@ -21,7 +21,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from effort import long_but
+from effort import examples, long_but
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -385,7 +385,7 @@ def messages_of(cuts, *, large=1 << 30, jobs=1):
             ]
 
 
-@settings(max_examples=10)
+@settings(max_examples=examples(10, part=3))
 @given(st.lists(st.integers(1, 2000), max_size=9), st.sampled_from([1, 30_000]), st.sampled_from([1, 2, 3]))
 def test_neither_cuts_nor_workers_change_a_message(cuts, large, jobs):
     assert messages_of(cuts, large=large, jobs=jobs) == uncut()

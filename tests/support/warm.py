@@ -45,7 +45,8 @@ class Popen(subprocess.Popen):
             super()._execute_child(args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest)
             return
         streams = [end if end >= 0 else number for number, end in enumerate((ends[0], ends[3], ends[5]))]
-        self.pid = _server(os.getpid(), self._packages).start([*map(os.fspath, args)], str(cwd or Path.cwd()), streams)
+        server = _server(os.getpid(), self._packages)
+        self.pid = server.start([*map(os.fspath, args)], str(cwd or Path.cwd()), streams)
         self._child_created = True
         self._close_pipe_fds(*ends)
 

@@ -333,10 +333,12 @@ def test_what_the_list_shows_is_saved(drive, tmp_path, suffix):
     drive(script, size=(200, 40))
 
 
-def test_what_cannot_be_saved_is_one_line(drive, tmp_path):
+def test_what_cannot_be_saved_is_one_line(drive, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
     async def script(hands):
         await hands.press("W")
-        await hands.write(f"{tmp_path}/a.txt")
+        await hands.write("a.txt")
         await hands.press("enter")
         await hands.until(lambda: "unknown suffix" in hands.status, "the reason")
         assert not list(tmp_path.iterdir())

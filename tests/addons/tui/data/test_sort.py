@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import ROOT
@@ -36,7 +37,7 @@ def store_of(sizes):
 
 @pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize("column", KEYS)
-@settings(max_examples=5)
+@settings(max_examples=examples(5, part=2, least=2))
 @given(sizes=st.lists(st.integers(1, 60), min_size=1, max_size=4).filter(lambda parts: sum(parts) <= COUNT))
 def test_rows_are_in_the_order_of_their_values(column, reverse, sizes):
     store = store_of(sizes)
