@@ -323,9 +323,9 @@ def recorded(path, types, capture, jobs):
     with closing(open_file(CAPTURES / f"{capture}.pcap")) as source:
         options = RecordingOptions(jobs=jobs)
         sink = McapSink(path, Mission(), types, source.info, options, statistics=source.statistics)
-        assert (sink.lend is None) == (jobs == 1)
-        if sink.lend:
-            source.borrow(sink.lend)
+        assert (sink.room is None) == (jobs == 1)
+        if sink.room:
+            source.borrow(sink.room)
         decoder = ColumnDecoder(Context())
         for batch in source.batches():
             sink.write(batch, decoder.decode(batch))
