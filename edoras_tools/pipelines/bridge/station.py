@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from edoras_tools.middleware import Graph
     from edoras_tools.pipelines.bridge.inbox import GraphMessage, Inbox
     from edoras_tools.pipelines.recorder import RelayRecorder
-    from edoras_tools.sessions.bridge.bridge import SendingSession
+    from edoras_tools.sessions.bridge.bridge import LinkSession
 
 _QUEUE_BYTES: Final = 4 << 20
 _TURNS: Final = 4
@@ -239,7 +239,7 @@ class Station:
         headers = options.headers or cfe.STANDARD
         writer = PacketWriter(checksum=request.checksum, sequence=request.sequence, headers=headers)
         back = [route for route in routes if not route.to_cfs]
-        link: SendingSession
+        link: LinkSession
         if isinstance(bridge.link, GroundLink):
             largest = CI_LARGEST
             add = {route.msg_id: route.handling.to_limit for route in back if route.handling.to_limit}
