@@ -20,7 +20,7 @@ NO_BEHAVIOUR = (
     ),
     *("cfs/limits.py", "cfs/names.py", "cfs/sbn.py", "cfs/software_bus.py", "cfs/telemetry_output.py"),
     *("cfs/table_services.py", "cfs/time_services.py"),
-    *("io/signals.py", "links/protocol.py", "middleware/graph.py"),
+    *("links/protocol.py", "middleware/graph.py"),
     *("sessions/sbn/habits.py", "addons/tui/theme.py"),
 )
 """Constants, types and protocols: what uses them is tested."""

@@ -76,15 +76,16 @@ def _verify(files: list[Path], printing: options.PrintOptions, decoding: options
     Raises:
         typer.Exit: with code 3, if one of them lost data.
     """
-    from edoras_tools.io.formats.mcap.recover import verify
+    from edoras_tools.io.formats.recover import repair
+    from edoras_tools.io.formats.rosbag2.reader import files_of
     from edoras_tools.render.capture.watch import byte_progress
 
     topics = known_topics(decoding.config)
-    every = [item for path in files for item in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
+    every = [item for path in files for item in (files_of(path) if path.is_dir() else [path])]
     lost = False
     for path in every:
         with byte_progress(path, quiet=printing.quiet or printing.json) as progress:
-            report = verify(path, topics=topics, progress=progress)
+            report = repair(path, None, topics=topics, progress=progress)
         lost |= report.lost
         if printing.json:
             print_json({"source": str(path), **asdict(report)})

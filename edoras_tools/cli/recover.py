@@ -18,8 +18,11 @@ from edoras_tools.io.outputs import in_the_way, refuse_existing
 
 @grouped
 def recover(
-    file: Annotated[Path, Argument(metavar="FILE", help="A damaged or cut-off MCAP recording.")],
-    output: Annotated[Path | None, Option("--output", "-o", help="Default: FILE.recovered.mcap.")] = None,
+    file: Annotated[Path, Argument(metavar="FILE", help="A damaged or cut-off recording or capture.")],
+    output: Annotated[
+        Path | None,
+        Option("--output", "-o", help="Default: NAME.recovered.mcap; of a capture, .pcap or .pcapng."),
+    ] = None,
     config: options.Config = None,
     force: recordings.Force = False,
     unproved: options.Unproved = False,
@@ -30,15 +33,19 @@ def recover(
     It keeps what a checksum proves, and counts the rest. With -c it knows the mission's topics without their
     description.
     """
-    from edoras_tools.io.formats.mcap.recover import recover as run
+    from edoras_tools.io.formats.recover import repair, repairable_as
     from edoras_tools.render.capture.watch import byte_progress
 
-    target = output or file.parent / f"{file.stem}.recovered.mcap"
+    kind = repairable_as(file).replace("db3", "mcap")
+    target = (
+        output
+        or file.parent / f"{file.name.partition('.pcap')[0].removesuffix(file.suffix)}.recovered.{kind}"
+    )
     there = in_the_way(target)
     if there and not force and not (file.exists() and target.samefile(file)):
         refuse_existing(there)
     with byte_progress(file, quiet=json) as progress:
-        report = run(
+        report = repair(
             file, target, topics=recordings.known_topics(config), unproved=unproved, progress=progress
         )
     if json:

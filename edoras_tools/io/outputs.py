@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import stat
 import time
 from contextlib import contextmanager, suppress
@@ -24,6 +25,10 @@ from edoras_tools.errors import CaptureError, ConfigError, os_errors
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
+ENDING: Final = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+"""The signals that end a program which writes: Ctrl-C, ``kill``, and a closed terminal."""
 STDOUT: Final = Path("-")
 """Stands for standard output, as a path."""
 _PIECES: Final = 1024

@@ -31,8 +31,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.io.outputs import ENDING
 from edoras_tools.io.processors import spare_processors
-from edoras_tools.io.signals import ENDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -21,7 +21,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from edoras_tools.errors import InterruptError
-from edoras_tools.io.signals import ENDING
+from edoras_tools.io.outputs import ENDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

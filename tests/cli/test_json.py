@@ -78,7 +78,7 @@ def test_recover(call, captures, tmp_path):
     cut.write_bytes((tmp_path / "x.mcap").read_bytes()[:-40])
     report = call("recover", "--json", cut, "-o", tmp_path / "y.mcap").json()
     names = ["whole", "messages", "chunks", "salvaged", "kept_bytes", "lost_bytes"]
-    names += ["proved", "unproved", "left_out", "lost", "lost_messages", "losses", "reasons"]
+    names += ["proved", "unproved", "left_out", "lost", "lost_messages", "losses", "reasons", "unit"]
     assert list(report) == ["schema", *names, "output"]
     assert call("info", "--verify", "--json", cut).json() == {
         "schema": 1,

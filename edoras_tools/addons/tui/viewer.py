@@ -26,7 +26,7 @@ from edoras_tools.addons.tui.panes import ViewOptions
 from edoras_tools.addons.tui.prompts import FilterLine
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import EdorasError
-from edoras_tools.io.signals import ENDING
+from edoras_tools.io.outputs import ENDING
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.capture.conversation import Conversation
 from edoras_tools.render.severity import Level

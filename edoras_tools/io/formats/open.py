@@ -138,6 +138,21 @@ def kept_recording(path: Path) -> SettledFile:
     Raises:
         CaptureError: it cannot be read, or is a capture, which need not have an end.
     """
+    stream, head = unwrapped(path)
+    try:
+        if not head.startswith((_MCAP, _DATABASE)):
+            raise CaptureError(f"{path}: playback reads a capture several times; save it to a file first")
+        return settled_file(stream, path, head)
+    finally:
+        stream.close()
+
+
+def unwrapped(path: Path) -> tuple[ByteStream, bytes]:
+    """Open a file or pipe, decompressed; return its stream, and the first bytes, which were read.
+
+    Raises:
+        CaptureError: it cannot be read.
+    """
     stream: ByteStream = FileStream(_open(path), str(path))
     try:
         head = _head(stream)
@@ -145,11 +160,10 @@ def kept_recording(path: Path) -> SettledFile:
         if kind:
             stream = CompressedStream(stream, kind, head)
             head = _head(stream)
-        if not head.startswith((_MCAP, _DATABASE)):
-            raise CaptureError(f"{path}: playback reads a capture several times; save it to a file first")
-        return settled_file(stream, path, head)
-    finally:
+    except BaseException:
         stream.close()
+        raise
+    return stream, head
 
 
 def _mcap(stream: ByteStream, path: str | Path, head: bytes) -> Source:

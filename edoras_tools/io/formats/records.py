@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceDefaults
@@ -11,7 +11,7 @@ from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from edoras_tools.io import Room
     from edoras_tools.io.formats.stream import Window
@@ -28,6 +28,24 @@ FROM_THERE = "; the file is damaged from there on"
 _CUT = "ends inside {} {{}}; the capture was probably cut off while being written"
 
 
+class LeftOut(NamedTuple):
+    """Bytes of a file in which no record can be read.
+
+    Attributes:
+        start: the first one, of the uncompressed file.
+        end: the first one behind them.
+        reason: why, with the number of the record, and where it is.
+        before_ns: time of the frame before them, ns since 1970; None if there is none.
+        after_ns: time of the frame after them.
+    """
+
+    start: int
+    end: int
+    reason: str
+    before_ns: int | None
+    after_ns: int | None = None
+
+
 class RecordSource(SourceDefaults):
     """A source that reads records from windows of a stream.
 
@@ -35,6 +53,8 @@ class RecordSource(SourceDefaults):
 
     Attributes:
         statistics: the counts so far.
+        left_out: what was read over so far.
+        keep: takes the bytes of all that is read, one piece after the other.
     """
 
     unit = "record"
@@ -45,6 +65,9 @@ class RecordSource(SourceDefaults):
         self.statistics = SourceStatistics(total_bytes=window.stream.total_bytes)
         self._window = window
         self._demux = Demux()
+        self.left_out: list[LeftOut] = []
+        self.keep: Callable[[memoryview], object] | None = None
+        self._latest_ns: int | None = None
         self._at = 0
         """Position in the window of the first byte that is not yet in a frame."""
 
@@ -89,39 +112,41 @@ class RecordSource(SourceDefaults):
     def _batches(self) -> Iterator[PacketBatch]:
         window = self._window
         failure: CaptureError | None = None
-        before = left_out = 0
+        before = start = 0
         searching = False
         while True:
+            damage = None
             try:
                 for frames in self._frames() if not searching else ():
                     batch = self._count(frames)
                     if len(batch):
                         yield batch
-                damage = None
             except CaptureError as error:
                 damage = error
+            if self.keep and not searching:
+                self.keep(window.data[start : self._at].data)
             ended = False
             if not searching and damage is None:
                 ended = not window.advance(self._at)
                 if not ended:
-                    self._at = 0
+                    self._at = start = 0
                     continue
                 if self._at == window.end:
                     break
                 damage = self._error(self._at, _CUT.format(self.unit))
             if failure is None:
                 failure, before = damage, self.statistics.frames
+            place = window.base + self._at
             found = self._next_record(self._at + 1, window.end)
             searching = found is None
             if found is None:
                 found = max(self._at, window.end - LARGEST_FRAME - _HEADERS)
-            left_out += found - self._at
-            self._at = found
-            if searching:
-                if ended or not window.advance(self._at):
-                    left_out += window.end - self._at
-                    break
-                self._at = 0
+                ended = ended or not window.advance(found)
+                found = window.end if ended else 0
+            self._at = start = found
+            self._leave_out(place, window.base + found, damage)
+            if searching and ended:
+                break
         rest = self._demux.finish()
         if rest is not None and len(rest):
             self.statistics.datagrams += len(rest)
@@ -130,12 +155,24 @@ class RecordSource(SourceDefaults):
             after = self.statistics.frames - before
             if not after:
                 raise failure
+            left_out = sum(item.end - item.start for item in self.left_out)
             what = str(failure).replace(FROM_THERE, "")
             raise CaptureError(f"{what}, and {after:,} after it; {left_out:,} bytes were left out")
+
+    def _leave_out(self, start: int, end: int, damage: CaptureError | None) -> None:
+        if self.left_out and self.left_out[-1].end == start:
+            self.left_out[-1] = self.left_out[-1]._replace(end=end)
+        else:
+            reason = str(damage).removeprefix(f"{self._window.stream.name}: ").replace(FROM_THERE, "")
+            self.left_out.append(LeftOut(start, end, reason.rpartition("; ")[0], self._latest_ns))
 
     def _count(self, frames: FrameBatch) -> PacketBatch:
         statistics = self.statistics
         batch = self._demux.demux(frames)
+        if len(frames):
+            if self.left_out and self.left_out[-1].after_ns is None:
+                self.left_out[-1] = self.left_out[-1]._replace(after_ns=int(frames.time_ns[0]))
+            self._latest_ns = int(frames.time_ns[-1])
         statistics.frames += len(frames)
         statistics.bytes += int(frames.length.sum())
         statistics.datagrams += len(batch)

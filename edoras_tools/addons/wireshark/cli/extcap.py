@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError, EdorasError
-from edoras_tools.io.signals import ENDING
+from edoras_tools.io.outputs import ENDING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

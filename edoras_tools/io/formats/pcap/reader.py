@@ -95,8 +95,11 @@ class PcapSource(RecordSource):
         problem = self._problem(stop, end)
         for row in range(max(0, len(positions) - _LOOKED_BACK), len(positions) if problem else 0):
             first = int(positions[row]) + RECORD_HEADER_BYTES
-            if self._next_record(first, first + int(captured[row])) is not None:
-                problem = f"record {{}} claims a frame of {captured[row]} bytes, in which others begin"
+            earlier_s = int(headers[row - 1, 0]) if row else self._latest_s
+            absent = not captured[row] and abs(int(headers[row, 0]) - earlier_s) > _FAR_S
+            if absent or self._next_record(first, first + int(captured[row])) is not None:
+                inside = "in which others begin" if captured[row] else "at another time"
+                problem = f"record {{}} claims a frame of {captured[row]} bytes, {inside}"
                 stop = int(positions[row])
                 positions, headers, captured = positions[:row], headers[:row], captured[:row]
                 break

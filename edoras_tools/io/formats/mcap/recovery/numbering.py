@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from mcap.records import Channel, Schema
 
+from edoras_tools.errors import RouteError
 from edoras_tools.io.formats.mcap.file import McapFile, record_bytes
 from edoras_tools.io.topics.rows import RECORD_BYTES
 from edoras_tools.io.topics.streams import Streams
@@ -141,6 +143,12 @@ class KnownTopics:
     def channel(self, number: int, stretch: Stretch) -> tuple[Channel, Schema] | None:
         """Return a channel and its schema; None if the stretch is not of our recorder: it has datagrams."""
         return self._channels[number - 1] if stretch.fits.get(1) and stretch.fits.get(number) else None
+
+    def definition(self, name: str) -> str:
+        """Return the definition of a type; empty if it is unknown."""
+        with suppress(RouteError):
+            return self._types.definition(name)
+        return ""
 
     def schema(self, topic: str) -> Schema | None:
         """Return the schema of a topic whose own is lost; None if nobody knows it."""

@@ -147,6 +147,7 @@ class Recovery:
         lost_messages: number of messages lost; None if that is unknown.
         losses: where.
         reasons: why it is not intact, one line each.
+        unit: what ``messages`` counts; packets have no topic.
     """
 
     whole: bool
@@ -162,6 +163,7 @@ class Recovery:
     lost_messages: int | None = 0
     losses: list[LostStretch] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
+    unit: str = "messages"
 
     def text(self, *, written: bool) -> str:
         """Return the report for the user.
@@ -170,7 +172,9 @@ class Recovery:
             written: whether a repaired file was written.
         """
         total = sum(self.messages.values())
-        content = f"{total} messages in {self.chunks} chunk{'s' * (self.chunks != 1)}"
+        content = f"{total} {self.unit}"
+        if self.chunks:
+            content += f" in {self.chunks} chunk{'s' * (self.chunks != 1)}"
         if self.whole:
             lines = [f"intact: {content}{'; nothing was written' * written}"]
         else:
@@ -189,16 +193,16 @@ class Recovery:
         lines += [f"  {loss}" for loss in self.losses[:_MOST]]
         if len(self.losses) > _MOST:
             lines.append(f"  and {len(self.losses) - _MOST} more places")
-        if not self.whole:
+        if not self.whole and self.unit == "messages":
             lines += [f"  {count:>9}  {topic}" for topic, count in sorted(self.messages.items())]
         return "\n".join(lines)
 
     def _lost(self) -> str:
         if not self.lost:
             return "nothing is lost"
-        count = "the number of lost messages is unknown"
+        count = f"the number of lost {self.unit} is unknown"
         if self.lost_messages is not None:
-            count = f"{self.lost_messages} messages are lost"
+            count = f"{self.lost_messages} {self.unit} are lost"
         return f"{count}, {self.lost_bytes} bytes could not be kept"
 
 
