@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.cfs import limits, names
 from edoras_tools.dissectors.lua_text import literal, quoted
-from edoras_tools.links.cfdp import PDU_NAME
 from edoras_tools.links.protocol import BY_ADDRESS, BY_CONTENT, LARGEST_DOUBLE, SMALLEST_DOUBLE
 from edoras_tools.wire import ccsds, cdr, cfe, fprime, racs2, sbn, transfer_frames
 from edoras_tools.wire.arrays.crc import CRC16_BYTES
+from edoras_tools.wire.cfdp import PDU_NAME
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 from edoras_tools.wire.transfer_frames import FIRST_PART, FRAME_VERSIONS, LATE, count_modulus
 

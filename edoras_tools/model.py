@@ -151,6 +151,7 @@ class Link(int):
         last_hop: whether flight apps send on it what they were commanded, values without a header.
         dictionary: whether a dictionary of F Prime describes what its packets hold.
         samples: whether its datagrams hold samples of DDS.
+        in_packets: whether packets of other links may carry its units, as ``Mission.pdu_msg_ids`` says.
         several: whether a datagram may hold several messages: the link itself says what is in it.
         quotes: whether each message holds the beginning of a datagram of another link.
     """
@@ -174,6 +175,7 @@ class Link(int):
     last_hop: ClassVar[bool] = False
     dictionary: ClassVar[bool] = False
     samples: ClassVar[bool] = False
+    in_packets: ClassVar[bool] = False
     several: ClassVar[bool] = False
     quotes: ClassVar[bool] = False
 

@@ -40,36 +40,27 @@ PUT_OFF = {
         "only for recordings from a pipe or packed, and for captures inside zstd data",
     ),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
-    "io/topics/streams.py": (
-        "edoras_tools.io.topics.carried",
-        "only where messages travel as files, by RACS2, or by RTPS",
-    ),
     "io/foxglove/server.py": (
         "edoras_tools.io.foxglove.client",
         "websockets, an extra: when the first client comes",
     ),
-    "links/racs2.py": ("edoras_tools.links.streams", "2 ms, and only where there are its streams"),
-    "links/rtps/link.py": (
-        "edoras_tools.links.rtps edoras_tools.wire.rtps",
-        "5 ms, and only where there is RTPS",
+    "addons/racs2/link.py": (
+        "edoras_tools.addons.racs2.streams",
+        "2 ms, and only where there are its datagrams",
     ),
+    "addons/rtps/link.py": ("edoras_tools.wire.rtps", "5 ms, and only where there are its datagrams"),
     "mission/tree.py": ("yaml", "9 ms, and only where there is a mission file"),
     "pipelines/capture/record.py": (
-        "edoras_tools.pipelines.capture.host edoras_tools.sessions.dds",
-        "4 ms each, and only where a link is captured live, or there is RTPS",
+        "edoras_tools.pipelines.capture.host",
+        "4 ms, and only where a link is captured live",
     ),
     "addons/lab/demo/run.py": ("zenoh", "an extra"),
-    "pipelines/reading.py": (
-        "edoras_tools.decode.samples edoras_tools.io.frames.fragmented",
-        "5 ms, and only where there is RTPS",
-    ),
     "pipelines/selection.py": (
         "edoras_tools.decode.filters.filter",
         "the filter language: only where there is a filter",
     ),
     "pipelines/workbench.py": ("edoras_tools", "only for several files, or layouts that are given"),
     "render/capture/watch.py": ("edoras_tools.render", "rich, and only where something is drawn"),
-    "decode/columns.py": ("edoras_tools.decode.samples", "5 ms, and only where there is RTPS"),
     "ros/types/library.py": ("rosbags", "15 ms, and only for .idl files"),
     "ros/types/standard.py": ("rosbags", "15 ms, and only to make the table of standard messages anew"),
     "sessions/faults/chance.py": ("hashlib", "20 ms, and only where there are faults"),

@@ -54,7 +54,24 @@ class Addon(NamedTuple):
         return dict(self.adds.get(kind, {}))
 
 
+def _rules(*names: str) -> dict[str, str]:
+    """Return where the rules of an add-on are, by their names."""
+    return {name: f"rules:{name}" for name in names}
+
+
 ADDONS: Final = (
+    Addon(
+        "cfdp",
+        commands={
+            "files": ListedCommand(
+                "Record", "Show the files that CFDP transferred, or take them out.", "cli:files"
+            )
+        },
+        adds={
+            "links": {"cfdp": "link:CFDP"},
+            "rules": _rules("file_checksum", "file_not_finished", "file_stalled", "file_pieces_resent"),
+        },
+    ),
     Addon(
         "archive",
         commands={
@@ -99,6 +116,16 @@ ADDONS: Final = (
             ),
         },
         adds={"parts": {"simulation": "emulator.source:start_simulation"}},
+    ),
+    Addon("fprime", adds={"links": {"fprime": "link:FPRIME"}, "rules": _rules("fprime_packets_lost")}),
+    Addon("frames", adds={"links": {"frames": "link:FRAMES"}, "rules": _rules("frames_lost")}),
+    Addon("racs2", adds={"links": {"racs2": "link:RACS2"}}),
+    Addon(
+        "rtps",
+        adds={
+            "links": {"rtps": "link:RTPS"},
+            "rules": _rules("dds_lost", "dds_not_captured", "dds_resent"),
+        },
     ),
     Addon("tui", adds={"parts": {"panes": "cli"}}, extra="tui"),
     Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),

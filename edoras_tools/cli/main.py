@@ -42,7 +42,7 @@ _NO_MEMORY: Final = (
 
 _OF_THE_CORE: Final = {
     "Look": ("sniff", "info", "decode", "live", "plot", "trace", "hz", "host"),
-    "Record": ("record", "recover", "export", "files"),
+    "Record": ("record", "recover", "export"),
     "Explain": ("doctor", "report", "compare", "check"),
     "Send": ("replay", "inject", "proxy"),
     "Connect": ("bridge", "mission", "structs"),

@@ -15,14 +15,12 @@ from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.links import beginning, link_columns
 from edoras_tools.decode.recorded import recorded_columns
 from edoras_tools.decode.variants import Variants
-from edoras_tools.links.cfdp import PDU_FINDINGS, holds_pdu
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, UNKNOWABLE, Columns, Finding, PacketBatch
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import any_nonzero, gather, xor_bytes
 from edoras_tools.wire.cdr import ROUNDED
-from edoras_tools.wire.cfdp import read_pdus
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
 
 if TYPE_CHECKING:
@@ -31,6 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
+    from edoras_tools.links.protocol import LinkProtocol
 
 _PACKET_WINDOW: Final = 24
 """Bytes that hold every header of a space packet."""
@@ -219,14 +218,13 @@ class _Pass:
             for name, values in located.columns.items():
                 self.out[name][rows] = values
             if link.samples:
-                self._samples(rows)
+                self._samples(link, rows)
         return start
 
-    def _samples(self, rows: NDArray[np.intp]) -> None:
-        """Judge whether samples of DDS are whole messages of their types."""
-        from edoras_tools.decode.samples import known_samples
-
-        for item in known_samples(self.context.types, self.context.endpoints, self.batch, rows):
+    def _samples(self, link: LinkProtocol, rows: NDArray[np.intp]) -> None:
+        """Judge whether a link's samples are whole messages of their types."""
+        context = self.context
+        for item in link.sample_reader().known(context.types, context.endpoints, self.batch, rows):
             self.flag(Finding.CDR_INVALID, item.row, ~item.valid)
 
     def space_packet(self, start: NDArray[np.int32]) -> None:
@@ -272,7 +270,8 @@ class _Pass:
         for name in _PACKET_COLUMNS if len(absent) else ():
             self.out[name][absent] = _BLANK.get(name, 0)
         if len(self.context.pdu_msg_ids):
-            self._pdus()
+            for item in self.context.in_packets:
+                self._units(item)
         self._envelopes(packet)
         self._structs()
 
@@ -323,14 +322,13 @@ class _Pass:
         self.flag(Finding.UNKNOWN_FUNCTION_CODE, rows, unknown)
         self.flag(Finding.COMMAND_LENGTH, rows, misfit)
 
-    def _pdus(self) -> None:
-        """Judge the CFDP PDUs in packets."""
-        rows = np.flatnonzero(holds_pdu(self.out.__getitem__, self.context.pdu_msg_ids))
+    def _units(self, link: LinkProtocol) -> None:
+        """Judge the units of a link in packets."""
+        rows = np.flatnonzero(link.holds_units(self.out.__getitem__, self.context))
         header = self.out["header_length"][rows]
         offset, length = self.out["packet_offset"][rows] + header, self.out["packet_length"][rows] - header
-        pdus = read_pdus(self.batch.data, offset, length)
-        for name, finding in PDU_FINDINGS.items():
-            self.flag(finding, rows, getattr(pdus, name))
+        for finding, wrong in link.judge_units(self.batch.data, offset, length):
+            self.flag(finding, rows, wrong)
 
     def _structs(self) -> None:
         """Judge whether packets are as long as the C structs they should hold."""

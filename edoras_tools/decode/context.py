@@ -12,11 +12,8 @@ from edoras_tools.cfs import names
 from edoras_tools.decode.builds import Builds, CommandTable
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import table
-from edoras_tools.links.cfdp import PDU_NAME
-from edoras_tools.links.fprime import FPRIME, GroundDataFraming
-from edoras_tools.links.frames import TransferFraming
-from edoras_tools.links.protocol import Endpoints, LinkProtocol, Peers
 from edoras_tools.links.sbn import BRIDGE_PORT
+from edoras_tools.links.site import Endpoints, Peers
 from edoras_tools.mission import FlightLink, GroundLink, Mission
 from edoras_tools.model import NO_ROUTE, OTHER, Endpoint, Link
 from edoras_tools.structs import Structs, shipped_structs
@@ -28,6 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.ros import TypeStore
     from edoras_tools.wire.msg_id import MsgIds
 
@@ -136,8 +134,8 @@ class Context:
         options: as given.
         structs: the C structs that packets without a route hold.
         peers: grows as datagrams are decoded, in order.
-        endpoints: of DDS, as they announce themselves; grows as well.
-        look_ahead: reads the whole input for what DDS announces in it; None where that cannot be done.
+        endpoints: as they announce themselves; grows as well.
+        look_ahead: reads the whole input for what is announced in it; None where that cannot be done.
         by_magic: the links that are recognised on any port.
         links: every link there is.
         frames: the CCSDS transfer frames that come to a port, by port.
@@ -159,7 +157,8 @@ class Context:
         route_row: u8 (256,), row of ``route_of`` by link; 0, which is empty, for those without routes.
         any_route_of: i16 (65536,), a route of any link by MsgId: what a packet seen on another link carries.
         known: bool (65536,), MsgIds that cFE or the mission names.
-        pdu_msg_ids: i32, MsgIds of packets that hold a CFDP PDU each.
+        in_packets: the links whose units packets of other links may hold.
+        pdu_msg_ids: i32, MsgIds of packets that hold such a unit each.
         headers: those behind the primary header; :mod:`edoras_tools.decode.variants` may change them.
         msg_ids: how MsgIds are built; never detected.
         builds: the headers of conversations that have others.
@@ -191,6 +190,7 @@ class Context:
         self.look_ahead: Callable[[], Endpoints] | None = None
         self._announced: Endpoints | None = None
         self.links = table.links()
+        self.in_packets = tuple(link for link in self.links if link.in_packets)
         self.by_magic = tuple(link for link in self.links if link.magic)
         self.frames = {item.port: item.format for item in self.mission.frames}
         self.ports = self._ports()
@@ -247,7 +247,7 @@ class Context:
             self.route_of[self.route_row[route.link], route.msg_id] = index
             self.any_route_of[route.msg_id] = index
             self.known[route.msg_id] = True
-        self.pdu_msg_ids = np.array(self.mission.pdu_msg_ids, np.int32)
+        self.pdu_msg_ids = np.array(self.mission.pdu_msg_ids if self.in_packets else (), np.int32)
         self.known[self.pdu_msg_ids] = True
         self.route_of[:, self.pdu_msg_ids] = self.any_route_of[self.pdu_msg_ids] = NO_ROUTE
         usual = "" if self.options.envelope == "auto" else self.options.envelope
@@ -267,14 +267,14 @@ class Context:
         return place, tuple(self.envelopes), tuple(self.unrouted), self.builds.state
 
     def announced_topics(self) -> dict[str, str]:
-        """Return the type of each topic of DDS that the input announces anywhere, if it can be read twice."""
+        """Return the type of each topic that the input announces anywhere, if it can be read twice."""
         if self.look_ahead is not None:
             self._announced, self.look_ahead = self.look_ahead(), None
         return (self._announced or self.endpoints).topics()
 
     @property
     def awaits_samples(self) -> bool:
-        """Whether topics of DDS may be announced while the input is read, and cannot be known before."""
+        """Whether topics may be announced while the input is read, and cannot be known before."""
         has_port = any(link in self.by_magic for link, _ in self.options.ports)
         return has_port and self.look_ahead is None and self._announced is None
 
@@ -303,7 +303,7 @@ class Context:
         """Return how packets of a MsgId are called: cFE's name, else a route's topic or a struct's name."""
         route = int(self.any_route_of[msg_id])
         topic = self.mission.routes[route].topic if route != NO_ROUTE else ""
-        pdu = PDU_NAME if msg_id in self.pdu_msg_ids else ""
+        pdu = f"{self.in_packets[0].name}_PDU" if msg_id in self.pdu_msg_ids else ""
         return names.message_name(self.msg_ids.standard(msg_id)) or topic or pdu or self.structs.name(msg_id)
 
     def commands(self, msg_id: int) -> Mapping[int, names.Command] | None:
@@ -348,11 +348,12 @@ class Context:
         self.framings = table.framings(self.options.ports)
         for framed in self.mission.frames:
             if framed.format.stream:
-                own = framed.link.dictionary and framed.format.kind == "tm"
-                self.framings[framed.port] = (
-                    GroundDataFraming(framed.format.length) if own else TransferFraming(framed.format)
-                )
-                self.stream_links[framed.port] = FPRIME if own else OTHER
+                asked = ((link, link.framing_of(framed.link, framed.format)) for link in self.links)
+                cut = {link: framing for link, framing in asked if framing is not None}
+                owner = framed.link if framed.link in cut else next(iter(cut), OTHER)
+                if owner in cut:
+                    self.framings[framed.port] = cut[table.protocol(owner)]
+                self.stream_links[framed.port] = owner if owner == framed.link else OTHER
                 self.framed_links[framed.port] = framed.link
 
     def _settle_ports(self) -> None:

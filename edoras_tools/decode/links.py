@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.links import table
-from edoras_tools.links.frames import FRAMES, frame_rows, is_frame
 from edoras_tools.model import OTHER, Datagram, Finding, Link, PacketBatch
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
@@ -121,7 +120,8 @@ def link_columns(batch: PacketBatch, context: Context) -> NDArray[np.uint8]:
         _stream_links(batch, context, link)
     link[(batch.capture_findings & Finding.FRAGMENT) != 0] = OTHER
     if context.frames:
-        link[frame_rows(batch, context.frames)[0]] = FRAMES
+        for item in context.links:
+            link[item.claimed(batch, context)] = item
     return link
 
 
@@ -162,8 +162,9 @@ def link_of(datagram: Datagram, context: Context) -> Link:
     """Return the link of one datagram: the same answer as :func:`link_columns`."""
     if Finding.FRAGMENT in datagram.findings:
         return OTHER
-    if is_frame(datagram, context.frames):
-        return FRAMES
+    for item in context.links if context.frames else ():
+        if item.claims(datagram, context):
+            return item
     if datagram.stream:
         return _stream_link(datagram, context)
     claim = context.claim[datagram.destination.port]

@@ -15,9 +15,8 @@ from edoras_tools.decode.links import link_of
 from edoras_tools.decode.recorded import dissect_recorded
 from edoras_tools.decode.summary import summarise
 from edoras_tools.errors import EdorasError, TruncatedError, WireError
-from edoras_tools.links.cfdp import read_pdu
-from edoras_tools.links.protocol import Endpoints, Peers
 from edoras_tools.links.reading import Reading
+from edoras_tools.links.site import Endpoints, Peers
 from edoras_tools.links.table import protocol
 from edoras_tools.model import (
     NO_ROUTE,
@@ -203,7 +202,8 @@ class _Dissection(Reading):
         """Read the payload behind the cFE header: an event, housekeeping, or a route's envelope."""
         at, length = start + header, len(self.data) - start
         if msg_id in self.context.pdu_msg_ids:
-            read_pdu(self, at)
+            for link in self.context.in_packets:
+                link.read_unit(self, at)
             return
         exact = int(self.context.routes_on(self.link)[msg_id])
         route = exact if exact != NO_ROUTE else int(self.context.any_route_of[msg_id])

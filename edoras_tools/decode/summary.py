@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from edoras_tools.cfs import names
-from edoras_tools.links.cfdp import pdu_text
-from edoras_tools.links.table import protocol
+from edoras_tools.links.table import links, protocol
 from edoras_tools.model import OTHER
 from edoras_tools.ros.cdr.columns import Ragged
 from edoras_tools.ros.cdr.plan import Repeat
 from edoras_tools.ros.types.schema import PLACEHOLDER
 from edoras_tools.wire import cfe
-from edoras_tools.wire.cfdp import PDU_HEADER
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
@@ -23,6 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.model import Decoded
     from edoras_tools.ros.cdr.columns import MessageColumns
     from edoras_tools.ros.cdr.plan import CdrPlan
@@ -62,8 +61,8 @@ def _text(decoded: Decoded, msg_ids: MsgIds) -> str:
         bare = decoded.layer("edoras") is None  # the header of a C struct is already in the line
         return short_values({k: v for k, v in decoded.message.values.items() if not bare or k != "header"})
     packet, command = decoded.layer("ccsds"), decoded.layer("cfe_command")
-    if packet is not None and decoded.layer(PDU_HEADER.name):
-        return pdu_text(decoded)
+    if packet is not None and (unit := _unit_of(decoded)):
+        return unit.summary(decoded)
     if packet is None and decoded.link.last_hop and decoded.layers:
         return short_values(decoded.layers[-1].values())
     if packet is None:
@@ -73,6 +72,12 @@ def _text(decoded: Decoded, msg_ids: MsgIds) -> str:
         return "header only"
     standard = msg_ids.standard(packet.values()["msg_id"])
     return packet_text(standard, command.values()["function_code"] if command else None)
+
+
+def _unit_of(decoded: Decoded) -> LinkProtocol | None:
+    """Return the link of which a packet holds a unit; None where it holds none."""
+    own = (link for link in links() if link.in_packets and decoded.layer(link.layouts[0].name))
+    return next(own, None)
 
 
 def packet_text(msg_id: int, function_code: int | None) -> str:

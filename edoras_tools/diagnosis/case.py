@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -60,12 +60,9 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.relays.proxied import Proxied, RouteWay
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.diagnosis.verdict import Advice, Verdict
-    from edoras_tools.io.frames.transfer import Unframer
+    from edoras_tools.links.doors import LinkEvidence, SampleStream, Unwrapper
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import CutDatagram
-    from edoras_tools.sessions.cfdp import Transaction
-    from edoras_tools.sessions.dds import TopicWriter
-    from edoras_tools.sessions.ground_counts import GroundStream
 
 _MOST: Final = 0.5
 
@@ -82,12 +79,8 @@ class Capture:
         cut: datagrams that were left out for their time.
         outages: when the interface was away.
         host: what the kernel of the recording host counted, oldest first.
-        files: the CFDP transactions in it.
-        corrupt_pdus: CFDP PDUs with a wrong CRC.
-        corrupt_ns: time of the first and of the last of these.
-        ground: what the counts of F Prime's space packets say.
-        samples: the writers of DDS of which samples are in it.
-        frames: the transfer frames in it, and what their counts say; None where the mission names none.
+        evidence: what links saw in it themselves.
+        unwrappers: what took packets out of what carried them, and what its counts say.
         lacking: datagrams of which the first fragment is in it, and later ones are not.
     """
 
@@ -97,13 +90,25 @@ class Capture:
     cut: int = 0
     outages: tuple[InterfaceOutage, ...] = ()
     host: tuple[HostCounters, ...] = ()
-    files: tuple[Transaction, ...] = ()
-    corrupt_pdus: int = 0
-    corrupt_ns: tuple[int, int] = 0, 0
-    ground: tuple[GroundStream, ...] = ()
-    samples: tuple[TopicWriter, ...] = ()
-    frames: Unframer | None = None
+    evidence: Mapping[Link, LinkEvidence] = field(default_factory=dict)
+    unwrappers: Mapping[Link, Unwrapper] = field(default_factory=dict)
     lacking: tuple[CutDatagram, ...] = ()
+
+    def samples(self) -> list[SampleStream]:
+        """Return the samples of each writer that announces its topic."""
+        return [item for own in self.evidence.values() for item in own.samples()]
+
+    def spans(self) -> list[tuple[int, int]]:
+        """Return from when to when links saw something themselves."""
+        return [span for own in self.evidence.values() for span in own.spans()]
+
+    def rows(self) -> list[Any]:
+        """Return what links saw themselves, each a ``ledger.Row``."""
+        return [row for own in self.evidence.values() for row in own.rows(self.drops)]
+
+    def missing(self) -> list[Any]:
+        """Return what links themselves saw to be lost, each a ``missing.Missing``."""
+        return [item for own in self.evidence.values() for item in own.missing(self.drops)]
 
     @property
     def away(self) -> list[tuple[int, int]]:

@@ -19,20 +19,18 @@ from edoras_tools.diagnosis.evidence.relays.proxied import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.ledger import CAPTURE, MessageLedger, Row, summed
 from edoras_tools.diagnosis.missing import Missing, missing
-from edoras_tools.diagnosis.rules import OTHERS, SINGLE, rules
+from edoras_tools.diagnosis.rules import SINGLE, others, rules
 from edoras_tools.diagnosis.rules.capture import too_many
-from edoras_tools.diagnosis.samples import lost_samples, sample_rows
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, WHOLE, Choice, Severity, Verdict
+from edoras_tools.links.table import LinkStates
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, PacketBatch
-from edoras_tools.sessions.cfdp import Follower
-from edoras_tools.sessions.dds import SampleFollower
-from edoras_tools.sessions.ground_counts import GroundCounts
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from edoras_tools.decode import Context
+    from edoras_tools.links.doors import LinkEvidence
     from edoras_tools.sessions.faults.fault import Fault
 
 CHAPTER: Final = 1_000_000
@@ -268,7 +266,7 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
         progress: told how many rules were asked, of how many.
     """
     if not len(case.rows):
-        return [_told(case, rule.__name__, verdict) for rule in OTHERS for verdict in rule(case)]
+        return [_told(case, rule.__name__, verdict) for rule in others() for verdict in rule(case)]
     every = rules()
     found = judge_single(case, lambda done: progress(done, len(every)))
     for name, rule in every.items():
@@ -340,9 +338,7 @@ class Examination:
         self.context = context
         self.profile = profile or SimProfile()
         self._recorder = Recorder(context)
-        self._samples = SampleFollower()
-        self._files = Follower(msg_ids=context.mission.pdu_msg_ids)
-        self._ground = GroundCounts()
+        self._evidence: LinkStates[LinkEvidence] = LinkStates(lambda link: link.evidence(context))
         self._before: list[Callable[[], Diagnosis]] = []
         self._scattered = False
 
@@ -351,9 +347,8 @@ class Examination:
         if len(self._recorder) >= CHAPTER and not self._goes_on():
             self.separate()
         self._recorder.add(batch, columns)
-        self._files.add(batch, columns)
-        self._samples.add(batch, columns)
-        self._ground.add(batch, columns)
+        for item in self._evidence.of(columns):
+            item.add(batch, columns)
 
     def _goes_on(self) -> bool:
         """Tell whether a chapter that is full has to take more: what belongs together is not in it yet."""
@@ -384,20 +379,14 @@ class Examination:
         """Judge all that was taken."""
         capture = capture or Capture()
         zero_ns = self._zero_ns() if capture.zero_ns is None else capture.zero_ns
-        files = self._files
-        whole = replace(
-            capture,
-            zero_ns=zero_ns,
-            files=tuple(files.transactions),
-            corrupt_pdus=files.corrupt,
-            corrupt_ns=files.corrupt_ns,
-            ground=tuple(self._ground.streams),
-            samples=self._samples.topic_writers(self.context.endpoints),
+        own = self._evidence.by_link
+        whole = replace(capture, zero_ns=zero_ns, evidence=own)
+        followed = sum(item.datagrams for item in own.values())
+        apart = sum(item.made for item in own.values()) + sum(
+            item.pieces for item in capture.unwrappers.values()
         )
-        followed = files.pdus - files.packets + self._ground.datagrams + self._samples.datagrams
-        frames = sum(item.frames for item in capture.frames.channels) if capture.frames else 0
         last = self._judged(whole, self.faults, last=True)()
-        left_out = last.left_out + capture.cut - followed - frames - self._samples.joined
+        left_out = last.left_out + capture.cut - followed - apart
         last = replace(last, datagrams=last.datagrams + followed, left_out=left_out)
         found = _joined([*(part() for part in self._before), last], capture) if self._before else last
         if self._scattered:
@@ -412,7 +401,7 @@ class Examination:
         """Return what was lost, one by one, if that is asked for."""
         if not self.listing:
             return ()
-        found = [*(missing(case) if len(case.rows) else ()), *lost_samples(case.capture)]
+        found = [*(missing(case) if len(case.rows) else ()), *case.capture.missing()]
         return tuple(sorted(found, key=attrgetter("time_ns")))
 
     def _begun(self, conversations: Conversations) -> Recorder:
@@ -433,9 +422,7 @@ class Examination:
         capture = chapter.capture
         case = Case(recorder, self.profile, capture, proxied(chapter.faults))
         found = [_called(item, case) for item in judge(case, self.progress)]
-        spans = [(item.first_ns, item.last_ns) for item in capture.files]
-        spans += [(item.first_ns, item.last_ns) for item in capture.ground]
-        spans += [(item.writer.first_ns, item.writer.last_ns) for item in capture.samples]
+        spans = capture.spans()
         spans += [(case.start_ns, case.end_ns)] if len(case.rows) else []
         return Diagnosis(
             verdicts=_sorted(item for item in found if item.severity is not Severity.HABIT),
@@ -456,7 +443,7 @@ class Examination:
                     )
                     for row in (MessageLedger(case).rows() if len(case.rows) else ())
                 ),
-                *sample_rows(capture),
+                *capture.rows(),
             ),
             unnamed=tuple(unnamed(case.prepared.flows)),
             left_out=recorder.left_out + case.prepared.foreign,

@@ -13,13 +13,8 @@ ROWS: Final = {
     "to": "edoras_tools.links.to:TO",
     "sbn": "edoras_tools.links.sbn:SBN",
     "robot": "edoras_tools.links.robot:ROBOT",
-    "cfdp": "edoras_tools.links.cfdp:CFDP",
-    "frames": "edoras_tools.links.frames:FRAMES",
-    "fprime": "edoras_tools.links.fprime:FPRIME",
-    "rtps": "edoras_tools.links.rtps.link:RTPS",
     "file": "edoras_tools.links.table:STORED",
     "reset": "edoras_tools.links.resets:RESETS",
-    "racs2": "edoras_tools.links.racs2:RACS2",
     "icmp": "edoras_tools.links.icmp:ICMP",
 }
 """The built-in links and where each object is; other packages add theirs by entry points."""

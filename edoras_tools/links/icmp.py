@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Seen, Site
+from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Seen
 from edoras_tools.model import Datagram, Decoded, Endpoint, Finding, PacketBatch, Transport
 from edoras_tools.wire.arrays.window import gather, read_at
 from edoras_tools.wire.icmp import FORMS, QUOTED_UDP, ErrorForm
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.reading import Reading
+    from edoras_tools.links.site import Site
     from edoras_tools.wire.layout import Layout
 
 

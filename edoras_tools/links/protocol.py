@@ -15,21 +15,29 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
 import numpy as np
 
+from edoras_tools import doors
 from edoras_tools.model import Datagram, Decoded, Finding, Link, PacketBatch
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from collections.abc import Set as AbstractSet
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
+    from edoras_tools.links.doors import (
+        Follower,
+        LinkEvidence,
+        OwnRows,
+        OwnTopics,
+        SampleReader,
+        TopicSpace,
+        Unwrapper,
+    )
     from edoras_tools.links.framing import Framing
     from edoras_tools.links.reading import Reading
     from edoras_tools.links.sending import LinkSending
-    from edoras_tools.wire.rtps.parameters import Announcement
-    from edoras_tools.wire.transfer_frames import FrameFormat
+    from edoras_tools.links.site import Site
 
 BY_PORT: Final = 1
 BY_CONTENT: Final = 2
@@ -41,9 +49,6 @@ SMALLEST_DOUBLE: Final = 1023 - 256
 LARGEST_DOUBLE: Final = 1023 + 63
 """IEEE 754 exponents, bias included, of the smallest and largest value that a double is likely to have:
 about 1e-77 and 1e19. Zero and subnormal values count as well; infinities and NaN do not."""
-MOST_ENDPOINTS: Final = 1 << 14
-"""Endpoints that are kept; those beyond stay unknown."""
-_MOST_HEARD: Final = 1 << 14
 _EXPONENT: Final = 0x7FF0
 _TOP: Final = Field("top", 16, "sign, exponent, first 4 bits of the fraction")
 _REST: Final = Field("rest", 48, "the other bits of the fraction", kind="bytes")
@@ -97,110 +102,6 @@ class Seen(Protocol):
 
     def field(self, layout: Layout, name: str, at: int = 0) -> Any:
         """Return a number of a header that starts at byte ``at``; -1 where its bytes are not there."""
-
-
-class Peers:
-    """The identity of each endpoint: the first one that it sends is taken as its own.
-
-    SBN tells peers apart by identity, never by address. It reports a second identity from one endpoint as an
-    unknown peer.
-    """
-
-    def __init__(self) -> None:
-        self._first: dict[tuple[str, int], tuple[tuple[int, int], int]] = {}
-
-    def introduce(self, endpoint: tuple[str, int], identity: tuple[int, int], number: int) -> tuple[int, int]:
-        """Return the identity an endpoint is known by, which is this one if it has none yet.
-
-        Args:
-            endpoint: address as text and port.
-            identity: SpacecraftID and ProcessorID.
-            number: of the datagram that gives it.
-        """
-        return self._first.setdefault(endpoint, (identity, number))[0]
-
-    def identity(self, endpoint: tuple[str, int], number: int) -> tuple[int, int] | None:
-        """Return the identity an endpoint was known by when a datagram came, or None.
-
-        Messages of one TCP segment have one number: ask for the number before it, so that what is beside the
-        first identity is not judged by it, whichever comes first.
-        """
-        identity, since = self._first.get(endpoint, ((0, 0), number + 1))
-        return identity if since <= number else None
-
-
-class Endpoints:
-    """Writers, readers and participants of DDS, as they announce themselves.
-
-    The first announcement of each counts, from the datagram on that has it.
-
-    Attributes:
-        announced: by GUID what was announced, and the number of the datagram.
-    """
-
-    def __init__(self) -> None:
-        self.announced: dict[bytes, tuple[Announcement, int]] = {}
-        self._heard: set[bytes] = set()
-
-    def is_new(self, payload: bytes) -> bool:
-        """Tell whether an announcement was not heard before: they come again and again."""
-        if payload in self._heard:
-            return False
-        if len(self._heard) >= _MOST_HEARD:
-            self._heard.clear()
-        self._heard.add(payload)
-        return True
-
-    def learn(self, announcement: Announcement, number: int) -> None:
-        """Take an announcement of a datagram."""
-        entry = self.announced.get(announcement.guid)
-        if entry is None and len(self.announced) < MOST_ENDPOINTS:
-            self.announced[announcement.guid] = announcement, number
-        elif entry is not None and number < entry[1]:
-            self.announced[announcement.guid] = entry[0], number
-
-    def topics(self) -> dict[str, str]:
-        """Return the ROS names of all topics that were announced, each with its type."""
-        return {item.ros_topic: item.ros_type for item, _ in self.announced.values() if item.topic}
-
-    def find(self, guid: bytes, number: int | None = None) -> Announcement | None:
-        """Return what an endpoint announced before a datagram came, or at any time; None: nothing."""
-        entry = self.announced.get(guid)
-        return entry[0] if entry and (number is None or entry[1] <= number) else None
-
-    def since(self, guids: Sequence[bytes]) -> NDArray[np.int64]:
-        """Return from which datagram on the topic of each endpoint is known, i64; the largest where never."""
-        never = np.iinfo(np.int64).max
-        entries = [self.announced.get(guid) for guid in guids]
-        return np.array([item[1] if item and item[0].topic else never for item in entries], np.int64)
-
-
-class Site(Protocol):
-    """What the mission says of the place of a capture, and what was learnt from its datagrams so far."""
-
-    @property
-    def bridge_ports(self) -> NDArray[np.bool_]:
-        """(65536,), ports where flight bridges listen."""
-
-    @property
-    def identities(self) -> AbstractSet[tuple[int, int]]:
-        """(SpacecraftID, ProcessorID) that missions name."""
-
-    @property
-    def peers(self) -> Peers:
-        """Identities by endpoint; grows as datagrams are read, in order."""
-
-    @property
-    def endpoints(self) -> Endpoints:
-        """Writers and readers of DDS that announced themselves; grows as datagrams are read, in order."""
-
-    @property
-    def frames(self) -> Mapping[int, FrameFormat]:
-        """The CCSDS transfer frames that come to a port, by port."""
-
-    @property
-    def pdu_msg_ids(self) -> NDArray[np.int32]:
-        """MsgIds of packets that hold a CFDP PDU each."""
 
 
 class Located:
@@ -272,15 +173,14 @@ class LinkProtocol(Link):
     framing: ClassVar[Framing | None] = None
     magic: ClassVar[bytes] = b""
 
-    def send(self, site: Site, *, up: bool) -> LinkSending | None:
-        """Return how its messages are sent again; None where nothing sends them.
+    @classmethod
+    def part(cls, place: str) -> Any:
+        """Import what a door needs, when it is opened.
 
         Args:
-            site: what the mission says.
-            up: towards the flight software, or the other way.
+            place: ``module:name``, in the folder of the link.
         """
-        del site, up
-        return None
+        return doors.imported(f"{cls.__module__.rpartition('.')[0]}.{place}")
 
     @property
     def port_decides(self) -> bool:
@@ -382,6 +282,99 @@ class LinkProtocol(Link):
         """
         form = list(self.forms.values())[kind] if 0 <= kind < len(self.forms) else None
         return form.headers[-1].name.upper() if form else ""
+
+    def topics(self, space: TopicSpace) -> OwnTopics | None:
+        """Return what makes messages of its datagrams; None where routes and structs say all of them.
+
+        It is asked once a recording, at the first datagram of the link.
+        """
+        del space
+        return None
+
+    def rows(self, site: Site) -> OwnRows | None:
+        """Return what puts its pieces together; None where each datagram is whole.
+
+        It is asked once a stream, at the first datagram of the link.
+        """
+        del site
+        return None
+
+    def unwrapper(self, site: Site) -> Unwrapper | None:
+        """Return what takes packets out of its datagrams; None where it carries none. Asked once a stream."""
+        del site
+        return None
+
+    def follow(self, site: Site) -> Follower | None:
+        """Return what counts in a stream, for ``info``; None: its rows say it all.
+
+        It is asked once a stream, at the first datagram of the link.
+        """
+        del site
+        return None
+
+    def evidence(self, site: Site) -> LinkEvidence | None:
+        """Return what sees more in a stream than its rows say, for the doctor; else None. See ``follow``."""
+        del site
+        return None
+
+    def send(self, site: Site, *, up: bool) -> LinkSending | None:
+        """Return how its messages are sent again; None where nothing sends them.
+
+        Args:
+            site: what the mission says.
+            up: towards the flight software, or the other way.
+        """
+        del site, up
+        return None
+
+    def fields(self) -> Iterable[Any]:
+        """Return what filters may ask besides its layouts, each a ``decode.filters.field.FilterField``."""
+        return ()
+
+    def sample_reader(self) -> SampleReader:
+        """Return what reads the samples in its datagrams, of a link with ``samples``."""
+        raise NotImplementedError(self.label)
+
+    def claims(self, datagram: Datagram, site: Site) -> bool:
+        """Tell whether a datagram is its own whatever other links claim, as the mission says."""
+        del datagram, site
+        return False
+
+    def claimed(self, batch: PacketBatch, site: Site) -> NDArray[np.intp]:
+        """Return the rows of a batch that it ``claims``."""
+        del batch, site
+        return np.zeros(0, np.intp)
+
+    def framing_of(self, carried: Link, form: Any) -> Framing | None:
+        """Return how a TCP stream of frames is cut that carry packets of a link; None: another link's.
+
+        Args:
+            form: as ``mission.FramedPort.format`` says it.
+        """
+        del carried, form
+        return None
+
+    def holds_units(self, column: Callable[[str], NDArray[Any]], site: Site) -> NDArray[np.bool_]:
+        """Tell which rows are packets that hold a unit of it behind their cFE header; if ``in_packets``.
+
+        Args:
+            column: gives one of ``Columns``.
+        """
+        raise NotImplementedError(self.label)
+
+    def judge_units(
+        self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+    ) -> Iterator[tuple[Finding, NDArray[np.bool_]]]:
+        """Yield what is wrong with units in packets, and with which of them; if ``in_packets``."""
+        raise NotImplementedError(self.label)
+
+    def read_unit(self, reading: Reading, at: int) -> None:
+        """Read the layers of a unit from a byte of a datagram on; if ``in_packets``.
+
+        Raises:
+            TruncatedError: it needs more bytes than there are.
+        """
+        raise NotImplementedError(self.label)
 
     def quoted(self, datagram: Datagram) -> Datagram:
         """Return the datagram whose beginning a message holds, of a link that ``quotes``.

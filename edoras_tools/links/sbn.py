@@ -14,7 +14,7 @@ import numpy as np
 
 from edoras_tools.cfs.limits import BRIDGE_LENGTH_MODULUS
 from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, prefixed
-from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located, Site
+from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds, sbn
 from edoras_tools.wire.arrays.order import by_value
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.reading import Reading
+    from edoras_tools.links.site import Site
     from edoras_tools.wire.layout import Layout
 
 BRIDGE_PORT: Final = 2236

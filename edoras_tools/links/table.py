@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import cache
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.framing import Framing
 
 
+State = TypeVar("State")
 _LABEL: Final = re.compile(r"[a-z][a-z0-9_]{0,15}")
 _CODES: Final = 256
 """A code is a byte in recordings; 0 is for datagrams of no link."""
@@ -31,15 +31,16 @@ _CODES: Final = 256
 
 @cache
 def links() -> tuple[LinkProtocol, ...]:
-    """Return every link: the built-in ones, then the installed ones by label.
+    """Return every link: those that ship by code, then the installed ones by label.
+
+    A link of an add-on whose folder was deleted is left out: its datagrams are of no link.
 
     Raises:
         ConfigError: an installed link cannot be loaded, or its label or code is taken or is not allowed.
     """
-    by_label: dict[str, LinkProtocol] = {}
-    for label, place in ROWS.items():
-        module, _, name = place.partition(":")
-        by_label[label] = getattr(import_module(module), name)
+    places = ROWS | {name: item.place for name, item in doors.shipped("links").items() if not item.absent}
+    ships: list[LinkProtocol] = sorted(map(doors.imported, places.values()))
+    by_label = {link.label: link for link in ships}
     for item in doors.installed("links"):
         by_label[item.name] = _checked(item, item.load(), by_label)
     return tuple(by_label.values())
@@ -149,6 +150,34 @@ def accepted(accepts: Callable[[Link], bool]) -> NDArray[np.bool_]:
     table = np.zeros(1 << 8, np.bool_)
     table[[code for code, item in _by_code().items() if accepts(item)]] = True
     return table
+
+
+class LinkStates(Generic[State]):
+    """The states that links keep of one stream, each begun with the first datagram of its link.
+
+    Args:
+        begin: asks a link for its state; None where it keeps none.
+
+    Attributes:
+        by_link: those that were begun.
+    """
+
+    def __init__(self, begin: Callable[[LinkProtocol], State | None]) -> None:
+        self._begin, self._waiting = begin, list(links())
+        self.by_link: dict[Link, State] = {}
+
+    def of(self, columns: Columns) -> list[State]:
+        """Return the states for a batch, those that begin with it among them."""
+        self.begin(link for link in self._waiting if link.in_packets or (columns.link == link).any())
+        return [*self.by_link.values()]
+
+    def begin(self, some: Iterable[LinkProtocol] | None = None) -> None:
+        """Begin the states of some links, all by default; each once."""
+        for link in list(self._waiting if some is None else some):
+            if link in self._waiting:
+                self._waiting.remove(link)
+                if (state := self._begin(link)) is not None:
+                    self.by_link[link] = state
 
 
 class StoredLink(LinkProtocol):

@@ -13,7 +13,6 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.errors import RouteError
 from edoras_tools.io.topics.rows import APART
 from edoras_tools.links import table
-from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, Columns, PacketBatch
 from edoras_tools.structs.shapes import Key
@@ -25,13 +24,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.links.protocol import Endpoints
+    from edoras_tools.links.site import Endpoints
     from edoras_tools.mission import Mission
 
 
 @dataclass(frozen=True, slots=True)
 class SampleTopics:
-    """The samples of DDS on some topics, whether their types are known or not.
+    """The samples on some topics that are announced, whether their types are known or not.
 
     Attributes:
         pattern: a shell pattern of the topics' names, as recordings have them.
@@ -47,24 +46,25 @@ class SampleTopics:
 
     @classmethod
     def of(cls, topic: str, context: Context) -> SampleTopics:
-        """Return the samples of one topic of DDS."""
+        """Return the samples of one topic that is announced."""
         used = frozenset(route.topic for route in context.mission.routes)
         return cls(_recorded_as(topic, used), used, context.endpoints)
 
     def holds(self, topic: str) -> bool:
-        """Tell whether a topic of DDS is one of them."""
+        """Tell whether an announced topic is one of them."""
         return fits_topic(_recorded_as(topic, self.used), self.pattern)
 
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
         """Return which rows of a batch have such a sample."""
         rows_on = np.zeros(len(batch), bool)
-        rows = np.flatnonzero(columns.link == RTPS)
-        if len(rows):
-            rows_on[RTPS.rows_on(batch, rows, self.endpoints, self.holds)] = True
-        if len(rows) and self.announced:
-            announced = self.endpoints.announced.values()
-            numbers = [number for item, number in announced if item.topic and self.holds(item.ros_topic)]
-            rows_on[rows[np.isin(batch.number[rows], numbers)]] = True
+        for link in (item for item in table.links() if item.samples):
+            rows = np.flatnonzero(columns.link == link)
+            if len(rows):
+                rows_on[link.sample_reader().rows_on(batch, rows, self.endpoints, self.holds)] = True
+            if len(rows) and self.announced:
+                announced = self.endpoints.announced.values()
+                numbers = [number for item, number in announced if item.topic and self.holds(item.ros_topic)]
+                rows_on[rows[np.isin(batch.number[rows], numbers)]] = True
         return rows_on
 
 
@@ -76,7 +76,7 @@ class PacketKinds:
         routes: indices of configured routes.
         keys: MsgIds, and the function codes of commands.
         kinds: a link's code, and its own message type, as ``links.table.message_kinds`` has it.
-        samples: topics of DDS.
+        samples: topics that are announced.
     """
 
     routes: frozenset[int] = frozenset()
@@ -89,11 +89,11 @@ class PacketKinds:
 
     @property
     def only_samples(self) -> bool:
-        """Whether topics of DDS are all that is meant."""
+        """Whether announced topics are all that is meant."""
         return bool(self.samples) and not (self.routes or self.keys or self.kinds)
 
     def with_announcements(self) -> PacketKinds:
-        """Return these, and of topics of DDS also the datagrams that announce them."""
+        """Return these, and of announced topics also the datagrams that announce them."""
         return replace(self, samples=tuple(replace(item, announced=True) for item in self.samples))
 
     @classmethod
@@ -132,11 +132,11 @@ class PacketKinds:
         return route in self.routes or own or any(key.msg_id == msg_id for key in self.keys)
 
     def has_sample_topic(self, topic: str) -> bool:
-        """Return whether samples on a topic of DDS are meant."""
+        """Return whether samples on an announced topic are meant."""
         return any(item.holds(topic) for item in self.samples)
 
     def shares_samples(self, other: PacketKinds) -> bool:
-        """Return whether some topic of DDS that was announced is meant by both."""
+        """Return whether some topic that was announced is meant by both."""
         topics = {name for item in self.samples for name in item.endpoints.topics()}
         return any(self.has_sample_topic(name) and other.has_sample_topic(name) for name in topics)
 

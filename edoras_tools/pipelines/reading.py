@@ -16,7 +16,7 @@ import numpy as np
 from edoras_tools.decode.conversations import Conversations
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError
-from edoras_tools.links.rtps.link import RTPS
+from edoras_tools.links.table import LinkStates
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.pipelines.interrupt import interrupted, interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
@@ -27,9 +27,8 @@ if TYPE_CHECKING:
     import threading
     from collections.abc import Callable, Iterator
 
-    from edoras_tools.decode.samples import LeftSamples
     from edoras_tools.io import Source
-    from edoras_tools.io.frames.fragmented import FragmentedSamples
+    from edoras_tools.links.doors import OwnRows
     from edoras_tools.pipelines.workbench import Workbench
 
 
@@ -65,7 +64,7 @@ class ReadLoop:
         bench: mission, types and decoders.
         selection: which datagrams; already prepared for the bench.
         limits: when to end.
-        examined: datagrams outside this period are not decoded; only what DDS announces there is learnt.
+        examined: datagrams outside this period are not decoded; only what is announced there is learnt.
         keeps_failure: keep the error that ended the source in ``failure``, instead of raising it.
         conversations: of all that was read, if they are followed, else of what is on ports of no link; a
             batch is added before it is yielded.
@@ -92,8 +91,11 @@ class ReadLoop:
     last_ns: int = -1
     outside: int = 0
     _ends_ns: int = 0
-    _fragmented: FragmentedSamples | None = None
-    _left_samples: LeftSamples | None = None
+    _own_rows: LinkStates[OwnRows] = field(init=False)
+
+    def __post_init__(self) -> None:
+        context = self.bench.columns.context
+        self._own_rows = LinkStates(lambda link: link.rows(context))
 
     @property
     def interrupted(self) -> bool:
@@ -153,8 +155,8 @@ class ReadLoop:
                 self.outside += len(whole) - len(batch)
                 bench.columns.learn(whole)  # what is announced before the period names what is in it
             columns = self.source.decoded(batch, bench.columns.decode)
-            if (columns.link == RTPS).any():
-                batch, columns = self._with_samples(batch, columns)
+            for own in self._own_rows.of(columns):
+                batch, columns = own.take(batch, columns, bench.columns.decode)
             self._follow(batch, columns)
             rows = self.selection.rows(batch, columns)
             inside = inside or (len(batch) > 0 and bool(visible.holds(batch.time_ns - begin_ns).any()))
@@ -170,11 +172,8 @@ class ReadLoop:
                 if not self.source.live:
                     return
                 self.source.stop()  # what arrived until now is still read
-        if self._fragmented is not None and self._left_samples is not None:
-            context = bench.columns.context
-            context.notes += self._fragmented.notes() + self._left_samples.notes(
-                context.types, context.endpoints
-            )
+        for own in self._own_rows.by_link.values():
+            bench.columns.context.notes += own.notes()
         if self.first_ns is not None and self.first_ns < _NO_CLOCK_NS <= self.last_ns:
             self.bench.columns.context.notes.append(
                 "some times are before the year 2000 and others are not: a clock was not set, and spans and "
@@ -182,18 +181,6 @@ class ReadLoop:
             )
         if self.begin_ns is not None and not (inside or self.interrupted or self.source.live):
             raise outside(self.source.info.name, self.begin_ns, self.last_ns)
-
-    def _with_samples(self, batch: PacketBatch, columns: Columns) -> tuple[PacketBatch, Columns]:
-        """Return a batch with the samples of DDS that become whole in it."""
-        if self._fragmented is None or self._left_samples is None:
-            from edoras_tools.decode.samples import LeftSamples
-            from edoras_tools.io.frames.fragmented import FragmentedSamples
-
-            self._fragmented, self._left_samples = FragmentedSamples(), LeftSamples()
-        batch, columns = self._fragmented.take(batch, columns, self.bench.columns)
-        rows = np.flatnonzero(columns.link == RTPS)
-        self._left_samples.add(batch, rows, self.bench.columns.context.endpoints)
-        return batch, columns
 
     def _follow(self, batch: PacketBatch, columns: Columns) -> None:
         if batch.recorded is not None:
@@ -204,15 +191,15 @@ class ReadLoop:
             self.conversations.add(batch.take(others), columns.take(others))
 
     def _until_failure(self) -> Iterator[PacketBatch]:
-        frames = self.bench.frames
         try:
-            if frames is None:
-                yield from self._batches
-            else:
-                try:
-                    yield from map(frames.take, self._batches)
-                finally:
-                    self.bench.columns.context.notes += frames.notes()
+            batches = self._batches
+            for unwrapper in self.bench.unwrappers.values():
+                batches = map(unwrapper.take, batches)
+            try:
+                yield from batches
+            finally:
+                for unwrapper in self.bench.unwrappers.values():
+                    self.bench.columns.context.notes += unwrapper.notes()
         except CaptureError as error:
             if not self.keeps_failure:
                 raise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -16,13 +16,13 @@ from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.structs import Structs, shipped_structs
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.io import Source
-    from edoras_tools.io.frames.transfer import Unframer
-    from edoras_tools.links.protocol import Endpoints
-    from edoras_tools.model import SourceInfo
+    from edoras_tools.links.doors import Unwrapper
+    from edoras_tools.links.site import Endpoints
+    from edoras_tools.model import Link, SourceInfo
     from edoras_tools.wire.cfe import Headers
 
 _LAYOUTS: Final = "structs/"
@@ -38,14 +38,14 @@ class Workbench:
         types: the ROS types.
         columns: decodes batches.
         dissector: decodes single packets, with every field's bytes.
-        frames: takes packets out of transfer frames; None where the mission has none.
+        unwrappers: take packets out of what carries them, by their link.
     """
 
     mission: Mission
     types: TypeStore
     columns: ColumnDecoder
     dissector: Dissector
-    frames: Unframer | None = None
+    unwrappers: Mapping[Link, Unwrapper] = field(default_factory=dict)
 
     def with_headers(self, headers: Headers) -> Workbench:
         """Return one for packets with the headers of another build, and its MsgIds."""
@@ -86,7 +86,7 @@ class Settings:
         Args:
             info: of the source. A recording's mission files and struct layouts are used if none are named,
                 its decoding options if none are given, its message definitions before the distribution's.
-            paths: of the source: topics of DDS that are asked for are looked up in these before it is read.
+            paths: of the source: announced topics that are asked for are looked up in these first.
 
         Raises:
             ConfigError: a mission, a type folder or an option has errors.
@@ -120,16 +120,15 @@ class Settings:
 
 
 def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:
-    frames = None
-    if context.frames:
-        from edoras_tools.io.frames.transfer import Unframer
-
-        frames = Unframer(context.frames)
-    return Workbench(mission, types, ColumnDecoder(context), Dissector(context), frames)
+    asked: Iterable[tuple[Link, Unwrapper | None]] = (
+        (link, link.unwrapper(context)) for link in context.links
+    )
+    unwrappers = {link: item for link, item in asked if item is not None}
+    return Workbench(mission, types, ColumnDecoder(context), Dissector(context), unwrappers)
 
 
 def _announced_in(paths: Sequence[Path]) -> Endpoints:
-    """Return what DDS participants announce in captures; as much as can be read of them."""
+    """Return what participants announce in captures; as much as can be read of them."""
     decoder = ColumnDecoder(Context())
     with suppress(CaptureError), closing(open_files(paths)) as source:
         for batch in source.batches():

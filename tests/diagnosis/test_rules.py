@@ -21,7 +21,7 @@ from transfer_frames import Maker, space_packet
 
 from edoras_tools.addons.lab.emulator import messages
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
-from edoras_tools.diagnosis.rules import RULES
+from edoras_tools.diagnosis.rules import shipped_rules
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.to import TO
@@ -34,7 +34,7 @@ from edoras_tools.wire import cfe, envelope, sbn
 from edoras_tools.wire.cfdp import Directive
 from edoras_tools.wire.rtps.headers import SubmessageKind
 
-IDS = list(RULES)
+IDS = list(shipped_rules())
 HABITS = {"checksum", "subscription_storm", "proto_storm", "superseded"}
 
 

@@ -12,13 +12,13 @@ from xml.parsers import expat
 
 import pytest
 
+from edoras_tools.addons.fprime.link import FPRIME
+from edoras_tools.addons.frames.link import FRAMES
+from edoras_tools.addons.frames.unframer import Unframer
+from edoras_tools.addons.racs2.link import RACS2
 from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.frames.transfer import Unframer
-from edoras_tools.links.fprime import FPRIME
-from edoras_tools.links.frames import FRAMES
-from edoras_tools.links.racs2 import RACS2
 from edoras_tools.mission import Mission, load
 from edoras_tools.model import OTHER
 from edoras_tools.pipelines.reading import reading
@@ -318,8 +318,8 @@ def agreed(tshark, judge):
     def hold(path, *configs, structs=()):
         mission, types = load(configs) if configs else Mission(), TypeStore()
         context = Context(mission, types, structs=Structs([load_layout(item) for item in structs]))
-        frames = Unframer(context.frames) if context.frames else None
-        bench, found = Workbench(mission, types, ColumnDecoder(context), Dissector(context), frames), []
+        unwrappers = {FRAMES: Unframer(context.frames)} if context.frames else {}
+        bench, found = Workbench(mission, types, ColumnDecoder(context), Dissector(context), unwrappers), []
         with closing(open_file(path)) as source, reading(source, bench) as loop:
             for rows in loop:
                 found += [bench.dissector.dissect(rows.batch[row]) for row in range(len(rows.batch))]

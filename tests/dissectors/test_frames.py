@@ -15,8 +15,8 @@ from rewriting import datagrams as captured
 from streams import segments_of, write_segments
 from transfer_frames import CRAFT, Maker
 
+from edoras_tools.addons.frames.link import FRAMES
 from edoras_tools.decode import Options
-from edoras_tools.links.frames import FRAMES
 
 ROVER_CAPTURE = ROOT / "samples/captures/a_rover.pcap"
 MISSION = ROOT / "samples/missions/rover_ground.yaml"
@@ -131,7 +131,7 @@ def test_frames_and_their_packets(agreed, tmp_path_factory, chance):
     path = write(folder / "frames.pcap", items)
     bench, compared, ours, _ = agreed(path, mission(folder), MISSION)
     assert compared > 3 * len(items)
-    assert {item.kind for item in bench.frames.channels} == {"tm", "aos", "tc"}
+    assert {item.kind for item in bench.unwrappers[FRAMES].channels} == {"tm", "aos", "tc"}
     inside = [packet for packets in ours.values() for packet in packets[1:]]
     assert sum(packet.message is not None for packet in inside) > 0
 
@@ -145,7 +145,7 @@ def test_lost_frames_are_marked(agreed, tmp_path):
     items = [replace(item, time_ns=10**18 + at * 10**6) for at, item in enumerate(items)]
     bench, _, _, gaps = agreed(write(tmp_path / "l.pcap", items), mission(tmp_path), MISSION)
     assert gaps == [2, 1] * 3
-    assert [channel.lost for channel in bench.frames.channels] == [3] * 3
+    assert [channel.lost for channel in bench.unwrappers[FRAMES].channels] == [3] * 3
 
 
 @pytest.mark.quick("to")
@@ -165,7 +165,9 @@ def test_frames_over_tcp(link, agreed, tmp_path):
     bench, compared, _, gaps = agreed(path, config, MISSION, structs=structs)
     assert compared > 500
     assert not gaps
-    assert [item.packets for item in bench.frames.channels] == [len(packets)] * len(bench.frames.channels)
+    assert [item.packets for item in bench.unwrappers[FRAMES].channels] == [len(packets)] * len(
+        bench.unwrappers[FRAMES].channels
+    )
 
 
 COUNTS = {

@@ -15,16 +15,16 @@ from racs2_peer import Talk, to_cfs, to_ros
 from streams import Segment, frames, sbn_messages
 from transfer_frames import Maker, batch_of, space_packet
 
+from edoras_tools.addons.cfdp.transactions import FileEvidence
+from edoras_tools.addons.frames.unframer import Unframer
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.io.frames.transfer import Unframer
 from edoras_tools.io.topics.rows import lay_out
 from edoras_tools.io.topics.streams import Streams
 from edoras_tools.mission import loads
 from edoras_tools.ros import TypeStore
-from edoras_tools.sessions.cfdp import Follower
 from edoras_tools.structs import Structs
 from edoras_tools.structs.files import load_layout, parse_layout
 
@@ -61,7 +61,7 @@ def _whole(batches: list[PacketBatch], context: Context) -> Hashable:
     decoder, dissector, follower = (
         ColumnDecoder(context),
         Dissector(context),
-        Follower(msg_ids=(0x18C8, 0x8C2)),
+        FileEvidence(msg_ids=(0x18C8, 0x8C2)),
     )
     examination, unframer = Examination(context), Unframer(context.frames)
     topics: dict[str, int] = {}

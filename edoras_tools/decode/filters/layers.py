@@ -11,15 +11,12 @@ import numpy as np
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, FilterField
 from edoras_tools.decode.filters.rows import INDEX_DTYPE, Series, ValueKind
-from edoras_tools.links.rtps.link import RTPS
-from edoras_tools.links.rtps.reader import NamedSubmessages, named_submessages
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Finding
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cdr import ENCAPSULATION
 from edoras_tools.wire.envelope import DEFAULT
-from edoras_tools.wire.rtps.messages import guid_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -35,70 +32,6 @@ if TYPE_CHECKING:
     Places = tuple[NDArray[np.int64], NDArray[np.int64]]
     """Which rows have a header, and where in the batch's data it starts."""
     from edoras_tools.model import Decoded
-
-
-_DOCS: Final = {
-    "writer": "GUIDs of the writers that submessages are about, or from",
-    "topic": "topics of these writers, as they were announced",
-    "writer_sn": "sequence numbers of samples, and of their fragments",
-}
-
-
-def sample_fields() -> Iterator[FilterField]:
-    """Yield the fields that hold what submessages of DDS are about."""
-    readers: dict[str, Callable[[ColumnRows], Series]] = {
-        "writer": _writers,
-        "topic": _topics,
-        "writer_sn": _numbers,
-    }
-    for name, doc in _DOCS.items():
-        number = name == "writer_sn"
-        yield FilterField(
-            f"{RTPS.label}.{name}",
-            ValueKind.NUMBER if number else ValueKind.TEXT,
-            partial(_pick, name),
-            readers[name],
-            cost=BYTES_COST,
-            limits=(-(1 << 63), (1 << 63) - 1) if number else None,
-            many=True,
-            doc=doc,
-        )
-
-
-def _pick(name: str, _: PacketRows, decoded: Decoded) -> Any:
-    values = (layer.values() for layer in decoded.layers if decoded.link is RTPS)
-    return [item[name] for item in values if name in item] or None
-
-
-def _submessages(rows: ColumnRows) -> NamedSubmessages:
-    def make() -> NamedSubmessages:
-        own = np.flatnonzero(rows.column("link") == RTPS)
-        named = named_submessages(rows.batch, rows.indices()[own])
-        return named._replace(row=own[named.row])
-
-    result: NamedSubmessages = rows.once("rtps", make)
-    return result
-
-
-def _writers(rows: ColumnRows) -> Series:
-    named = _submessages(rows)
-    texts = [guid_text(guid) for guid in named.writers]
-    return Series(len(rows), named.writer.astype(INDEX_DTYPE), named.row, table=texts)
-
-
-def _topics(rows: ColumnRows) -> Series:
-    named = _submessages(rows)
-    endpoints = rows.context.endpoints
-    endpoint = map(endpoints.find, named.writers)
-    texts = [item.ros_topic if item else "" for item in endpoint]
-    announced = rows.datagram("number")[named.row] >= endpoints.since(named.writers)[named.writer]
-    return Series(len(rows), named.writer[announced].astype(INDEX_DTYPE), named.row[announced], table=texts)
-
-
-def _numbers(rows: ColumnRows) -> Series:
-    named = _submessages(rows)
-    numbered = named.numbered
-    return Series(len(rows), named.number[numbered], named.row[numbered])
 
 
 _DECODED: Final = {
@@ -117,6 +50,8 @@ def layer_fields(context: Context) -> Iterator[FilterField]:
     for link in context.links:
         yield from _of_link(link.places, link)
     yield from _of_packets()
+    for link in context.links:
+        yield from link.fields()
     yield from _others(context.msg_ids)
 
 
@@ -148,7 +83,6 @@ def _packet_headers() -> Iterator[FilterField]:
     )
     yield from map(_of_any_format, _header(DEFAULT.layout, None))
     yield from _header(ENCAPSULATION, _encapsulation)
-    yield from sample_fields()
 
 
 def _others(msg_ids: MsgIds) -> Iterator[FilterField]:

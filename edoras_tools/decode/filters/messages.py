@@ -24,7 +24,6 @@ import numpy as np
 
 from edoras_tools.decode.filters.field import MESSAGE_COST, FilterField
 from edoras_tools.decode.filters.rows import INDEX_DTYPE, Series, ValueKind
-from edoras_tools.decode.samples import KnownSamples, known_samples
 from edoras_tools.links.table import among
 from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
 from edoras_tools.ros.types import grammar, schema
@@ -41,6 +40,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
+    from edoras_tools.links.doors import KnownSamples
     from edoras_tools.model import Decoded
     from edoras_tools.ros.types.schema import Definition
 
@@ -304,12 +304,15 @@ def _messages(name: str, routes: tuple[int, ...], rows: ColumnRows) -> Owned:
 
 
 def samples_of(rows: ColumnRows) -> list[KnownSamples]:
-    """Return the samples of DDS in some rows, by topic and type."""
+    """Return the samples in some rows, by topic and type."""
 
     def make() -> list[KnownSamples]:
-        own = np.flatnonzero(among(rows.column("link"), lambda link: link.samples))
         context = rows.context
-        return list(known_samples(context.types, context.endpoints, rows.batch, rows.indices()[own]))
+        found: list[KnownSamples] = []
+        for link in (item for item in context.links if item.samples):
+            own = rows.indices()[np.flatnonzero(rows.column("link") == link)]
+            found += link.sample_reader().known(context.types, context.endpoints, rows.batch, own)
+        return found
 
     samples: list[KnownSamples] = rows.once("samples", make)
     return samples
@@ -346,7 +349,7 @@ def held_messages(bound: Bound, rows: ColumnRows) -> Owned:
 
 
 def _may_hold(routes: tuple[int, ...], rows: ColumnRows) -> NDArray[np.bool_]:
-    """Tell which rows may hold messages of some routes' types: theirs, and samples of DDS."""
+    """Tell which rows may hold messages of some routes' types: theirs, and samples."""
     return np.isin(rows.routes(), routes) | among(rows.column("link"), lambda link: link.samples)
 
 

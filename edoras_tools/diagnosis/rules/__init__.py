@@ -11,7 +11,6 @@ from edoras_tools import doors
 from edoras_tools.diagnosis.rules import (
     capture,
     commands,
-    files,
     flight_software,
     gaps,
     ingest,
@@ -22,31 +21,19 @@ from edoras_tools.diagnosis.rules import (
     pipes,
     ports,
     routes,
-    samples,
     security,
     silence,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.verdict import Verdict
 
     Rule = Callable[[Case], Iterator[Verdict]]
 
-_OF_FILES = (files.file_checksum, files.file_not_finished, files.file_stalled, files.file_pieces_resent)
-_OF_SAMPLES = (samples.dds_lost, samples.dds_not_captured, samples.dds_resent)
-OTHERS: Final[tuple[Rule, ...]] = (
-    capture.not_examined,
-    capture.not_cfs,
-    capture.frames_lost,
-    capture.fprime_packets_lost,
-    *_OF_FILES,
-    *_OF_SAMPLES,
-)
-"""Those that are not about the rows of a case: a capture may hold nothing else."""
-RULES: Final[Mapping[str, Rule]] = {
+RULES: Final[dict[str, Rule]] = {
     rule.__name__: rule
     for rule in (
         capture.not_examined,
@@ -54,8 +41,6 @@ RULES: Final[Mapping[str, Rule]] = {
         ingest.host_drops,
         capture.cut_frames,
         capture.stream_gap,
-        capture.frames_lost,
-        capture.fprime_packets_lost,
         capture.not_cfs,
         capture.captured_twice,
         capture.out_of_order,
@@ -120,11 +105,24 @@ RULES: Final[Mapping[str, Rule]] = {
         network_messages.proto_storm,
         gaps.superseded,
         flight_software.cfs_errors,
-        *_OF_FILES,
-        *_OF_SAMPLES,
     )
 }
-"""Those that ship, by the name that their verdicts carry."""
+"""Those of the core, by the name that their verdicts carry."""
+
+
+def of_addons() -> dict[str, Rule]:
+    """Return the rules of the add-ons that are here; those are about what links saw themselves."""
+    return {name: item.load() for name, item in doors.shipped("rules").items() if not item.absent}
+
+
+def shipped_rules() -> dict[str, Rule]:
+    """Return the rules of the core and of the add-ons that are here."""
+    return RULES | of_addons()
+
+
+def others() -> list[Rule]:
+    """Return the rules that are not about the rows of a case: a capture may hold nothing else."""
+    return [capture.not_examined, capture.not_cfs, *of_addons().values()]
 
 
 def rules() -> dict[str, Rule]:
@@ -133,7 +131,7 @@ def rules() -> dict[str, Rule]:
     Raises:
         ConfigError: a package's rule cannot be loaded, or its name is taken.
     """
-    found = dict(RULES)
+    found = shipped_rules()
     for item in doors.installed("rules"):
         if item.name in found:
             raise item.error("another rule has this name; uninstall one of them")

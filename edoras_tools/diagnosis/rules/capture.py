@@ -11,8 +11,6 @@ from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
 from edoras_tools.diagnosis.ledger import ON_PURPOSE
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.links import table
-from edoras_tools.links.fprime import FPRIME
-from edoras_tools.links.frames import FRAMES
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
@@ -129,65 +127,6 @@ def stream_gap(case: Case) -> Iterator[Verdict]:
                 "TCP delivers every byte or ends the connection: the capture lacks them, the peer does not",
             ),
             remedy="capture whole frames, with a larger buffer, and from before the connections begin",
-        )
-
-
-def frames_lost(case: Case) -> Iterator[Verdict]:
-    """Transfer frames were lost or damaged on their way, and packets with them.
-
-    Name each virtual channel whose frame counts have gaps, or at whose borders packets are cut.
-    """
-    frames = case.capture.frames
-    for item in frames.channels if frames else ():
-        if not (item.lost or item.cut):
-            continue
-        evidence = [
-            f"frame counts: {item.lost:,} missing of {item.frames + item.lost:,}",
-            f"{plural(item.packets, 'packet')} came whole; at {plural(item.cut, 'place')} one was cut",
-        ]
-        evidence += [
-            f"{master.name}: {master.lost:,} missing of {master.frames + master.lost:,}"
-            for master in (frames.masters if frames else ())
-            if (master.source, master.destination) == (item.source, item.destination)
-            and master.spacecraft_id == item.spacecraft_id
-        ]
-        if frames and frames.damaged:
-            evidence.append(f"{plural(frames.damaged, 'frame')} of all came damaged, and count as lost")
-        yield Verdict(
-            Severity.ERROR,
-            f"{item.name}: {plural(item.lost, 'frame')} lost of {item.frames + item.lost:,}, packets cut at "
-            f"{plural(item.cut, 'place')}",
-            link=FRAMES.label,
-            hop=f"{item.source} to {item.destination}",
-            evidence=tuple(evidence),
-            remedy="look for the loss between the two ends: radio, modem, network, or a receiver's buffer",
-        )
-
-
-def fprime_packets_lost(case: Case) -> Iterator[Verdict]:
-    """Space packets between F Prime and its ground system were lost, by the sequence counts of their APIDs.
-
-    Name each APID of each sender whose counts have gaps.
-    """
-    for item in case.capture.ground:
-        lost = item.counts.gaps
-        if not lost:
-            continue
-        of = item.counts.packets - item.counts.duplicates + lost
-        way = "to" if item.command else "from"
-        evidence = [f"sequence counts: {lost:,} missing of {of:,}"]
-        if item.counts.restarts:
-            evidence.append(f"the count began anew {plural(item.counts.restarts, 'time')}")
-        yield Verdict(
-            Severity.ERROR,
-            f"{item.name} {way} F Prime: {plural(lost, 'packet')} lost of {of:,}",
-            link=FPRIME.label,
-            hop=f"{item.source} to {item.destination}",
-            lost=lost,
-            of=of,
-            span=(item.first_ns, item.last_ns),
-            evidence=tuple(evidence),
-            remedy="look for the loss between the two ends: radio, network, or a receiver's buffer",
         )
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.formats.capture_file import CaptureFileSink
     from edoras_tools.io.outputs import OutputFile
-    from edoras_tools.links.protocol import Endpoints
+    from edoras_tools.links.site import Endpoints
     from edoras_tools.model import Columns, PacketBatch, SourceStatistics
     from edoras_tools.sessions.sequence import SequenceCounts
     from edoras_tools.structs import Structs

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.protocol import Endpoints
+    from edoras_tools.links.site import Endpoints
     from edoras_tools.mission import Mission
     from edoras_tools.model import SourceInfo
     from edoras_tools.ros import TypeStore
@@ -385,14 +385,14 @@ class FoxgloveSink(ServedSink):
             lambda name: definitions.get(name) or types.definition(name),
             options,
         )
-        self._streams.offer_announced()
+        self._streams.offer()
         self.server.link_state = lambda: self._link.summary()  # noqa: PLW0108  there is a new one after a jump
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Send a batch to clients."""
         if not len(batch):
             return
-        self._streams.offer_announced()
+        self._streams.offer()
         # Whole datagrams are the first topic, and the most expensive.
         streams = self._streams.messages(
             batch,

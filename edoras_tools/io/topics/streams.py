@@ -26,10 +26,7 @@ from edoras_tools.io.topics.statistics import HOST_TOPIC, HOST_TYPE, LinkStatist
 from edoras_tools.io.topics.structs import log_messages, struct_messages
 from edoras_tools.io.topics.transforms import TF_TOPIC, TF_TYPE, Transforms
 from edoras_tools.links import table
-from edoras_tools.links.cfdp import CFDP
-from edoras_tools.links.racs2 import RACS2
 from edoras_tools.links.resets import RESETS
-from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.arrays.order import order_by
@@ -40,11 +37,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.topics.carried.files import FileMessages
-    from edoras_tools.io.topics.carried.racs2 import BridgeMessages
-    from edoras_tools.io.topics.carried.samples import SampleMessages
-    from edoras_tools.links.protocol import Endpoints
-    from edoras_tools.mission import Mission, StoredTopic
+    from edoras_tools.links.doors import OwnTopics
+    from edoras_tools.links.site import Endpoints
+    from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch, SourceStatistics
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.sequence import SequenceCounts
@@ -227,8 +222,7 @@ class PreparedBatch:
 
     Attributes:
         published: i64, publish time of each row, ns since 1970.
-        statistics: the seconds of link statistics that have ended, files that were transferred, messages of
-            RACS2, samples of DDS.
+        statistics: the seconds of link statistics that have ended, and the links' own messages.
         added: channel ids of the topics that were added so far, by name.
     """
 
@@ -280,7 +274,7 @@ class Streams:
         self.structs = structs.unclaimed(claimed)
         self._add = add
         self._transforms = Transforms(mission, types) if transforms and add else None
-        self._types, self._mission = types, mission
+        self.types, self.mission = types, mission
         own = OWN_TOPICS if datagrams else OWN_TOPICS[1:]
         self.topics = (
             *own,
@@ -301,11 +295,8 @@ class Streams:
         self.definitions = {name: types.definition(name) for name in dict.fromkeys(names)}
         self.clock = MissionClock()
         self.endpoints: Endpoints | None = None
-        self._samples: SampleMessages | None = None
-        self._announced = 0
         self._latched = LatchedTopics(mission)
-        self._bridged: BridgeMessages | None = None
-        self._files = _file_messages(mission, types) if mission.stored_topics and add else None
+        self._own_topics: table.LinkStates[OwnTopics] = table.LinkStates(lambda link: link.topics(self))
         self._statistics = LinkStatistics(mission, statistics, sequences)
         self._own = len(own)
         self.number(range(len(self.topics)))
@@ -354,13 +345,8 @@ class Streams:
         """
         published = self.clock.publish_times(batch.time_ns, columns)
         messages = [self._statistics.messages(batch, columns, self._statistics_id)] if statistics else []
-        if self._files and self._add:
-            messages += self._files.messages(batch, columns, self._place_stored)
-        if self._add and (columns.link == RACS2).any():
-            self._bridged = self._bridged or self._bridge_messages()
-            messages += self._bridged.messages(batch, columns)
-        if self._add and self.endpoints is not None and (columns.link == RTPS).any():
-            messages += self._sample_messages(self.endpoints).messages(batch, columns, self._place_sample)
+        for topics in self._own_topics.of(columns) if self._add else ():
+            messages += topics.messages(batch, columns)
         if self._latched.routes:
             rows = np.flatnonzero(np.isin(columns.route, self._latched.routes))
             own_rows, own = batch.take(rows), columns.take(rows)
@@ -404,7 +390,7 @@ class Streams:
         if (columns.link == RESETS).any():
             streams.append(reset_messages(batch, columns, self._events))
         if self.structs.dictionary is not None:
-            streams.append(log_messages(batch, columns, self.structs, self._types, self._events))
+            streams.append(log_messages(batch, columns, self.structs, self.types, self._events))
         if self._add:
             streams += struct_messages(batch, columns, self.structs, added, published)
         if self._transforms and transforms and self._transforms.are_in(columns):
@@ -412,7 +398,7 @@ class Streams:
         return streams
 
     def _trimmed(self, batch: PacketBatch, columns: Columns) -> Columns:
-        return without_trailing(batch, columns, self._types, self._mission.routes)
+        return without_trailing(batch, columns, self.types, self.mission.routes)
 
     def latched(self, time_ns: int) -> Messages:
         """Return the last message of each latched topic again, for a new file; all belong to row 0."""
@@ -433,47 +419,28 @@ class Streams:
             key for key in keys if all(item.topic in self._added for item in self._new.bound_to(key))
         )
 
-    def _place_stored(self, topic: StoredTopic) -> int:
-        for index, route in enumerate(self._mission.routes):
-            if (route.topic, route.type) == (topic.topic, topic.type):
-                return int(self._routes[index])
-        return self._place(Topic(topic.topic, topic.type, {"link": CFDP.label, "file": topic.file_name}))
-
-    def _bridge_messages(self) -> BridgeMessages:
-        from edoras_tools.io.topics.carried.racs2 import BridgeMessages
-
-        def place(name: str, type_name: str) -> int:
-            return self._place(Topic(name, type_name, {"link": RACS2.label}))
-
-        return BridgeMessages(self._types, self._other_topics(), place)
-
-    def _other_topics(self) -> set[str]:
+    def used_names(self) -> set[str]:
         """Return the names of topics that other messages have, or may have."""
         used = {item.name for item in (*self.topics, TRANSFORMS, FAULTS, HOST_COUNTERS)}
         return (
             used
-            | {item.topic for item in self._mission.stored_topics}
+            | {item.topic for item in self.mission.stored_topics}
             | {item.topic for item in self.structs.all}
         )
 
-    def offer_announced(self) -> None:
-        """Add the topics of DDS that were announced, of known types, before a sample of theirs comes."""
-        if self.endpoints is None or len(self.endpoints.announced) == self._announced:
-            return
-        self._announced = len(self.endpoints.announced)
-        samples = self._sample_messages(self.endpoints)
-        for topic, type_name in self.endpoints.topics().items():
-            if self._types.has(type_name) and (name := samples.name(topic, type_name)):
-                self._place_sample(name, type_name)
+    def offer(self) -> None:
+        """Add the topics that links know already, before a message of theirs comes."""
+        if self.endpoints is not None and self.endpoints.announced:
+            self._own_topics.begin(link for link in table.links() if link.samples)
+        for topics in self._own_topics.by_link.values():
+            topics.offer()
 
-    def _sample_messages(self, endpoints: Endpoints) -> SampleMessages:
-        from edoras_tools.io.topics.carried.samples import SampleMessages
-
-        self._samples = self._samples or SampleMessages(self._types, self._other_topics(), endpoints)
-        return self._samples
-
-    def _place_sample(self, name: str, type_name: str) -> int:
-        return self._place(Topic(name, type_name, {"link": RTPS.label}))
+    def place(self, name: str, type_name: str, metadata: Mapping[str, str]) -> int:
+        """Return the channel of a topic: of a route that has its name and type, else added at first use."""
+        for index, route in enumerate(self.mission.routes):
+            if (route.topic, route.type) == (name, type_name):
+                return int(self._routes[index])
+        return self._place(Topic(name, type_name, metadata))
 
     def _place(self, topic: Topic) -> int:
         """Return the channel of a topic that is added at first use."""
@@ -485,9 +452,3 @@ class Streams:
     def finish(self) -> Messages:
         """Return the messages of the current second of statistics; all belong to row 0."""
         return self._statistics.finish(self._statistics_id)
-
-
-def _file_messages(mission: Mission, types: TypeStore) -> FileMessages:
-    from edoras_tools.io.topics.carried.files import FileMessages
-
-    return FileMessages(mission, types)

@@ -32,9 +32,7 @@ class Counting:
 
     def __init__(self, source: Source, bench: Workbench) -> None:
         context = bench.columns.context
-        self.report = CaptureReport(
-            Ledger(bench.mission), source, notes=context.notes, endpoints=context.endpoints
-        )
+        self.report = CaptureReport(Ledger(bench.mission, context), source, notes=context.notes)
         self._once = Once()
         self._structs = bench.columns.context.structs
 
@@ -47,7 +45,6 @@ class Counting:
         keep[loop.conversations.left_out()] = False
         own = rows.take(np.flatnonzero(keep[rows.selection]))
         self.report.ledger.add(*own.alone())
-        self.report.follow_samples(*own.alone())
         table = self._structs.dictionary
         if table is not None:
             entries = table.whole(payloads(self._structs, own.column, own.datagram, own.batch.data))

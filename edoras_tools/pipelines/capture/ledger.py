@@ -12,10 +12,9 @@ import numpy as np
 
 from edoras_tools.cfs.names import message_name
 from edoras_tools.links import table
-from edoras_tools.links.fprime import FPRIME
+from edoras_tools.links.table import LinkStates
 from edoras_tools.mission.report import printable
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketBatch
-from edoras_tools.sessions.ground_counts import GroundCounts
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import order_by
@@ -26,6 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.links.doors import Follower
+    from edoras_tools.links.site import Site
     from edoras_tools.mission import Mission
 
 
@@ -102,20 +103,28 @@ class Ledger:
     """The accounts of a whole capture.
 
     Args:
+        site: of the decoder, where links count what is in their datagrams; None: they do not.
         sequences: shared with others that see the same batches; by default its own.
 
     Attributes:
+        followers: what links count of themselves.
         listed: routes that have a row also without a message.
         taken_out: of the datagrams, packets that were taken out of transfer frames.
         behind: datagrams whose time is before that of the previous one.
         behind_ns: maximum by which the time runs back.
     """
 
-    def __init__(self, mission: Mission, sequences: SequenceCounts | None = None) -> None:
+    def __init__(
+        self, mission: Mission, site: Site | None = None, sequences: SequenceCounts | None = None
+    ) -> None:
         self.mission = mission
+        self.followers: LinkStates[Follower] = LinkStates(
+            lambda link: None if site is None else link.follow(site)
+        )
+        self._counted: dict[Link, int] = {}
+        """How many of a follower's sequence counts belong to accounts."""
         self.accounts: dict[tuple[int, int, int, int], Account] = {}
         self._sequences = sequences or SequenceCounts()
-        self._ground = GroundCounts()
         self.listed: Sequence[int] = ()
         self._known = 0
         """How many of its streams belong to accounts."""
@@ -167,16 +176,26 @@ class Ledger:
                     account = self._account(columns, int(own[row]), row)
                     account.sequences.append(self._sequences.streams[index])
             self._known = len(self._sequences.streams)
-        self._add_ground(batch, columns)
+        self._follow(batch, columns)
 
-    def _add_ground(self, batch: PacketBatch, columns: Columns) -> None:
-        """Follow the counts of F Prime's space packets; the account of its frames has them."""
-        before = len(self._ground.streams)
-        self._ground.add(batch, columns)
-        new = [item.counts for item in self._ground.streams[before:]]
-        if new:
-            row = int(np.flatnonzero(columns.link == FPRIME)[0])
-            self._account(columns, -1, row).sequences += new
+    def _follow(self, batch: PacketBatch, columns: Columns) -> None:
+        """Let links count; the account of a link's datagrams has the sequence counts in them."""
+        for follower in self.followers.of(columns):
+            follower.add(batch, columns)
+        for link, follower in self.followers.by_link.items():
+            counts, known = follower.counts(), self._counted.get(link, 0)
+            if len(counts) > known:
+                row = int(np.argmax(columns.link == link))
+                self._account(columns, -1, row).sequences += counts[known:]
+                self._counted[link] = len(counts)
+
+    def summary(self) -> dict[str, Any]:
+        """Return what links counted of themselves, for ``info --json``."""
+        return {
+            name: value
+            for follower in self.followers.by_link.values()
+            for name, value in follower.summary().items()
+        }
 
     @property
     def notes(self) -> list[str]:

@@ -21,7 +21,6 @@ from edoras_tools.io.outputs import (
     waiting_for_room,
 )
 from edoras_tools.io.processors import jobs_for
-from edoras_tools.links.rtps.link import RTPS
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing, Waiting
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Limits, ReadLoop, reading
@@ -33,13 +32,11 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Sink, Source
     from edoras_tools.io.formats.capture_file import CaptureFileSink
-    from edoras_tools.links.protocol import Endpoints
     from edoras_tools.mission.fprime import Entry
     from edoras_tools.model import Columns, HostCounters, PacketBatch
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
-    from edoras_tools.sessions.dds import SampleFollower
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +96,6 @@ class CaptureReport:
         losses: outputs that were removed while they were written.
         keep: how many of the oldest files were deleted because no more were to be kept.
         entries: how often each entry of an F Prime dictionary was seen whole; ``info`` counts them.
-        endpoints: of DDS, as they are announced; None: their samples are not followed.
     """
 
     ledger: Ledger
@@ -111,8 +107,6 @@ class CaptureReport:
     losses: list[OutputLoss] = field(default_factory=list)
     keep: Keep = field(default_factory=Keep)
     entries: Counter[Entry] = field(default_factory=Counter)
-    endpoints: Endpoints | None = None
-    _samples: SampleFollower | None = None
 
     @property
     def lost(self) -> int:
@@ -142,7 +136,7 @@ class CaptureReport:
             "outages": [outage.as_json() for outage in statistics.outages],
             "routes": self.ledger.routes(),
             **({"entries": self._entries()} if self.entries else {}),
-            **({"samples": self._writers()} if self._samples is not None else {}),
+            **self.ledger.summary(),
             "findings": dict(sorted(self.ledger.findings.items())),
             "warnings": [
                 *self.ledger.mission.warnings,
@@ -153,22 +147,6 @@ class CaptureReport:
                 *map(str, self.losses),
             ],
         }
-
-    def follow_samples(self, batch: PacketBatch, columns: Columns) -> None:
-        """Count the samples of DDS in a batch."""
-        if self.endpoints is None or not (columns.link == RTPS).any():
-            return
-        if self._samples is None:
-            from edoras_tools.sessions.dds import SampleFollower
-
-            self._samples = SampleFollower()
-        self._samples.add(batch, columns)
-
-    def _writers(self) -> list[dict[str, Any]]:
-        """Return the writers of DDS, and how many of their samples were captured."""
-        if self._samples is None or self.endpoints is None:
-            return []
-        return [item.as_json() for item in self._samples.topic_writers(self.endpoints)]
 
     def _entries(self) -> list[dict[str, Any]]:
         """Return the entries of a dictionary, and how often each was seen."""
@@ -373,9 +351,7 @@ def pour(
     """
     source, bench = loop.source, loop.bench
     context = bench.columns.context
-    report = CaptureReport(
-        Ledger(bench.mission, sequences), source, notes=context.notes, endpoints=context.endpoints
-    )
+    report = CaptureReport(Ledger(bench.mission, context, sequences), source, notes=context.notes)
     live = not source.statistics.total_bytes  # without flushes, a file always gives the same recording
     flushing = Flushing(sink, loop.limits.clock, time_ns if source.on_this_host else None)
     host = None
@@ -401,7 +377,6 @@ def pour(
         if pair is not None:
             if by_route:
                 report.ledger.add(*pair)
-                report.follow_samples(*pair)
             else:
                 report.ledger.tally(pair[0])
             if tap is not None:

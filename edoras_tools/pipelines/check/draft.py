@@ -106,10 +106,10 @@ class Draft:
         ]
 
     def _sample_subjects(self) -> Iterator[Subject]:
-        """Yield the ROS topics of DDS."""
+        """Yield the topics of samples."""
         if self._diagnosis is not None:
             context = self._context
-            names = dict.fromkeys(item.topic for item in self._diagnosis.capture.samples)
+            names = dict.fromkeys(item.topic for item in self._diagnosis.capture.samples())
             for topic in names:
                 if topic.startswith("/"):
                     samples = SampleTopics.of(topic, context)

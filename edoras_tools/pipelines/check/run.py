@@ -217,17 +217,17 @@ class Figures:
 
     @classmethod
     def _of_samples(cls, packets: PacketKinds, ledger: Ledger, diagnosis: Diagnosis) -> Figures:
-        """Return the figures of samples of DDS, each counted once; their size and latency are not known."""
-        own = [item.writer for item in diagnosis.capture.samples if packets.has_sample_topic(item.topic)]
+        """Return the figures of samples, each counted once; their size and latency are not known."""
+        own = [item for item in diagnosis.capture.samples() if packets.has_sample_topic(item.topic)]
         rows = [row for row in diagnosis.balance if packets.has_sample_topic(row.topic)]
-        spans = [(item.captured - 1, item.last_ns - item.first_ns) for item in own]
+        spans = [(item.count - 1, item.last_ns - item.first_ns) for item in own]
         rates = [number * SECOND / span_ns for number, span_ns in spans if span_ns > 0]
         silences = [
             max(item.longest_ns, item.first_ns - ledger.start_ns, ledger.end_ns - item.last_ns)
             for item in own
         ]
         return cls(
-            count=sum(item.captured for item in own),
+            count=sum(item.count for item in own),
             rate=sum(rates) if rates else None,
             silence=max(silences, default=ledger.end_ns - ledger.start_ns) / SECOND,
             size=None,

@@ -266,7 +266,7 @@ def examine(
             loop.outside,
             tuple(statistics.outages),
             host,
-            frames=bench.frames,
+            unwrappers=bench.unwrappers,
             lacking=tuple(statistics.cut),
         )
         diagnosis, choice = examination.diagnose(capture), choices.choice()

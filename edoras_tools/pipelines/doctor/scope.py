@@ -9,14 +9,12 @@ import numpy as np
 
 from edoras_tools.diagnosis.verdict import Choice
 from edoras_tools.links import table
-from edoras_tools.links.rtps.link import RTPS
-from edoras_tools.links.rtps.reader import named_submessages
 from edoras_tools.pipelines.selection import Period, Selection
-from edoras_tools.sessions.dds import topic_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
@@ -52,7 +50,8 @@ class Chosen:
         self._mission: Mission = bench.mission
         self._endpoints = bench.columns.context.endpoints
         self._seen: set[tuple[str, int]] = set()
-        self._writers: set[bytes] = set()
+        self._sampling = [link for link in table.links() if link.samples]
+        self._writers: set[tuple[LinkProtocol, bytes]] = set()
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Add a batch; with a filter, routes are shown that have a packet which passes it."""
@@ -60,7 +59,9 @@ class Chosen:
             rows = self.rows(batch, columns)
             key = columns.link[rows].astype(np.int64) << 32 | columns.msg_id[rows]
             self._seen |= {(table.link(item >> 32).label, item & 0xFFFF) for item in np.unique(key).tolist()}
-            self._writers |= {*named_submessages(batch, rows[columns.link[rows] == RTPS]).writers}
+            for link in self._sampling:
+                own = rows[columns.link[rows] == link]
+                self._writers |= {(link, guid) for guid in link.sample_reader().writers(batch, own)}
 
     def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
         """Return which rows of a batch are selected."""
@@ -71,11 +72,13 @@ class Chosen:
         return Choice(str(self._selection), self._takes) if self._selection else None
 
     def _takes(self, link: str | None, msg_id: int | None, topic: str = "", /) -> bool:
-        of_samples = topic if link == RTPS.label else ""
+        of_samples = topic if link in {item.label for item in self._sampling} else ""
         if not self._selection.about(link, msg_id, self._mission, of_samples):
             return False
         if not self._selection.where:
             return True
         if of_samples:
-            return any(topic == topic_of(guid, self._endpoints) for guid in self._writers)
+            return any(
+                topic == item.sample_reader().topic_of(guid, self._endpoints) for item, guid in self._writers
+            )
         return any(msg_id == observed and link in {None, label} for label, observed in self._seen)

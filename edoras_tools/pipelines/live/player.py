@@ -16,8 +16,7 @@ from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.open import kept_recording
 from edoras_tools.io.formats.stream import SettledFile
 from edoras_tools.io.foxglove.requests import PlaybackRequest, PlaybackState
-from edoras_tools.io.frames.fragmented import FragmentedSamples
-from edoras_tools.links.rtps.link import RTPS
+from edoras_tools.links.table import LinkStates
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.messages import open_inputs
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Source
     from edoras_tools.io.foxglove.sink import ServedSink
+    from edoras_tools.links.doors import OwnRows
     from edoras_tools.model import Columns, PacketBatch, SourceInfo
     from edoras_tools.render.terminal.text import Progress
 
@@ -335,10 +335,11 @@ class RecordingPlayer:
             raise self.failure or CaptureError(f"{source.info.name}: it contains no selected {unit}")
         return first, last
 
-    def _selected(self, batch: PacketBatch, fragmented: FragmentedSamples | None = None) -> _Piece:
-        columns = self._bench.columns.decode(batch)
-        if fragmented is not None and (columns.link == RTPS).any():
-            batch, columns = fragmented.take(batch, columns, self._bench.columns)
+    def _selected(self, batch: PacketBatch, own_rows: LinkStates[OwnRows] | None = None) -> _Piece:
+        decode = self._bench.columns.decode
+        columns = decode(batch)
+        for own in own_rows.of(columns) if own_rows is not None else ():
+            batch, columns = own.take(batch, columns, decode)
         batch, columns = self._selection.apply(batch, columns)
         if not self._period or self._begin_ns is None:
             return batch, columns
@@ -350,10 +351,12 @@ class RecordingPlayer:
         source = self._reopen()
         source.follow(self._bench.columns.context.framings)
         latest: dict[int, _Piece] = {}
-        before, fragmented = True, FragmentedSamples()
+        context = self._bench.columns.context
+        own_rows: LinkStates[OwnRows] = LinkStates(lambda link: link.rows(context))
+        before = True
         try:
             for whole in source.batches():
-                batch, columns = self._selected(whole, fragmented)
+                batch, columns = self._selected(whole, own_rows)
                 first = int(np.searchsorted(np.maximum.accumulate(batch.time_ns), start_ns)) if before else 0
                 routes, places = np.unique(columns.route[:first][::-1], return_index=True)
                 for route, place in zip(routes.tolist(), places.tolist(), strict=True):

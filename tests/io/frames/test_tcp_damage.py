@@ -25,10 +25,10 @@ from streams import ACK, CLIENT, SERVER, Segment, packet, sbn_message, segments_
 from streams import frames as batch_of
 from transfer_frames import Maker, space_packet
 
+from edoras_tools.addons.fprime.link import GroundDataFraming
+from edoras_tools.addons.frames.link import TransferFraming
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.links.fprime import GroundDataFraming
-from edoras_tools.links.frames import TransferFraming
 from edoras_tools.model import Finding
 from edoras_tools.wire.transfer_frames import FrameFormat
 

@@ -11,10 +11,11 @@ from rewriting import Udp, write
 from transfer_frames import Maker, space_packet
 
 from edoras_tools import doctor
+from edoras_tools.addons.frames.link import FRAMES
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import SimulatedSource
 from edoras_tools.diagnosis import examination
-from edoras_tools.diagnosis.rules import RULES
+from edoras_tools.diagnosis.rules import shipped_rules
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io import SourceDefaults
 from edoras_tools.links.to import TO
@@ -69,7 +70,7 @@ def test_progress_is_told_after_every_batch_and_while_judging():
     assert told == sorted(told)
     assert told[-1] == source.statistics.datagrams
     assert steps == sorted(steps)
-    assert steps[-1] == ("judging", len(RULES), len(RULES))
+    assert steps[-1] == ("judging", len(shipped_rules()), len(shipped_rules()))
 
 
 class Broken(SourceDefaults):
@@ -239,7 +240,7 @@ def test_what_is_followed_over_chapters_comes_to_the_one_that_judges(monkeypatch
     one, two = (chapters(monkeypatch, path, jobs, configs=[config]) for jobs in (1, 2))
     assert one.summary() == two.summary()
     assert "frames_lost" in [item.rule for item in two.diagnosis.verdicts]
-    assert two.diagnosis.capture.frames.channels
+    assert two.diagnosis.capture.unwrappers[FRAMES].channels
 
 
 @pytest.mark.long

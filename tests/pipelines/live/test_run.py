@@ -12,8 +12,8 @@ from places import ROOT
 
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import RealTimeSource, start_simulation
+from edoras_tools.addons.racs2.link import RACS2
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.links.racs2 import RACS2
 from edoras_tools.model import Endpoint, Finding, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.live.publish import CommandPublisher

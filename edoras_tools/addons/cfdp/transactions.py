@@ -1,0 +1,326 @@
+"""CFDP transactions, followed from what a capture has of them: what came, what was missing, how it ended.
+
+The rules that this file keeps:
+
+1. A transaction is known by the sender's entity ID, its sequence number and the two endpoints: on both sides
+   of a relay it is two. Metadata after its end begins another one: numbers start again with the sender.
+2. The first copy of a byte counts, and only it is handed on. A piece of the file without a new byte was sent
+   again; one with new bytes in front of the last one that is known was lost before, or overtaken.
+3. Memory does not grow with files: bytes are handed on, not kept. Transactions, and the ranges that are known
+   of a file, are limited in number; what is beyond is left out, and the file stays incomplete.
+4. A PDU whose CRC is wrong is counted and not taken: its receiver drops it, and its IDs may be wrong, too.
+5. PDUs in space packets travel there by one link and back by another: their endpoints are the addresses
+   without the ports.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+import numpy as np
+
+from edoras_tools.addons.cfdp.link import CFDP, holds_pdu
+from edoras_tools.links.doors import LinkEvidence
+from edoras_tools.sessions.ranges import KnownRanges
+from edoras_tools.wire.arrays.crc import FileCrc
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.window import copy_rows
+from edoras_tools.wire.cfdp import (
+    CONDITION_NAMES,
+    UNREAD,
+    Checksum,
+    ConditionCode,
+    Directive,
+    ModularSum,
+    Pdus,
+    parameters,
+    read_pdus,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns, PacketBatch
+
+    Keep: TypeAlias = "Callable[[Transaction, int, bytes], None]"
+
+MOST_TRANSACTIONS: Final = 1 << 14
+LARGEST_OFFSET: Final = 1 << 40
+"""In a file; pieces beyond are left out."""
+
+
+@dataclass(slots=True, eq=False)
+class Transaction:
+    """One file on its way; None: not captured.
+
+    Attributes:
+        source_entity_id: of the sender of the file.
+        transaction_sequence_number: the sender's.
+        destination_entity_id: of the receiver of the file.
+        acknowledged: of class 2: what is missing is asked for.
+        first_ns: time of its first PDU.
+        last_ns: time of its last PDU.
+        silence_ns: the longest time between two of its PDUs.
+        source_file_name: as Metadata says.
+        destination_file_name: as Metadata says.
+        checksum_type: as Metadata says.
+        file_size: bytes, as EOF says, or Metadata before it.
+        file_checksum: as EOF says.
+        received: the bytes that were captured.
+        sums: the checksums of these by type: of every type, until Metadata says which it is.
+        segments: pieces of the file.
+        resent: pieces without a byte that was new.
+        filled: pieces with new bytes in front of the last one that was known.
+        naks: NAKs that ask for something.
+        eof: condition code of EOF.
+        finished: condition code of Finished.
+        incomplete: whether Finished says that the receiver does not have the whole file.
+        finished_ns: time of the PDU with which it was ``finished``.
+    """
+
+    source_entity_id: int
+    transaction_sequence_number: int
+    destination_entity_id: int
+    acknowledged: bool
+    first_ns: int
+    last_ns: int
+    silence_ns: int = 0
+    source_file_name: str | None = None
+    destination_file_name: str | None = None
+    checksum_type: int | None = None
+    file_size: int | None = None
+    file_checksum: int | None = None
+    received: KnownRanges = field(default_factory=KnownRanges)
+    sums: dict[int, ModularSum | FileCrc] = field(
+        default_factory=lambda: {
+            Checksum.MODULAR: ModularSum(),
+            Checksum.CRC_32: FileCrc(),
+            Checksum.CRC_32C: FileCrc(castagnoli=True),
+        }
+    )
+    segments: int = 0
+    resent: int = 0
+    filled: int = 0
+    naks: int = 0
+    eof: int | None = None
+    finished: int | None = None
+    incomplete: bool = False
+    finished_ns: int | None = None
+
+    @property
+    def name(self) -> str:
+        """How it is called: ``SOURCE:NUMBER``."""
+        return f"{self.source_entity_id}:{self.transaction_sequence_number}"
+
+    @property
+    def title(self) -> str:
+        """What people are told: the file's name, as far as it is known, and the transaction."""
+        name = self.destination_file_name or self.source_file_name or "a file"
+        return f"{name} (CFDP {self.name})"
+
+    @property
+    def hop(self) -> str:
+        """From which entity to which."""
+        return f"CFDP entity {self.source_entity_id} to {self.destination_entity_id}"
+
+    @property
+    def complete(self) -> bool:
+        """Whether every byte of the file was captured."""
+        return self.eof is not None and self.file_size is not None and not self.holes
+
+    @property
+    def holes(self) -> list[tuple[int, int]]:
+        """The parts of the file that were not captured."""
+        return self.received.missing(0, self.file_size or 0)
+
+    @property
+    def checksum_right(self) -> bool | None:
+        """Whether the checksum is that of EOF; None: its type is null or not known, or bytes are missing."""
+        sums = None if self.checksum_type is None else self.sums.get(self.checksum_type)
+        if sums is None or not self.complete:
+            return None
+        return sums.of_file(self.file_size or 0) == self.file_checksum
+
+    @property
+    def condition(self) -> int:
+        """The condition code that it ended with; 0 for none."""
+        return self.finished or self.eof or 0
+
+    @property
+    def state(self) -> str:
+        """How it ended: ``finished``, ``cancelled``, the name of another condition, or ``not finished``."""
+        if self.condition:
+            cancelled = self.condition == ConditionCode.CANCEL_REQUEST_RECEIVED
+            return "cancelled" if cancelled else CONDITION_NAMES.get(self.condition, str(self.condition))
+        over = self.finished is not None and not self.incomplete
+        return "finished" if over or (not self.acknowledged and self.complete) else "not finished"
+
+
+class FileEvidence(LinkEvidence):
+    """Follows every transaction.
+
+    Args:
+        keep: gets each byte of each file once: the transaction, the offset in the file, the bytes.
+        msg_ids: of space packets that hold a PDU each.
+
+    Attributes:
+        transactions: in order of their first PDU.
+        datagrams: PDUs that were a datagram each.
+        pdus: how many were taken.
+        packets: how many of them were in space packets.
+        corrupt: how many of them had a wrong CRC.
+        corrupt_ns: time of the first and of the last of these.
+        left_out: PDUs of transactions beyond the limit.
+    """
+
+    def __init__(self, keep: Keep | None = None, msg_ids: Collection[int] = ()) -> None:
+        self.transactions: list[Transaction] = []
+        self.pdus = self.packets = self.corrupt = self.left_out = 0
+        self.corrupt_ns = 0, 0
+        self._keep = keep
+        self._msg_ids = np.array([*msg_ids], np.int32)
+        self._open: dict[tuple[int, ...], Transaction] = {}
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take all PDUs of a batch: those of the CFDP link, and those in space packets."""
+        self.take(batch, np.flatnonzero(columns.link == CFDP))
+        if len(self._msg_ids):
+            rows = np.flatnonzero(holds_pdu(partial(getattr, columns), self._msg_ids))
+            header = columns.header_length[rows]
+            place = columns.packet_offset[rows] + header, columns.packet_length[rows] - header
+            before = self.pdus
+            self.take(batch, rows, place)
+            self.packets += self.pdus - before
+        self.datagrams = self.pdus - self.packets
+
+    def spans(self) -> list[tuple[int, int]]:
+        """Return from when to when transactions were captured."""
+        return [(item.first_ns, item.last_ns) for item in self.transactions]
+
+    def take(
+        self,
+        batch: PacketBatch,
+        rows: NDArray[np.intp],
+        place: tuple[NDArray[np.int64], NDArray[np.int32]] | None = None,
+    ) -> None:
+        """Take the PDUs in some rows of a batch, in order; nothing in them can make this raise.
+
+        Args:
+            rows: those that hold a PDU.
+            place: where each PDU begins, and the bytes that are there, in space packets (rule 5); None for
+                datagrams that are PDUs.
+        """
+        if not len(rows):
+            return
+        self.pdus += len(rows)
+        offset, length = place or (batch.offset[rows], batch.length[rows])
+        pdus = read_pdus(batch.data, offset, length)
+        if pdus.corrupt.any():
+            times = batch.time_ns[rows[pdus.corrupt]]
+            first_ns = self.corrupt_ns[0] if self.corrupt else int(times[0])
+            self.corrupt += len(times)
+            self.corrupt_ns = first_ns, int(times[-1])
+        source, destination = (
+            getattr(batch, f"{end}_address")[rows].astype(np.uint64) << np.uint64(16)
+            | (getattr(batch, f"{end}_port")[rows] if place is None else np.uint64(0))
+            for end in ("source", "destination")
+        )
+        ends = (
+            np.where(pdus.toward_sender, destination, source),
+            np.where(pdus.toward_sender, source, destination),
+        )
+        keys = pdus.source_entity_id, pdus.transaction_sequence_number, *ends
+        _, which = numbered(*keys)
+        for first, last in _runs(pdus, which):
+            if pdus.kind[first] == UNREAD or pdus.corrupt[first]:
+                continue
+            key = tuple(int(item[first]) for item in keys)
+            time_ns = batch.time_ns[rows[first:last]]
+            transaction = self._open.get(key) or self._begin(key, pdus, first, int(time_ns[0]))
+            if transaction is None:
+                self.left_out += last - first
+                continue
+            silences = np.diff(time_ns, prepend=transaction.last_ns)
+            transaction.silence_ns = max(transaction.silence_ns, int(silences.max()))
+            transaction.last_ns = max(transaction.last_ns, int(time_ns[-1]))
+            if pdus.kind[first] == Directive.FILE_DATA:
+                self._file_data(transaction, batch.data, pdus, slice(first, last))
+            else:
+                body = batch.data[pdus.start[first] : pdus.end[first]].tobytes()
+                kind = int(pdus.kind[first])
+                fields = parameters(kind, int(pdus.large[first]), body)
+                if kind == Directive.METADATA and transaction.finished is not None:
+                    del self._open[key]
+                    transaction = self._begin(key, pdus, first, int(time_ns[0])) or transaction
+                _directive(transaction, kind, fields)
+            if (
+                transaction.finished_ns is None
+                and transaction.eof is not None
+                and transaction.state == "finished"
+            ):
+                transaction.finished_ns = int(time_ns[-1])
+
+    def _begin(self, key: tuple[int, ...], pdus: Pdus, row: int, time_ns: int) -> Transaction | None:
+        if len(self.transactions) >= MOST_TRANSACTIONS:
+            return None
+        receiver, acknowledged = int(pdus.destination_entity_id[row]), bool(pdus.acknowledged[row])
+        transaction = self._open[key] = Transaction(key[0], key[1], receiver, acknowledged, time_ns, time_ns)
+        self.transactions.append(transaction)
+        return transaction
+
+    def _file_data(self, transaction: Transaction, data: NDArray[np.uint8], pdus: Pdus, rows: slice) -> None:
+        """Take pieces that follow each other in the file."""
+        offset, begin = pdus.file_offset[rows].tolist(), pdus.data[rows]
+        sizes = pdus.end[rows] - begin
+        start, end = offset[0], offset[-1] + int(sizes[-1])
+        if end > LARGEST_OFFSET:
+            return
+        new = transaction.received.missing(start, end)
+        if new != [(start, end)] and len(offset) > 1:
+            for row in range(rows.start, rows.stop):
+                self._file_data(transaction, data, pdus, slice(row, row + 1))
+            return
+        transaction.segments += len(offset)
+        transaction.resent += not new
+        transaction.filled += len(offset) if new and start < transaction.received.end else 0
+        if not new or not transaction.received.add(start, end):
+            return
+        pieces = np.empty(end - start, np.uint8)
+        copy_rows(pieces, np.cumsum(sizes) - sizes, data, begin, sizes)
+        for first, last in new:
+            piece = pieces[first - start : last - start].tobytes()
+            for item in transaction.sums.values():
+                item.add(piece, first)
+            if self._keep:
+                self._keep(transaction, first, piece)
+
+
+def _runs(pdus: Pdus, which: NDArray[np.integer[Any]]) -> Iterator[tuple[int, int]]:
+    """Yield directives one by one, and pieces of a file as long as they follow each other."""
+    end = pdus.file_offset + (pdus.end - pdus.data).astype(np.uint64)
+    follows = (pdus.kind[1:] == Directive.FILE_DATA) & (pdus.kind[:-1] == Directive.FILE_DATA)
+    follows &= ~(pdus.corrupt[1:] | pdus.corrupt[:-1])
+    follows &= (which[1:] == which[:-1]) & (pdus.file_offset[1:] == end[:-1])
+    begins = np.flatnonzero(np.concatenate([np.ones(min(len(which), 1), bool), ~follows])).tolist()
+    return zip(begins, [*begins[1:], len(which)], strict=True)
+
+
+def _directive(transaction: Transaction, kind: int, fields: dict[str, Any]) -> None:
+    if kind == Directive.METADATA:
+        transaction.source_file_name = fields["source_file_name"]
+        transaction.destination_file_name = fields["destination_file_name"]
+        kind = transaction.checksum_type = fields["checksum_type"]
+        transaction.sums = {kind: transaction.sums[kind]} if kind in transaction.sums else {}
+        if transaction.eof is None:
+            transaction.file_size = fields["file_size"]
+    elif kind == Directive.EOF:
+        transaction.eof, transaction.file_size = fields["condition_code"], fields["file_size"]
+        transaction.file_checksum = fields["file_checksum"]
+    elif kind == Directive.FINISHED:
+        transaction.finished, transaction.incomplete = fields["condition_code"], bool(fields["delivery_code"])
+    elif kind == Directive.NAK:
+        transaction.naks += bool(fields["segment_requests"])

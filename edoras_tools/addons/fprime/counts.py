@@ -1,0 +1,125 @@
+"""The sequence counts of the space packets in F Prime's frames: what is missing, by APID.
+
+F Prime and its ground system count the space packets of each APID for themselves. They are followed as those
+of cFE are (:mod:`edoras_tools.sessions.sequence`); a sender is an endpoint. Packets of a frame that arrived
+with a wrong CRC are not taken: its receiver drops it, so they count as missing. Idle packets are left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from edoras_tools.addons.fprime.link import FPRIME
+from edoras_tools.links.doors import LinkEvidence
+from edoras_tools.model import Columns, Datagram, Finding, PacketBatch
+from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
+from edoras_tools.wire import ccsds
+from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.fprime import SPACE_PACKET, read_ground_frames
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(slots=True, eq=False)
+class GroundStream:
+    """The space packets of one APID from one endpoint.
+
+    Attributes:
+        apid: theirs.
+        command: whether they go to F Prime, by their packet type bit.
+        source: address and port, as text.
+        destination: that of the first.
+        counts: what their counts say so far.
+        first_ns: time of the first.
+        last_ns: time of the last.
+    """
+
+    apid: int
+    command: bool
+    source: str
+    destination: str
+    counts: SequenceStream
+    first_ns: int
+    last_ns: int = 0
+
+    @property
+    def name(self) -> str:
+        """How people call it: ``F Prime APID 2``."""
+        return f"F Prime APID {self.apid}"
+
+
+class GroundCounts(LinkEvidence):
+    """Follows the counts of batches, in the order they were captured.
+
+    Attributes:
+        streams: in order of their first packet.
+        datagrams: that held such packets.
+    """
+
+    def __init__(self) -> None:
+        self.streams: list[GroundStream] = []
+        self.datagrams = 0
+        self._counts = SequenceCounts()
+        self._known: dict[int, GroundStream] = {}
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take a batch; nothing in it can make this raise."""
+        unsound = np.uint32(Finding.CHECKSUM_BAD | Finding.CAPTURE_CUT)
+        rows = np.flatnonzero((columns.link == FPRIME) & (columns.findings & unsound == 0))
+        if not len(rows):
+            return
+        read = read_ground_frames(batch.data, batch.offset[rows], batch.length[rows], checked=False)
+        packets = read.packets
+        framed = (packets.space >= 0) & (packets.start - packets.space >= SPACE_PACKET.size)
+        packets = packets.take(framed)
+        if not len(packets.row):
+            return
+        head = gather(batch.data, packets.space, SPACE_PACKET.size)
+        word = head[:, :4].copy().view(">u2")
+        part = batch.take(rows[packets.row])
+        self.datagrams += len(np.unique(packets.row))
+        stream = self._counts.follow(part, _columns(packets.space, packets.end, word)).stream
+        streams, first = np.unique(stream, return_index=True)
+        for row, index in sorted(zip(first.tolist(), streams.tolist(), strict=True)):
+            if index >= 0:
+                if index not in self._known:
+                    self._known[index] = self._begin(part[row], int(word[row, 0]), index)
+                self._known[index].last_ns = int(part.time_ns[stream == index].max())
+
+    def counts(self) -> list[SequenceStream]:
+        """Return the counts of each stream."""
+        return [item.counts for item in self.streams]
+
+    def spans(self) -> list[tuple[int, int]]:
+        """Return from when to when each stream was captured."""
+        return [(item.first_ns, item.last_ns) for item in self.streams]
+
+    def _begin(self, packet: Datagram, identification: int, index: int) -> GroundStream:
+        apid, command = identification & ccsds.IDLE_APID, identification >> 12 & 1 == ccsds.TELECOMMAND_TYPE
+        ends, counts = (str(packet.source), str(packet.destination)), self._counts.streams[index]
+        self.streams.append(GroundStream(apid, command, *ends, counts, packet.time_ns))
+        return self.streams[-1]
+
+
+def _columns(start: NDArray[np.int64], end: NDArray[np.int64], word: NDArray[np.integer[Any]]) -> Columns:
+    """Return space packets as the follower takes them: the first word of each stands for a MsgId."""
+    none = np.zeros(len(start), np.int64)
+    blank: dict[str, NDArray[Any]] = dict.fromkeys((item.name for item in fields(Columns)), none)
+    unset = (word[:, 1] == 0) * np.uint32(Finding.SEQUENCE_UNSET)
+    return Columns(
+        **blank
+        | {
+            "msg_id": word[:, 0].astype(np.int32),
+            "processor_id": none.astype(np.uint32),
+            "spacecraft_id": none.astype(np.uint32),
+            "link": np.full(len(start), FPRIME, np.uint8),
+            "findings": unset.astype(np.uint32),
+            "sequence_count": (word[:, 1] & np.uint16(0x3FFF)).astype(np.uint16),
+            "packet_offset": start,
+            "packet_length": (end - start).astype(np.int32),
+        }
+    )

@@ -1,0 +1,284 @@
+"""CCSDS transfer frames, one a datagram or one behind the other in TCP streams: they carry packets of a link.
+
+A mission says which ports carry them. The packets in them are rows of their own, of the link that the mission
+names; see :mod:`edoras_tools.addons.frames.unframer`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.links.framing import Framing, prefixed
+from edoras_tools.links.protocol import BatchRows, LinkProtocol, Seen
+from edoras_tools.model import Datagram, Decoded, Finding, LayerField, Link, PacketBatch
+from edoras_tools.wire import transfer_frames as headers
+from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16, crc16_rows
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.transfer_frames import (
+    FRAME_LAYOUTS,
+    FRAME_VERSIONS,
+    NO_FIRST,
+    FrameFormat,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.doors import Unwrapper
+    from edoras_tools.links.reading import Reading
+    from edoras_tools.links.site import Site
+    from edoras_tools.wire.layout import Layout
+
+_TM_FLAGS: Final = headers.TM.by_name["secondary_header_flag"].start
+_COUNTS: Final = {
+    "tm": "master_channel_frame_count",
+    "aos": "virtual_channel_frame_count",
+    "tc": "frame_sequence_number",
+}
+_TOLD: Final = ("virtual_channel_frame_count", "frame_sequence_number")
+
+
+class TransferFraming(Framing):
+    """Frames of one kind that follow each other in a TCP stream."""
+
+    head = max(layout.size for layout in FRAME_LAYOUTS.values())
+
+    def __init__(self, form: FrameFormat) -> None:
+        self.form = form
+        self.checked = form.fecf
+
+    def lengths(
+        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
+    ) -> NDArray[np.int64]:
+        """Return the bytes of the frame that starts at each position."""
+        layout = self.form.layout
+        head = gather(data, at, layout.size)
+        size = _stated_length(self.form, head)
+        starts = layout.column("transfer_frame_version_number", head) == FRAME_VERSIONS[self.form.kind]
+        return prefixed(starts & (size >= self.form.smallest), size, end - at, layout.size, self.largest)
+
+    def likely(
+        self, data: NDArray[np.uint8], at: NDArray[np.int64], end: NDArray[np.int64] | int
+    ) -> NDArray[np.bool_]:
+        """Ask for a whole frame: with a right CRC, or the last, or with a count that goes on behind."""
+        size = self.lengths(data, at, end)
+        likely = (size > 0) & (at + size <= end)
+        rows = np.flatnonzero(likely)
+        if self.form.fecf:
+            likely[rows] = crc16_rows(data, at[rows], size[rows].astype(np.int32)) == 0
+        else:
+            likely[rows] = self._goes_on(
+                data, at[rows], at[rows] + size[rows], np.broadcast_to(end, len(at))[rows]
+            )
+        return likely
+
+    def _goes_on(
+        self,
+        data: NDArray[np.uint8],
+        at: NDArray[np.int64],
+        behind: NDArray[np.int64],
+        end: NDArray[np.int64],
+    ) -> NDArray[np.bool_]:
+        """Tell where the next of its spacecraft, or the end, follows a frame; of AOS, another channel may."""
+        layout, count = self.form.layout, _COUNTS[self.form.kind]
+        followed = behind + layout.size <= end
+        one, other = (
+            layout.columns(gather(data, place, layout.size)) for place in (at, np.where(followed, behind, at))
+        )
+        step = (other[count].astype(np.int64) - one[count]) & layout.by_name[count].mask
+        same = other["virtual_channel_id"] == one["virtual_channel_id"]
+        goes_on = (step == 1) | ~(same | (self.form.kind != "aos"))
+        agree: NDArray[np.bool_] = goes_on & (other["spacecraft_id"] == one["spacecraft_id"])
+        version = "transfer_frame_version_number"
+        agree &= other[version] == one[version]
+        agree &= followed
+        agree[behind == end] = True
+        return agree
+
+
+class TransferFramesLink(LinkProtocol):
+    """The layer of frames below a link; its ports are those of the mission, whatever other links claim.
+
+    What is wrong with a frame is judged where its packets are taken out, once.
+    """
+
+    code = 6
+    name = "FRAMES"
+    label = "frames"
+    colour = "cyan"
+    doc = "CCSDS transfer frames (TM, AOS, TC), which carry the packets of another link"
+    to_cfs = True
+    from_cfs = True
+    layouts = (
+        *FRAME_LAYOUTS.values(),
+        headers.TM_SECONDARY,
+        headers.AOS_PACKETS,
+        headers.TC_SEGMENT,
+    )
+    port_decides = False
+
+    def recognise(self, facts: Seen) -> Any:
+        """Recognise nothing by the datagram alone: a mission has to say what it is."""
+        return 0 * facts.length
+
+    def claims(self, datagram: Datagram, site: Site) -> bool:
+        """Tell whether a datagram is a frame: the mission says which ports have them."""
+        return is_frame(datagram, site.frames)
+
+    def claimed(self, batch: PacketBatch, site: Site) -> NDArray[np.intp]:
+        """Return the rows of a batch that are frames."""
+        return frame_rows(batch, site.frames)[0]
+
+    def framing_of(self, carried: Link, form: Any) -> Framing:
+        """Return how a TCP stream of frames is cut."""
+        del carried
+        return TransferFraming(form)
+
+    def unwrapper(self, site: Site) -> Unwrapper | None:
+        """Return what takes packets out of frames; None where the mission has none."""
+        return self.part("unframer:Unframer")(site.frames) if site.frames else None
+
+    def dissect(self, reading: Reading, site: Site) -> None:
+        """Read the headers of one frame."""
+        form, data = format_of(reading.datagram, site.frames), reading.data
+        assert form is not None, "it is a frame"
+        for layout, start in _headers(form, bool(form.kind == "tm" and data[_TM_FLAGS] >> 7)):
+            reading.read(layout, start)
+        if form.fecf and Finding.CAPTURE_CUT not in reading.findings:
+            start, end = len(data) - CRC16_BYTES, len(data)
+            value, right = int.from_bytes(data[start:], "big"), crc16(data[:start])
+            text = f"0x{value:04x}" + (f", but the frame has 0x{right:04x}" if value != right else "")
+            reading.extend(LayerField("frame_error_control", value, start, end, text, "CRC-16 of the frame"))
+
+    def places(
+        self, layout: Layout, rows: BatchRows, field: str = ""
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """Find one of the headers; which ones there are depends on the kind of frame."""
+        del field
+        places = np.full(len(rows.column("link")), NO_FIRST, np.int64)
+        owner = np.flatnonzero(rows.column("link") == self)
+        to_port, from_port = (rows.datagram(f"{end}_port")[owner] for end in ("destination", "source"))
+        streams = rows.batch.streams is not None and rows.datagram("streams")[owner]
+        for port, picked in by_value(_framed_ports(to_port, from_port, streams, rows.context.frames)):
+            at, form = owner[picked], rows.context.frames[port]
+            offset, end = rows.datagram("offset")[at], rows.datagram("length")[at]
+            second = headers.TM.column(
+                "secondary_header_flag", gather(rows.batch.data, offset, headers.TM.size)
+            )
+            for header, start in _headers(form, second=True):
+                if header is layout:
+                    whole = end >= start + layout.size
+                    whole &= (layout is not headers.TM_SECONDARY) | (second == 1)
+                    places[at[whole]] = offset[whole] + start
+        some = np.flatnonzero(places != NO_FIRST)
+        return some, places[some]
+
+    def summary(self, decoded: Decoded) -> str:
+        """Return the channel, the count, and where the first packet starts."""
+        if not decoded.layers:
+            return ""
+        values = decoded.layers[0].values()
+        count = next((values[name] for name in _TOLD if name in values), None)
+        kind = decoded.layers[0].name.removesuffix("_frame").upper()
+        return f"{kind} frame {count} of channel {values['virtual_channel_id']}"
+
+
+FRAMES: Final = TransferFramesLink()
+
+
+def _headers(form: FrameFormat, second: bool) -> Iterator[tuple[Layout, int]]:
+    """Yield the headers of a frame, and where each starts; the secondary header only where there is one."""
+    yield form.layout, 0
+    if form.kind == "tm" and second:
+        yield headers.TM_SECONDARY, form.data_start
+    elif form.kind == "aos":
+        yield headers.AOS_PACKETS, form.data_start
+    elif form.segment_header:
+        yield headers.TC_SEGMENT, form.data_start
+
+
+def frame_rows(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> tuple[NDArray[np.intp], int]:
+    """Find the frames of a batch, by port, version and length.
+
+    Args:
+        batch: of captured datagrams, and of packets that were taken out of frames.
+        formats: of the frames that come to a port.
+
+    Returns:
+        the rows, and how many other datagrams came to these ports; what else a stream holds is not counted.
+    """
+    ports = framed_ports(batch, formats)
+    rows = np.flatnonzero((ports != 0) & (batch.original_length >= 0))
+    frames = np.zeros(len(rows), bool)
+    for port, at in by_value(ports[rows]):
+        frames[at] = _are_frames(batch, rows[at], formats[port])
+    others = rows[~frames]
+    if batch.streams is not None:
+        others = others[~batch.streams[others]]
+    return rows[frames], len(others)
+
+
+def framed_ports(batch: PacketBatch, formats: Mapping[int, FrameFormat]) -> NDArray[np.uint16]:
+    """Return the port that says what frames each row may be; 0 for none.
+
+    It is the destination's, and in a stream, which may carry frames either way, that of either end.
+    """
+    streams = False if batch.streams is None else batch.streams
+    return _framed_ports(batch.destination_port, batch.source_port, streams, formats)
+
+
+def _framed_ports(
+    destination: NDArray[np.uint16],
+    source: NDArray[np.uint16],
+    streams: NDArray[np.bool_] | bool,
+    formats: Mapping[int, FrameFormat],
+) -> NDArray[np.uint16]:
+    of_streams = [port for port, form in formats.items() if form.stream]
+    datagrams = np.isin(destination, [port for port in formats if port not in of_streams]) & np.logical_not(
+        streams
+    )
+    ports = np.where(datagrams, destination, 0)
+    for end in (source, destination) if of_streams else ():
+        ports = np.where(np.isin(end, of_streams) & streams, end, ports)
+    return ports.astype(np.uint16)
+
+
+def format_of(datagram: Datagram, formats: Mapping[int, FrameFormat]) -> FrameFormat | None:
+    """Return the format of the frames that a datagram may be one of: by the same port as ``framed_ports``."""
+    ends = (datagram.destination, datagram.source) if datagram.stream else (datagram.destination,)
+    candidates = (formats.get(end.port) for end in ends)
+    return next((form for form in candidates if form is not None and form.stream == datagram.stream), None)
+
+
+def _stated_length(form: FrameFormat, head: NDArray[np.uint8]) -> Any:
+    """Return the bytes of frames with these headers."""
+    if form.kind == "tc":
+        return form.layout.column("frame_length", head).astype(np.int64) + headers.TC_LENGTH_BIAS
+    return np.full(len(head), form.length, np.int64)
+
+
+def _are_frames(batch: PacketBatch, rows: NDArray[np.intp], form: FrameFormat) -> NDArray[np.bool_]:
+    layout, have = form.layout, batch.length[rows]
+    head = gather(batch.data, batch.offset[rows], layout.size)
+    length = have + np.maximum(batch.original_length[rows] - batch.frame_length[rows], 0)
+    right: NDArray[np.bool_] = (have >= layout.size) & (length >= form.smallest)
+    right &= layout.column("transfer_frame_version_number", head) == FRAME_VERSIONS[form.kind]
+    right &= length == _stated_length(form, head)
+    return right
+
+
+def is_frame(datagram: Datagram, formats: Mapping[int, FrameFormat]) -> bool:
+    """Tell whether a datagram is a frame: the same answer as :func:`frame_rows`."""
+    form = format_of(datagram, formats)
+    if form is None or datagram.original_length < 0 or len(datagram.payload) < form.layout.size:
+        return False
+    head = form.layout.parse(datagram.payload)
+    length = len(datagram.payload) + max(datagram.original_length - len(datagram.frame), 0)
+    right = head["transfer_frame_version_number"] == FRAME_VERSIONS[form.kind] and length >= form.smallest
+    stated = head["frame_length"] + headers.TC_LENGTH_BIAS if form.kind == "tc" else form.length
+    return bool(right and length == stated)

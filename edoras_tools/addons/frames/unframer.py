@@ -1,0 +1,498 @@
+"""Takes space packets out of CCSDS transfer frames: rows of frames in; these and rows of packets out.
+
+The rules that this file keeps:
+
+1. A row of a frame stays as it is: it is what was captured. A packet is a row of its own behind the frame in
+   which it ends, with that frame's time, number and endpoints; its ``original_length`` is -1.
+2. The frames of one virtual channel, from one endpoint to another, carry one stream of bytes. A frame goes on
+   where the one before ended if its count is the next, or if the sender does not count. Where it does not, a
+   packet across that border is cut: the frame behind the border has ``STREAM_GAP``, and what is known of the
+   packet is left out. No other packet is touched.
+3. A packet starts where a first header pointer says so, or behind another packet. Where the two contradict
+   each other, the pointer is right and the packet is cut.
+4. A damaged frame (its CRC is wrong, its header does not fit, the capture cut it) counts as lost; one that
+   came before with the same bytes is left out. One that comes late is read, but joined to no other.
+5. Idle packets, idle frames and packets that are no space packets are counted and left out.
+6. Memory does not grow: of a channel at most one packet that is not complete is kept, and channels are
+   limited in number.
+
+All frames of a batch are laid out in one buffer, stream by stream, and packets are found in steps: each step
+takes the next packet behind every pointer at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.addons.frames.link import frame_rows, framed_ports
+from edoras_tools.io.frames.build import packets_behind
+from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
+from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
+from edoras_tools.wire import ccsds
+from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
+from edoras_tools.wire.transfer_frames import (
+    LATE,
+    FrameFields,
+    FrameFormat,
+    count_modulus,
+    read_frames,
+)
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+
+MOST_NOTES: Final = 8
+"""Channels that notes tell of."""
+MOST_CHANNELS: Final = 1 << 10
+"""Random bytes could name any number of channels; frames of more than these are left alone."""
+_UNSOUND: Final = np.uint32(Finding.TRUNCATED | Finding.CHECKSUM_BAD | Finding.CAPTURE_CUT)
+_NONE: Final = -1
+
+
+@dataclass(slots=True, eq=False)
+class FrameChannel:
+    """One virtual channel from one endpoint to another, or a master channel: all frames of a spacecraft.
+
+    Attributes:
+        kind: ``tm``, ``aos`` or ``tc``.
+        source: address and port, as text.
+        destination: address and port, as text.
+        spacecraft_id: of the frames.
+        virtual_channel_id: of the frames; None of a master channel.
+        has_count: whether its frames have a count; those of Type-B have none.
+        frames: that were read; without damaged ones.
+        idle: frames without packets.
+        packets: that were taken out.
+        idle_packets: that were left out.
+        other_packets: stretches that are no space packets.
+        cut: borders between frames at which a packet was cut.
+        counts: what the frame counts say; None before the second frame that has one.
+    """
+
+    kind: str
+    source: str
+    destination: str
+    spacecraft_id: int
+    virtual_channel_id: int | None
+    has_count: bool
+    frames: int = 0
+    idle: int = 0
+    packets: int = 0
+    idle_packets: int = 0
+    other_packets: int = 0
+    cut: int = 0
+    counts: SequenceStream | None = None
+    _last: int = _NONE
+    _position: int = 0
+    _run: int = 0
+    _joined: int = _NONE
+
+    @property
+    def name(self) -> str:
+        """How people call it: ``TM channel 1 of spacecraft 0x02a``."""
+        which = "all channels" if self.virtual_channel_id is None else f"channel {self.virtual_channel_id}"
+        return f"{self.kind.upper()} {which} of spacecraft 0x{self.spacecraft_id:03x}"
+
+    def __str__(self) -> str:
+        parts = [
+            plural(self.frames, "frame"),
+            f"{self.lost:,} lost" if self.has_count else "not counted",
+            plural(self.packets, "packet"),
+            *([f"{self.cut:,} cut"] if self.cut else []),
+            *([f"{self.other_packets:,} no space packets"] if self.other_packets else []),
+        ]
+        return f"{self.name}: {', '.join(parts)}"
+
+    @property
+    def lost(self) -> int:
+        """Frames that never came, or came damaged."""
+        return self.counts.gaps if self.counts else 0
+
+    def unwrapped(self, count: NDArray[np.integer[Any]]) -> NDArray[np.uint16]:
+        """Return counts that go on where the count of frames begins anew, modulo ``MODULUS``; u16 (n,)."""
+        modulus = count_modulus(self.kind) if self.virtual_channel_id is not None else 1 << 8
+        late = LATE if modulus == 1 << 8 else modulus // 2
+        before = np.concatenate([[count[0] if self._last == _NONE else self._last], count[:-1]])
+        step = (count.astype(np.int64) - before + late) % modulus - late
+        # A leap of half of what the follower counts to is a new beginning to it; so is a greater one.
+        step[np.abs(step) > MODULUS // 2] = MODULUS // 2
+        position = (self._position + np.cumsum(step)) % MODULUS
+        self._last, self._position = int(count[-1]), int(position[-1])
+        return position.astype(np.uint16)
+
+    def runs(self, count: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+        """Number the runs of frames that go on where the one before ended; i64 (n,)."""
+        if not self.has_count:
+            return np.full(len(count), self._run)
+        before = np.concatenate([[self._joined], count[:-1].astype(np.int64)])
+        step = (count.astype(np.int64) - before) % count_modulus(self.kind)
+        breaks = step > 1
+        if self._joined == _NONE:
+            breaks[0] = False
+        run = self._run + np.cumsum(breaks)
+        self._run, self._joined = int(run[-1]), int(count[-1])
+        return run
+
+
+@dataclass(slots=True, eq=False)
+class _Stream:
+    """The bytes of one channel, or of one MAP of it.
+
+    Attributes:
+        rest: of the packet that is not complete.
+        run: the run of frames that it belongs to; ``_NONE`` before the first frame.
+    """
+
+    rest: bytes = b""
+    run: int = _NONE
+
+
+class _Frames(NamedTuple):
+    """Sound frames, those of one stream side by side, as they came; i64 (n,) each.
+
+    ``row`` is of the batch, ``channel`` and ``stream`` are indices into what ``Unframer`` has; ``run``,
+    ``start``, ``end`` and ``first`` are as in ``FrameChannel.runs`` and ``FrameFields``.
+    """
+
+    row: NDArray[np.int64]
+    channel: NDArray[np.int64]
+    stream: NDArray[np.int64]
+    run: NDArray[np.int64]
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    first: NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class Unframer:
+    """Takes the packets out of the frames of batches, in the order they were captured.
+
+    Attributes:
+        formats: of the frames that come to a port.
+        channels: virtual channels, in order of their first frame.
+        masters: master channels of TM frames.
+        damaged: frames whose header does not fit, or whose CRC is wrong, or that the capture cut.
+        strange: datagrams to these ports that are no such frames.
+        left_out: frames of channels beyond the limit.
+    """
+
+    formats: Mapping[int, FrameFormat]
+    channels: list[FrameChannel] = field(default_factory=list)
+    masters: list[FrameChannel] = field(default_factory=list)
+    damaged: int = 0
+    strange: int = 0
+    left_out: int = 0
+    _numbers: dict[tuple[Any, ...], int] = field(default_factory=dict)
+    _master_of: list[int] = field(default_factory=list)
+    _streams: dict[tuple[int, int], int] = field(default_factory=dict)
+    _states: list[_Stream] = field(default_factory=list)
+    _counts: SequenceCounts = field(default_factory=SequenceCounts)
+    _master_counts: SequenceCounts = field(default_factory=SequenceCounts)
+
+    def take(self, batch: PacketBatch) -> PacketBatch:
+        """Return a batch with the packets that end in it; the same one where no frames are in it."""
+        rows, strange = frame_rows(batch, self.formats)
+        self.strange += strange
+        if not len(rows):
+            return batch
+        batch = replace(batch, capture_findings=batch.capture_findings.copy())
+        parts = [
+            part
+            for port, at in by_value(framed_ports(batch, self.formats)[rows])
+            if (part := self._read(batch, rows[at], self.formats[port])) is not None
+        ]
+        if not parts:
+            return batch
+        joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        order = np.lexsort((joined[0], joined[2]))
+        return self._join(batch, _Frames(*(column[order] for column in joined)))
+
+    @property
+    def pieces(self) -> int:
+        """Sound frames that were read."""
+        return sum(item.frames for item in self.channels)
+
+    def notes(self) -> list[str]:
+        """Return what came, a line for each port's kind of trouble and each channel, for users."""
+        notes = [f"transfer frames: {item}" for item in self.channels[:MOST_NOTES]]
+        more = len(self.channels) - len(notes)
+        notes += [f"transfer frames: {plural(more, 'channel')} more"] * (more > 0)
+        counts = (
+            (self.damaged, "damaged (wrong CRC, or a header that does not fit)"),
+            (self.strange, "to their ports of another kind or length"),
+            (self.left_out, "left out: more channels than are followed"),
+        )
+        return notes + [f"transfer frames: {number:,} {trouble}" for number, trouble in counts if number]
+
+    def _read(self, batch: PacketBatch, rows: NDArray[np.int64], form: FrameFormat) -> _Frames | None:
+        """Read the frames of one port, and follow their counts."""
+        read = read_frames(batch.data, batch.offset[rows], batch.length[rows], form)
+        batch.capture_findings[rows[~read.fits]] |= np.uint32(Finding.TRUNCATED)
+        batch.capture_findings[rows[read.error]] |= np.uint32(Finding.CHECKSUM_BAD)
+        sound = (batch.capture_findings[rows] & _UNSOUND) == 0
+        self.damaged += len(rows) - int(np.count_nonzero(sound))
+        rows, read = rows[sound], _selected(read, sound)
+        channel = self._channels(batch, rows, read, form)
+        kept_rows = channel >= 0
+        self.left_out += len(rows) - int(np.count_nonzero(kept_rows))
+        rows, read, channel = rows[kept_rows], _selected(read, kept_rows), channel[kept_rows]
+        if not len(rows):
+            return None
+        again = self._follow(batch.take(rows), read, channel)
+        rows, read, channel = rows[~again], _selected(read, ~again), channel[~again]
+        run = np.zeros(len(rows), np.int64)
+        for index, at in by_value(channel):
+            state = self.channels[index]
+            state.frames += len(at)
+            state.idle += int(np.count_nonzero(read.idle[at]))
+            run[at] = state.runs(read.count[at])
+        streams = [
+            self._streams.setdefault(key, len(self._streams))
+            for key in zip(channel.tolist(), read.map_id.tolist(), strict=True)
+        ]
+        self._states += [_Stream() for _ in range(len(self._streams) - len(self._states))]
+        return _Frames(rows, channel, np.array(streams, np.int64), run, read.start, read.end, read.first)
+
+    def _channels(
+        self, batch: PacketBatch, rows: NDArray[np.int64], read: FrameFields, form: FrameFormat
+    ) -> NDArray[np.int64]:
+        """Return the channel of each frame, ``_NONE`` where there are too many; i64 (n,)."""
+        if not len(rows):
+            return rows
+        ends = (
+            batch.source_address,
+            batch.source_port,
+            batch.destination_address,
+            batch.destination_port,
+            batch.ip_version,
+        )
+        names = read.spacecraft_id, read.virtual_channel_id, read.has_count.view(np.uint8)
+        first, which = numbered(*(column[rows] for column in ends), *names)
+        numbers = []
+        for at in first.tolist():
+            packet = batch[int(rows[at])]
+            source, destination = str(packet.source), str(packet.destination)
+            craft, channel, has_count = (int(column[at]) for column in names)
+            key = source, destination, craft, channel, has_count
+            if key not in self._numbers and len(self.channels) < MOST_CHANNELS:
+                self._numbers[key] = len(self.channels)
+                entry = FrameChannel(form.kind, source, destination, craft, channel, bool(has_count))
+                self.channels.append(entry)
+                self._master_of.append(self._master(entry) if form.kind == "tm" else _NONE)
+            numbers.append(self._numbers.get(key, _NONE))
+        return np.array(numbers, np.int64)[which]
+
+    def _master(self, channel: FrameChannel) -> int:
+        """Return the master channel of a new virtual channel."""
+        for index, item in enumerate(self.masters):
+            same = item.source, item.destination, item.spacecraft_id
+            if same == (channel.source, channel.destination, channel.spacecraft_id):
+                return index
+        self.masters.append(replace(channel, virtual_channel_id=None))
+        return len(self.masters) - 1
+
+    def _follow(
+        self, frames: PacketBatch, read: FrameFields, channel: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Follow the counts of both levels; tell which frames came before with the same bytes."""
+        again = _followed(
+            self._counts, frames, self.channels, np.where(read.has_count, channel, _NONE), read.count
+        )
+        master = np.array(self._master_of, np.int64)[channel]
+        _followed(self._master_counts, frames, self.masters, master, read.master_count)
+        for index, at in by_value(master):
+            if index != _NONE:
+                self.masters[index].frames += len(at)
+        return again
+
+    def _join(self, batch: PacketBatch, frames: _Frames) -> PacketBatch:
+        """Lay the frames out stream by stream, and take the packets out of them."""
+        if not len(frames.row):
+            return batch
+        laid = _Laid(batch, frames, self._states)
+        cut = laid.settle()
+        batch.capture_findings[frames.row[cut]] |= np.uint32(Finding.STREAM_GAP)
+        idle = (laid.words() & ccsds.IDLE_APID) == ccsds.IDLE_APID
+        owner = laid.owner()
+        for index, at in by_value(frames.channel):
+            channel = self.channels[index]
+            own = frames.channel[owner] == index
+            channel.cut += int(np.count_nonzero(cut[at]))
+            channel.idle_packets += int(np.count_nonzero(own & idle))
+            channel.packets += int(np.count_nonzero(own & ~idle))
+            channel.other_packets += int(np.count_nonzero(frames.channel[laid.others()] == index))
+        return packets_behind(
+            batch, laid.buffer, frames.row[owner[~idle]], laid.start[~idle], laid.length[~idle]
+        )
+
+
+class _Laid:
+    """Frames laid out in one buffer, stream by stream, and the packets in it.
+
+    A segment is a stretch of the buffer that frames of one run of one stream fill, behind what the batch
+    before left of it. A pointer is a place where a packet is known to start.
+
+    Args:
+        batch: the frames are in it.
+        frames: at least one.
+        states: the streams.
+
+    Attributes:
+        buffer: u8, with ``PADDING`` behind it.
+        start: i64 (packets,), where each starts, rising.
+        length: i64 (packets,).
+    """
+
+    def __init__(self, batch: PacketBatch, frames: _Frames, states: list[_Stream]) -> None:
+        self._frames = frames
+        begins = np.ones(len(frames.row), bool)
+        begins[1:] = (np.diff(frames.stream) != 0) | (np.diff(frames.run) != 0)
+        self._heads = np.flatnonzero(begins)
+        stream = frames.stream[self._heads]
+        self._states = [states[index] for index in stream.tolist()]
+        self._fresh = np.append(True, stream[1:] != stream[:-1])
+        runs = frames.run[self._heads].tolist()
+        rests = [
+            state.rest if fresh and state.run == run else b""
+            for state, fresh, run in zip(self._states, self._fresh.tolist(), runs, strict=True)
+        ]
+        size, extra = frames.end - frames.start, np.zeros(len(begins), np.int64)
+        ahead = np.array([len(rest) for rest in rests], np.int64)
+        extra[self._heads] = ahead
+        ends = np.cumsum(size + extra)
+        self._at = ends - size
+        self._begin = self._at[self._heads] - ahead
+        self._end = ends[np.append(self._heads[1:], len(ends)) - 1]
+        self.buffer = np.zeros(int(ends[-1]) + PADDING, np.uint8)
+        copy_rows(self.buffer, self._at, batch.data, frames.start, size)
+        for place, rest in zip(self._begin.tolist(), rests, strict=True):
+            self.buffer[place : place + len(rest)] = np.frombuffer(rest, np.uint8)
+        self._point(ahead > 0, np.cumsum(begins) - 1)
+        self._walk()
+
+    def _point(self, rests: NDArray[np.bool_], segment: NDArray[np.int64]) -> None:
+        """Gather the pointers: one for each rest, one for each frame that has one; all rise."""
+        pointed = np.flatnonzero(self._frames.first >= 0)
+        inside = self._frames.first[pointed] - self._frames.start[pointed]
+        of_rests = np.flatnonzero(rests)
+        pointer = np.concatenate([self._begin[of_rests], self._at[pointed] + inside])
+        of_segment = np.concatenate([of_rests, segment[pointed]])
+        frame = np.concatenate([self._heads[of_rests], pointed])
+        order = np.argsort(pointer, kind="stable")
+        self._pointer, self._segment, self._pointing = pointer[order], of_segment[order], frame[order]
+        self._last = np.append(np.diff(self._segment) != 0, True)[: len(order)]
+        limit = np.append(self._pointer[1:], 0)[: len(order)]
+        self._limit = np.where(self._last, self._end[self._segment], limit)
+
+    def _walk(self) -> None:
+        """Find the packets behind every pointer, up to the next one."""
+        self._stop = self._pointer.copy()
+        self._open, self._other = np.zeros((2, len(self._pointer)), bool)
+        active, starts, lengths = np.arange(len(self._pointer)), [], []
+        while len(active := active[self._stop[active] < self._limit[active]]):
+            place = self._stop[active]
+            head = gather(self.buffer, place, ccsds.PRIMARY.size)
+            length = ccsds.PRIMARY.column("packet_data_length", head) + np.int64(ccsds.LENGTH_BIAS)
+            room = self._limit[active] - place
+            other = ccsds.PRIMARY.column("packet_version_number", head) != 0
+            short = (room < ccsds.PRIMARY.size) | (length > room)
+            self._other[active[other]] = True
+            self._open[active[short & ~other]] = True
+            whole = ~(other | short)
+            active, place, length = active[whole], place[whole], length[whole]
+            starts.append(place)
+            lengths.append(length)
+            self._stop[active] += length
+        start, length = (np.concatenate([np.zeros(0, np.int64), *part]) for part in (starts, lengths))
+        order = np.argsort(start, kind="stable")
+        self.start, self.length = start[order], length[order]
+
+    def settle(self) -> NDArray[np.bool_]:
+        """Keep what is not complete for the next batch; tell at which frames a packet is cut, bool (n,)."""
+        cut = np.zeros(len(self._frames.row), bool)
+        inner = np.flatnonzero(self._open & ~self._last)
+        cut[self._pointing[inner + 1]] = True
+        first_pointer = self._end.copy()
+        first_pointer[self._segment[::-1]] = self._pointer[::-1]
+        rest_at = self._end.copy()
+        behind = np.flatnonzero(self._last & self._open)
+        rest_at[self._segment[behind]] = self._stop[behind]
+        filled = np.flatnonzero(self._frames.end > self._frames.start)
+        for index, (state, head) in enumerate(zip(self._states, self._heads.tolist(), strict=True)):
+            run = int(self._frames.run[head])
+            if self._begin[index] == self._end[index]:
+                continue  # idle frames alone: nothing that could go on
+            if state.run not in {run, _NONE}:
+                cut[filled[np.searchsorted(filled, head)]] |= bool(state.rest) or bool(
+                    first_pointer[index] > self._begin[index]
+                )
+            state.run = run
+            state.rest = self.buffer[rest_at[index] : self._end[index]].tobytes()
+        return cut
+
+    def words(self) -> NDArray[np.integer[Any]]:
+        """Return the first word of each packet."""
+        return gather(self.buffer, self.start, 2).view(">u2")[:, 0]
+
+    def owner(self) -> NDArray[np.int64]:
+        """Return the frame in which each packet ends."""
+        return np.searchsorted(self._at, self.start + self.length - 1, side="right") - 1
+
+    def others(self) -> NDArray[np.int64]:
+        """Return the frames in which something starts that is no space packet."""
+        return np.searchsorted(self._at, self._stop[self._other], side="right") - 1
+
+
+def _selected(read: FrameFields, rows: NDArray[np.bool_]) -> FrameFields:
+    return FrameFields(**{item.name: getattr(read, item.name)[rows] for item in fields(FrameFields)})
+
+
+def _followed(
+    counts: SequenceCounts,
+    frames: PacketBatch,
+    channels: list[FrameChannel],
+    which: NDArray[np.int64],
+    count: NDArray[np.integer[Any]],
+) -> NDArray[np.bool_]:
+    """Follow a count of frames; tell which of them came before with the same bytes, bool (n,).
+
+    Args:
+        counts: the follower, which takes each channel for a sender of its own.
+        frames: in the order they were captured.
+        channels: their counts are set.
+        which: i64 (n,), index into ``channels``; ``_NONE`` for a frame that has no count.
+        count: (n,).
+    """
+    size = len(frames)
+    sequence, none = np.zeros(size, np.uint16), np.zeros(size, np.int64)
+    groups = [(index, at) for index, at in by_value(which) if index != _NONE]
+    for index, at in groups:
+        sequence[at] = channels[index].unwrapped(count[at])
+    blank: dict[str, NDArray[Any]] = dict.fromkeys((item.name for item in fields(Columns)), none)
+    columns = Columns(
+        **blank
+        | {
+            "msg_id": np.where(which == _NONE, NO_MSG_ID, which).astype(np.int32),
+            "processor_id": (which + 1).astype(np.uint32),
+            "spacecraft_id": none.astype(np.uint32),
+            "link": none.astype(np.uint8),
+            "findings": none.astype(np.uint32),
+            "sequence_count": sequence,
+            "packet_offset": frames.offset,
+            "packet_length": frames.length,
+        }
+    )
+    result = counts.follow(frames, columns)
+    for index, at in groups:
+        stream = int(result.stream[at[0]])
+        if stream != _NONE:
+            channels[index].counts = counts.streams[stream]
+    return result.duplicates > 0

@@ -1,0 +1,173 @@
+"""RACS2: its messages as its ROS side has them, and the values in their bodies.
+
+The rules that this file keeps:
+
+1. ``racs2_msg/msg/RACS2UserMsg`` is what the public ROS side publishes on the topic that a header names, and
+   what it takes from ``/RACS2Bridge`` to send to cFS.
+2. A body that is a ``RACS2Bridge_std_msgs`` has its values on topics of ours below ``/racs2``, each field as
+   the type of ``std_msgs`` that the public ``.proto`` file names beside it.
+3. Names come from the network: one that is no name of ROS, or is used otherwise, has no topic, and there are
+   at most ``MOST_TOPICS``. Whole datagrams are recorded all the same.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.addons.racs2.link import RACS2
+from edoras_tools.errors import FieldError
+from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, whole_messages
+from edoras_tools.model import Columns, Finding, PacketBatch
+from edoras_tools.wire import cfe, racs2
+from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import copy_rows, gather
+from edoras_tools.wire.cdr import ENCAPSULATION
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.doors import TopicSpace
+
+MOST_TOPICS: Final = 256
+TO_CFS_TOPIC: Final = "/RACS2Bridge"
+"""The topic that the public ROS side subscribes to."""
+USER_TYPE: Final = "racs2_msg/msg/RACS2UserMsg"
+VALUES_PREFIX: Final = "/racs2"
+_RESERVED: Final = ("/edoras/", "/cfs/", "/fprime/", f"{VALUES_PREFIX}/", "/tf/")
+"""Beginnings of names of ours, and of `/tf`."""
+_NAME: Final = re.compile(rb"/?(?!.*__)[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_TYPES: Final = {
+    "bool_data": "Bool",
+    "float_data": "Float32",
+    "double_data": "Float64",
+    "int32_data": "Int32",
+    "int64_data": "Int64",
+    "string_data": "String",
+    "uint32_data": "UInt32",
+    "uint64_data": "UInt64",
+    "float32_array_data": "Float32MultiArray",
+    "float64_array_data": "Float64MultiArray",
+    "int32_array_data": "Int32MultiArray",
+    "int64_array_data": "Int64MultiArray",
+    "uint32_array_data": "UInt32MultiArray",
+    "uint64_array_data": "UInt64MultiArray",
+}
+"""The types of ``std_msgs`` that the public ``.proto`` file names, by field."""
+_CUT: Final = np.uint32(Finding.FRAGMENT | Finding.CAPTURE_CUT)
+_USER: Final = np.dtype(
+    [
+        *RECORD,
+        ("encapsulation", "<u4"),
+        ("cfs_message_id", "<u4"),
+        ("body_data_length", "<u4"),
+        ("count", "<u4"),
+    ]
+)
+"""``RACS2UserMsg`` as a record, up to the bytes of its body."""
+
+
+class _Target(NamedTuple):
+    """Where messages go, and which they are.
+
+    Attributes:
+        topic: where the messages themselves are.
+        values: the topics of values start with it.
+        msg_id: of cFS; 0 where they come from it.
+        rows: i64, of the batch.
+    """
+
+    topic: str
+    values: str
+    msg_id: int
+    rows: NDArray[np.intp]
+
+
+class BridgeTopics:
+    """Makes messages of what the bridges send; see :class:`~edoras_tools.links.protocol.OwnTopics`."""
+
+    def __init__(self, space: TopicSpace) -> None:
+        self._space, self._other_topics = space, space.used_names()
+        self._known: set[str] = set()
+
+    def offer(self) -> None:
+        """Do nothing: the messages themselves name the topics."""
+
+    def messages(self, batch: PacketBatch, columns: Columns) -> Iterator[Messages]:
+        """Yield the messages of a batch; they do not refer to its data."""
+        for target in _targets(batch, columns):
+            if self._may_have(target.topic):
+                yield _user_messages(target, batch, self._place(target.topic, USER_TYPE))
+            for topic, type_name, values in _values(target, batch):
+                if self._may_have(topic):
+                    yield self._value_messages(type_name, values, batch, self._place(topic, type_name))
+
+    def _place(self, topic: str, type_name: str) -> int:
+        return self._space.place(topic, type_name, {"link": RACS2.label})
+
+    def _may_have(self, topic: str) -> bool:
+        """Tell whether a topic is known, or may still become one."""
+        if topic not in self._known and topic not in self._other_topics and len(self._known) < MOST_TOPICS:
+            self._known.add(topic)
+        return topic in self._known
+
+    def _value_messages(
+        self, type_name: str, values: list[tuple[int, Any]], batch: PacketBatch, channel_id: int
+    ) -> Messages:
+        """Return a message of ``std_msgs`` for each value; one that its type cannot hold is left out."""
+        bodies, rows = [], []
+        for row, value in values:
+            try:
+                cdr = self._space.types.encode(type_name, {"data": value})
+            except FieldError:  # a varint may be longer than its field
+                continue
+            bodies.append(cdr[ENCAPSULATION.size :])
+            rows.append(row)
+        where = np.array(rows, np.int64)
+        return bodies_of(bodies, batch.time_ns[where].tolist(), channel_id, where)
+
+
+def _targets(batch: PacketBatch, columns: Columns) -> Iterator[_Target]:
+    """Yield the whole messages of a batch, by where they go; those without a name of ROS are left out."""
+    rows = np.flatnonzero((columns.link == RACS2) & (columns.findings & _CUT == 0))
+    headers = gather(batch.data, batch.offset[rows], racs2.BRIDGE_HEADER)
+    names, which = np.unique(headers.view(f"S{racs2.BRIDGE_HEADER}")[:, 0], return_inverse=True)
+    for place, members in by_value(which):
+        msg_id = int.from_bytes(headers[members[0], :2].tobytes(), "big")
+        if msg_id <= cfe.HIGHEST_MSG_ID:
+            yield _Target(TO_CFS_TOPIC, f"{VALUES_PREFIX}/msg_id_{msg_id:04x}", msg_id, rows[members])
+            continue
+        name = bytes(names[place]).partition(b"\0")[0]
+        if _NAME.fullmatch(name):
+            topic = f"/{name.decode().removeprefix('/')}"
+            if topic != TO_CFS_TOPIC and not f"{topic}/".startswith(_RESERVED):
+                yield _Target(topic, VALUES_PREFIX + topic, 0, rows[members])
+
+
+def _user_messages(target: _Target, batch: PacketBatch, channel_id: int) -> Messages:
+    """Return a ``RACS2UserMsg`` for each message; its length is that of the body that crossed."""
+    rows, log_time = target.rows, batch.time_ns[target.rows]
+    size = batch.length[rows].astype(np.int64) - racs2.BRIDGE_HEADER
+    start = np.cumsum(size) - size
+    pool = np.empty(int(size.sum()), np.uint8)
+    copy_rows(pool, start, batch.data, batch.offset[rows] + racs2.BRIDGE_HEADER, size)
+    heads = np.zeros(len(rows), _USER)
+    heads["cfs_message_id"], heads["body_data_length"] = target.msg_id, size
+    heads["count"] = size
+    return whole_messages(rows, heads, channel_id, 0, log_time, log_time, (pool, start, size))
+
+
+def _values(target: _Target, batch: PacketBatch) -> Iterator[tuple[str, str, list[tuple[int, Any]]]]:
+    """Yield the topic, the type, and (row, value) of each field that bodies have."""
+    by_name: dict[str, list[tuple[int, Any]]] = {}
+    for row in target.rows.tolist():
+        start = int(batch.offset[row])
+        body = batch.data[start + racs2.BRIDGE_HEADER : start + int(batch.length[row])].tobytes()
+        for name, value in (racs2.std_msgs_values(body) or {}).items():
+            by_name.setdefault(name, []).append((row, value))
+    for name, values in by_name.items():
+        yield f"{target.values}/{name}", f"std_msgs/msg/{_TYPES[name]}", values

@@ -1,0 +1,1 @@
+"""RTPS: the wire protocol of DDS: read, put together from fragments, recorded, and judged."""

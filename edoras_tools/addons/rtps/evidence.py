@@ -1,0 +1,82 @@
+"""The balance of the samples of DDS: what each writer wrote, what was captured of it, and what is missing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.addons.rtps.link import RTPS
+from edoras_tools.addons.rtps.writers import SampleFollower
+from edoras_tools.diagnosis.ledger import Row
+from edoras_tools.diagnosis.missing import Missing
+from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.wire.rtps.messages import guid_text
+
+if TYPE_CHECKING:
+    from edoras_tools.addons.rtps.writers import TopicWriter
+
+SAMPLE_HOP: Final = "DDS"
+_CAUSES: Final = {
+    "given_up": "asked for in vain by a reader of DDS",
+    "before_capture": "lost before the capture, on DDS",
+}
+_COUNTED: Final = {"in": "sequence numbers and HEARTBEATs", "out": "samples in the capture"}
+
+
+def sample_verdict(severity: Severity, item: TopicWriter, reason: str, remedy: str, **about: Any) -> Verdict:
+    """Return a verdict on the samples of one writer; ``about`` has more of its attributes."""
+    writer = item.writer
+    return Verdict(
+        severity,
+        reason,
+        topic=item.topic,
+        link=RTPS.label,
+        hop=SAMPLE_HOP,
+        span=(writer.first_ns, writer.last_ns),
+        remedy=remedy,
+        **about,
+    )
+
+
+class SampleEvidence(SampleFollower):
+    """The samples of every writer, as rows of the ledger."""
+
+    def rows(self, drops: int | None) -> list[Row]:
+        """Return a row for each writer, in the order of the capture."""
+        return [_row(item, drops) for item in self.topic_writers()]
+
+    def missing(self, drops: int | None) -> list[Missing]:
+        """Return an entry for each writer and cause; which samples they are only their numbers tell."""
+        found = []
+        for item in self.topic_writers():
+            row, times = _row(item, drops), (item.writer.first_ns, item.writer.last_ns)
+            for cause, count in row.lost.items():
+                what = _CAUSES[cause]
+                found.append(
+                    Missing(row.link, NO_MSG_ID, row.topic, count, *times, None, None, row.came, what)
+                )
+        return found
+
+
+def _row(item: TopicWriter, drops: int | None) -> Row:
+    """Return the row of one writer."""
+    writer, fates = item.writer, item.writer.fates()
+    unseen = fates["missing"]
+    lost = {"given_up": fates["given_up"] + fates["lost_behind"]}
+    # Where the capture itself lost frames, what did not come may be among them.
+    lost["before_capture"] = 0 if drops else unseen
+    return Row(
+        NO_ROUTE,
+        RTPS.label,
+        None,
+        guid_text(writer.guid),
+        SAMPLE_HOP,
+        writer.written,
+        writer.captured - fates["lost_behind"],
+        lost={cause: number for cause, number in lost.items() if number},
+        waiting=fates["waiting"],
+        not_captured=fates["not_captured"] + (unseen if drops else 0),
+        unaccounted=fates["unclear"],
+        counted=_COUNTED,
+        topic=item.topic,
+    )

@@ -1,0 +1,83 @@
+"""What submessages are about, as fields for filters."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.addons.rtps.link import RTPS
+from edoras_tools.addons.rtps.reader import NamedSubmessages, named_submessages
+from edoras_tools.decode.filters.field import BYTES_COST, FilterField
+from edoras_tools.decode.filters.rows import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.wire.rtps.messages import guid_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from edoras_tools.decode.filters.rows import ColumnRows, PacketRows
+    from edoras_tools.model import Decoded
+
+_DOCS: Final = {
+    "writer": "GUIDs of the writers that submessages are about, or from",
+    "topic": "topics of these writers, as they were announced",
+    "writer_sn": "sequence numbers of samples, and of their fragments",
+}
+
+
+def sample_fields() -> Iterator[FilterField]:
+    """Yield the fields that hold what submessages of DDS are about."""
+    readers: dict[str, Callable[[ColumnRows], Series]] = {
+        "writer": _writers,
+        "topic": _topics,
+        "writer_sn": _numbers,
+    }
+    for name, doc in _DOCS.items():
+        number = name == "writer_sn"
+        yield FilterField(
+            f"{RTPS.label}.{name}",
+            ValueKind.NUMBER if number else ValueKind.TEXT,
+            partial(_pick, name),
+            readers[name],
+            cost=BYTES_COST,
+            limits=(-(1 << 63), (1 << 63) - 1) if number else None,
+            many=True,
+            doc=doc,
+        )
+
+
+def _pick(name: str, _: PacketRows, decoded: Decoded) -> Any:
+    values = (layer.values() for layer in decoded.layers if decoded.link is RTPS)
+    return [item[name] for item in values if name in item] or None
+
+
+def _submessages(rows: ColumnRows) -> NamedSubmessages:
+    def make() -> NamedSubmessages:
+        own = np.flatnonzero(rows.column("link") == RTPS)
+        named = named_submessages(rows.batch, rows.indices()[own])
+        return named._replace(row=own[named.row])
+
+    result: NamedSubmessages = rows.once("rtps", make)
+    return result
+
+
+def _writers(rows: ColumnRows) -> Series:
+    named = _submessages(rows)
+    texts = [guid_text(guid) for guid in named.writers]
+    return Series(len(rows), named.writer.astype(INDEX_DTYPE), named.row, table=texts)
+
+
+def _topics(rows: ColumnRows) -> Series:
+    named = _submessages(rows)
+    endpoints = rows.context.endpoints
+    endpoint = map(endpoints.find, named.writers)
+    texts = [item.ros_topic if item else "" for item in endpoint]
+    announced = rows.datagram("number")[named.row] >= endpoints.since(named.writers)[named.writer]
+    return Series(len(rows), named.writer[announced].astype(INDEX_DTYPE), named.row[announced], table=texts)
+
+
+def _numbers(rows: ColumnRows) -> Series:
+    named = _submessages(rows)
+    numbered = named.numbered
+    return Series(len(rows), named.number[numbered], named.row[numbered])

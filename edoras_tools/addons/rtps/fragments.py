@@ -1,0 +1,272 @@
+"""Puts samples of DDS together that came in fragments: each is a row of its own behind that of the last one.
+
+The rules that this file keeps:
+
+1. The row of a datagram stays as it is. A sample that becomes whole is a message of its own, as its writer
+   could have sent it: header, time, one DATA. It has the time, number and endpoints of the datagram with its
+   last fragment; its ``original_length`` is -1.
+2. When as many bytes of a sample came again as it has, it is a message again: a copy, sent again or to
+   another reader. Fewer bytes are what was lost on the way to a reader.
+3. Memory does not grow: of samples that are not whole at most ``MOST_FRAGMENT_BYTES`` are kept, and
+   ``MOST_OPEN``; the oldest give way. A sample that claims more than ``LARGEST_SAMPLE`` is left out. Of whole
+   ones ``MOST_WHOLE_BYTES`` are kept; copies of older ones are not noticed.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.addons.rtps.link import RTPS
+from edoras_tools.addons.rtps.reader import distinct_guids, rtps_messages
+from edoras_tools.addons.rtps.samples import LeftSamples
+from edoras_tools.io.frames.build import order_behind, packets_behind
+from edoras_tools.links.site import MOST_ENDPOINTS
+from edoras_tools.model import Columns, PacketBatch
+from edoras_tools.sessions.ranges import KnownRanges
+from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.window import PADDING, copy_rows
+from edoras_tools.wire.rtps import RTPS_MAGIC
+from edoras_tools.wire.rtps.headers import (
+    GUID_BYTES,
+    PREFIX_BYTES,
+    RTPS_HEADER,
+    SUBMESSAGE_LAYOUTS,
+    SubmessageFlag,
+    SubmessageKind,
+)
+from edoras_tools.wire.rtps.messages import SubmessageFields, read_samples
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.site import Site
+
+MOST_FRAGMENT_BYTES: Final = 64 << 20
+MOST_WHOLE_BYTES: Final = 16 << 20
+MOST_OPEN: Final = 1 << 10
+LARGEST_SAMPLE: Final = 32 << 20
+
+
+@dataclass(slots=True, eq=False)
+class _Sample:
+    """A sample, and how many bytes of it came again."""
+
+    data: NDArray[np.uint8]
+    fragment_size: int
+    fragments: KnownRanges = field(default_factory=KnownRanges)
+    again: int = 0
+
+    def add(self, begin: int, end: int) -> bool:
+        """Add a fragment; tell whether it makes the sample whole, or a copy of it."""
+        before, size = self.fragments.size, len(self.data)
+        self.fragments.add(begin, end)
+        new = self.fragments.size - before
+        self.again += end - begin - new
+        if self.fragments.size < size or not (new or self.again >= size):
+            return False
+        self.again -= 0 if new else size
+        return True
+
+
+class FragmentedSamples:
+    """Puts the samples of a stream together.
+
+    Attributes:
+        whole: samples that were put together.
+        given_up: samples of which fragments came, and that gave way to others.
+        too_large: fragments of samples that claim too much, or contradict each other.
+    """
+
+    def __init__(self) -> None:
+        self.whole = self.given_up = self.too_large = 0
+        self._open: OrderedDict[tuple[bytes, int], _Sample] = OrderedDict()
+        self._whole: OrderedDict[tuple[bytes, int], _Sample] = OrderedDict()
+        self._bytes = self._whole_bytes = 0
+        self._done: dict[bytes, KnownRanges] = {}
+
+    def notes(self) -> list[str]:
+        """Return what came, a line each, for users."""
+        unfinished = len(self._open) + self.given_up
+        lines = [f"DDS: {plural(self.whole, 'sample')} put together from fragments"] if self.whole else []
+        if unfinished:
+            lines.append(f"DDS: of {plural(unfinished, 'sample')} not all fragments came")
+        if self.too_large:
+            lines.append(
+                f"DDS: {plural(self.too_large, 'fragment')} left out: of samples over 32 MiB, or odd"
+            )
+        return lines
+
+    def take(
+        self, batch: PacketBatch, columns: Columns, decode: Callable[[PacketBatch], Columns]
+    ) -> tuple[PacketBatch, Columns]:
+        """Return a batch and its columns with the samples that become whole in it."""
+        rows = np.flatnonzero(columns.link == RTPS)
+        rows = rows[batch.original_length[rows] >= 0]
+        submessages = rtps_messages(batch, rows).submessages
+        samples = read_samples(batch.data, submessages, SubmessageKind.DATA_FRAG)
+        samples = samples.take(samples.fits)
+        if not len(samples.which):
+            return batch, columns
+        own = submessages.take(samples.which)
+        numbers = SubmessageFields(batch.data, own, SubmessageKind.DATA_FRAG)
+        number = {
+            name: numbers.number(name)
+            for name in ("fragment_starting_num", "fragments_in_submessage", "fragment_size", "sample_size")
+        }
+        sequence = numbers.sequence_number("writer_sn")
+        guids, writer = distinct_guids(numbers.guid("writer_id"))
+        rebuilt: list[tuple[int, bytes]] = []
+        first, which = numbered(writer, sequence)
+        for index, at in enumerate(first.tolist()):
+            members = np.flatnonzero(which == index)
+            key = guids[writer[at]], int(sequence[at])
+            some = {name: values[members] for name, values in number.items()}
+            for place in self._add(key, some, batch.data, samples.start[members], samples.end[members]):
+                last = int(members[place])
+                body = self._finished(key)
+                key_only = bool(own.flags[last] & SubmessageFlag.FRAGMENT_KEY)
+                raw = _message(key, body, int(own.time_ns[last]), key_only=key_only)
+                rebuilt.append((int(rows[own.row[last]]), raw))
+        if not rebuilt:
+            return batch, columns
+        return _with_messages(batch, columns, sorted(rebuilt, key=lambda item: item[0]), decode)
+
+    def _add(
+        self,
+        key: tuple[bytes, int],
+        fields: dict[str, NDArray[np.int64]],
+        data: NDArray[np.uint8],
+        start: NDArray[np.int64],
+        end: NDArray[np.int64],
+    ) -> Iterator[int]:
+        """Add fragments of one sample; yield which of them makes it whole, and whole again."""
+        size, step = int(fields["sample_size"][0]), int(fields["fragment_size"][0])
+        begin = (fields["fragment_starting_num"] - 1) * step
+        stop = np.minimum(begin + fields["fragments_in_submessage"] * step, size)
+        sound = (
+            (fields["sample_size"] == size)
+            & (fields["fragment_size"] == step)
+            & (begin >= 0)
+            & (stop > begin)
+        )
+        sound &= end - start >= stop - begin
+        partial = self._open.get(key) or self._whole.get(key)
+        if partial is not None:
+            sound &= (len(partial.data) == size) & (partial.fragment_size == step)
+        if not 0 < size <= LARGEST_SAMPLE or not step:
+            sound[:] = False
+        self.too_large += int(np.count_nonzero(~sound))
+        ended = self._done.get(key[0])
+        expired = partial is None and ended is not None and not ended.missing(key[1], key[1] + 1)
+        if expired or not sound.any():
+            return
+        if partial is None:
+            partial = self._open[key] = _Sample(np.zeros(size, np.uint8), step)
+            self._bytes += size
+            self._make_room()
+        places = np.flatnonzero(sound)
+        copy_rows(partial.data, begin[places], data, start[places], (stop - begin)[places])
+        for place in places.tolist():
+            if partial.add(int(begin[place]), int(stop[place])):
+                yield place
+
+    def _make_room(self) -> None:
+        while len(self._open) > 1 and (self._bytes > MOST_FRAGMENT_BYTES or len(self._open) > MOST_OPEN):
+            _, oldest = self._open.popitem(last=False)
+            self._bytes -= len(oldest.data)
+            self.given_up += 1
+
+    def _finished(self, key: tuple[bytes, int]) -> bytes:
+        """Return a whole sample, which is not open any more."""
+        if key not in self._open:
+            return self._whole[key].data.tobytes()
+        sample = self._whole[key] = self._open.pop(key)
+        self._bytes -= len(sample.data)
+        self._whole_bytes += len(sample.data)
+        self.whole += 1
+        if key[0] in self._done or len(self._done) < MOST_ENDPOINTS:
+            self._done.setdefault(key[0], KnownRanges()).add(key[1], key[1] + 1)
+        while len(self._whole) > 1 and (self._whole_bytes > MOST_WHOLE_BYTES or len(self._whole) > MOST_OPEN):
+            self._whole_bytes -= len(self._whole.popitem(last=False)[1].data)
+        return sample.data.tobytes()
+
+
+def _message(key: tuple[bytes, int], body: bytes, time_ns: int, *, key_only: bool) -> bytes:
+    """Return the message that holds a sample in one piece; its length stands for: up to the end."""
+    guid, sequence = key
+    little = int(SubmessageFlag.LITTLE_ENDIAN)
+    head = RTPS_HEADER.emit(
+        {
+            "magic": int.from_bytes(RTPS_MAGIC, "big"),
+            "version_major": 2,
+            "version_minor": 5,
+            "guid_prefix": guid[:PREFIX_BYTES],
+        }
+    )
+    if time_ns >= 0:
+        layout = SUBMESSAGE_LAYOUTS[SubmessageKind.INFO_TS].little
+        seconds, rest = divmod(time_ns, SECOND)
+        # Rounded up, so that the same nanosecond is read again.
+        stamp = {"seconds": seconds & 0xFFFFFFFF, "fraction": -(-(rest << 32) // SECOND)}
+        numbers = {"submessage_id": SubmessageKind.INFO_TS, "flags": little, "octets_to_next_header": 8}
+        head += layout.emit(numbers | stamp)
+    layout = SUBMESSAGE_LAYOUTS[SubmessageKind.DATA].little
+    values = {
+        "submessage_id": SubmessageKind.DATA,
+        "flags": little | (SubmessageFlag.KEY if key_only else SubmessageFlag.DATA),
+        "octets_to_inline_qos": 16,
+        "writer_id": guid[PREFIX_BYTES:GUID_BYTES],
+        "writer_sn_high": sequence >> 32,
+        "writer_sn_low": sequence & 0xFFFFFFFF,
+    }
+    return head + layout.emit(values) + body
+
+
+def _with_messages(
+    batch: PacketBatch,
+    columns: Columns,
+    messages: list[tuple[int, bytes]],
+    decode: Callable[[PacketBatch], Columns],
+) -> tuple[PacketBatch, Columns]:
+    """Return a batch and its columns with made messages behind their rows."""
+    row = np.array([at for at, _ in messages])
+    length = np.array([len(raw) for _, raw in messages], np.int64)
+    data = np.frombuffer(b"".join(raw for _, raw in messages) + bytes(PADDING), np.uint8)
+    whole = packets_behind(batch, data, row, np.cumsum(length) - length, length)
+    order = order_behind(len(batch), row)
+    more = decode(whole.take(np.flatnonzero(order >= len(batch))))
+    joined = {
+        item.name: np.concatenate([getattr(columns, item.name), getattr(more, item.name)])[order]
+        for item in fields(Columns)
+    }
+    return whole, Columns(**joined)
+
+
+class SampleRows:
+    """Puts samples together, and counts those without a topic."""
+
+    def __init__(self, site: Site) -> None:
+        self._site = site
+        self._fragmented, self._left = FragmentedSamples(), LeftSamples()
+
+    def take(
+        self, batch: PacketBatch, columns: Columns, decode: Callable[[PacketBatch], Columns]
+    ) -> tuple[PacketBatch, Columns]:
+        """Return a batch and its columns with the samples that become whole in it."""
+        if not (columns.link == RTPS).any():
+            return batch, columns
+        batch, columns = self._fragmented.take(batch, columns, decode)
+        self._left.add(batch, np.flatnonzero(columns.link == RTPS), self._site.endpoints)
+        return batch, columns
+
+    def notes(self) -> list[str]:
+        """Return what came, a line each, for users."""
+        return self._fragmented.notes() + self._left.notes(self._site.types, self._site.endpoints)

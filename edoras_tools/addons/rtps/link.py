@@ -1,0 +1,104 @@
+"""DDS over UDP: RTPS, one message of several submessages a datagram, on any port."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
+from edoras_tools.model import Decoded, PacketBatch, Transport
+from edoras_tools.wire.rtps import RTPS_MAGIC
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.doors import Follower, LinkEvidence, OwnRows, OwnTopics, SampleReader, TopicSpace
+    from edoras_tools.links.reading import Reading
+    from edoras_tools.links.site import Site
+    from edoras_tools.wire.layout import Layout
+
+
+class PublishSubscribeLink(LinkProtocol):
+    """The link between DDS participants, which is told by its first bytes: their ports are any."""
+
+    code = 8
+    name = "RTPS"
+    label = "rtps"
+    colour = "yellow"
+    doc = "between DDS participants, as ROS 2 nodes are: RTPS messages, on any port"
+    transport = Transport(first="either")
+    to_cfs = True
+    from_cfs = True
+    port_decides = False
+    magic = RTPS_MAGIC
+    several = True
+    samples = True
+    wireshark = "rtps"
+
+    @property
+    def layouts(self) -> tuple[Layout, ...]:  # type: ignore[override]
+        """Its headers, of each submessage in both byte orders; made when they are asked for."""
+        from edoras_tools.wire.rtps.headers import EVERY_RTPS_LAYOUT
+
+        return EVERY_RTPS_LAYOUT
+
+    def recognise(self, facts: Seen) -> Any:
+        """Recognise the four letters that begin every message."""
+        from edoras_tools.wire.rtps.headers import RTPS_HEADER
+
+        version = facts.field(RTPS_HEADER, "version_major")
+        letters = facts.field(RTPS_HEADER, "magic") == int.from_bytes(RTPS_MAGIC, "big")
+        return BY_CONTENT * (letters & (version >= 0))
+
+    def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+        """Judge messages, and learn which endpoints they announce; see :meth:`LinkProtocol.locate`."""
+        reader = self.part("reader")
+        return reader.locate_samples(batch, rows, site)
+
+    def dissect(self, reading: Reading, site: Site) -> None:
+        """Read one message."""
+        reader = self.part("reader")
+        reader.dissect_message(reading, site)
+
+    def places(
+        self, layout: Layout, rows: BatchRows, field: str = ""
+    ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """Find the message header, or every submessage of one kind and byte order."""
+        reader = self.part("reader")
+        del field
+        return reader.submessage_places(layout, rows, self)
+
+    def rows(self, site: Site) -> OwnRows:
+        """Return what puts samples together that came in fragments."""
+        return self.part("fragments:SampleRows")(site)
+
+    def topics(self, space: TopicSpace) -> OwnTopics | None:
+        """Return what makes messages of samples; None where nobody decodes what announces their topics."""
+        heard = space.endpoints
+        return None if heard is None else self.part("topics:SampleMessages")(space, heard)
+
+    def follow(self, site: Site) -> Follower:
+        """Return what follows the samples of every writer."""
+        return self.part("writers:SampleFollower")(site.endpoints)
+
+    def evidence(self, site: Site) -> LinkEvidence:
+        """Return the same, as rows of the ledger."""
+        return self.part("evidence:SampleEvidence")(site.endpoints)
+
+    def fields(self) -> Iterable[Any]:
+        """Return the fields that hold what submessages are about."""
+        return self.part("fields:sample_fields")()
+
+    def sample_reader(self) -> SampleReader:
+        """Return what reads samples."""
+        return self.part("samples:READER")
+
+    def summary(self, decoded: Decoded) -> str:
+        """Return what the submessages are, and of which topics."""
+        reader = self.part("reader")
+        return reader.rtps_summary(decoded)
+
+
+RTPS: Final = PublishSubscribeLink()

@@ -1,0 +1,462 @@
+"""Reads RTPS messages: one for people, many as columns; what participants announce is learnt on the way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.links.protocol import BatchRows, Located
+from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.cdr import CDR_BE, CDR_LE
+from edoras_tools.wire.rtps.headers import (
+    BUILT_IN,
+    BUILT_IN_KIND,
+    ENTITY_BYTES,
+    GUID_BYTES,
+    INLINE_AT,
+    OF_PARTICIPANTS,
+    OF_PUBLICATIONS,
+    OF_SUBSCRIPTIONS,
+    PREFIX_BYTES,
+    RTPS_HEADER,
+    SUBMESSAGE,
+    SUBMESSAGE_LAYOUTS,
+    SUBMESSAGE_NAMES,
+    WITH_SEQUENCE_SET,
+    SubmessageFlag,
+    SubmessageKind,
+)
+from edoras_tools.wire.rtps.messages import (
+    LEAST_BYTES,
+    RtpsMessages,
+    SubmessageFields,
+    Submessages,
+    guid_text,
+    read_messages,
+    read_samples,
+    sequence_set,
+)
+from edoras_tools.wire.rtps.parameters import read_announcement, read_status
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.reading import Reading
+    from edoras_tools.links.site import Endpoints, Site
+    from edoras_tools.wire.layout import Layout
+    from edoras_tools.wire.rtps.messages import SampleData
+
+_ANNOUNCING: Final = (OF_PARTICIPANTS, OF_PUBLICATIONS, OF_SUBSCRIPTIONS)
+_PLAIN: Final = (CDR_BE, CDR_LE)
+"""Representations that ROS messages have."""
+_TOLD_SETS: Final = {SubmessageKind.ACKNACK: "missing", SubmessageKind.GAP: "irrelevant"}
+_NUMBERS: Final = {
+    SubmessageKind.DATA: ("writer_sn",),
+    SubmessageKind.DATA_FRAG: ("writer_sn",),
+    SubmessageKind.HEARTBEAT_FRAG: ("writer_sn",),
+    SubmessageKind.NACK_FRAG: ("writer_sn",),
+    SubmessageKind.HEARTBEAT: ("first", "last"),
+    SubmessageKind.ACKNACK: ("base",),
+    SubmessageKind.GAP: ("gap_start", "base"),
+}
+"""The sequence numbers of each kind of submessage."""
+_MOST_TOLD: Final = 6
+
+
+def timeless(flags: int, kind: int) -> bool:
+    """Tell whether it is an INFO_TS without a time."""
+    return kind == SubmessageKind.INFO_TS and bool(flags & SubmessageFlag.NO_TIMESTAMP)
+
+
+class TopicSamples(NamedTuple):
+    """SampleData in some messages, whole, of writers that are not built in; of one length.
+
+    Attributes:
+        row: i64, which of the messages.
+        writer: i64, index into the writers.
+        sequence_number: i64, the writer's.
+        start: i64, first byte of the encapsulation.
+        end: i64, one past the sample.
+        time_ns: i64, when it was written, ns since 1970; -1 where nobody says.
+    """
+
+    row: NDArray[np.int64]
+    writer: NDArray[np.int64]
+    sequence_number: NDArray[np.int64]
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+
+
+def topic_samples(data: NDArray[np.uint8], submessages: Submessages) -> tuple[list[bytes], TopicSamples]:
+    """Return the GUIDs of writers, and their samples; keys of what is disposed of are left out.
+
+    Args:
+        data: u8, what the submessages point into.
+    """
+    samples, own = _whole_samples(data, submessages)
+    fields = SubmessageFields(data, own, SubmessageKind.DATA)
+    guids = fields.guid("writer_id")
+    users = np.flatnonzero(_of_users(guids))
+    writers, which = distinct_guids(guids[users])
+    return writers, TopicSamples(
+        own.row[users],
+        which,
+        fields.sequence_number("writer_sn")[users],
+        samples.start[users],
+        samples.end[users],
+        own.time_ns[users],
+    )
+
+
+def rows_on(
+    batch: PacketBatch, rows: NDArray[np.intp], endpoints: Endpoints, holds: Callable[[str], bool]
+) -> NDArray[np.intp]:
+    """Return those of some rows that have a whole sample, of a topic that was announced before.
+
+    Args:
+        rows: those that hold RTPS.
+        endpoints: what was announced so far.
+        holds: tells of the ROS name of a topic whether it is meant.
+    """
+    writers, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
+    entries = [endpoints.find(guid) for guid in writers]
+    own = np.array([item is not None and holds(item.ros_topic) for item in entries], bool)
+    announced = batch.number[rows[samples.row]] >= endpoints.since(writers)[samples.writer]
+    return rows[samples.row[own[samples.writer] & announced]]
+
+
+def _whole_samples(data: NDArray[np.uint8], parts: Submessages) -> tuple[SampleData, Submessages]:
+    """Return the samples in DATA that are there whole, and their submessages."""
+    samples = read_samples(data, parts, SubmessageKind.DATA)
+    samples = samples.take(samples.fits & ((parts.flags[samples.which] & SubmessageFlag.DATA) != 0))
+    return samples, parts.take(samples.which)
+
+
+def _of_users(guids: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Tell which endpoints are not built in."""
+    kind = guids.view(np.uint8).reshape(-1, GUID_BYTES)[:, -1]
+    users: NDArray[np.bool_] = (kind & BUILT_IN_KIND) != BUILT_IN_KIND
+    return users
+
+
+def distinct_guids(guids: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.int64]]:
+    """Return the distinct GUIDs in the order they first come, and which of them each is, i64 (n,)."""
+    halves = np.ascontiguousarray(guids).view(np.uint64).reshape(-1, 2)
+    first, which = numbered(halves[:, 0], halves[:, 1])
+    return [guids[at].tobytes() for at in first.tolist()], which
+
+
+def rtps_messages(batch: PacketBatch, rows: NDArray[np.intp]) -> RtpsMessages:
+    """Read the messages of some rows of a batch."""
+    return read_messages(batch.data, batch.offset[rows], batch.length[rows])
+
+
+def locate_samples(batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
+    """Judge messages, and learn which endpoints they announce."""
+    located, messages = Located(len(rows)), rtps_messages(batch, rows)
+    located.flag(Finding.TRUNCATED, messages.truncated)
+    located.flag(Finding.LENGTH_MISMATCH, messages.odd)
+    submessages = messages.submessages
+    for kind in (SubmessageKind.DATA, SubmessageKind.DATA_FRAG):
+        samples = read_samples(batch.data, submessages, kind)
+        odd = samples.which[~samples.fits]
+        located.findings[submessages.row[odd]] |= np.uint32(Finding.LENGTH_MISMATCH)
+    learn(batch.data, submessages, batch.number[rows], site.endpoints)
+    return located
+
+
+def learn(
+    data: NDArray[np.uint8], submessages: Submessages, number: NDArray[np.int64], endpoints: Endpoints
+) -> None:
+    """Learn what participants announce.
+
+    Args:
+        data: u8, what the submessages point into.
+        number: i64, of the datagram of each message.
+        endpoints: is added to.
+    """
+    samples, own = _whole_samples(data, submessages)
+    head = SubmessageFields(data, own, SubmessageKind.DATA).guid("writer_id")
+    entity = head.view(np.uint8).reshape(-1, GUID_BYTES)[:, PREFIX_BYTES:]
+    word = np.ascontiguousarray(entity).view(">u4")[:, 0]
+    for at in np.flatnonzero(np.isin(word, [int.from_bytes(item, "big") for item in _ANNOUNCING])).tolist():
+        payload = data[samples.start[at] : samples.end[at]].tobytes()
+        if endpoints.is_new(payload):
+            announcement = read_announcement(payload)
+            if announcement is not None:
+                endpoints.learn(announcement, int(number[own.row[at]]))
+
+
+def dissect_message(reading: Reading, site: Site) -> None:
+    """Read one message, submessage by submessage.
+
+    Raises:
+        WireError: it is cut. What was read before stays.
+    """
+    data = reading.data
+    reading.read(RTPS_HEADER, 0)
+    octets = np.frombuffer(data, np.uint8)
+    messages = read_messages(octets, np.array([0]), np.array([len(data)]))
+    submessages = messages.submessages
+    learn(octets, submessages, np.array([reading.datagram.number]), site.endpoints)
+    inside = _insides(octets, submessages)
+    if messages.odd[0] or any(not fits for _, _, fits in inside.values()):
+        reading.findings |= Finding.LENGTH_MISMATCH
+    for index in range(len(submessages.row)):
+        _submessage(reading, site.endpoints, submessages.take(np.array([index])), inside.get(index))
+    if messages.truncated[0]:
+        last = int(submessages.end[-1]) if len(submessages.end) else RTPS_HEADER.size
+        reading.truncated(SUBMESSAGE.little.name, last, SUBMESSAGE.little.size)
+
+
+def _insides(octets: NDArray[np.uint8], submessages: Submessages) -> dict[int, tuple[int, int, bool]]:
+    """Return where the data of each submessage lies, and whether its headers are sound."""
+    out: dict[int, tuple[int, int, bool]] = {}
+    for kind in (SubmessageKind.DATA, SubmessageKind.DATA_FRAG):
+        samples = read_samples(octets, submessages, kind)
+        columns = (samples.start, samples.end, samples.fits)
+        out |= dict(
+            zip(samples.which.tolist(), zip(*(item.tolist() for item in columns), strict=True), strict=True)
+        )
+    return out
+
+
+def _submessage(
+    reading: Reading, endpoints: Endpoints, one: Submessages, inside: tuple[int, int, bool] | None
+) -> None:
+    """Read one submessage, and the sample in it."""
+    kind, flags, at, end = (int(item[0]) for item in (one.kind, one.flags, one.start, one.end))
+    little = bool(flags & SubmessageFlag.LITTLE_ENDIAN)
+    orders = SUBMESSAGE if timeless(flags, kind) else SUBMESSAGE_LAYOUTS.get(kind, SUBMESSAGE)
+    layout = orders.of(little=little)
+    if not one.whole[0]:
+        # What is there of it is shown, and where it should have ended.
+        reading.read((layout if end - at >= layout.size else SUBMESSAGE.of(little=little)), at)
+        claimed = SUBMESSAGE.of(little=little).parse(reading.data, at)["octets_to_next_header"]
+        reading.truncated(layout.name, at, max(layout.size, SUBMESSAGE.little.size + claimed))
+    values = reading.read(layout, at)
+    if kind not in _NUMBERS or orders is SUBMESSAGE:
+        return
+    numbers = {
+        name: (values[f"{name}_high"] << 32) + values[f"{name}_low"]
+        for name in _NUMBERS[SubmessageKind(kind)]
+    }
+    behind = at + layout.size
+    for name, value in numbers.items():
+        place = at + layout.by_name[f"{name}_high"].start
+        label = name if name.endswith("_sn") else f"{name}_sn"
+        reading.extend(LayerField(label, value, place, place + 8, str(value), "the sequence number"))
+    if kind in WITH_SEQUENCE_SET:
+        name = _TOLD_SETS[SubmessageKind(kind)]
+        listed = sequence_set(
+            reading.data, behind, end, little=little, base=numbers["base"], bits=values["num_bits"]
+        )
+        reading.extend(
+            LayerField(name, listed, behind, end, _numbers_text(listed), "the samples whose bits are set")
+        )
+    fields = SubmessageFields(np.frombuffer(reading.data, np.uint8), one, SubmessageKind(kind))
+    guid = fields.guid("writer_id")[0].tobytes()
+    place = at + layout.by_name["writer_id"].start
+    endpoint = endpoints.find(guid, reading.datagram.number)
+    told_of = {"writer": (guid_text(guid), "GUID of the writer")}
+    topic = endpoint.ros_topic if endpoint is not None else ""
+    if endpoint is not None and topic:
+        told_of |= {"topic": (topic, "as it announced"), "type": (endpoint.ros_type, "as it announced")}
+    for name, (text, doc) in told_of.items():
+        reading.extend(LayerField(name, text, place, place + ENTITY_BYTES, text, doc))
+    if kind == SubmessageKind.DATA and flags & SubmessageFlag.INLINE_QOS:
+        start = at + INLINE_AT + values["octets_to_inline_qos"]
+        if status := read_status(reading.data[start:end], "little" if little else "big"):
+            reading.extend(LayerField("status", status, start, end, status, "what became of the instance"))
+    sample = kind == SubmessageKind.DATA and flags & SubmessageFlag.DATA
+    if endpoint is not None and topic and sample and inside and inside[2]:
+        reading.sample(topic, endpoint.ros_type, inside[0], inside[1])
+
+
+def _numbers_text(numbers: list[int]) -> str:
+    return ", ".join(map(str, numbers)) or "none"
+
+
+def submessage_places(
+    layout: Layout, rows: BatchRows, link: Link
+) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Find the message header, or every submessage of one kind and byte order; a row may have several."""
+    owner = np.flatnonzero(rows.column("link") == link)
+    offset, length = rows.datagram("offset")[owner], rows.datagram("length")[owner]
+    if layout is RTPS_HEADER:
+        present = length >= layout.size
+        return owner[present], offset[present]
+    parts = read_messages(rows.batch.data, offset, length).submessages
+    little = parts.little == (layout.byte_order == "little")
+    of_time = (parts.kind == SubmessageKind.INFO_TS) & ((parts.flags & SubmessageFlag.NO_TIMESTAMP) != 0)
+    kinds = [kind for kind, orders in SUBMESSAGE_LAYOUTS.items() if layout in orders]
+    if kinds:
+        mask = little & (parts.kind == kinds[0]) & ~of_time & (parts.end - parts.start >= layout.size)
+    else:
+        plain = ~np.isin(parts.kind, list(SUBMESSAGE_LAYOUTS)) | of_time
+        plain |= ~parts.whole & (parts.end - parts.start < LEAST_BYTES[parts.kind])
+        mask = little & plain
+    return owner[parts.row[mask]], parts.start[mask]
+
+
+def rtps_summary(decoded: Decoded) -> str:
+    """Return what the submessages are, and of which topics or built-in endpoints."""
+    texts: list[str] = []
+    for layer in decoded.layers:
+        values = layer.values()
+        if "submessage_id" not in values:
+            continue
+        name = SUBMESSAGE_NAMES.get(values["submessage_id"], f"0x{values['submessage_id']:02x}")
+        if name in {"INFO_TS", "INFO_DST", "INFO_SRC", "PAD"}:
+            continue
+        of = values.get("topic") or BUILT_IN.get(values.get("writer_id", b""), "")
+        numbers = [values[item] for item in ("writer_sn", "first_sn", "last_sn", "base_sn") if item in values]
+        text = " ".join([name, *([of] if of else []), "..".join(map(str, numbers))]).strip()
+        if "status" in values:
+            text += f" {values['status']}"
+        if values.get("missing"):
+            text += f" missing {_numbers_text(values['missing'])}"
+        texts.append(text)
+    more = len(texts) - _MOST_TOLD
+    return ", ".join(texts[:_MOST_TOLD]) + (f", ... {more} more" if more > 0 else "") or str(
+        decoded.stop or ""
+    )
+
+
+class UserSubmessages(NamedTuple):
+    """What is said of writers that are not built in: DATA, HEARTBEAT, GAP and ACKNACK, in their order.
+
+    Attributes:
+        writers: GUIDs.
+        readers: GUIDs.
+        writer: i64, which writer.
+        reader: i64, which reader.
+        kind: i64, a ``SubmessageKind``.
+        time_ns: i64, capture time.
+        first: i64, the sample's number; the first one that there is (HEARTBEAT), that will not come (GAP),
+            that is not acknowledged (ACKNACK).
+        last: i64, the sample's number; the last one that was written (HEARTBEAT), the base of the set (GAP,
+            ACKNACK).
+        bits: i64, of the set.
+        set_at: i64, where its words start in ``data``.
+        end: i64, one past the submessage.
+        little: bool, byte order.
+        data: u8, what they point into.
+    """
+
+    writers: list[bytes]
+    readers: list[bytes]
+    writer: NDArray[np.int64]
+    reader: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    bits: NDArray[np.int64]
+    set_at: NDArray[np.int64]
+    end: NDArray[np.int64]
+    little: NDArray[np.bool_]
+    data: NDArray[np.uint8]
+
+    def of(self, writer: int) -> UserSubmessages:
+        """Return those of one writer."""
+        mask = self.writer == writer
+        shared = {"writers", "readers", "data"}
+        return self._replace(
+            **{name: getattr(self, name)[mask] for name in self._fields if name not in shared}
+        )
+
+    def numbers(self, index: int) -> list[int]:
+        """Return the numbers of a set whose bits are set."""
+        at, end = int(self.set_at[index]), int(self.end[index])
+        words = self.data[at:end].tobytes()
+        base, bits = int(self.last[index]), int(self.bits[index])
+        return sequence_set(words, 0, len(words), little=bool(self.little[index]), base=base, bits=bits)
+
+
+_FOLLOWED: Final = {
+    SubmessageKind.DATA: ("writer_sn", "writer_sn"),
+    SubmessageKind.HEARTBEAT: ("first", "last"),
+    SubmessageKind.GAP: ("gap_start", "base"),
+    SubmessageKind.ACKNACK: ("base", "base"),
+}
+
+
+def user_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> UserSubmessages:
+    """Return what is said of writers that are not built in.
+
+    Args:
+        rows: those that hold RTPS.
+    """
+    submessages = rtps_messages(batch, rows).submessages
+    parts: list[tuple[NDArray[Any], ...]] = []
+    for kind, names in _FOLLOWED.items():
+        at = np.flatnonzero((submessages.kind == kind) & submessages.whole)
+        own = submessages.take(at)
+        fields = SubmessageFields(batch.data, own, kind)
+        guids = fields.guid("writer_id")
+        users = _of_users(guids)
+        sets = kind in WITH_SEQUENCE_SET
+        columns = (
+            at,
+            guids,
+            fields.guid("reader_id"),
+            np.full(len(at), int(kind)),
+            batch.time_ns[rows[own.row]],
+            *(fields.sequence_number(name) for name in names),
+            fields.number("num_bits") if sets else np.zeros(len(at), np.int64),
+            own.start + SUBMESSAGE_LAYOUTS[kind].little.size,
+            own.end,
+            own.little,
+        )
+        parts.append(tuple(column[users] for column in columns))
+    joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.argsort(joined[0], kind="stable")
+    _, guids, reader_guids, *rest = (column[order] for column in joined)
+    columns_of = dict(zip(UserSubmessages._fields[4:-1], rest, strict=True))
+    writers, writer = distinct_guids(guids)
+    readers, reader = distinct_guids(reader_guids)
+    return UserSubmessages(writers, readers, writer, reader, **columns_of, data=batch.data)
+
+
+class NamedSubmessages(NamedTuple):
+    """Submessages that are about one writer, in their order; of one length.
+
+    Attributes:
+        row: i64, which of the rows.
+        writers: GUIDs.
+        writer: i64, which writer.
+        number: i64, of the sample; 0 where it is about several.
+        numbered: bool, whether it is about one sample.
+    """
+
+    row: NDArray[np.int64]
+    writers: list[bytes]
+    writer: NDArray[np.int64]
+    number: NDArray[np.int64]
+    numbered: NDArray[np.bool_]
+
+
+def named_submessages(batch: PacketBatch, rows: NDArray[np.intp]) -> NamedSubmessages:
+    """Return the submessages that are about a writer.
+
+    Args:
+        rows: those that hold RTPS.
+    """
+    submessages = rtps_messages(batch, rows).submessages
+    parts: list[tuple[NDArray[Any], ...]] = []
+    for kind, names in _NUMBERS.items():
+        at = np.flatnonzero((submessages.kind == kind) & submessages.whole)
+        fields = SubmessageFields(batch.data, submessages.take(at), kind)
+        single = names == ("writer_sn",)
+        number = fields.sequence_number("writer_sn") if single else np.zeros(len(at), np.int64)
+        parts.append((at, fields.guid("writer_id"), number, np.full(len(at), single)))
+    at, guids, number, numbered_ = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(at, kind="stable")
+    writers, writer = distinct_guids(guids[order])
+    return NamedSubmessages(submessages.row[at[order]], writers, writer, number[order], numbered_[order])

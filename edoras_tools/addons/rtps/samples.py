@@ -1,0 +1,143 @@
+"""The samples in datagrams whose topic was announced and whose type is known, as CDR in columns."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.addons.rtps.reader import (
+    TopicSamples,
+    named_submessages,
+    rows_on,
+    rtps_messages,
+    topic_samples,
+)
+from edoras_tools.links.doors import KnownSamples
+from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
+from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
+from edoras_tools.wire.rtps.messages import guid_text
+from edoras_tools.words import listed, plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import PacketBatch
+    from edoras_tools.ros import TypeStore
+
+
+def known_samples(
+    types: TypeStore | None, endpoints: Endpoints, batch: PacketBatch, rows: NDArray[np.intp]
+) -> Iterator[KnownSamples]:
+    """Yield the samples of each topic and type.
+
+    Args:
+        types: the types; None: none is known.
+        rows: those that hold RTPS.
+    """
+    if types is None or not len(rows):
+        return
+    writers, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
+    groups: dict[tuple[str, str], list[int]] = {}
+    for index, guid in enumerate(writers):
+        announced = endpoints.find(guid)
+        if announced is not None and announced.topic and types.has(announced.ros_type):
+            groups.setdefault((announced.ros_topic, announced.ros_type), []).append(index)
+    after = batch.number[rows[samples.row]] >= endpoints.since(writers)[samples.writer]
+    plain = _is_plain(batch.data, samples) & after
+    for (topic, type_name), members in groups.items():
+        members_rows = np.flatnonzero(plain & np.isin(samples.writer, members))
+        if not len(members_rows):
+            continue
+        one = TopicSamples(*(column[members_rows] for column in samples))
+        length = (one.end - one.start).astype(np.int32)
+        valid = types.valid(type_name, batch.data, one.start, length)
+        yield KnownSamples(
+            topic,
+            type_name,
+            rows[one.row],
+            writers,
+            one.writer,
+            one.sequence_number,
+            one.start,
+            length,
+            one.time_ns,
+            valid,
+        )
+
+
+class _Reader:
+    """See :class:`~edoras_tools.links.doors.SampleReader`."""
+
+    known = staticmethod(known_samples)
+    rows_on = staticmethod(rows_on)
+
+    def writers(self, batch: PacketBatch, rows: NDArray[np.intp]) -> list[bytes]:
+        """Return the GUIDs of the writers that some rows are about."""
+        return named_submessages(batch, rows).writers
+
+    def topic_of(self, guid: bytes, endpoints: Endpoints) -> str:
+        """Return what the topic of a writer is called; its GUID where it was not announced."""
+        endpoint = endpoints.find(guid)
+        return endpoint.ros_topic if endpoint and endpoint.topic else f"writer {guid_text(guid)}"
+
+
+READER: Final = _Reader()
+
+
+def _is_plain(data: NDArray[np.uint8], samples: TopicSamples) -> NDArray[np.bool_]:
+    """Tell which samples are plain CDR, as ROS messages are."""
+    whole = samples.end - samples.start >= ENCAPSULATION.size
+    head = gather(data, np.where(whole, samples.start, 0), ENCAPSULATION.size)
+    return whole & (ENCAPSULATION.column("representation", head) <= CDR_LE)
+
+
+class LeftSamples:
+    """Counts the captured samples that have no topic, or whose type is not known."""
+
+    def __init__(self) -> None:
+        self._early: Counter[bytes] = Counter()
+        self._all: Counter[bytes] = Counter()
+
+    def add(self, batch: PacketBatch, rows: NDArray[np.intp], endpoints: Endpoints) -> None:
+        """Take a batch.
+
+        Args:
+            rows: those that hold RTPS.
+            endpoints: what was announced so far.
+        """
+        writers, samples = topic_samples(batch.data, rtps_messages(batch, rows).submessages)
+        early = batch.number[rows[samples.row]] < endpoints.since(writers)[samples.writer]
+        for counter, which in ((self._early, samples.writer[early]), (self._all, samples.writer)):
+            for writer, number in enumerate(np.bincount(which, minlength=len(writers)).tolist()):
+                if number and (writers[writer] in counter or len(counter) < MOST_ENDPOINTS):
+                    counter[writers[writer]] += number
+
+    def notes(self, types: TypeStore | None, endpoints: Endpoints) -> list[str]:
+        """Return how many there were, and why, a line each, for users."""
+        endpoint_of = {guid: endpoints.find(guid) for guid in self._all}
+        announced = {guid: item for guid, item in endpoint_of.items() if item is not None and item.topic}
+        early = sum(number for guid, number in self._early.items() if guid in announced)
+        never = {guid: number for guid, number in self._early.items() if guid not in announced}
+        unread = Counter[str]()
+        for guid, item in announced.items():
+            if item.ros_topic.startswith("/") and types is not None and not types.has(item.ros_type):
+                unread[item.ros_type] += self._all[guid] - self._early[guid]
+        notes = []
+        if early:
+            notes.append(
+                f"DDS: {plural(early, 'sample')} (and copies) came before the writer was announced: no topic"
+            )
+        if never:
+            samples, writers = plural(sum(never.values()), "sample"), plural(len(never), "writer")
+            notes.append(
+                f"DDS: {samples} (and copies) of {writers} that the capture does not announce: no topic"
+            )
+        if unread := +unread:
+            names, samples = listed(sorted(unread)), plural(unread.total(), "sample")
+            notes.append(f"DDS: {samples} of unknown types ({names}): only bytes; --msg-path adds types")
+        return notes
