@@ -15,6 +15,8 @@ import pytest
 from packaged import installed_packages
 from places import ROOT
 
+from edoras_tools import doors
+
 PACKAGES = ("edoras_tools", "dissectors", "samples")
 SCAPY_ROOMS = ("dissectors/", "edoras_tools/io/capture/scapy_backend.py")
 """scapy is GPL-2.0-only, the project MIT."""
@@ -240,6 +242,22 @@ def test_nothing_but_the_door_imports_an_add_on():
         and any(f"{item}.".startswith("edoras_tools.addons.") for item in names_in(tree_of(name)))
     }
     assert through == {"edoras_tools/doors.py"}
+
+
+def test_the_core_compares_with_no_link_of_an_add_on():
+    """A key of a mission file may be called as a link is."""
+    labels = {*doors.shipped("links")}
+    compared = {
+        (name, item.value)
+        for name, tree in modules().items()
+        if name.startswith("edoras_tools/") and not name.startswith("edoras_tools/addons/")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Compare)
+        for side in (node.left, *node.comparators)
+        for item in ast.walk(side)
+        if isinstance(item, ast.Constant) and item.value in labels
+    }
+    assert compared == {("edoras_tools/mission/bridges.py", "cfdp")}
 
 
 def test_the_table_of_add_ons_imports_none():

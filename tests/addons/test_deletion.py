@@ -25,9 +25,11 @@ PARTS = [(row.folder, kind, name) for row in ADDONS for kind in row.adds for nam
 RECORDED = (
     CAPTURES / "a_rover.pcap",
     SAMPLES / "rtps/cyclone_sender.pcap.gz",
+    SAMPLES / "fprime/rover.pcap",
+    SAMPLES / "cfs_files/cf_transfer.pcap",
     SAMPLES / "recordings/robot.mcap",
 )
-"""What add-ons may be about: messages through the bridges and the lab, DDS, topics without datagrams."""
+"""What add-ons may be about: messages through the bridges and the lab, DDS, F Prime, CFDP, topics without datagrams."""
 CHECKS = """
 import json, os, sys, tempfile
 import edoras_tools.addons
@@ -122,13 +124,13 @@ def told(without):
     )
 
 
-@pytest.mark.long("archive", "codegen", "lab", "tui", "zenoh", "dds", "wireshark")
+@pytest.mark.quick("*-*")
 def test_the_copy_is_what_runs_and_it_lacks_the_folder(told):
     assert ROOT not in told.home.parents
     assert [name for name in told.names if (told.home / name).exists()] == []
 
 
-@pytest.mark.long("archive", "codegen", "lab", "tui", "zenoh", "dds", "wireshark")
+@pytest.mark.quick("*-*")
 def test_help_lists_all_commands_and_says_which_are_absent(told):
     done = told.lines["--help",]
     assert done.code == 0, done.err
@@ -137,7 +139,7 @@ def test_help_lists_all_commands_and_says_which_are_absent(told):
     assert " ".join(done.out.split()).count("(not in this installation)") == len(absent)
 
 
-@pytest.mark.long("archive", "codegen", "lab", "tui", "zenoh", "dds", "wireshark")
+@pytest.mark.quick("*-*")
 def test_its_commands_end_with_one_line(told):
     for name in told.names:
         for command in COMMANDS[name]:
@@ -151,14 +153,14 @@ def test_its_commands_end_with_one_line(told):
                 )
 
 
-@pytest.mark.long("archive", "codegen", "lab", "tui", "zenoh", "dds", "wireshark")
+@pytest.mark.quick("*-*")
 def test_what_else_it_added_is_refused_in_one_line(told):
     for (folder, kind, name), text in told.parts.items():
         refused = f"of the add-on {folder}: it is left out of this installation" in text
         assert refused == (folder in told.names), (kind, name, text)
 
 
-@pytest.mark.long("archive", "codegen", "lab", "tui", "zenoh", "dds", "wireshark")
+@pytest.mark.quick("*-*")
 def test_recordings_with_its_traffic_open(told):
     for path in RECORDED:
         done = told.lines["info", str(path)]

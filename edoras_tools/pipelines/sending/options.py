@@ -24,7 +24,7 @@ from edoras_tools.wire.cfe import STANDARD, Headers
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from edoras_tools.links.protocol import Site
+    from edoras_tools.links.site import Site
     from edoras_tools.mission import Mission
 
 
