@@ -29,7 +29,7 @@ RECORDED = (
     SAMPLES / "cfs_files/cf_transfer.pcap",
     SAMPLES / "recordings/robot.mcap",
 )
-"""What add-ons may be about: messages through the bridges and the lab, DDS, F Prime, CFDP, topics without datagrams."""
+"""What add-ons may be about: the bridges and the lab, DDS, F Prime, CFDP, topics without datagrams."""
 CHECKS = """
 import json, os, sys, tempfile
 import edoras_tools.addons
