@@ -8,19 +8,17 @@ import numpy as np
 import pytest
 from captures import ROBOT_GOT
 from places import ROOT
-from truth import diagnosed
+from truth import diagnosed, examined
 
-from edoras_tools.decode import Options
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.ci import CI
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.doctor.tables import missing_table
 from edoras_tools.wire.robot import ROBOT_PORT
 
 FOLDER = ROOT / "tests/captures"
-OPTIONS = {"n10_uplink_loss": Options(ports=((CI, 5234),))}
+OPTIONS = {"n10_uplink_loss": ("--port", "ci:5234")}
 TRUTH = {
     # Lost by cause, over all routes: counted at the robot, at a relay or by cFS (see README.md there).
     "a_rover": {"limit": 92},
@@ -41,25 +39,13 @@ TRUTH = {
 NAMES = sorted(path.name.partition(".")[0] for path in FOLDER.glob("*.pcap.zst"))
 
 
+TOGETHER = "diagnoses"
+
+
 @pytest.fixture(scope="module")
-def diagnoses():
-    return {}
-
-
-@pytest.fixture
-def diagnosis(diagnoses):
-    """Return the diagnosis of a capture by its name, without a mission."""
-
-    def examined(name):
-        if name not in diagnoses:
-            bench = Settings(configs=[], options=OPTIONS.get(name, Options())).workbench()
-            examination = Examination(bench.columns.context)
-            for batch in open_file(FOLDER / f"{name}.pcap.zst").batches():
-                examination.add(batch, bench.columns.decode(batch))
-            diagnoses[name] = examination.diagnose()
-        return diagnoses[name]
-
-    return examined
+def diagnosis():
+    """A function: the diagnosis of a capture by its name, without a mission."""
+    return lambda name: examined(FOLDER / f"{name}.pcap.zst", OPTIONS.get(name, ()))
 
 
 def test_the_captures_are_here():

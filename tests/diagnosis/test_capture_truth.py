@@ -9,6 +9,7 @@ from truth import TRUTHS, Truth, causes, diagnosis, judge
 
 FAILS: dict[str, str] = {}
 """Captures of which the doctor says what is false today, and why: each goes with what mends it."""
+TOGETHER = "diagnoses"
 NAMES = [name for name in TRUTHS if name.startswith("season3/")]
 
 

@@ -3,29 +3,28 @@
 from collections import Counter
 from contextlib import closing
 from dataclasses import replace
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
+import truth
 from places import ROOT
 from rewriting import datagrams, write
 
 from edoras_tools.decode import Options
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.ci import CI
 from edoras_tools.pipelines.workbench import Settings
 
 FOLDER = ROOT / "tests/captures/cfs7"
 
 
-PORTS = {"relay": Options(ports=((CI, 5234),))}
+PORTS = {"relay": ("--port", "ci:5234")}
+TOGETHER = "diagnoses"
 
 
-@cache
 def examined(name):
-    return examine(FOLDER / f"{name}.pcap.zst", PORTS.get(name, Options()))
+    return truth.examined(FOLDER / f"{name}.pcap.zst", PORTS.get(name, ()))
 
 
 def examine(path, options):

@@ -6,22 +6,21 @@ import numpy as np
 import pytest
 from captures import ROBOT_GOT
 from places import ROOT
+from truth import examined
 
-from edoras_tools.decode import Options
 from edoras_tools.diagnosis.balance import BUS, CI_HOP, Row, sent
 from edoras_tools.diagnosis.chains import PEER_TO_ROBOT, PUBLISHER, TO_ROBOT, BridgeCount, chains
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.links.ci import CI
 from edoras_tools.model import NO_ROUTE
-from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.doctor.balance import causes, shown_rows
 from edoras_tools.wire.robot import ROBOT_PORT
 
 FOLDER = ROOT / "tests/captures"
 NAMES = sorted(path.name.partition(".")[0] for path in FOLDER.glob("*.pcap.zst"))
-OPTIONS = {"n10_uplink_loss": Options(ports=((CI, 5234),))}
+OPTIONS = {"n10_uplink_loss": ("--port", "ci:5234")}
+TOGETHER = "diagnoses"
 REST = ("superseded", "waiting", "not_captured", "unaccounted")
 GOT = {
     # Counted behind the last hop that a capture shows: at the robot, behind the relay, or by the ROS side.
@@ -35,15 +34,7 @@ GOT = {
 @pytest.fixture(scope="module")
 def diagnosis():
     """A function: the diagnosis of a capture by its name."""
-    found = {}
-
-    def examined(name):
-        if name not in found:
-            bench = Settings(configs=[], options=OPTIONS.get(name, Options())).workbench()
-            found[name] = examine(open_file(FOLDER / f"{name}.pcap.zst"), bench).diagnosis
-        return found[name]
-
-    return examined
+    return lambda name: examined(FOLDER / f"{name}.pcap.zst", OPTIONS.get(name, ()))
 
 
 @pytest.mark.long("d3_cpu1_cpu2", "c4_cmd_rate")

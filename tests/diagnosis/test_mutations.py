@@ -12,6 +12,7 @@ from mutations import CHANGES, changed, frames, write
 from places import ROOT
 from truth import FOLDER, REST, TRUTHS, bounds, diagnosed, sums
 
+TOGETHER = "diagnoses"
 LARGE = {"c1_tlm_rate_limit4", "c4_cmd_rate", "d3_cpu1_cpu2"}
 CASES = [(name, change) for name in TRUTHS if name not in LARGE for change in CHANGES]
 random.Random(30).shuffle(CASES)

@@ -5,11 +5,13 @@ from functools import cache
 import pytest
 from places import ROOT
 from rich.console import Console
+from truth import examined
 
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.render.doctor.doctor import screen
 
 FOLDER = ROOT / "tests/captures"
+TOGETHER = "diagnoses"
 CAPTURES = [path.name.removesuffix(".pcap.zst") for path in sorted(FOLDER.rglob("*.pcap.zst"))]
 FIRST = {
     "a_rover": "About 1 in 7 commands never arrived: 92 of 600 0x1827 were lost.",
@@ -24,13 +26,13 @@ FIRST = {
 
 
 @pytest.fixture(scope="module")
-def diagnosed(lab):
+def diagnosed():
     """A function: the diagnosis of a capture, made once."""
 
     @cache
     def diagnosis(name):
         (path,) = FOLDER.rglob(f"{name}.pcap.zst")
-        return lab.read(path)
+        return examined(path)
 
     return diagnosis
 

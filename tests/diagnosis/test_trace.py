@@ -6,6 +6,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+import truth
 from places import ROOT
 
 from edoras_tools.diagnosis.ledger import MessageLedger
@@ -13,7 +14,6 @@ from edoras_tools.diagnosis.matching.crossing import latency_of
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.diagnosis.rounds import rounds_into, rounds_out
 from edoras_tools.diagnosis.trace import Tracer, messages_in, with_ending
-from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
@@ -34,15 +34,7 @@ NAMES = {
 @pytest.fixture(scope="module")
 def examined():
     """A function: the case of a capture by its name."""
-    found = {}
-
-    def case(name):
-        if name not in found:
-            bench = Settings(configs=NAMES[name]).workbench()
-            found[name] = examine(open_file(FOLDER / f"{name}.pcap.zst"), bench).diagnosis.case
-        return found[name]
-
-    return case
+    return lambda name: truth.examined(FOLDER / f"{name}.pcap.zst", (), tuple(NAMES[name])).case
 
 
 def traces(case, stream):

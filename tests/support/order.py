@@ -3,6 +3,8 @@
 The seconds of each file are kept where pytest keeps what it knows of the last run; ``pytest --cache-clear``
 forgets them. Behind a whole run the files are printed that cost the most time of processors, which other work
 on the machine changes little: their own, and that of the programs that they started and saw end.
+
+Files whose ``TOGETHER`` is the same run in one process, one after the other: they share what is made once.
 """
 
 from __future__ import annotations
@@ -31,7 +33,11 @@ class Order:
         """Sort the files, each a whole; one that never ran is as long as its tests are many."""
         before = self._cache.get(KEY, {}) if self._cache else {}
         many = Counter(map(file_of, (item.nodeid for item in items)))
-        items.sort(key=lambda item: -before.get(file_of(item.nodeid), many[file_of(item.nodeid)] / 20))
+        units = {file_of(item.nodeid): together(item) for item in items}
+        seconds = Counter()
+        for name, unit in units.items():
+            seconds[unit] += before.get(name, many[name] / 20)
+        items.sort(key=lambda item: (-seconds[together(item)], together(item)))
 
     def pytest_runtest_logstart(self):
         """Begin to count the processors' time."""
@@ -59,6 +65,11 @@ class Order:
             terminalreporter.section(f"{whole}; the most, and seconds")
             for name, cpu in self._cpu.most_common(SHOWN):
                 terminalreporter.write_line(f"{cpu:6.1f} {self._seconds[name]:6.1f}  {name}")
+
+
+def together(item):
+    """Return what runs in one process with a test: its file, or the name that several files share."""
+    return getattr(getattr(item, "module", None), "TOGETHER", "") or file_of(item.nodeid)
 
 
 def file_of(test):

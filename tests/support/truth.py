@@ -11,13 +11,18 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edoras_tools.decode import Options
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import table
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
+
+if TYPE_CHECKING:
+    from edoras_tools.diagnosis.examination import Diagnosis
 
 FOLDER = Path(__file__).parents[1] / "captures"
 REST = ("lost", "unaccounted", "uncertain", "shared", "superseded", "waiting", "not_captured")
@@ -161,11 +166,18 @@ def diagnosed(path: Path, options: tuple[str, ...] = (), configs: tuple[Path, ..
         options: pairs of ``--port`` and ``LINK:PORT``.
         configs: files of a mission.
     """
+    made = examined if path.is_relative_to(FOLDER) and not configs else examined.__wrapped__
+    return made(path, options, configs).as_json()
+
+
+@cache
+def examined(path: Path, options: tuple[str, ...] = (), configs: tuple[Path, ...] = ()) -> Diagnosis:
+    """Return the diagnosis of a capture as it is; all tests of a worker share it, and none changes it."""
     ports = [word.split(":") for word in options[1::2]]
     links = Options(ports=tuple((table.link_of_label(link), int(port)) for link, port in ports))
     with closing(open_file(path)) as source:
         bench = Settings(configs=list(configs), options=links).workbench(source.info)
-        return examine(source, bench).diagnosis.as_json()
+        return examine(source, bench).diagnosis
 
 
 def diagnosis(name: str) -> dict:

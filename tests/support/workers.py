@@ -20,6 +20,7 @@ from types import SimpleNamespace
 
 import pytest
 from namespace import enter
+from order import together
 
 NUMBER = 4
 """Bytes of a file's number in the queue."""
@@ -52,7 +53,7 @@ class Crew:
 
     def __init__(self, session):
         self.session = session
-        self.files = [list(items) for _, items in groupby(session.items, key=lambda item: item.path)]
+        self.files = [list(items) for _, items in groupby(session.items, key=together)]
         self.unfinished = {item.nodeid for item in session.items}
         self.queue, filling = os.pipe()
         os.set_blocking(filling, False)  # more than it holds: an error, not a wait
