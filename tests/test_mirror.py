@@ -56,7 +56,6 @@ ELSEWHERE = {
     "diagnosis/accounting/*": "diagnosis/test_captures.py",
     "diagnosis/evidence/*": "diagnosis/test_parts.py",
     "diagnosis/evidence/clocks/*": "diagnosis/test_parts.py",
-    "diagnosis/evidence/relays/*": "diagnosis/test_parts.py",
     "diagnosis/evidence/timeline/*": "diagnosis/evidence/timeline/test_timeline.py",
     "diagnosis/matching/*": "diagnosis/test_parts.py",
     "diagnosis/rules/*": "diagnosis/test_rules.py",

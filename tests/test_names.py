@@ -19,7 +19,7 @@ SAME = (
     ("checksum", "diagnosis/rules/security.py wire/cfe.py", "the rule, named as its verdicts are"),
     (
         "host_drops",
-        "diagnosis/rules/ingest.py diagnosis/evidence/uncaptured.py",
+        "diagnosis/rules/ingest.py diagnosis/quality.py",
         "the rule, and what it judges",
     ),
     (

@@ -273,7 +273,7 @@ def _compare(
 def _compare_bags(
     settings: Settings, scope: Scope, given: InputOptions, bags: list[Path], printing: options.PrintOptions
 ) -> None:
-    from edoras_tools.diagnosis.chains import Chain, chains
+    from edoras_tools.diagnosis.balance import Chain, chains
     from edoras_tools.pipelines.doctor.against import against_bag, against_capture, bridge_counts
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
 

@@ -59,7 +59,7 @@ def hz(
 
     At the publisher, behind CI or the pipe, and where it comes out; live once a second, as ros2 topic hz.
     """
-    from edoras_tools.diagnosis.hop_rates import USUAL_WINDOW
+    from edoras_tools.diagnosis.rounds import USUAL_WINDOW
     from edoras_tools.pipelines.doctor.doctor import Pace, examine, profile_with
     from edoras_tools.pipelines.doctor.trace import TraceRequest, Tracing
     from edoras_tools.render.doctor.trace import rate_lines

@@ -8,11 +8,10 @@ import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES, message_name
 from edoras_tools.diagnosis.accounting.budget import limit
-from edoras_tools.diagnosis.accounting.fates import Fate
 from edoras_tools.diagnosis.accounting.losses import PIPE_EVENTS
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.crossing import Hop, Latency, latency_of
-from edoras_tools.diagnosis.matching.spans import comb
+from edoras_tools.diagnosis.matching.streams import comb
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 
@@ -61,7 +60,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "instance": case.label(stream.instance) if stream.instance != NOBODY else None,
         "sent": len(stream) if behind else len(stream) + lost,
         "seen": len(stream),
-        "lost": lost + refused + unreached + (silent.lost + silent.restarted if silent else 0),
+        "lost": lost + refused + unreached + (len(silent.lost) + len(silent.restarted) if silent else 0),
         "rate_hz": round((len(stream) - 1) / seconds, 3) if seconds > 0 else 0.0,
         "limit_hz": clean_hz,
         "limit_from": told_by,
@@ -76,19 +75,21 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "to_robot": next(
             (_json(hop.latency) for hop in case.hops if hop.into is stream and hop.out.link.last_hop), None
         ),
-        "crossings": [
-            {
-                "from": f"0x{hop.into.msg_id:04x}",
-                "from_link": hop.into.link.label,
-                "of": hop.of,
-                "matched": hop.matched,
-                "superseded": _fates(case, hop).superseded,
-                "missing": _fates(case, hop).unaccounted,
-                "latency": _json(hop.latency),
-            }
-            for hop in case.hops
-            if hop.out is stream
-        ],
+        "crossings": [_crossing(case, hop) for hop in case.hops if hop.out is stream],
+    }
+
+
+def _crossing(case: Case, hop: Hop) -> dict[str, Any]:
+    """Return what came out as a stream, of what went in as another."""
+    fate = case.commands.fates.get(id(hop.into))
+    return {
+        "from": f"0x{hop.into.msg_id:04x}",
+        "from_link": hop.into.link.label,
+        "of": hop.of,
+        "matched": hop.matched,
+        "superseded": fate.ends["superseded"] if fate else 0,
+        "missing": fate.ends["unaccounted"] if fate else 0,
+        "latency": _json(hop.latency),
     }
 
 
@@ -114,15 +115,10 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
     assumed_hz, _, _ = limit(stream.link, stream.msg_id, case.profile, to_cfs=to_cfs)
     fate = case.commands.fates.get(id(stream))
     arrives = fate.seen if fate is not None else stream.link.only_from_cfs
-    fastest_hz = max((span.offered_hz for span in case.known.spans(stream)), default=0.0)
+    fastest_hz = max((span.offered_hz for span in case.spans(stream)), default=0.0)
     if not assumed_hz or (arrives and not lost_at_pipe and fastest_hz > _OVER * assumed_hz):
         return None, None
     return assumed_hz, "assumed"
-
-
-def _fates(case: Case, hop: Hop) -> Fate:
-    """Return what became of what went in."""
-    return case.commands.fates.get(id(hop.into)) or Fate.nothing(hop.into)
 
 
 def _named(case: Case, period_ns: int) -> bool:

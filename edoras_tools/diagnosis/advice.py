@@ -19,23 +19,26 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs import queues, telemetry_output
+from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
-from edoras_tools.diagnosis.evidence.crowding import crowding
+from edoras_tools.diagnosis.evidence.copies import crowding
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
-from edoras_tools.diagnosis.loss_verdict import stood_still
-from edoras_tools.diagnosis.verdict import Advice
+from edoras_tools.diagnosis.verdict import Advice, Verdict, error
 from edoras_tools.links.sbn import SBN
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.timeline.table import Change
     from edoras_tools.diagnosis.matching.streams import Stream
+
 
 _PHASES: Final = 4
 _ROUNDS: Final = 1000
@@ -96,20 +99,23 @@ class Arrivals:
         last = np.searchsorted(self.time_ns, self.time_ns + int(window_ns))
         return int((last - np.arange(len(last))).max(initial=0))
 
-    def lost(self, way: tuple[queues.Queue, ...], msg_id: int | None = None) -> list[int]:
-        """Return how many, of a MsgId or of all, a way through queues loses, at each of several phases."""
+    def lost(self, way: tuple[queues.Queue, ...], msg_id: int) -> list[int]:
+        """Return how many of a MsgId a way through queues loses, at each of several phases."""
+        return [own for own, _ in self.lost_of(way, msg_id)]
+
+    def lost_of(self, way: tuple[queues.Queue, ...], msg_id: int) -> list[tuple[int, int]]:
+        """Return how many of a MsgId, and how many others, a way loses, at each of several phases."""
         return [self._lost(way, msg_id, at * way[-1].round_ns // _PHASES) for at in range(_PHASES)]
 
-    def _lost(self, way: tuple[queues.Queue, ...], msg_id: int | None, phase_ns: int) -> int:
+    def _lost(self, way: tuple[queues.Queue, ...], msg_id: int, phase_ns: int) -> tuple[int, int]:
         inside = self
         for queue in way:
             kinds = np.zeros_like(inside.msg_id) if queue.is_socket else inside.msg_id
             passed = queues.pass_queue(replace(queue, phase_ns=phase_ns), inside.time_ns, kinds)
             out = passed.delivered
             inside = Arrivals(passed.left_ns[out], inside.msg_id[out])
-        if msg_id is None:
-            return len(self.time_ns) - len(inside.time_ns)
-        return int((self.msg_id == msg_id).sum() - (inside.msg_id == msg_id).sum())
+        own = int((self.msg_id == msg_id).sum() - (inside.msg_id == msg_id).sum())
+        return own, len(self.time_ns) - len(inside.time_ns) - own
 
 
 def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
@@ -135,7 +141,7 @@ def told_limit(case: Case, stream: Stream) -> int | None:
     """Return how many messages of a stream may wait at Telemetry Output, if the last command says so."""
     if not stream.link.only_from_cfs:
         return None
-    command = _entry_command(case, case.known.owner(stream), stream.msg_id, case.end_ns)
+    command = _entry_command(case, case.owner(stream), stream.msg_id, case.end_ns)
     return command.value if command and isinstance(command.value, int) else None
 
 
@@ -205,10 +211,9 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     if not output:
         return Advice(why, slower, slow)
     need = min(_MOST, max(own.most(queue.round_ns * _LATE) + 1, limit + 1 if fits else 2 * limit))
-    higher = (_with_limit(queue, msg_id, need),)
-    others = sum(arrivals.lost((now,))) - sum(arrivals.lost((now,), msg_id))
-    left = max(arrivals.lost(higher, msg_id))
-    if left or sum(arrivals.lost(higher)) > others:
+    higher = arrivals.lost_of((_with_limit(queue, msg_id, need),), msg_id)
+    left, others = max(own for own, _ in higher), sum(other for _, other in higher)
+    if left or others > sum(other for _, other in arrivals.lost_of((now,), msg_id)):
         return Advice(why, slower, slow)
     remedy = f"{slower}, or {_raised(case, msg_id, need)}"
     return Advice(why, remedy, None if slow is None else max(left, slow))
@@ -328,3 +333,60 @@ def _at_application(case: Case, loss: Loss) -> Advice:
 
 def _subscribed(limit: str) -> str:
     return f"let the application subscribe with {limit} (CFE_SB_SubscribeEx)"
+
+
+def lost_at(case: Case, loss: Loss, noun: str = "messages") -> str:
+    """Return the start of the sentence: ``12 of 60 messages on 0x0827 (/pose) lost at TO_LAB_TLM_PIPE``."""
+    of = f" of {loss.of:,}" if loss.of else ""
+    told = noun.removesuffix("s") if loss.lost == 1 and not of else noun
+    return f"{loss.lost:,}{of} {told} on {case.name(loss.msg_id)} lost at {loss.hop}"
+
+
+def published(loss: Loss) -> str:
+    """Return ``published at 20/s, ``; nothing where the rate is not known."""
+    return f"published at {loss.offered_hz:.0f}/s, " if loss.offered_hz else ""
+
+
+def stood_still(case: Case, loss: Loss) -> str:
+    """Return that a whole cFS stood still and what had waited came at once; empty where it did not."""
+    systems = case.instances.systems
+    system = systems[loss.instance] if loss.instance != NOBODY else 0
+    for span in case.timeline.spans(StateOwner("cfs"), "stalled", system):
+        if span.overlaps(loss.start_ns - TAIL_NS, loss.end_ns):
+            times = f"from {case.at(span.start_lo)} to {case.at(span.end_hi)}"
+            return f"{case.label(loss.instance)} stood still {times}, and what had waited came at once"
+    return ""
+
+
+def loss_verdict(
+    case: Case,
+    loss: Loss,
+    reason: str,
+    *,
+    link: str | None,
+    remedy: str | Advice,
+    evidence: Iterable[str] | None = None,
+) -> Verdict:
+    """Return the verdict on a loss, an error.
+
+    Args:
+        link: label of the link that it concerns.
+        remedy: what to change.
+        evidence: what was seen, in place of the loss' own lines.
+    """
+    still = stood_still(case, loss) if loss.kind in COUNTERS else ""
+    return error(
+        f"{reason}. {still}" if still else reason,
+        *(loss.evidence if evidence is None else evidence),
+        *case.drops_text(),
+        msg_id=loss.msg_id,
+        link=link,
+        hop=loss.hop,
+        lost=loss.lost,
+        of=loss.of,
+        span=(loss.start_ns, loss.end_ns),
+        remedy=remedy.remedy if isinstance(remedy, Advice) else remedy,
+        advice=remedy if isinstance(remedy, Advice) else None,
+        confidence=loss.confidence,
+        cause=loss.kind,
+    )

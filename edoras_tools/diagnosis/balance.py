@@ -1,20 +1,43 @@
-"""What became of the messages of each route, in one line: sums of the ledger's rows."""
+"""What became of the messages of each route: sums of the ledger's rows, and the way of each command.
+
+1. The hops between the ground bridge and the robot are the rows of the balance, with their figures.
+2. A hop that nothing here counts is named all the same, without figures, and with what would show it.
+3. Where a command leaves cFS as another packet, on the Software Bus Network, that packet's hops follow. Of
+   what goes into the first of them, messages already under way at the start, or made by the application, are
+   counted apart. If it leaves on several ways, to the robot and on SBN, what did not leave on this one left
+   by the other, and the hop before is the application, whatever stands above. So ``in = out of the hop
+   before + entered - elsewhere``.
+4. The bridges' own hops are counted by bags of the ROS side: messages of the time that both recorded.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.cfs import sbn
-from edoras_tools.diagnosis.accounting.losses import BEHIND
-from edoras_tools.diagnosis.accounting.ports import UDP_PORT
-from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
-from edoras_tools.diagnosis.ledger import APPLICATION, BUS, CAPTURE, CI_HOP, ENDINGS, PEER, Row
+from edoras_tools.diagnosis.accounting.closed import UDP_PORT
+from edoras_tools.diagnosis.accounting.losses import BEHIND, BUS
+from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
+from edoras_tools.diagnosis.ledger import (
+    APPLICATION,
+    CAPTURE,
+    CI_HOP,
+    ENDINGS,
+    NOT_COUNTED,
+    PEER,
+    Row,
+    summed,
+)
+from edoras_tools.links.ci import CI
+from edoras_tools.links.robot import ROBOT
+from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_ROUTE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
 
 _HOPS: Final = frozenset({PROXY_HOP, CI_HOP, BUS, APPLICATION, BEHIND})
 BEHIND_LINKS: Final = (PEER, UDP_PORT)
@@ -174,3 +197,175 @@ def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:
         lost=sum(row.all_lost for row in members),
         **{name: sum(getattr(row, name) for row in members) for name in ENDINGS[1:]},
     )
+
+
+PUBLISHER: Final = "publisher to ground bridge"
+TO_ROBOT: Final = "application to robot"
+PEER_TO_ROBOT: Final = "SBN peer to robot"
+_ROBOT, _SBN = (link.label for link in (ROBOT, SBN))
+_GIVE_BAG: Final = f"{NOT_COUNTED}give --bag"
+_CAPTURE_MORE: Final = f"{NOT_COUNTED}capture the robot link, or SBN"
+_INSIDE: Final = frozenset({PROXY_HOP, CI_HOP, BUS})
+_REST: Final = ENDINGS[1:]
+
+
+class BridgeCount(NamedTuple):
+    """What a bag beside the capture counted of a route, inside the bridge.
+
+    Attributes:
+        came: messages of its sender's side, while both were recorded.
+        lost: of those, how many the other side lacks.
+        bag: its path.
+    """
+
+    came: int
+    lost: int
+    bag: str
+
+
+@dataclass(frozen=True, slots=True)
+class ChainHop:
+    """One hop of a chain; the figures are None where nothing counts them.
+
+    Attributes:
+        hop: its name.
+        came: how many went in.
+        lost: how many were lost.
+        out: how many came out.
+        doubled: of those, how many more than once.
+        entered: of those that went in, how many did not come out of the hop before.
+        elsewhere: of those that came out of the hop before, how many did not go in: they left on another way.
+        rest: what became of the others: figures of the balance, those that are not 0.
+        counted: where ``out`` was counted, or what would show it.
+    """
+
+    hop: str
+    came: int | None
+    lost: int | None
+    out: int | None
+    doubled: int = 0
+    entered: int = 0
+    elsewhere: int = 0
+    rest: Mapping[str, int] = field(default_factory=dict)
+    counted: str = ""
+
+    @property
+    def observed(self) -> bool:
+        """Whether what is lost there was counted."""
+        return self.lost is not None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``doctor --json``."""
+        return {
+            "hop": self.hop,
+            "in": self.came,
+            "entered": self.entered,
+            "elsewhere": self.elsewhere,
+            "duplicated": self.doubled,
+            "lost": self.lost,
+            "out": self.out,
+            **{name: self.rest.get(name, 0) for name in _REST},
+            "counted": self.counted,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """The hops of one command.
+
+    Attributes:
+        topic: the configured one; None without a mission.
+        msg_id: under which it is sent to Command Ingest.
+        instance: the cFS, where it is known.
+        hops: in the order of the way.
+    """
+
+    topic: str | None
+    msg_id: int
+    instance: str | None
+    hops: tuple[ChainHop, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``doctor --json``."""
+        return {
+            "topic": self.topic,
+            "msg_id": f"0x{self.msg_id:04x}",
+            "instance": self.instance,
+            "hops": [hop.as_json() for hop in self.hops],
+        }
+
+
+def chains(
+    rows: Iterable[Row],
+    topics: Mapping[int, str],
+    bridges: Mapping[tuple[str, int], BridgeCount] | None = None,
+) -> list[Chain]:
+    """Return the chain of each command that came to Command Ingest.
+
+    Those of cFS itself have none; with a mission, only its own commands have one, else those that the
+    software bus did not refuse altogether.
+
+    Args:
+        topics: of the mission, by index of the route.
+        bridges: what bags counted, by label of the link and MsgId.
+    """
+    whole = summed(rows)
+    groups: dict[tuple[int, int, str | None], list[Row]] = {}
+    for row in whole:
+        if row.link == CI.label and row.msg_id is not None and not row.name:
+            groups.setdefault((row.route, row.msg_id, row.instance), []).append(row)
+    found = []
+    for (route, msg_id, instance), own in groups.items():
+        if (topics and route == NO_ROUTE) or not any(row.hop == BUS and (row.out or topics) for row in own):
+            continue
+        hops = tuple(_hops(own, whole, bridges or {}))
+        found.append(Chain(topics.get(route), msg_id, instance, hops))
+    return found
+
+
+def _hops(
+    own: Sequence[Row], whole: Sequence[Row], bridges: Mapping[tuple[str, int], BridgeCount]
+) -> Iterator[ChainHop]:
+    first = own[0]
+    yield _bridge(PUBLISHER, bridges.get((first.link, first.msg_id or 0)), out=first.came)
+    yield from map(_of_row, own)
+    last = next(row for row in reversed(own) if not row.hop.startswith(UDP_PORT))
+    if last.hop in _INSIDE:
+        yield ChainHop(TO_ROBOT, last.out, None, None, counted=_CAPTURE_MORE)
+    for way in last.onward:
+        further = [row for row in whole if (row.link, row.msg_id) == way and way[0] != _ROBOT]
+        further = [row for row in further if row.instance == last.instance] or further
+        for place, row in enumerate(further):
+            hop = _of_row(row)
+            more = 0 if place else row.came - last.out
+            yield replace(hop, entered=max(0, more), elsewhere=max(0, -more))
+        if way[0] == _SBN and further and further[-1].hop != BUS:  # else the peer is another cFS
+            yield _bridge(PEER_TO_ROBOT, bridges.get(way), came=_last_out(whole, way))
+
+
+def _last_out(rows: Iterable[Row], way: tuple[str, int]) -> int | None:
+    """Return how many came out of the last hop of a packet, of all that have one."""
+    out: dict[str, int] = {}
+    for row in rows:
+        if (row.link, row.msg_id) == way:
+            out[row.hop] = out.get(row.hop, 0) + row.out
+    return next(reversed(out.values()), None)
+
+
+def _bridge(
+    hop: str, told: BridgeCount | None, *, came: int | None = None, out: int | None = None
+) -> ChainHop:
+    if told is None:
+        return ChainHop(hop, came, None, out, counted=_GIVE_BAG)
+    return ChainHop(hop, told.came, told.lost, told.came - told.lost, counted=f"in {told.bag}")
+
+
+def _of_row(row: Row) -> ChainHop:
+    rest: dict[str, int] = {name: value for name in _REST if (value := getattr(row, name))}
+    to_robot = row.hop == APPLICATION and {label for label, _ in row.onward} == {_ROBOT}
+    told = row.counted.get("out") or row.counted.get("lost", "")
+    lost: int | None = row.all_lost
+    if not row.observed:
+        told, lost = row.counted["lost"], None
+    name = TO_ROBOT if to_robot else row.hop
+    return ChainHop(name, row.came, lost, row.out, row.duplicated, rest=rest, counted=told)

@@ -10,17 +10,22 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.cfs import command_ingest, telemetry_output
+from edoras_tools.cfs import command_ingest, sbn, telemetry_output
 from edoras_tools.cfs.commands import inject_line
 from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.accounting.bus import Telemetry
 from edoras_tools.diagnosis.accounting.claims import Counts
-from edoras_tools.diagnosis.accounting.closed import Unheard, unheard
-from edoras_tools.diagnosis.accounting.commands import Commands, Refused
-from edoras_tools.diagnosis.accounting.ingest import Ingest, Sources, ingests, kernel_accounts
-from edoras_tools.diagnosis.accounting.losses import Known, Loss
-from edoras_tools.diagnosis.accounting.ports import Unreached, unreached
-from edoras_tools.diagnosis.accounting.stops import Outage, outages
+from edoras_tools.diagnosis.accounting.closed import (
+    Outage,
+    Unheard,
+    Unreached,
+    outages,
+    silences_of,
+    unheard,
+    unreached,
+)
+from edoras_tools.diagnosis.accounting.commands import Commands
+from edoras_tools.diagnosis.accounting.ingest import Ingest, ingests
 from edoras_tools.diagnosis.constants import learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
@@ -33,17 +38,31 @@ from edoras_tools.diagnosis.evidence.loss_reports import (
 )
 from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
-from edoras_tools.diagnosis.evidence.timeline.network import capture_changes, network_changes
-from edoras_tools.diagnosis.evidence.timeline.software import SoftwareChanges
+from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied
+from edoras_tools.diagnosis.evidence.timeline.changes import (
+    SoftwareChanges,
+    capture_changes,
+    network_changes,
+    stalls,
+)
 from edoras_tools.diagnosis.evidence.timeline.table import Timeline
-from edoras_tools.diagnosis.evidence.uncaptured import HostDrops, find_holes, host_drops
 from edoras_tools.diagnosis.evidence.unreachable import Unreachable, find_unreachable
+from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
-from edoras_tools.diagnosis.matching.stalls import stalls
-from edoras_tools.diagnosis.matching.streams import Reset, Stream, find_resets, find_robots, find_streams
-from edoras_tools.diagnosis.quality import Quality, assess_quality
+from edoras_tools.diagnosis.matching.streams import (
+    Comb,
+    Reset,
+    Span,
+    Stream,
+    comb,
+    find_resets,
+    find_robots,
+    find_streams,
+    spans,
+)
+from edoras_tools.diagnosis.quality import HostDrops, Quality, assess_quality, find_holes, host_drops
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, HostCounters, InterfaceOutage, Link
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, HostCounters, InterfaceOutage, Link, Peer
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.sbn import HEADER as SBN_HEADER
@@ -55,9 +74,10 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
+    from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.constants import Constants
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
-    from edoras_tools.diagnosis.evidence.relays.proxied import Proxied, RouteWay
+    from edoras_tools.diagnosis.evidence.relays import RouteWay
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.diagnosis.verdict import Advice, Verdict
     from edoras_tools.links.doors import LinkEvidence, SampleStream, Unwrapper
@@ -134,6 +154,7 @@ class Case:
         proxied: what a proxy did on purpose.
         verdicts: what the rules have said so far.
         refused: messages that came to nothing by what they are, each judged by itself.
+        advice: what helps against losses at queues, once it was asked for; see ``diagnosis.advice``.
     """
 
     def __init__(
@@ -162,8 +183,13 @@ class Case:
         limits = {msg_ids.of_known(item): limit for item, limit in profile.to_limits.items()}
         self.assumed = replace(profile, to_limits=limits)
         self.capture = capture
-        self.refused: list[Refused] = []
+        self.refused: list[Verdict] = []
         self.verdicts: list[Verdict] = []
+        self.advice: dict[tuple[object, ...], Advice] = {}
+        self._spans: dict[int, list[Span]] = {}
+        self._silences: dict[int, list[tuple[int, int]]] = {}
+        self._captured: dict[int, NDArray[np.int64]] = {}
+        self._times: dict[tuple[int, ...], NDArray[np.int64]] = {}
 
     @cached_property
     def constants(self) -> Constants:
@@ -328,31 +354,7 @@ class Case:
         return {(item.link, name(item.receiver), int(hosts[item.receiver])) for item in self.streams}
 
     @cached_property
-    def known(self) -> Known:
-        """What losses are told from."""
-        return Known(
-            self.rows,
-            self.payloads,
-            self.endpoints,
-            self.streams,
-            self.instances,
-            self.tracks,
-            self.reported_losses,
-            self.network,
-            self.hops,
-            self.profile,
-            {item.endpoint: item.system for item in self.ingests if not item.by_kernel},
-            self.proxied,
-            self.timeline,
-            self.at,
-            self._never_whole,
-            self.unreachable.closed,
-            self.away,
-            self._holes[1],
-        )
-
-    @cached_property
-    def _never_whole(self) -> dict[tuple[Endpoint, int], list[int]]:
+    def never_whole(self) -> dict[tuple[Endpoint, int], list[int]]:
         """Sender and MsgId to the times of telemetry of which later fragments never came."""
         found: dict[tuple[Endpoint, int], list[int]] = {}
         for item in self.capture.lacking:
@@ -365,31 +367,111 @@ class Case:
     @cached_property
     def ingests(self) -> list[Ingest]:
         """The account of every CI."""
-        arrived: dict[int, list[NDArray[np.int64]]] = {}
-        first_out: dict[int, tuple[int, int]] = {}
-        for hop in self.hops:
-            if hop.into.link.only_to_cfs:
-                sent = self.rows.time_ns[hop.into.rows[hop.arrived]]
-                arrived.setdefault(hop.into.receiver, []).append(sent)
-                if hop.first is not None:
-                    known = first_out.setdefault(hop.into.receiver, hop.first)
-                    first_out[hop.into.receiver] = min(known, hop.first)
-        times = {endpoint: np.sort(np.concatenate(parts)) for endpoint, parts in arrived.items()}
-        sources = Sources(
-            self.rows,
-            self.payloads,
-            self.instances,
-            self.endpoints,
-            self.profile,
-            self.resets,
-            times,
-            first_out,
+        return ingests(self)
+
+    @cached_property
+    def listeners(self) -> dict[int, int]:
+        """Endpoint of a CI to the number of its cFS, where its counts tell."""
+        return {item.endpoint: item.system for item in self.ingests if not item.by_kernel}
+
+    @property
+    def quiet(self) -> list[tuple[int, int]]:
+        """From when to when nothing at all was captured, and nothing tells why."""
+        return self._holes[1]
+
+    def is_away(self, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which spans of time hold some of an outage of the capturing interface."""
+        out = np.zeros(len(starts), bool)
+        for start_ns, end_ns in self.away:
+            out |= (starts < end_ns) & (ends > start_ns)
+        return out
+
+    def spans(self, stream: Stream) -> list[Span]:
+        """Return the spans of a stream at one rate; worked out once."""
+        if id(stream) not in self._spans:
+            self._spans[id(stream)] = spans(stream, self.rows)
+        return self._spans[id(stream)]
+
+    def captured(self, stream: Stream) -> NDArray[np.int64]:
+        """Return the capture times of a stream's packets: i64, ns since 1970; looked up once."""
+        if id(stream) not in self._captured:
+            self._captured[id(stream)] = self.rows.time_ns[stream.rows]
+        return self._captured[id(stream)]
+
+    def rounds(self, stream: Stream, span: Span) -> Comb:
+        """Return the rounds in which a stream's MsgId comes meanwhile."""
+        times = self.times(stream)
+        return comb(times[(times >= span.start_ns) & (times <= span.end_ns)])
+
+    def times(self, stream: Stream) -> NDArray[np.int64]:
+        """Return when a stream's MsgId comes out of its pipe, whoever made it: they share what may wait."""
+        key = stream.link.code, stream.sender, stream.receiver, stream.msg_id
+        if key not in self._times:
+            alike = [
+                self.rows.time_ns[item.rows]
+                for item in self.streams
+                if (item.link.code, item.sender, item.receiver, item.msg_id) == key
+                or (item.link.only_from_cfs and (item.sender, item.msg_id) == (stream.sender, stream.msg_id))
+            ]
+            self._times[key] = np.sort(np.concatenate(alike))
+        return self._times[key]
+
+    def done_to(self, stream: Stream) -> Proxied:
+        """Return what a proxy did on purpose to the datagrams of a stream."""
+        to_cfs = stream.link.only_to_cfs or (stream.link.peers and not stream.counted)
+        return self.proxied.get((stream.link.code, to_cfs, stream.msg_id), UNTOUCHED)
+
+    @cached_property
+    def peers_unseen(self) -> bool:
+        """Whether a cFS hands on what another one made, and how that came to it was not captured."""
+        on_sbn = among(self.rows.link, lambda link: link.peers).any()
+        return not on_sbn and any(
+            stream.link.only_from_cfs and stream.instance not in {NOBODY, self.owner(stream)}
+            for stream in self.streams
         )
-        counted = ingests(sources)
-        return [
-            *counted,
-            *kernel_accounts(sources, self.host.by_port, {item.endpoint for item in counted}),
-        ]
+
+    def upstream(self, stream: Stream) -> Hop | None:
+        """Return the hop by which a stream's packets came unchanged, if they did."""
+        return next((hop for hop in self.hops if hop.out is stream and not hop.rewritten), None)
+
+    def owner(self, stream: Stream) -> int:
+        """Return the instance whose pipe a telemetry stream comes out of."""
+        start_ns = int(self.rows.time_ns[stream.rows[0]])
+        if stream.link.only_from_cfs:
+            return self.instances.owner(stream.sender, start_ns)
+        if stream.instance != NOBODY:
+            return stream.instance
+        name = self.network.identity_of.get(stream.sender, "")
+        return self.instances.named(name, start_ns, stream.sender)
+
+    def pipe_of(self, stream: Stream) -> str:
+        """Return the name of the pipe that a telemetry stream comes out of."""
+        if stream.link.only_from_cfs:
+            return telemetry_output.PIPE
+        spacecraft, _, processor = self.network.identity_of.get(stream.receiver, "").partition(":")
+        return sbn.peer_pipe(Peer(int(spacecraft), int(processor))) if processor else "pipe of an SBN peer"
+
+    def into_system(self, stream: Stream, system: int) -> bool:
+        """Tell whether a stream into cFS arrives at a system, as far as that is known."""
+        members = [at for at, other in enumerate(self.instances.systems) if other == system]
+        return not members or any(self.goes_to(stream, at) for at in members)
+
+    def system(self, stream: Stream) -> int:
+        """Return the number of the system that a stream into cFS arrives at; 0 where that is not known."""
+        return next((item for item in self.instances.systems if self.into_system(stream, item)), 0)
+
+    def goes_to(self, stream: Stream, instance: int) -> bool:
+        """Tell whether a stream into cFS arrives at an instance, as far as that is known."""
+        if instance == NOBODY:
+            return True
+        item, system = self.instances.items[instance], self.instances.systems[instance]
+        if stream.link.only_to_cfs:
+            known = self.listeners.get(stream.receiver)
+            return known == system if known is not None else system not in self.listeners.values()
+        if item.name and self.network.identity_of.get(stream.receiver, item.name) != item.name:
+            return False
+        here = int(self.instances.hosts[stream.receiver]) == item.host
+        return here or not self.instances.others_named(instance)
 
     @cached_property
     def telemetry(self) -> Telemetry:
@@ -404,18 +486,17 @@ class Case:
     @cached_property
     def unheard(self) -> dict[int, Unheard]:
         """What was sent to SBN peers that were silent, by the id of its stream."""
-        return unheard(self.known)
+        return unheard(self)
 
     @cached_property
     def unreached(self) -> list[Unreached]:
         """What went to ports that were closed, or that could not be reached."""
-        return unreached(self.known, self.unreachable, self.commands.fates, self.unheard)
+        return unreached(self)
 
     @cached_property
     def commands(self) -> Commands:
         """What became of everything that went into cFS."""
-        telemetry = Telemetry(self.known, self.loss_counts)
-        return Commands(self.known, self.loss_counts, self.ingests, self.refused, telemetry, self.quality)
+        return Commands(self, Telemetry(self))
 
     @cached_property
     def loss_counts(self) -> dict[int, Counts]:
@@ -437,9 +518,9 @@ class Case:
         return self._losses_of.get(id(stream), [])
 
     @cached_property
-    def advice(self) -> dict[tuple[object, ...], Advice]:
-        """What helps against losses at queues, once it was asked for; see ``diagnosis.advice``."""
-        return {}
+    def ledger(self) -> MessageLedger:
+        """What became of all traffic, once the rules about single messages were asked."""
+        return MessageLedger(self)
 
     @cached_property
     def _losses_of(self) -> dict[int, list[Loss]]:
@@ -528,7 +609,13 @@ class Case:
 
     def socket_failed(self, stream: Stream) -> bool:
         """Tell whether Telemetry Output says that its socket failed, in a time in which it sent nothing."""
-        return any(self.suppressed(span) for span in self.telemetry.silences[stream.sender])
+        return any(self.suppressed(span) for span in self.silences_of(stream.sender))
+
+    def silences_of(self, sender: int) -> list[tuple[int, int]]:
+        """Return when the Telemetry Output behind an endpoint sent nothing, until it was enabled."""
+        if sender not in self._silences:
+            self._silences[sender] = silences_of(self, sender)
+        return self._silences[sender]
 
     def span(self, rows: Sequence[int] | NDArray[np.intp]) -> tuple[int, int]:
         """Return the capture times of the first and of the last of some rows, which are in order of time."""
@@ -561,7 +648,7 @@ class Case:
     def receiver_label(self, stream: Stream) -> str | None:
         """Return how people are told of the cFS that a stream goes into; None where there is but one."""
         systems = self.instances.systems
-        into = [index for index in range(len(systems)) if self.known.goes_to(stream, index)]
+        into = [index for index in range(len(systems)) if self.goes_to(stream, index)]
         if len(set(systems)) < 2 or len({systems[index] for index in into}) != 1:
             return None
         return self.label(into[0])

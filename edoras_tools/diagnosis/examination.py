@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import gc
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode.conversations import Conversations, Flow, Unnamed, unnamed
-from edoras_tools.diagnosis.accounting.commands import Refused
 from edoras_tools.diagnosis.accounts import accounts
-from edoras_tools.diagnosis.balance import Headline, WaySum, headlines, not_counted, sent, ways
+from edoras_tools.diagnosis.balance import Chain, Headline, WaySum, chains, headlines, not_counted, sent, ways
 from edoras_tools.diagnosis.case import Capture, Case
-from edoras_tools.diagnosis.chains import Chain, chains
-from edoras_tools.diagnosis.evidence.relays.proxied import proxied
+from edoras_tools.diagnosis.evidence.relays import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
-from edoras_tools.diagnosis.ledger import CAPTURE, MessageLedger, Row, summed
+from edoras_tools.diagnosis.ledger import CAPTURE, Row, summed
 from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rules import SINGLE, others, rules
 from edoras_tools.diagnosis.rules.capture import too_many
@@ -39,7 +38,7 @@ MOST_SCATTERED: Final = 4
 """Chapters that are judged together where records of any time stand anywhere in the capture."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Diagnosis:
     """What is wrong, where and why.
 
@@ -110,12 +109,12 @@ class Diagnosis:
         """Messages that surely are lost: not the copies among the arrivals that are."""
         return sum(way.messages_lost for way in self.ways)
 
-    @property
+    @cached_property
     def ways(self) -> list[WaySum]:
         """What became of each traffic on its way."""
         return ways(self.balance)
 
-    @property
+    @cached_property
     def headlines(self) -> list[Headline]:
         """What became of each route, a line each."""
         return headlines(self.balance, self.topics)
@@ -290,9 +289,7 @@ def judge_single(
         if name in SINGLE:
             progress(len(found))
             found[name] = [_told(case, name, verdict) for verdict in rule(case)]
-    for item in (item for members in found.values() for item in members if item.lost):
-        figures = item.start_ns, item.end_ns, item.lost or 0, item.of
-        case.refused.append(Refused(item.rule, item.link, item.msg_id, item.hop, *figures, item.by_type))
+    case.refused += [item for members in found.values() for item in members if item.lost]
     left = iter(map(case.commands.refusals, case.refused))
     for members in found.values():
         members[:] = [_lost_here(item, next(left)) if item.lost else item for item in members]
@@ -441,7 +438,7 @@ class Examination:
                         hop=case.called(row.hop),
                         name="" if row.msg_id is None else case.packet_name(row.msg_id),
                     )
-                    for row in (MessageLedger(case).rows() if len(case.rows) else ())
+                    for row in (case.ledger.rows() if len(case.rows) else ())
                 ),
                 *capture.rows(),
             ),

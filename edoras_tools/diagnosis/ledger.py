@@ -19,16 +19,16 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from edoras_tools.cfs import telemetry_output
-from edoras_tools.diagnosis.accounting.losses import BEHIND, COUNTERS, SBN_SOCKET, Among, Loss, LossKind
-from edoras_tools.diagnosis.accounting.ports import PORT_CLOSED, REFUSED, UDP_PORT
-from edoras_tools.diagnosis.evidence.crowding import find_echoes
+from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT
+from edoras_tools.diagnosis.accounting.losses import BEHIND, BUS, COUNTERS, SBN_SOCKET, Among, Loss
+from edoras_tools.diagnosis.evidence.copies import find_echoes
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
+from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
 from edoras_tools.links import table
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
@@ -38,19 +38,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.accounting.closed import Unheard
-    from edoras_tools.diagnosis.accounting.commands import Refused
-    from edoras_tools.diagnosis.accounting.fates import Fate
-    from edoras_tools.diagnosis.accounting.ports import Unreached
+    from edoras_tools.diagnosis.accounting.closed import Unheard, Unreached
+    from edoras_tools.diagnosis.accounting.losses import Fate
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.diagnosis.verdict import Verdict
 
 HowEnded = Literal["lost", "superseded", "waiting", "not_captured", "unaccounted", "uncertain", "shared"]
 """How an arrival can end at a hop."""
 ENDINGS: Final[tuple[HowEnded, ...]] = get_args(HowEnded)
 _SUMMED: Final = ("came", "out", "duplicated", "copies", *ENDINGS[1:])
 CI_HOP: Final = "CI"
-BUS: Final = "software bus"
 APPLICATION: Final = "application"
 PEER: Final = "SBN peer"
 CAPTURE: Final = "capture"
@@ -74,25 +72,74 @@ _ON_BUS: Final = frozenset({*COUNTERS, "unknown"})
 _BEHIND_BUS: Final = frozenset({"stopped", "restart_failed", "away", "unsubscribed", "disabled"})
 _AT_PIPE: Final = frozenset({*COUNTERS, "stopped", "away"})
 _BEHIND_PIPE: Final = frozenset({"after", "unknown", "fragments"})
-_TEXTS: Final[Mapping[LossKind, str]] = {
-    "limit": "over the message limit of {hop}",
-    "overflow": "{hop} was full",
-    "after": "lost between cFS and the capture",
-    "unknown": "lost on the software bus",
-    "network": "lost before CI",
-    "socket": "CI's socket was full",
-    "down": "cFS was down",
-    "restart": "{hop} was restarted",
-    "stopped": "{hop} was stopped",
-    "restart_failed": "{hop} was started again and passed nothing on",
-    "ci_stopped": "{hop} was stopped",
-    "away": "the SBN peer was away",
-    "unsubscribed": "the SBN peer had not subscribed to it",
-    "disabled": "Telemetry Output was not to send it",
-    "sbn_socket": "SBN's socket was full",
-    "fragments": "its later fragments never came",
-    "port_closed": "nobody listened on the port of {hop}",
+
+
+class LossCause(NamedTuple):
+    """Why messages were lost, in words.
+
+    Attributes:
+        text: where or why, as a person reads it first.
+        listed: the same of each message, with a place for the hop; empty where an entry says it itself.
+        rules: those that explain it where no verdict names it; else it is the rule of that name.
+    """
+
+    text: str
+    listed: str = ""
+    rules: tuple[str, ...] = ()
+
+
+_AT_BUS: Final = ("unattributed_loss", "to_stopped")
+CAUSES: Final[Mapping[str, LossCause]] = {
+    "limit": LossCause("over a message limit", "over the message limit of {hop}", _AT_BUS),
+    "overflow": LossCause("at a full pipe", "{hop} was full", _AT_BUS),
+    "after": LossCause(BEHIND, f"lost {BEHIND}", ("lost_after_cfs",)),
+    "unknown": LossCause(
+        "at a place that the capture does not show",
+        "lost on the software bus",
+        ("unexplained_gap", "unattributed_loss"),
+    ),
+    "network": LossCause("on the network before CI", "lost before CI"),
+    "socket": LossCause("at CI's full socket", "CI's socket was full"),
+    "down": LossCause("while cFS was down", "cFS was down", ("cfs_restart",)),
+    "restart": LossCause("while CI was restarted", "{hop} was restarted"),
+    "ci_stopped": LossCause("while CI was stopped", "{hop} was stopped"),
+    "stopped": LossCause("while the application was stopped", "{hop} was stopped"),
+    "restart_failed": LossCause(
+        "after the application was started again: nothing came out of it any more",
+        "{hop} was started again and passed nothing on",
+    ),
+    "away": LossCause("while the SBN peer was away", "the SBN peer was away"),
+    "unsubscribed": LossCause(
+        "to an SBN peer that did not subscribe", "the SBN peer had not subscribed to it"
+    ),
+    "disabled": LossCause(
+        "while Telemetry Output was not to send them", "Telemetry Output was not to send it"
+    ),
+    PEER_RESTARTED: LossCause("sent to an SBN peer that restarted"),
+    UNHEARD: LossCause("sent to a silent SBN peer"),
+    "sbn_socket": LossCause("at SBN's full socket", "SBN's socket was full"),
+    "fragments": LossCause(
+        "on the way, where later fragments are dropped", "its later fragments never came", ("lost_after_cfs",)
+    ),
+    TO_SOCKET: LossCause("at Telemetry Output's failed socket"),
+    "before_capture": LossCause("before the capture", rules=("dds_lost",)),
+    "given_up": LossCause("given up by their reader", rules=("dds_lost",)),
+    PROXY_HOP: LossCause("dropped on purpose by the proxy", rules=("proxy_faults",)),
+    "host_drops": LossCause("at a full socket (kernel's counter)"),
+    "unaccounted": LossCause(
+        "in cFS, for a cause that the capture does not show",
+        rules=("crossing_loss", "lost_before_ci", "unexplained_gap", UNHEARD),
+    ),
 }
+"""Causes that are no rules with verdicts that tell all."""
+_PORT_CLOSED_TEXT: Final = "nobody listened on the port of {hop}"
+
+
+def cause_text(cause: str) -> str:
+    """Return where or why messages were lost, as a person reads it first."""
+    return CAUSES[cause].text if cause in CAUSES else cause
+
+
 _UNREACHED: Final = {
     PORT_CLOSED: "nobody listened on {}",
     REFUSED: "an ICMP error came back from the way to {}",
@@ -322,7 +369,8 @@ class LedgerWay:
         """Let end at the last hop what was lost by some kinds of loss."""
         for loss in losses:
             if loss.kind in kinds:
-                text = _TEXTS[loss.kind].format(hop=loss.hop)
+                known = CAUSES.get(loss.kind)
+                text = (known.listed if known else _PORT_CLOSED_TEXT).format(hop=loss.hop)
                 times = loss.start_ns, loss.end_ns
                 self.end("lost", loss.lost, loss.kind, text=text, times_ns=times, among=loss.among)
 
@@ -417,9 +465,9 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
 def _sent(case: Case, fate: Fate) -> LedgerWay:
     """Return the way of what goes into cFS: to CI or SBN, over the software bus, through the application."""
     stream, losses = fate.stream, case.losses_of(fate.stream)
-    done = case.known.done_to(stream)
+    done = case.done_to(stream)
     # What a proxy did to a MsgId is told once, whoever else gets that MsgId.
-    first = next(item for item in case.streams if case.known.done_to(item) is done)
+    first = next(item for item in case.streams if case.done_to(item) is done)
     dropped, doubled = (done.dropped, min(done.doubled, len(stream))) if first is stream else ([], 0)
     traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
     echoes = find_echoes(case.rows, stream.rows)
@@ -440,16 +488,16 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
         number, among = case.commands.placed.get(id(item), (0, None))
         if among is not None and among.stream is stream:
             _refuse(way, item, number, among)
-    way.end("shared", min(fate.shared, way.left))
+    way.end("shared", min(fate.ends["shared"], way.left))
     if not (fate.seen or fate.reached is not None or fate.commanded is not None):
-        way.end("uncertain", min(fate.unaccounted, way.left))
-    if fate.commanded is not None and fate.unaccounted:
+        way.end("uncertain", min(fate.ends["unaccounted"], way.left))
+    if fate.commanded is not None and fate.ends["unaccounted"]:
         way.hop(telemetry_output.NAME, {"in": _NOT_LOST, "out": "0x880: commands that it took or refused"})
-        way.end("unaccounted", fate.unaccounted)
+        way.end("unaccounted", fate.ends["unaccounted"])
     if fate.reached is not None:
         counted = {"in": _NOT_LOST, "out": "number of datagrams on the robot link"}
         way.hop(APPLICATION, counted, onward=((ROBOT.label, NO_MSG_ID),))
-        way.end("unaccounted", fate.unaccounted)
+        way.end("unaccounted", fate.ends["unaccounted"])
         way.end("waiting", way.left - fate.reached)
     if fate.seen:
         _applied(case, fate, way)
@@ -464,9 +512,9 @@ def _taken_in(case: Case, fate: Fate, way: LedgerWay, all_out: Mapping[str, str]
         by = "the kernel's counter of its socket" if any(item.by_kernel for item in accounts) else "0x884"
         way.hop(CI_HOP, {"in": _SEEN, **({"out": by} if accounts else all_out or {"lost": _NO_INGEST})})
         way.lose(losses, _BEFORE_CI)
-        way.end("waiting", fate.queued)
-        way.end("unaccounted", fate.uncounted)
-        way.end("not_captured", min(fate.late + fate.unsure, way.left))
+        way.end("waiting", fate.ends["queued"])
+        way.end("unaccounted", fate.ends["uncounted"])
+        way.end("not_captured", min(fate.ends["late"] + fate.ends["unsure"], way.left))
     elif any(loss.kind in _NOT_READ for loss in losses):
         way.hop(SBN_SOCKET, {"in": _SEEN, "out": "not counted: what came out, and what the bus counts"})
         way.lose(losses, _NOT_READ)
@@ -480,23 +528,23 @@ def _applied(case: Case, fate: Fate, way: LedgerWay) -> None:
     counted = {"in": _NOT_LOST, "out": f"same values on {ways}"}
     way.hop(APPLICATION, counted, duplicated=fate.doubled, onward=onward)
     way.lose(case.losses_of(fate.stream), _BEHIND_BUS)
-    way.end("superseded", fate.superseded)
-    way.end("waiting", fate.waiting - fate.uncertain)
-    way.end("uncertain", fate.uncertain + fate.missed + fate.elsewhere + fate.beyond)
-    way.end("unaccounted", fate.unaccounted)
-    way.end("not_captured", way.left - int(fate.arrived.sum()) - fate.passed_on - fate.doubled)
+    way.end("superseded", fate.ends["superseded"])
+    way.end("waiting", fate.waiting - fate.ends["uncertain"])
+    way.end("uncertain", sum(fate.ends[how] for how in ("uncertain", "missed", "elsewhere", "beyond")))
+    way.end("unaccounted", fate.ends["unaccounted"])
+    way.end("not_captured", way.left - int(fate.arrived.sum()) - fate.ends["passed_on"] - fate.doubled)
 
 
 def _published(case: Case, stream: Stream) -> LedgerWay:
     """Return the way of what cFS publishes: through Telemetry Output's pipe or a peer's, to the capture."""
-    owner, losses, telemetry = case.known.owner(stream), case.losses_of(stream), case.telemetry
+    owner, losses, telemetry = case.owner(stream), case.losses_of(stream), case.telemetry
     instance = case.label(owner) if owner != NOBODY else None
     way = LedgerWay(LedgerTraffic(stream.route, stream.link.label, stream.msg_id, instance))
     by = _COUNT if stream.counted else f"{_SEEN}: it has no sequence count"
     lost = "0x803" if owner in case.tracks else "not counted: no 0x803 is here"
-    way.hop(case.known.hop(stream), {"in": by, "lost": lost})
+    way.hop(case.pipe_of(stream), {"in": by, "lost": lost})
     way.lose(losses, _AT_PIPE)
-    way.end("not_captured", telemetry.closed.get(id(stream), 0))
+    way.end("not_captured", telemetry.ended(stream, "closed"))
     silenced = [(number, among) for of, number, among in telemetry.silenced if of is stream and number]
     if silenced:
         way.hop(telemetry_output.SOCKET, {"in": f"{_COUNT}, less what 0x803 counts", "out": _SEEN})
@@ -504,16 +552,16 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
         for number, among in silenced:
             about = _span_of(case, among) | {"text": f"{telemetry_output.SOCKET} failed"}
             way.end("lost" if failed else "not_captured", number, TO_SOCKET if failed else "", **about)
-    done, dropped = case.known.done_to(stream), telemetry.proxied.get(id(stream), 0)
+    done, dropped = case.done_to(stream), telemetry.ended(stream, "proxied")
     doubled = min(done.doubled, stream.duplicates if stream.counted else len(stream))
     if dropped or doubled:
         _by_proxy(way, done.dropped, dropped, doubled)
     counted = {"in": by, "out": _SEEN}
     way.hop(BEHIND, counted, duplicated=stream.duplicates - doubled if stream.counted else 0)
     way.lose(losses, _BEHIND_PIPE)
-    way.end("not_captured", telemetry.away.get(id(stream), 0))
-    way.end("unaccounted", telemetry.untold.get(id(stream), 0))
-    way.end("uncertain", telemetry.uncertain.get(id(stream), 0))
+    way.end("not_captured", telemetry.ended(stream, "away"))
+    way.end("unaccounted", telemetry.ended(stream, "untold"))
+    way.end("uncertain", telemetry.ended(stream, "uncertain"))
     way.close(len(stream))
     return way
 
@@ -522,8 +570,8 @@ def _to_peer(case: Case, way: LedgerWay, stream: Stream, silent: Unheard) -> Non
     """Go on to an SBN peer that did not hear all that was sent to it."""
     way.hop(f"{PEER} {silent.peer}", {"in": _SEEN, "out": "what it was sent while it was not silent"})
     for cause, rows, when in (
-        (UNHEARD, silent.rows, "while it was silent"),
-        (PEER_RESTARTED, silent.restarted_rows, "before it was started again"),
+        (UNHEARD, silent.lost, "while it was silent"),
+        (PEER_RESTARTED, silent.restarted, "before it was started again"),
     ):
         if rows:
             about = _span_of(case, Among(stream, np.array(rows, np.intp)))
@@ -557,7 +605,7 @@ def _by_proxy(way: LedgerWay, dropped: Sequence[tuple[int, bytes]], number: int,
 
 def _all_dropped(case: Case) -> Iterator[LedgerWay]:
     """Yield what a proxy dropped and of which nothing else is in the recording."""
-    streams = {id(case.known.done_to(stream)) for stream in case.streams}
+    streams = {id(case.done_to(stream)) for stream in case.streams}
     for (code, _, msg_id), item in case.proxied.items():
         if item.dropped and id(item) not in streams:
             link = table.link(code)
@@ -577,7 +625,7 @@ def _unseen(case: Case, loss: Loss) -> LedgerWay:
     return way
 
 
-def _of_no_stream(case: Case, item: Refused, number: int) -> LedgerWay:
+def _of_no_stream(case: Case, item: Verdict, number: int) -> LedgerWay:
     """Return the way of messages that were judged by themselves: the datagrams of that time."""
     rows = case.rows
     mask = (rows.time_ns >= item.start_ns) & (rows.time_ns <= item.end_ns)
@@ -591,7 +639,7 @@ def _of_no_stream(case: Case, item: Refused, number: int) -> LedgerWay:
     return way
 
 
-def _refuse(way: LedgerWay, item: Refused, number: int, among: Among | NDArray[np.intp]) -> None:
+def _refuse(way: LedgerWay, item: Verdict, number: int, among: Among | NDArray[np.intp]) -> None:
     """Let end at the last hop what cFS refused."""
     text = f"{item.rule} at {item.hop or 'cFS'}"
     way.end("lost", number, item.rule, text=text, times_ns=(item.start_ns, item.end_ns), among=among)

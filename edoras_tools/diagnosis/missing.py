@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.diagnosis.accounting.losses import Among
-from edoras_tools.diagnosis.ledger import LedgerEntry, MessageLedger
+from edoras_tools.diagnosis.ledger import LedgerEntry
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.sessions.sequence import MODULUS
 
@@ -78,7 +78,7 @@ def missing(case: Case) -> list[Missing]:
     """Return all of them, in order of time."""
     listed: list[Missing] = []
     groups: dict[tuple[int, bool], list[_Share]] = {}
-    for entry in MessageLedger(case).losses():
+    for entry in case.ledger.losses():
         among = entry.among
         if isinstance(among, Among):
             groups.setdefault((id(among.stream), among.missing is None), []).append((entry, among))
@@ -191,11 +191,7 @@ def _message(case: Case, share: _Share, unit: int, what: str) -> Missing:
     whole = int(among.missing[np.flatnonzero(among.rows == index)[0]]) >= gap
     count = (int(rows.sequence_count[row]) + 1 + place) % MODULUS
     return replace(
-        one,
-        time_ns=start_ns,
-        until_ns=end_ns,
-        first=count if whole else None,
-        one_of=None if whole else gap,
+        one, time_ns=start_ns, until_ns=end_ns, first=count if whole else None, one_of=None if whole else gap
     )
 
 

@@ -14,10 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.diagnosis.accounting.closed import UDP_PORT
 from edoras_tools.diagnosis.accounting.losses import APP
-from edoras_tools.diagnosis.accounting.ports import UDP_PORT
 from edoras_tools.diagnosis.balance import not_counted, sent
-from edoras_tools.diagnosis.ledger import PEER_RESTARTED, UNHEARD, Row
+from edoras_tools.diagnosis.ledger import CAUSES, Row, cause_text
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, Verdict, alike, group_verdicts
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -27,46 +27,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.examination import Diagnosis
 
-CAUSES: Final = {
-    "limit": "over a message limit",
-    "overflow": "at a full pipe",
-    "after": "between cFS and the capture",
-    "unknown": "at a place that the capture does not show",
-    "network": "on the network before CI",
-    "socket": "at CI's full socket",
-    "down": "while cFS was down",
-    "restart": "while CI was restarted",
-    "ci_stopped": "while CI was stopped",
-    "stopped": "while the application was stopped",
-    "restart_failed": "after the application was started again: nothing came out of it any more",
-    "away": "while the SBN peer was away",
-    "unsubscribed": "to an SBN peer that did not subscribe",
-    "disabled": "while Telemetry Output was not to send them",
-    PEER_RESTARTED: "sent to an SBN peer that restarted",
-    UNHEARD: "sent to a silent SBN peer",
-    "sbn_socket": "at SBN's full socket",
-    "fragments": "on the way, where later fragments are dropped",
-    "to_socket": "at Telemetry Output's failed socket",
-    "before_capture": "before the capture",
-    "given_up": "given up by their reader",
-    "proxy": "dropped on purpose by the proxy",
-    "host_drops": "at a full socket (kernel's counter)",
-    "unaccounted": "in cFS, for a cause that the capture does not show",
-}
-"""Where or why messages were lost; other causes are rules, whose verdicts tell."""
-_RULES: Final = {
-    "limit": ("unattributed_loss", "to_stopped"),
-    "overflow": ("unattributed_loss", "to_stopped"),
-    "after": ("lost_after_cfs",),
-    "fragments": ("lost_after_cfs",),
-    "unknown": ("unexplained_gap", "unattributed_loss"),
-    "down": ("cfs_restart",),
-    "before_capture": ("dds_lost",),
-    "given_up": ("dds_lost",),
-    "proxy": ("proxy_faults",),
-    "unaccounted": ("crossing_loss", "lost_before_ci", "unexplained_gap", UNHEARD),
-}
-"""The rules that explain a cause where no verdict names it; of others it is the rule of that name."""
 _AT_QUEUES: Final = frozenset({"limit", "overflow", "socket"})
 """The verdict says what its queue takes."""
 _NAMES: Final = 2
@@ -203,7 +163,8 @@ def _losses(found: Diagnosis) -> tuple[list[Problem], set[int]]:
 
 def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdict]:
     """Return the verdicts that explain a cause at a row: those of its MsgId, if there are such."""
-    rules = _RULES.get(cause, (cause,))
+    known = CAUSES.get(cause)
+    rules = (known and known.rules) or (cause,)
     own = [
         item
         for item in verdicts
@@ -216,12 +177,7 @@ def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdi
 
 
 def _problem(
-    found: Diagnosis,
-    cause: str,
-    members: Sequence[tuple[Row, int]],
-    own: Sequence[Verdict],
-    *,
-    alone: bool,
+    found: Diagnosis, cause: str, members: Sequence[tuple[Row, int]], own: Sequence[Verdict], *, alone: bool
 ) -> Problem:
     """Return what one cause lost at one place.
 
@@ -268,9 +224,9 @@ def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
     if cause == "limit" and own:
         return f"at {hop}"
     if cause in {"limit", "overflow"}:
-        return f"{CAUSES[cause]}, {hop}"
+        return f"{cause_text(cause)}, {hop}"
     return (
-        CAUSES[cause]
+        cause_text(cause)
         .replace("the application", hop)
         .replace("a silent SBN peer", f"{hop} while it was silent")
     )

@@ -19,7 +19,7 @@ import numpy as np
 
 from edoras_tools.diagnosis.accounting.losses import Among
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.ledger import APPLICATION, LedgerEntry, LedgerWay, MessageLedger
+from edoras_tools.diagnosis.ledger import APPLICATION, LedgerEntry, LedgerWay
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.diagnosis.matching.streams import find_robots
 from edoras_tools.diagnosis.rounds import Rounds, rounds_into, rounds_out
@@ -168,7 +168,6 @@ class Tracer:
     def __init__(self, case: Case) -> None:
         self._case = case
         self._robots = find_robots(case.rows)
-        self._ledger = MessageLedger(case)
 
     def packet(self, number: int) -> MessageTrace | None:
         """Return the way of the message in a packet; None where it is no message of a link.
@@ -378,7 +377,7 @@ class Tracer:
         witness: Witness = "by model" if guessed and not leg.behind else "measured"
         if stream.link.last_hop:
             return MessageEnd("delivered", "robot", "came out to the robot", witness)
-        way, fate = self._ledger.way(stream), self._case.commands.fates.get(id(stream))
+        way, fate = self._case.ledger.way(stream), self._case.commands.fates.get(id(stream))
         full = any(step.witness == "by model" and (step.waiting or 0) >= (step.limit or 1) for step in steps)
         if fate is not None and not fate.seen:
             return self._unfollowed(way, leg)
@@ -489,8 +488,8 @@ def _undecided(absent: Any, exact: Sequence[LedgerEntry]) -> int:
 def _passed_on(way: LedgerWay, leg: _Leg, case: Case) -> Iterator[LedgerEntry]:
     """Yield what came out of the application and was lost behind it: the ledger has it on the way out."""
     fate = case.commands.fates.get(id(leg.stream))
-    if fate is not None and fate.seen and fate.passed_on:
-        yield LedgerEntry(way.traffic, APPLICATION, "lost", fate.passed_on, "passed_on", PASSED_ON)
+    if fate is not None and fate.seen and fate.ends["passed_on"]:
+        yield LedgerEntry(way.traffic, APPLICATION, "lost", fate.ends["passed_on"], "passed_on", PASSED_ON)
 
 
 def _members(entry: LedgerEntry, leg: _Leg) -> tuple[bool, int] | None:

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable  # noqa: TC003  for readers of the signature
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import partial
 from itertools import groupby
-from typing import Any, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypedDict
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 Confidence = Literal["high", "medium", "low"]
 
@@ -121,6 +125,34 @@ class Verdict:
         }
 
 
+class About(TypedDict, total=False):
+    """What a verdict is about, and what to do: attributes of ``Verdict``."""
+
+    msg_id: int | None
+    topic: str | None
+    link: str | None
+    hop: str | None
+    lost: int | None
+    of: int | None
+    span: tuple[int, int]
+    remedy: str
+    confidence: Confidence
+    rule: str
+    cause: str
+    by_type: bool
+    advice: Advice | None
+
+
+def verdict(severity: Severity, reason: str, *evidence: str, **about: Unpack[About]) -> Verdict:
+    """Return a verdict; ``error``, ``warning``, ``note``, ``habit`` and ``security`` have the severity."""
+    return Verdict(severity, reason, evidence=evidence, **about)
+
+
+error = partial(verdict, Severity.ERROR)
+warning = partial(verdict, Severity.WARNING)
+note = partial(verdict, Severity.NOTE)
+habit = partial(verdict, Severity.HABIT)
+security = partial(verdict, Severity.SECURITY)
 QUOTING_RULE: Final = "cfs_errors"
 """What a rule knows comes before what cFS is only quoted with."""
 CAPTURE_RULES: Final = frozenset({"not_examined", "capture_drops", "cut_frames", "out_of_order"})

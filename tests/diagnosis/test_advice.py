@@ -231,5 +231,5 @@ def test_messages_are_spaced_no_more_than_needed():
 def test_a_way_loses_in_each_of_its_queues():
     arrivals = Arrivals(np.arange(20, dtype=np.int64), np.ones(20, np.int64))
     socket = Queue(100, 15, reads=10, is_socket=True)
-    assert arrivals.lost((socket,)) == [4, 5, 5, 5]  # one may come at the time of a wake-up
+    assert arrivals.lost((socket,), 1) == [4, 5, 5, 5]  # one may come at the time of a wake-up
     assert arrivals.lost((socket, Queue(100, 50, 4)), 1)[1:] == [5 + 6 + 1] * 3

@@ -8,8 +8,17 @@ from captures import ROBOT_GOT
 from places import ROOT
 from truth import examined
 
-from edoras_tools.diagnosis.balance import BUS, CI_HOP, Row, sent
-from edoras_tools.diagnosis.chains import PEER_TO_ROBOT, PUBLISHER, TO_ROBOT, BridgeCount, chains
+from edoras_tools.diagnosis.balance import (
+    BUS,
+    CI_HOP,
+    PEER_TO_ROBOT,
+    PUBLISHER,
+    TO_ROBOT,
+    BridgeCount,
+    Row,
+    chains,
+    sent,
+)
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.model import NO_ROUTE

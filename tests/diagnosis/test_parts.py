@@ -12,8 +12,7 @@ from edoras_tools.diagnosis.accounting.budget import limit, predict
 from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.diagnosis.evidence.loss_reports import Track, parse_loss_event
 from edoras_tools.diagnosis.evidence.payloads import EventRecord
-from edoras_tools.diagnosis.matching.spans import comb
-from edoras_tools.diagnosis.matching.streams import find_streams
+from edoras_tools.diagnosis.matching.streams import comb, find_streams
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO

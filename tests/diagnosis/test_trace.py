@@ -9,7 +9,6 @@ import pytest
 import truth
 from places import ROOT
 
-from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.matching.crossing import latency_of
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.diagnosis.rounds import rounds_into, rounds_out
@@ -104,7 +103,7 @@ def test_two_hosts():
 def test_no_trace_says_more_than_the_ledger(examined, name):
     """Of each hop, cause and ending no more messages are proven than the ledger has there."""
     case = examined(name)
-    for stream, way in zip(case.streams, MessageLedger(case).ways, strict=False):
+    for stream, way in zip(case.streams, case.ledger.ways, strict=False):
         if id(stream) not in case.commands.fates or not case.commands.fates[id(stream)].seen:
             continue
         every = traces(case, stream)
@@ -112,7 +111,7 @@ def test_no_trace_says_more_than_the_ledger(examined, name):
         sums = Counter()
         for entry in way.entries():
             sums[entry.ending, entry.cause] += entry.number
-        sums["lost", "passed_on"] = case.commands.fates[id(stream)].passed_on
+        sums["lost", "passed_on"] = case.commands.fates[id(stream)].ends["passed_on"]
         assert all(number <= sums[key] for key, number in proven.items())
         came = sum(item.ended.ending in {"delivered", "sent_out"} for item in every)
         assert came <= int(case.commands.fates[id(stream)].arrived.sum())

@@ -78,6 +78,10 @@ class Counts:
         """Return which of the seconds each time is in: -1 before the first sample, n behind the last."""
         return np.asarray(np.searchsorted(self.times, times) - 1)
 
+    def span(self, seconds: Sequence[int] | NDArray[np.intp]) -> tuple[int, int]:
+        """Return the times of the samples around some seconds, which are in order."""
+        return int(self.times[seconds[0]]), int(self.times[seconds[-1] + 1])
+
     def often(self, low_ns: NDArray[np.int64], high_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Tell in which times no two samples lie far apart: what is counted then was sent then."""
         rare = np.concatenate(([0], np.cumsum(np.diff(self.times) > TAIL_NS)))

@@ -1,32 +1,63 @@
-"""What cFS sent where nobody heard it: ways out of a telemetry stream that were closed, and silent SBN peers.
+"""What was sent where nobody took it: ways out that were closed, silent SBN peers, ports, applications.
 
-1. What is missing while the way out of a stream was closed was not sent.
+1. What is missing while the way out of a telemetry stream was closed was not sent.
 2. A peer that cFS gave up for its silence heard nothing since its last datagram: what was sent to it is lost.
 3. One that was started again before that heard nothing from when it would have sent next until it subscribed
    anew; what it was sent just before may have been heard.
 4. One that is silent when the capture ends may be there or not: what was sent since is unaccounted for.
+
+Ports that nobody listened on, or that could not be reached, by ICMP errors:
+
+5. A telemetry packet that went there is lost behind cFS; a command is lost behind the application if all that
+   came of it on its way to one robot went there.
+6. A peer of the Software Bus Network is silent while its port is closed: what its silence tells is not told
+   again.
+7. What went to a robot and is of no command of the capture has a row of its own.
+
+Applications and links that did not run:
+
+8. Where it can be seen what comes out: from what arrived last before an application stopped to what arrives
+   first after it, nothing arrived.
+9. Elsewhere what was sent after its end, and before the command that starts it again, is lost, if this
+   application surely takes it: events name its pipe for the MsgId, or there is one application that stopped
+   and one such MsgId. What was sent just before either may have been taken, and so may all that is sent while
+   one restarts: no event tells when it ended.
+10. Elsewhere it is unaccounted for what was sent since the first stop and is not lost by rule 9: whether an
+    application that was started again took it, or whether it was for the one that stopped, nothing shows.
+    So it is after a command that stops one, where no event that answers it can be read.
+11. What came over SBN, or was to leave over it, is lost while SBN was stopped, and while the peer that it was
+    for was away or had not subscribed to it: the timeline says when. Of what an application that keeps the
+    newest was to send, that is one message a round.
+12. What an application was to send on by Telemetry Output is lost while that was stopped, sent nothing until
+    it was enabled, or had no entry for it: it did not come out, and could not.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, field, replace
+from operator import itemgetter
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.cfs import sbn, telemetry_output
+from edoras_tools.cfs import command_ingest, executive_services, names, sbn, telemetry_output
+from edoras_tools.diagnosis.accounting.losses import TAIL_NS, WAITS_NS, Fate, Loss, LossKind, loss_of
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, Way, reasons_for
+from edoras_tools.diagnosis.matching.streams import find_robots
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.accounting.losses import Known
+    from edoras_tools.diagnosis.accounting.losses import Fate, LossKind
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.timeline.table import Timeline
     from edoras_tools.diagnosis.matching.streams import Stream
 
 
@@ -35,93 +66,93 @@ _STOPS_NS: Final = 3 * SECOND
 """After a command that stops them, packets come for so long, also over a slow network."""
 
 
-def closed_at(known: Known, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bool_]:
+def closed_at(case: Case, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bool_]:
     """Tell which gaps of a stream span a time in which its way out was closed."""
-    rows = known.rows
+    rows = case.rows
     behind = np.minimum(at + 1, len(stream) - 1)
     starts, ends = rows.time_ns[stream.rows[at]], rows.time_ns[stream.rows[behind]]
     out = np.zeros(len(at), bool)
     if stream.link.only_from_cfs:
         # Telemetry Output that speaks from another port started anew, and forgot whom it sends to.
         out |= rows.source[stream.rows[at]] != rows.source[stream.rows[behind]]
-        for item in known.payloads.output:
-            when = int(rows.time_ns[item.row])
-            if item.function_code in telemetry_output.STOPS and item.msg_id in {-1, stream.msg_id}:
+        for item in case.payloads.outputs(*telemetry_output.STOPS):
+            if item.msg_id in {-1, stream.msg_id}:
+                when = int(rows.time_ns[item.row])
                 out |= (starts - _STOPS_NS < when) & (when < ends)
         return out
-    connection = known.network.crossing(stream.sender, stream.receiver)
-    owner = known.owner(stream)
-    system = known.instances.systems[owner] if owner != NOBODY else 0
-    stopped = known.timeline.spans(StateOwner("app", sbn.NAME), "stopped", system)
+    connection = case.network.crossing(stream.sender, stream.receiver)
+    owner = case.owner(stream)
+    system = case.instances.systems[owner] if owner != NOBODY else 0
+    stopped = case.timeline.spans(StateOwner("app", sbn.NAME), "stopped", system)
     for index, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
         out[index] = bool(
             (connection and connection.broken_within(start, end))
-            or known.network.unsubscribed_within(stream.msg_id, start - _STOPS_NS, end)
+            or case.network.unsubscribed_within(stream.msg_id, start - _STOPS_NS, end)
             or any(span.overlaps(start, end) for span in stopped)
         )
     return out
 
 
 def silenced_at(
-    known: Known, stream: Stream, at: NDArray[np.intp], spans: Sequence[tuple[int, int]]
+    case: Case, stream: Stream, at: NDArray[np.intp], spans: Sequence[tuple[int, int]]
 ) -> NDArray[np.bool_]:
     """Tell which gaps of a stream span a time in which Telemetry Output sent nothing until it was enabled."""
-    times, behind = known.captured(stream), np.minimum(at + 1, len(stream) - 1)
+    times, behind = case.captured(stream), np.minimum(at + 1, len(stream) - 1)
     out = np.zeros(len(at), bool)
     for start_ns, end_ns in spans:
         out |= (times[at] <= start_ns) & (times[behind] >= end_ns)
     return out
 
 
-def one_sided(known: Known, stream: Stream) -> bool:
+def one_sided(case: Case, stream: Stream) -> bool:
     """Tell whether nothing was captured of what tells cFS whether to send a stream.
 
     Telemetry Output does what commands to cFS tell it, SBN sends to a peer that is connected.
     """
-    rows = known.rows
+    rows = case.rows
     if stream.link.peers:
         return not ((rows.source == stream.receiver) & (rows.destination == stream.sender)).any()
     return not among(rows.link, lambda link: link.only_to_cfs).any()
 
 
-def unled_silences(known: Known, stream: Stream) -> list[tuple[int, int]]:
+def unled_silences(case: Case, stream: Stream) -> list[tuple[int, int]]:
     """Return when nothing at all came on a stream's way, where nothing tells whether it was to be sent."""
-    if not one_sided(known, stream):
+    if not one_sided(case, stream):
         return []
     if stream.link.peers:
-        rows = known.rows
+        rows = case.rows
         there = (rows.source == stream.sender) & (rows.destination == stream.receiver)
         times = rows.time_ns[there & (rows.msg_id != NO_MSG_ID)]
     else:
-        times = _sent_by(known, stream.sender)
-    silent = np.flatnonzero(np.diff(times) > _SILENT_WAKES * known.profile.to_wake_ns)
+        times = _sent_by(case, stream.sender)
+    silent = np.flatnonzero(np.diff(times) > _SILENT_WAKES * case.profile.to_wake_ns)
     return [(int(times[at]), int(times[at + 1])) for at in silent.tolist()]
 
 
-def _sent_by(known: Known, sender: int) -> NDArray[np.int64]:
+def _sent_by(case: Case, sender: int) -> NDArray[np.int64]:
     """Return when the Telemetry Output behind an endpoint sent something."""
-    rows, output = known.rows, known.instances.output
+    rows, output = case.rows, case.instances.output
     sent = among(rows.link, lambda link: link.only_from_cfs)
     mine = [port for port in np.unique(rows.source[sent]).tolist() if sender in {port, output(port)}]
     times: NDArray[np.int64] = rows.time_ns[sent & np.isin(rows.source, mine)]
     return times
 
 
-def silences_of(known: Known, sender: int) -> list[tuple[int, int]]:
+def enables_ns(case: Case) -> list[int]:
+    """Return when Telemetry Output was told to send, and to whom: capture times in ns."""
+    enables = case.payloads.outputs(telemetry_output.ENABLE)
+    return [int(case.rows.time_ns[item.row]) for item in enables]
+
+
+def silences_of(case: Case, sender: int) -> list[tuple[int, int]]:
     """Return when the Telemetry Output behind an endpoint sent nothing, until it was enabled."""
-    rows = known.rows
-    enabled = [
-        int(rows.time_ns[item.row])
-        for item in known.payloads.output
-        if item.function_code == telemetry_output.ENABLE
-    ]
-    sent_ns = _sent_by(known, sender)
-    owner = known.instances.owner(sender, int(sent_ns[0]))
+    sent_ns = _sent_by(case, sender)
+    owner = case.instances.owner(sender, int(sent_ns[0]))
     boot_ns = None
     if owner != NOBODY:  # since it began, or the capture did
-        boot_ns = known.instances.items[owner].boot_ns(known.profile)
-        sent_ns = np.append(max(boot_ns, int(rows.time_ns[0])), sent_ns)
-    return silences(sent_ns, enabled, known.profile.to_wake_ns, boot_ns)
+        boot_ns = case.instances.items[owner].boot_ns(case.profile)
+        sent_ns = np.append(max(boot_ns, int(case.rows.time_ns[0])), sent_ns)
+    return silences(sent_ns, enables_ns(case), case.profile.to_wake_ns, boot_ns)
 
 
 def silences(
@@ -154,46 +185,361 @@ class Unheard:
 
     Attributes:
         peer: who, as ``66:3``.
-        lost: how many, to one that was given up.
-        restarted: how many, to one that was started again before it was given up.
         uncertain: how many, when that one may still have run.
         unaccounted: how many, to one that was silent when the capture ended.
-        rows: those to one that was given up, as indices into the stream's rows.
-        restarted_rows: those to one that was started again, likewise.
+        lost: those to one that was given up, as indices into the stream's rows.
+        restarted: those to one that was started again before it was given up, likewise.
     """
 
     peer: str
-    lost: int = 0
-    restarted: int = 0
     uncertain: int = 0
     unaccounted: int = 0
-    rows: list[int] = field(default_factory=list)
-    restarted_rows: list[int] = field(default_factory=list)
+    lost: list[int] = field(default_factory=list)
+    restarted: list[int] = field(default_factory=list)
 
 
-def unheard(known: Known) -> dict[int, Unheard]:
+def unheard(case: Case) -> dict[int, Unheard]:
     """Return it by the id of the stream; a stream is there if its peer was silent at all."""
     found: dict[int, Unheard] = {}
-    party = known.network.party
-    for (peer, observer), connection in known.network.connections.items():
-        silences = list(connection.silences(known.end_ns))
-        for stream in known.streams:
-            ends = party(stream.receiver), party(stream.sender)
-            none = not silences and not connection.restarts
-            if none or not stream.link.peers or ends != (peer, observer):
+    party = case.network.party
+    for ends, connection in case.network.connections.items():
+        silences = list(connection.silences(case.end_ns))
+        for stream in case.streams if silences or connection.restarts else ():
+            if not stream.link.peers or (party(stream.receiver), party(stream.sender)) != ends:
                 continue
             item = found.setdefault(id(stream), Unheard(connection.peer))
-            times = known.captured(stream)
+            times = case.captured(stream)
             for silence in silences:
                 inside = np.flatnonzero((times > silence.start_ns) & (times < silence.until_ns)).tolist()
                 if silence.given_up:
-                    item.lost += len(inside)
-                    item.rows += inside
+                    item.lost += inside
                 else:
                     item.unaccounted += len(inside)
             for restart in connection.restarts:
-                gone = np.flatnonzero((times > restart.dead_ns) & (times < restart.back_ns)).tolist()
-                item.restarted += len(gone)
-                item.restarted_rows += gone
+                gone = (times > restart.dead_ns) & (times < restart.back_ns)
+                item.restarted += np.flatnonzero(gone).tolist()
                 item.uncertain += int(((times > restart.last_ns) & (times <= restart.dead_ns)).sum())
     return found
+
+
+UDP_PORT: Final = "port"
+PORT_CLOSED: Final[LossKind] = "port_closed"
+REFUSED: Final = "unreachable"
+"""Causes of a loss, which are the rules that tell of them."""
+_FINE, _UNCERTAIN, _REFUSED, _SHUT = range(4)
+_CAUSES: Final = {_SHUT: PORT_CLOSED, _REFUSED: REFUSED}
+
+
+@dataclass(frozen=True, slots=True)
+class Unreached:
+    """Messages of one stream that went to one endpoint that did not get all of them.
+
+    Attributes:
+        stream: of telemetry, of commands to cFS, or of what a robot was sent.
+        endpoint: number of the endpoint.
+        own: whether the stream stands in the balance by itself; else it is of no command of the capture.
+        lost: cause to those that are lost, as indices into the stream's rows.
+        uncertain: those that may be, likewise.
+        sent_ns: i64, when each of the stream's messages went to the endpoint.
+    """
+
+    stream: Stream
+    endpoint: int
+    own: bool
+    lost: Mapping[str, NDArray[np.intp]]
+    uncertain: NDArray[np.intp]
+    sent_ns: NDArray[np.int64]
+
+    @property
+    def number(self) -> int:
+        """How many are lost."""
+        return sum(len(rows) for rows in self.lost.values())
+
+
+def unreached(case: Case) -> list[Unreached]:
+    """Return it by stream, in the order of the streams."""
+    found, times = case.unreachable, case.rows.time_ns
+    fate_of = np.zeros(len(case.rows), np.int8)
+    for mark, mask in ((_UNCERTAIN, found.uncertain), (_REFUSED, found.refused), (_SHUT, found.closed)):
+        fate_of[mask] = mark
+    if not fate_of.any():
+        return []
+    out: list[Unreached] = []
+    covered = np.zeros(len(case.rows), bool)
+    for stream in case.streams:
+        fate = case.commands.fates.get(id(stream))
+        for hop in fate.hops if fate else ():
+            if hop.out.link.last_hop:
+                rows = hop.out.rows[hop.out_rows]
+                covered[rows] = True
+                best, sent_ns = np.full(len(stream), _SHUT, np.int8), np.zeros(len(stream), np.int64)
+                np.minimum.at(best, hop.in_rows, fate_of[rows])
+                np.maximum.at(sent_ns, hop.in_rows, times[rows])
+                out += _at(stream, np.unique(hop.in_rows), best, hop.out.receiver, sent_ns)
+        if fate is None and id(stream) not in case.unheard:
+            for endpoint, rows in by_value(case.rows.destination[stream.rows]):
+                out += _at(stream, rows, fate_of[stream.rows], endpoint, times[stream.rows])
+    for stream in find_robots(case.rows):
+        rows = np.flatnonzero(~covered[stream.rows])
+        every = _at(stream, rows, fate_of[stream.rows], stream.receiver, times[stream.rows])
+        out += [replace(item, own=False) for item in every]
+    return out
+
+
+def _at(
+    stream: Stream,
+    rows: NDArray[np.intp],
+    fate_of: NDArray[np.int8],
+    endpoint: int,
+    sent_ns: NDArray[np.int64],
+) -> list[Unreached]:
+    """Return what some rows of a stream lost at an endpoint, if anything."""
+    every = {cause: rows[fate_of[rows] == mark] for mark, cause in _CAUSES.items()}
+    lost = {cause: at for cause, at in every.items() if len(at)}
+    uncertain = rows[fate_of[rows] == _UNCERTAIN]
+    return [Unreached(stream, endpoint, True, lost, uncertain, sent_ns)] if lost or len(uncertain) else []
+
+
+_LINKS: Final = frozenset({*command_ingest.NAMES, *telemetry_output.NAMES, sbn.NAME})
+"""Applications whose stops other accounts follow: CI's by its counter, Telemetry Output's by its port."""
+_CLOSED: Final[Mapping[str, tuple[int, LossKind, str]]] = {
+    "app": (0, "stopped", sbn.NAME),
+    "peer": (1, "away", "SBN peer"),
+    "subscription": (2, "unsubscribed", "SBN peer"),
+}
+"""Kind of the subject that was closed to which of several is the cause, the kind of the loss, and where."""
+_LEAST_ROUNDS: Final = 5
+_FASTER: Final = 1.25
+"""Messages that come faster than rounds by this give way to newer ones."""
+_COMMAND_NS: Final = 10 * SECOND
+"""An application that is told to stop may take so long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outage:
+    """A time in which an application did not run.
+
+    Attributes:
+        app: its name.
+        start_ns: told to stop, or said to have.
+        end_ns: said to have started again; None where it was not.
+        ended_ns: it surely took nothing from then on,
+        asked_ns: until then, where it started again: it was told to, or could take what CI had not read.
+        witness: commands and events that show it.
+        system: number of the cFS that it is of.
+        restarted: whether it was restarted, and not stopped.
+    """
+
+    app: str
+    start_ns: int
+    end_ns: int | None
+    ended_ns: int
+    asked_ns: int
+    witness: str
+    system: int
+    restarted: bool = False
+
+
+def outages(timeline: Timeline, begin_ns: int) -> list[Outage]:
+    """Return every stop and restart that is sure, the earliest first.
+
+    Args:
+        begin_ns: when the capture begins.
+    """
+    items = []
+    for system, subject in timeline.subjects:
+        if subject.kind != "app":
+            continue
+        for state in ("stopped", "restarting"):
+            for span in timeline.spans(subject, state, system):
+                if span.change.sure or (span.end and span.end.sure):
+                    end_ns = span.end_hi if span.end else None
+                    times = span.start_lo, end_ns, span.start_hi, span.end_lo
+                    restarted = state == "restarting"
+                    items.append(Outage(subject.name, *times, span.change.witness, system, restarted))
+        first = timeline.of(subject, system)[0]
+        if first.state == "running" and first.sure and len(first.rows) > 1:
+            # It was told to start: it was stopped before the capture began, or never ran.
+            times = begin_ns - 1, first.not_after_ns, begin_ns - 1, first.not_before_ns
+            items.append(Outage(subject.name, *times, first.witness, system))
+    return sorted(items, key=lambda item: item.start_ns)
+
+
+class _Cause(NamedTuple):
+    """Why nothing got through for a time."""
+
+    kind: LossKind
+    hop: str
+    text: str
+
+
+class Stops:
+    """What was sent while applications did not run or peers did not listen, and what nobody can follow.
+
+    Attributes:
+        losses: of what surely was lost so.
+    """
+
+    def __init__(self, case: Case, fates: Sequence[Fate]) -> None:
+        self._case = case
+        self._causes: list[_Cause] = []
+        self.losses: list[Loss] = []
+        self._fates = [
+            fate
+            for fate in fates
+            if fate.stream.known_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE
+        ]
+        gone = [item for item in case.outages if item.app not in _LINKS]
+        for fate in self._fates:
+            if fate.seen:
+                for item in gone:
+                    self._mark(fate, item)
+                self._mark_closed(fate)
+                self._mark_unsent(fate)
+                continue
+            own = [
+                item
+                for item in gone
+                if case.into_system(fate.stream, item.system)
+                and item.app not in executive_services.SCHEDULERS
+            ]
+            if own:
+                self._unfollowed(fate, own)
+            else:
+                self._unanswered(fate)
+
+    def _add(self, fate: Fate, rows: NDArray[np.bool_], cause: _Cause) -> None:
+        if rows.any():
+            fate.stop[rows] = len(self._causes)
+            self._causes.append(cause)
+
+    def _mark(self, fate: Fate, item: Outage) -> None:
+        """Mark the messages that an application that was stopped did not take (rule 8)."""
+        times = self._case.captured(fate.stream)
+        back = times[fate.arrived & (times > item.start_ns + WAITS_NS)]
+        until_ns = int(back[0]) if len(back) else NEVER
+        # What arrived last was taken before it stopped.
+        last_ns = times[fate.arrived & (times <= item.start_ns + WAITS_NS)].max(initial=0)
+        inside = fate.open & (fate.stop < 0)
+        inside &= (times > max(item.start_ns - WAITS_NS, last_ns)) & (times < until_ns)
+        if item.app in executive_services.SCHEDULERS:
+            inside &= ~fate.newer  # nobody woke the application: it kept the newest
+        again = np.zeros(len(times), bool)
+        if item.end_ns is not None and until_ns > item.end_ns + TAIL_NS:
+            again = times > item.end_ns  # it runs, and passes nothing on
+        self._add(fate, inside & ~again, _Cause("stopped", item.app, item.witness))
+        self._add(fate, inside & again, _Cause("restart_failed", item.app, item.witness))
+
+    def _mark_closed(self, fate: Fate) -> None:
+        """Mark the messages that came over SBN, or were to leave over it, when that was closed (rule 11)."""
+        case, stream = self._case, fate.stream
+        system, peer = case.system(stream), case.network.identity_of.get
+        ways = [(Way(stream.msg_id, stream.link, system, to_cfs=True), np.ones(len(stream), bool))]
+        if all(hop.out.link.peers for hop in fate.hops):
+            for out in (hop.out for hop in fate.hops):
+                way = Way(out.msg_id, out.link, system, peer=peer(out.receiver, ""))
+                ways.append((way, _newest(case, fate, out)))
+        times = case.captured(stream)
+        closed = [
+            (_CLOSED[reason.span.change.subject.kind], reason, newest)
+            for way, newest in ways
+            if way.link.peers
+            for reason in reasons_for(case.timeline, way, 0, NEVER, case.at)
+            if reason.span.change.subject.kind in _CLOSED and reason.span.change.state != "silent"
+        ]
+        for early_ns, until in ((0, "end_lo"), (WAITS_NS, "end_hi")):
+            for (_, kind, hop), (span, text), newest in sorted(closed, key=itemgetter(0)):
+                inside = fate.open & ~fate.newer & (fate.stop < 0)
+                inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
+                fate.newer |= inside & ~newest
+                inside &= newest
+                cause = _Cause(kind, hop, text)
+                if cause in self._causes:
+                    fate.stop[inside] = self._causes.index(cause)
+                else:
+                    self._add(fate, inside, cause)
+
+    def _mark_unsent(self, fate: Fate) -> None:
+        """Mark the messages that Telemetry Output was not to send (rule 12)."""
+        case, outs = self._case, [hop.out for hop in fate.hops]
+        if not all(out.link.only_from_cfs for out in outs):
+            return
+        spans: set[tuple[int, int, LossKind, str]] = set()
+        stopped = []
+        for out in outs:
+            for start_ns, end_ns in case.silences_of(out.sender):
+                text = f"Telemetry Output sent nothing until it was enabled, {case.at(end_ns)}"
+                spans.add((start_ns, end_ns, "disabled", text))
+            way = Way(out.msg_id, out.link, case.system(fate.stream))
+            for span, text in reasons_for(case.timeline, way, 0, NEVER, case.at):
+                is_stopped = span.change.state == "stopped"
+                if span.change.subject.kind == "entry" or (is_stopped and not span.end):
+                    spans.add((span.start_lo, span.end_lo, "stopped" if is_stopped else "disabled", text))
+                elif is_stopped:
+                    stopped.append(span)  # what is missing from counts tells of that
+        times = case.captured(fate.stream)
+        for start_ns, end_ns, kind, text in sorted(spans):
+            if not any(span.overlaps(start_ns, end_ns) for span in stopped):
+                inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
+                self._add(fate, inside, _Cause(kind, telemetry_output.NAME, text))
+
+    def tell(self) -> None:
+        """Make losses of what was marked, did not come out by the counts there, and no counter has."""
+        for fate in self._fates:
+            open_ = fate.open & ~fate.passed
+            for place in np.unique(fate.stop[open_ & (fate.stop >= 0)]).tolist():
+                rows = np.flatnonzero(open_ & (fate.stop == place))
+                fate.claim(rows)
+                kind, hop, text = self._causes[place]
+                self.losses.append(loss_of(self._case, fate, kind, rows, [text], hop=hop))
+
+    def _unanswered(self, fate: Fate) -> None:
+        """Mark what was sent after a command that stops an application, where no event answers (rule 10)."""
+        rows, payloads = self._case.rows, self._case.payloads
+        answers_ns = [record.time_ns for record in payloads.events if record.app == executive_services.NAME]
+        for item in payloads.executive:
+            when, code = int(rows.time_ns[item.row]), item.function_code
+            answered = any(0 <= answer_ns - when <= _COMMAND_NS for answer_ns in answers_ns)
+            ends = code in executive_services.ENDS_APP and item.app not in _LINKS
+            if ends and not answered and fate.stream.receiver == rows.destination[item.row]:
+                fate.unfollowed = self._case.captured(fate.stream) > when
+                fate.unfollowed_since = (
+                    f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
+                    f"{code}, for {item.app}; no event that answers it can be read here"
+                )
+                return
+
+    def _unfollowed(self, fate: Fate, own: Sequence[Outage]) -> None:
+        """Apply rules 9 and 10."""
+        case, times = self._case, self._case.captured(fate.stream)
+        pipes = {
+            reported.pipe
+            for reported in case.reported_losses
+            if reported.at_pipe and reported.msg_id == fate.stream.msg_id and not reported.at_output
+        }
+        surely = [item for item in own if any(pipe.startswith(item.app) for pipe in pipes)]
+        alike = [item for item in self._fates if not item.seen and item.stream.link is fate.stream.link]
+        if not surely and len(alike) == 1 and len({item.app for item in own}) == 1:
+            surely = list(own)
+        for item in surely:
+            inside = fate.open & (times > item.ended_ns)
+            if item.end_ns is not None:
+                inside &= times < item.asked_ns
+            lacking = np.flatnonzero(inside)
+            if fate.claim(lacking):
+                self.losses.append(loss_of(case, fate, "stopped", lacking, [item.witness], hop=item.app))
+        first = min(surely or own, key=lambda item: item.start_ns)
+        fate.unfollowed = times > first.start_ns
+        fate.unfollowed_since = first.witness
+
+
+def _newest(case: Case, fate: Fate, out: Stream) -> NDArray[np.bool_]:
+    """Tell which messages an application that keeps the newest would send: the last of each of its rounds."""
+    times, left = case.captured(fate.stream), case.captured(out)
+    steps = np.diff(left)[out.missing[:-1] == 0]
+    period = int(np.median(steps)) if len(steps) >= _LEAST_ROUNDS else 0
+    if not fate.newer.any() or period < _FASTER * float(np.median(np.diff(times))):
+        return np.ones(len(times), bool)
+    before = left[np.maximum(np.searchsorted(left, times) - 1, 0)]
+    turn = (times - before) // period
+    return np.append((np.diff(before) != 0) | (np.diff(turn) != 0), True)

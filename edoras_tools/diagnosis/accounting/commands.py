@@ -5,37 +5,45 @@ Rules:
 1. A message that came out arrived. One that did not, so near the end that it may yet, waits.
 2. What CI did not count was lost before it, whatever became of the rest (``ingest``).
 3. What cFS refused (``refused``) is no loss on the way.
-4. While the application was stopped, and until something comes out again, nothing arrives (``stops``).
-5. What is left may be what the software bus counted (``bus``).
+4. While the application was stopped, and until something comes out again, nothing arrives (``closed``).
+5. What is left may be what the software bus counted (``bus``, ``pipes``).
 6. Then, of messages that an application takes in one round and of which the last went on, the others are
    superseded.
 7. What remains is not accounted for, and said to be.
+8. What no counter explains and the capture itself may have missed is uncertain.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.cfs import names, sbn, telemetry_output
-from edoras_tools.diagnosis.accounting.before_ci import BeforeCi
-from edoras_tools.diagnosis.accounting.claims import POSSIBLE, settle_first, settle_known, settle_rest
-from edoras_tools.diagnosis.accounting.doubt import doubt, hold_back, may_be_missed
-from edoras_tools.diagnosis.accounting.fates import WAITS_NS, Fate, follow, loss_of
-from edoras_tools.diagnosis.accounting.leftover import Leftover
+from edoras_tools.diagnosis.accounting.claims import (
+    MISSING,
+    POSSIBLE,
+    settle_first,
+    settle_known,
+    settle_rest,
+    shares,
+)
+from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, Stops
+from edoras_tools.diagnosis.accounting.ingest import BeforeCi
 from edoras_tools.diagnosis.accounting.losses import (
     COUNTERS,
     SBN_SOCKET,
     TAIL_NS,
+    WAITS_NS,
     Among,
-    Known,
+    Fate,
     Loss,
+    follow,
+    loss_of,
 )
-from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Pipes
-from edoras_tools.diagnosis.accounting.ports import PORT_CLOSED
-from edoras_tools.diagnosis.accounting.stops import Stops
+from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Leftover, Pipes
+from edoras_tools.diagnosis.quality import CONFIDENCE
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
 from edoras_tools.words import plural
@@ -46,29 +54,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.accounting.bus import Telemetry
-    from edoras_tools.diagnosis.accounting.claims import Counts
-    from edoras_tools.diagnosis.accounting.ingest import Ingest
-    from edoras_tools.diagnosis.quality import Quality
-
+    from edoras_tools.diagnosis.accounting.claims import Claim, Shared
+    from edoras_tools.diagnosis.accounting.losses import LossKind
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.diagnosis.verdict import Verdict
 
 _COUNTS: Final = 256
 _WRAPPED: Final = 128
 """A counter of 8 bits that falls by more began again from 0, by itself."""
-
-
-@dataclass(frozen=True, slots=True)
-class Refused:
-    """Messages that came to nothing by what they are: a verdict's figures, and whether types tell it."""
-
-    rule: str
-    link: str | None
-    msg_id: int | None
-    hop: str | None
-    start_ns: int
-    end_ns: int
-    lost: int
-    of: int | None
-    by_type: bool = False
+_UNEXPLAINED: Final = frozenset({"after", "unknown"})
 
 
 class Commands:
@@ -84,69 +79,51 @@ class Commands:
             nothing that was captured.
     """
 
-    def __init__(
-        self,
-        known: Known,
-        counts: Mapping[int, Counts],
-        accounts: Sequence[Ingest],
-        refused: Sequence[Refused],
-        telemetry: Telemetry,
-        quality: Quality,
-    ) -> None:
-        self._known = known
-        self.telemetry = telemetry
+    def __init__(self, case: Case, telemetry: Telemetry) -> None:
+        self._case, self.telemetry = case, telemetry
         self.losses: list[Loss] = []
-        self.fates: dict[int, Fate] = {}
         self.unplaced: dict[int, int] = {}
         self.placed: dict[int, tuple[int, Among]] = {}
-        for stream in known.streams:
-            if stream.link.only_to_cfs or (stream.link.peers and not stream.counted):
-                self.fates[id(stream)] = follow(known, stream)
+        self.fates = {
+            id(stream): follow(case, stream)
+            for stream in case.streams
+            if stream.link.only_to_cfs or (stream.link.peers and not stream.counted)
+        }
         fates = list(self.fates.values())
-        before_ci, pipes = BeforeCi(known, fates, self.losses), Pipes(known, counts, self.losses)
-        for account in accounts:
+        before_ci, pipes = BeforeCi(case, fates, self.losses), Pipes(case, self.losses)
+        for account in case.ingests:
             before_ci.share(account)
-        self._refuse([item for item in refused if not item.by_type])
-        stops = Stops(known, fates)
+        self._refuse([item for item in case.refused if not item.by_type])
+        stops = Stops(case, fates)
         for fate in fates:
             if fate.stream.link.peers:
                 self._down(fate)
         for fate in fates:
             self._pass_on(fate)
             pipes.claim(fate)
-        hold_back(known, telemetry, quality)
-        claims = [*telemetry.claims, *pipes.claims]
+        hold_back(case, telemetry.claims)
+        counts, claims = case.loss_counts, [*telemetry.claims, *pipes.claims]
         shared = settle_known(counts, claims)
-        settle_first(counts, claims, may_be_missed(known, claims, quality))
+        settle_first(counts, claims, may_be_missed(case, claims))
         tails = {claim.flow: sum(claim.taken.values()) for claim in claims if claim.rank == POSSIBLE}
         pipes.tell()
         stops.tell()
         self.losses += stops.losses
-        for account in accounts:
+        for account in case.ingests:
             before_ci.wait(account)
-        among = {at: item.number for at, item in enumerate(shared)}
-        counting = {item.endpoint for item in accounts}
-        for fate in fates:
-            if fate.seen or fate.stream.receiver not in counting:
-                self._not_received(fate)
-            own = [at for at, item in enumerate(shared) if id(fate.stream) in item.flows]
-            fate.shared = sum(shared[at].number for at in own)
-            self._rest(fate, tails, own, among)
-        older_ns = {item.endpoint: item.older_until_ns for item in accounts}
-        leftover = Leftover(known, counts, self.fates, pipes, older_ns)
+        self._end(fates, tails, shared)
+        leftover = Leftover(case, self.fates, pipes)
         leftover.share(shared)
         settle_rest(counts, claims)
         telemetry.tell()
-        self._name([item for item in refused if item.by_type])
-        doubt(known, telemetry, fates, quality)
+        self._name([item for item in case.refused if item.by_type])
+        doubt(case, telemetry, fates)
         leftover.tell(telemetry.losses)
         self.uncaptured = leftover.uncaptured
-        self._finish(fates)
-
-    def _finish(self, fates: Sequence[Fate]) -> None:
-        """Count what nothing has told of yet."""
         for fate in fates:
-            self._unfollowed(fate)
+            if fate.unfollowed is not None:
+                open_ = int((fate.open & fate.unfollowed).sum())
+                fate.ends["unaccounted"] = min(open_, self._untold(fate))
         self._number(fates)
         for fate in fates:
             if fate.stream.known_id == telemetry_output.COMMAND_MSG_ID and fate.stream.link.only_to_cfs:
@@ -154,67 +131,73 @@ class Commands:
 
     def _down(self, fate: Fate) -> None:
         """Tell lost what came over SBN while its cFS was down: from its last packet to its next boot."""
-        known, times = self._known, self._known.captured(fate.stream)
-        if known.network.crossing(fate.stream.sender, fate.stream.receiver):
+        case, times = self._case, self._case.captured(fate.stream)
+        if case.network.crossing(fate.stream.sender, fate.stream.receiver):
             return  # its silence as a peer tells of that
-        items, systems = known.instances.items, known.instances.systems
+        items, systems = case.instances.items, case.instances.systems
         for index, later in enumerate(items):
-            boot_ns = later.boot_ns(known.profile)
+            boot_ns = later.boot_ns(case.profile)
             before = [
                 item.last_ns
                 for item, system in zip(items, systems, strict=True)
                 if system == systems[index] and item.last_ns < min(boot_ns, later.first_ns)
             ]
-            if not before or not known.goes_to(fate.stream, index):
-                continue
-            chosen = np.flatnonzero(fate.open & (times > max(before)) & (times < boot_ns))
-            if fate.claim(chosen):
+            if before and case.goes_to(fate.stream, index):
+                chosen = np.flatnonzero(fate.open & (times > max(before)) & (times < boot_ns))
                 text = f"{plural(len(chosen), 'message')} over SBN while it was not running"
-                self.losses.append(loss_of(known, fate, "down", chosen, [text], hop=SBN_SOCKET))
+                self._lose(fate, "down", chosen, text)
 
-    def refusals(self, item: Refused) -> int:
+    def _lose(self, fate: Fate, kind: LossKind, rows: NDArray[np.intp], text: str) -> None:
+        """Tell messages lost, those of them that are open: before CI, or in SBN's socket."""
+        if fate.claim(rows):
+            hop = SBN_SOCKET if fate.stream.link.peers else ""
+            self.losses.append(loss_of(self._case, fate, kind, rows, [text], hop=hop))
+
+    def refusals(self, item: Verdict) -> int:
         """Return how many messages of a refusal were lost by it, and by nothing else."""
         return self.unplaced[id(item)] + self.placed.get(id(item), (0, None))[0]
 
-    def _refuse(self, refused: Sequence[Refused]) -> None:
+    def _sent_within(self, item: Verdict, fate: Fate) -> NDArray[np.bool_] | None:
+        """Tell which messages of a stream a refusal can be of; None where none can."""
+        if (item.link, item.msg_id) != (fate.stream.link.label, fate.stream.msg_id):
+            return None
+        times = self._case.captured(fate.stream)
+        within = (times >= item.start_ns) & (times <= item.end_ns)
+        return within if within.any() else None
+
+    def _place(self, item: Verdict, fate: Fate, inside: NDArray[np.intp], most: int) -> int:
+        """Give a refusal messages of a stream, some of those that may be it; return how many."""
+        if number := fate.claim(inside[:most]):
+            fate.refused[item.rule] += number
+            self.placed[id(item)] = number, Among(fate.stream, inside)
+        return number
+
+    def _refuse(self, refused: Sequence[Verdict]) -> None:
         # One datagram that is named is that one; what many of a span may be comes after.
         for item in sorted(refused, key=lambda item: item.end_ns - item.start_ns):
-            left = item.lost
-            for fate in self.fates.values():
-                if left and (item.link, item.msg_id) == (fate.stream.link.label, fate.stream.msg_id):
-                    times = self._known.captured(fate.stream)
-                    within = (times >= item.start_ns) & (times <= item.end_ns)
-                    if not within.any():
-                        continue  # another sender's of the same MsgId
-                    inside = np.flatnonzero((fate.open | fate.blind) & within)
-                    if number := fate.claim(inside[:left]):
-                        fate.refused[item.rule] += number
-                        self.placed[id(item)] = number, Among(fate.stream, inside)
+            left = item.lost or 0
+            for fate in self.fates.values() if left else ():
+                within = self._sent_within(item, fate)
+                if within is not None:  # else another sender's of the same MsgId
+                    self._place(item, fate, np.flatnonzero((fate.open | fate.blind) & within), left)
                     left = 0  # what is not open arrived, or is told of by another verdict
+                    break
             self.unplaced[id(item)] = left
 
-    def _name(self, refused: Sequence[Refused]) -> None:
+    def _name(self, refused: Sequence[Verdict]) -> None:
         """Give a cause to what is unaccounted for, where the types of a mission tell one.
 
         They are wrong where a message arrived that they refuse.
         """
         self.unplaced |= dict.fromkeys(map(id, refused), 0)
         for fate in self.fates.values() if refused else ():
-            stream, times = fate.stream, self._known.captured(fate.stream)
-            own = [
-                (item, (times >= item.start_ns) & (times <= item.end_ns))
-                for item in refused
-                if fate.seen and (item.link, item.msg_id) == (stream.link.label, stream.msg_id)
-            ]
-            if any(item.lost > (within & ~fate.arrived).sum() for item, within in own if within.any()):
+            every = ((item, self._sent_within(item, fate)) for item in refused if fate.seen)
+            own = [(item, within) for item, within in every if within is not None]
+            if any((item.lost or 0) > (within & ~fate.arrived).sum() for item, within in own):
                 continue
             for item, within in own:
-                inside = np.flatnonzero(fate.open & within)
-                number = fate.claim(inside[: min(item.lost, fate.unaccounted)])
-                if number:
-                    fate.unaccounted -= number
-                    fate.refused[item.rule] += number
-                    self.placed[id(item)] = number, Among(stream, inside)
+                most = min(item.lost or 0, fate.ends["unaccounted"])
+                fate.ends["unaccounted"] -= self._place(item, fate, np.flatnonzero(fate.open & within), most)
 
     def _pass_on(self, fate: Fate) -> None:
         """Mark those that may have come out of the application, and are among what is missing behind it.
@@ -236,20 +219,15 @@ class Commands:
             fate.passed[open_[nth < room[behind]]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
 
-    def _unfollowed(self, fate: Fate) -> None:
-        """Count what nobody can follow, of what nothing else has told."""
-        if fate.unfollowed is not None:
-            fate.unaccounted = min(int((fate.open & fate.unfollowed).sum()), self._untold(fate))
-
     def _untold(self, fate: Fate) -> int:
         """Return of how many messages nothing has told what became of them."""
-        told = sum(loss.lost for loss in self.losses if loss.stream is fate.stream)
-        taken = sum(fate.refused.values()) + fate.queued + fate.late + fate.uncounted
-        return max(0, len(fate.stream) - told - taken)
+        lost = sum(loss.lost for loss in self.losses if loss.stream is fate.stream)
+        taken = fate.refused.total() + sum(fate.ends[how] for how in ("queued", "late", "uncounted"))
+        return max(0, len(fate.stream) - lost - taken)
 
     def _number(self, fates: Sequence[Fate]) -> None:
         """Hold the one stream of commands whose values are cut off against the number that the robot got."""
-        rows = self._known.rows
+        rows = self._case.rows
         there = np.flatnonzero(among(rows.link, lambda item: item.last_hop))
         unseen = [
             fate
@@ -258,20 +236,20 @@ class Commands:
             and not fate.seen
             and (fate.stream.known_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE)
         ]
-        if not len(there) or len(unseen) != 1 or any(hop.out.link.last_hop for hop in self._known.hops):
+        if not len(there) or len(unseen) != 1 or any(hop.out.link.last_hop for hop in self._case.hops):
             return
         (fate,) = unseen
         cut = rows.has(Finding.CAPTURE_CUT)
         if cut[there].any() or cut[fate.stream.rows].any():
-            left = self._untold(fate) + fate.queued + fate.late
+            left = self._untold(fate) + fate.ends["queued"] + fate.ends["late"]
             fate.reached = min(left, len(there))
             left -= fate.reached
             # What the robot got CI had read, counted or not.
-            fate.queued = min(fate.queued, left)
-            fate.late = min(fate.late, left - fate.queued)
-            left -= fate.queued + fate.late
-            late = self._known.captured(fate.stream) > self._known.end_ns - WAITS_NS
-            fate.unaccounted = max(0, left - int(late.sum()))
+            fate.ends["queued"] = min(fate.ends["queued"], left)
+            fate.ends["late"] = min(fate.ends["late"], left - fate.ends["queued"])
+            left -= fate.ends["queued"] + fate.ends["late"]
+            late = self._case.captured(fate.stream) > self._case.end_ns - WAITS_NS
+            fate.ends["unaccounted"] = max(0, left - int(late.sum()))
 
     def _commanded(self, fate: Fate) -> None:
         """Hold commands to Telemetry Output against its own counters in 0x880.
@@ -280,74 +258,84 @@ class Commands:
         last may not be in it yet. A counter that was set back tells nothing, nor those of
         several cFS, or of one that was started again, or whose Telemetry Output was.
         """
-        known, samples = self._known, self._known.payloads.commanded
-        senders = np.unique(known.rows.source[samples["row"]])
-        if fate.seen or len(samples) < 2 or len(senders) != 1 or len(known.instances.items) != 1:
+        case, samples = self._case, self._case.payloads.commanded
+        senders = np.unique(case.rows.source[samples["row"]])
+        if fate.seen or len(samples) < 2 or len(senders) != 1 or len(case.instances.items) != 1:
             return
         steps = np.stack([np.diff(samples[name]) for name in ("taken", "refused")])
         steps[steps < -_WRAPPED] += _COUNTS
-        reset = any(item.function_code == telemetry_output.RESET for item in known.payloads.output)
-        if reset or (steps < 0).any():
+        if case.payloads.outputs(telemetry_output.RESET) or (steps < 0).any():
             return
         fate.commanded = int(steps.sum())
-        times, counted_ns = known.captured(fate.stream), samples["time_ns"]
+        times, counted_ns = case.captured(fate.stream), samples["time_ns"]
         inside = int(((times > counted_ns[0]) & (times <= counted_ns[-1] - TAIL_NS)).sum())
-        fate.unaccounted = max(0, inside - (len(times) - self._untold(fate)) - fate.commanded)
+        fate.ends["unaccounted"] = max(0, inside - (len(times) - self._untold(fate)) - fate.commanded)
 
-    def _not_received(self, fate: Fate) -> None:
-        """Tell lost what nothing else has told of and that came to a port that nobody listened on."""
-        chosen = np.flatnonzero(fate.open & self._known.closed[fate.stream.rows])
-        if fate.claim(chosen):
-            hop = SBN_SOCKET if fate.stream.link.peers else ""
-            text = "ICMP errors: port unreachable"
-            self.losses.append(loss_of(self._known, fate, PORT_CLOSED, chosen, [text], hop=hop))
-
-    def _rest(
-        self, fate: Fate, tails: Mapping[int, int], shared: Sequence[int], among: dict[int, int]
-    ) -> None:
-        """Rules 6 and 7.
+    def _end(self, fates: Sequence[Fate], tails: Mapping[int, int], shared: Sequence[Shared]) -> None:
+        """Tell what became of what is left, rules 6 and 7.
 
         Args:
             tails: id of a stream to what counters have of it behind its last message.
-            shared: which counts it shares with other traffic.
-            among: each of these to how many of them may still be messages that did not come out.
+            shared: counts that several kinds of traffic share.
         """
-        if not fate.seen:
-            return
-        edge = np.flatnonzero(fate.open & fate.edge)[: sum(tails.get(id(hop.out), 0) for hop in fate.hops)]
-        fate.passed[edge] = True
-        fate.passed_on = int((fate.open & fate.passed).sum())
+        counting = {item.endpoint for item in self._case.ingests}
+        left = [item.number for item in shared]
+        for fate in fates:
+            if fate.seen or fate.stream.receiver not in counting:
+                closed = np.flatnonzero(fate.open & self._case.unreachable.closed[fate.stream.rows])
+                self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
+            own = [at for at, item in enumerate(shared) if id(fate.stream) in item.flows]
+            fate.ends["shared"] = sum(shared[at].number for at in own)
+            if fate.seen:
+                self._rest(fate, tails)
+                self._share(fate, own, left)
+                last = [
+                    loss.span for loss in self.losses if loss.stream is fate.stream and loss.kind in COUNTERS
+                ]
+                # What a pipe loses to the end may be among those that are last.
+                fate.ends["uncertain"] = fate.waiting if fate.spans[-1] in last else 0
+
+    def _rest(self, fate: Fate, tails: Mapping[int, int]) -> None:
+        ends = fate.ends
+        behind = sum(tails.get(id(hop.out), 0) for hop in fate.hops)
+        fate.passed[np.flatnonzero(fate.open & fate.edge)[:behind]] = True
+        ends["passed_on"] = int((fate.open & fate.passed).sum())
         fate.open &= ~fate.passed
-        newer = fate.open & fate.newer
-        fate.superseded = int(newer.sum())
-        fate.open &= ~newer
-        times = self._known.captured(fate.stream)
+        ends["superseded"] = int((fate.open & fate.newer).sum())
+        fate.open &= ~fate.newer
+
         if fate.stream.link.peers:
-            self._rushed(fate, times)
-        fate.beyond = int((fate.open & fate.edge).sum())
-        unaccounted = int(fate.open.sum()) - fate.beyond
+            self._rushed(fate, self._case.captured(fate.stream))
+        ends["beyond"] = int((fate.open & fate.edge).sum())
+        unaccounted = int(fate.open.sum()) - ends["beyond"]
         # One that came out and was lost behind that took others' place, too.
-        more = min(unaccounted, fate.passed_on) if fate.newer.any() else 0
-        fate.superseded += more
-        fate.unaccounted = unaccounted - more
-        # What counters have of several together may be some of these.
-        for at in shared:
-            part = min(among[at], fate.unaccounted)
-            among[at] -= part
-            fate.unaccounted -= part
-            fate.elsewhere += part
-            fate.shared -= part
-        fate.shared = min(fate.shared, fate.superseded + fate.passed_on)
-        superseded = min(fate.shared, fate.superseded)
-        fate.superseded -= superseded
-        fate.passed_on -= fate.shared - superseded
-        last = [loss.span for loss in self.losses if loss.stream is fate.stream and loss.kind in COUNTERS]
-        # What a pipe loses to the end may be among those that are last.
-        fate.uncertain = fate.waiting if fate.spans[-1] in last else 0
+        more = min(unaccounted, ends["passed_on"]) if fate.newer.any() else 0
+        ends["superseded"] += more
+        ends["unaccounted"] = unaccounted - more
+
+    @staticmethod
+    def _share(fate: Fate, own: Sequence[int], left: list[int]) -> None:
+        """Let what counters have of several together be some of what is left.
+
+        Args:
+            own: which counts it shares with other traffic.
+            left: of each count, how many may still be messages that did not come out; they become fewer.
+        """
+        ends = fate.ends
+        for at in own:
+            part = min(left[at], ends["unaccounted"])
+            left[at] -= part
+            ends["unaccounted"] -= part
+            ends["elsewhere"] += part
+            ends["shared"] -= part
+        ends["shared"] = min(ends["shared"], ends["superseded"] + ends["passed_on"])
+        superseded = min(ends["shared"], ends["superseded"])
+        ends["superseded"] -= superseded
+        ends["passed_on"] -= ends["shared"] - superseded
 
     def _rushed(self, fate: Fate, times: NDArray[np.int64]) -> None:
         """Tell lost in SBN's socket what did not come out, and came when SBN had more than it reads."""
-        rows, wake_ns = self._known.rows, self._known.profile.sbn_wake_ns
+        rows, wake_ns = self._case.rows, self._case.profile.sbn_wake_ns
         there = np.sort(rows.time_ns[rows.destination == fate.stream.receiver])
         before = np.searchsorted(there, times, "right") - np.searchsorted(there, times - wake_ns, "right")
         beyond = times[before > sbn.DATAGRAMS_PER_WAKE]
@@ -358,10 +346,104 @@ class Commands:
         away = np.minimum(np.abs(times - beyond[after]), np.abs(times - beyond[np.maximum(after - 1, 0)]))
         chosen = np.flatnonzero(fate.open & (away <= LATE_NS))
         chosen = np.sort(chosen[np.argsort(away[chosen], kind="stable")][: len(beyond)])
-        if len(chosen):
-            fate.claim(chosen)
+        if fate.claim(chosen):
             text = (
                 f"up to {int(before.max()):,} datagrams came to it within {wake_ns // 1_000_000} ms, and it "
                 f"reads about {sbn.DATAGRAMS_PER_WAKE}; no counter has what its socket drops"
             )
-            self.losses.append(loss_of(self._known, fate, "sbn_socket", chosen, [text], hop=SBN_SOCKET))
+            self.losses.append(loss_of(self._case, fate, "sbn_socket", chosen, [text], hop=SBN_SOCKET))
+
+
+def hold_back(case: Case, claims: Sequence[Claim]) -> None:
+    """Keep counts from what the capture may have missed, where no event names it and no pipe was full of it.
+
+    Such a claim takes what nothing else explains; a capture that lacks frames lacks what explains it, too.
+    """
+    groups: dict[int, list[Claim]] = {}
+    for claim in claims:
+        if claim.rank == MISSING:
+            groups.setdefault(claim.flow, []).append(claim)
+    missing = sum(claim.number for own in groups.values() for claim in own)
+    if missing and not case.quality.excludes(missing / (sum(map(len, case.streams)) + missing)):
+        for stream in case.streams:
+            own = groups.get(id(stream), [])
+            for claim, share in zip(own, _missed(case, stream, [item.number for item in own]), strict=True):
+                claim.number -= share
+
+
+def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
+    """Return how many the capture may have missed of some numbers that are missing from a stream."""
+    of = len(stream) + int(stream.missing.sum())
+    most = case.quality.may_have_missed(of, _sure(case)) if numbers else 0
+    return shares(min(sum(numbers), most), numbers, numbers)
+
+
+def may_be_missed(case: Case, claims: Sequence[Claim]) -> dict[int, int]:
+    """Return id of a stream to how many the capture may have missed of those that no count explains yet."""
+    open_ = Counter[int]()
+    for claim in claims:
+        open_[claim.flow] += claim.open
+    sizes, quality = {id(stream): len(stream) for stream in case.streams}, case.quality
+    excluded = {flow for flow, number in open_.items() if quality.excludes(number / sizes[flow])}
+    return {
+        flow: 0 if flow in excluded else quality.may_have_missed(sizes[flow], _sure(case)) for flow in open_
+    }
+
+
+def _sure(case: Case) -> float:
+    """Return the confidence for one of many streams: that one lacks more than by itself is no wonder."""
+    return 1 - (1 - CONFIDENCE) / len(case.streams)
+
+
+def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate]) -> None:
+    """Take losses back that the capture may have missed: they become uncertain.
+
+    None does where a capture that misses such a share would show it; nor what came over TCP, where the bytes
+    themselves tell what the capture lacks.
+
+    Args:
+        telemetry: its losses become fewer, and are counted as uncertain there.
+        fates: likewise what is unaccounted for.
+    """
+    _leave_quiet(case, telemetry)
+    streamed, quality = case.rows.streamed, case.quality
+    gaps: dict[int, list[tuple[Loss, int]]] = {}
+    for loss in telemetry.losses:
+        number = loss.lost if loss.kind in _UNEXPLAINED else loss.uncounted
+        if number and loss.stream is not None and not streamed[loss.stream.rows[0]]:
+            gaps.setdefault(id(loss.stream), []).append((loss, number))
+    unseen = [fate for fate in fates if fate.seen and fate.ends["unaccounted"]]
+    missing = sum(number for own in gaps.values() for _, number in own)
+    sent = sum(map(len, case.streams)) + missing
+    missing += sum(fate.ends["unaccounted"] for fate in unseen)
+    if not missing or quality.excludes(missing / sent):
+        return
+    for stream in case.streams:
+        own = gaps.get(id(stream), [])
+        for (loss, _), share in zip(own, _missed(case, stream, [number for _, number in own]), strict=True):
+            _take_back(telemetry, loss, share)
+    telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
+    for fate in unseen:
+        number, of = fate.ends["unaccounted"], len(fate.stream)
+        if not quality.excludes(number / of):
+            fate.ends["missed"] = min(number, quality.may_have_missed(of, _sure(case)))
+        fate.ends["unaccounted"] -= fate.ends["missed"]
+
+
+def _leave_quiet(case: Case, telemetry: Telemetry) -> None:
+    """Take back what is missing where nothing at all was captured, and nobody shows whether it was there."""
+    for loss in telemetry.losses if case.quiet else ():
+        among = loss.among
+        if loss.kind in _UNEXPLAINED and among is not None and among.missing is not None:
+            times = case.captured(among.stream)
+            inside = np.zeros(len(among.rows), bool)
+            for start_ns, end_ns in case.quiet:
+                behind = np.minimum(among.rows + 1, len(times) - 1)
+                inside |= (times[among.rows] <= start_ns) & (times[behind] >= end_ns)
+            _take_back(telemetry, loss, min(loss.lost, int(among.missing[inside].sum())))
+    telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
+
+
+def _take_back(telemetry: Telemetry, loss: Loss, number: int) -> None:
+    loss.lost -= number
+    telemetry.ends[id(loss.stream)]["uncertain"] += number

@@ -25,26 +25,23 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import ceil
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services
+from edoras_tools.diagnosis.accounting.claims import shares
+from edoras_tools.diagnosis.accounting.losses import LOST_AT, Fate, Loss, loss_of
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.diagnosis.evidence.instances import Instances
-    from edoras_tools.diagnosis.evidence.payloads import Payloads
-    from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.diagnosis.matching.streams import Reset
-    from edoras_tools.model import Endpoint
+    from edoras_tools.diagnosis.case import Case
 
 Cause = Literal["socket", "network", "down", "restart", "ci_stopped", "unknown"]
 _SLACK_NS: Final = 100 * MILLISECOND
@@ -145,78 +142,46 @@ class Ingest:
         return sum(item.lost for item in self.losses)
 
 
-@dataclass(frozen=True, slots=True)
-class Sources:
-    """What the accounts of CI are made from."""
-
-    rows: Rows
-    payloads: Payloads
-    instances: Instances
-    endpoints: Sequence[Endpoint]
-    profile: SimProfile
-    resets: Sequence[Reset]
-    arrived_ns: Mapping[int, NDArray[np.int64]]
-    """CI's endpoint to when commands to it were sent that came out of cFS again, in order."""
-    first_out: Mapping[int, tuple[int, int]]
-    """CI's endpoint to when the first of those came out, and when it had been sent."""
-
-
-def ingests(sources: Sources) -> list[Ingest]:
-    """Return the account of every CI whose counter is in the capture and can be told from others'."""
-    rows = sources.rows
-    samples = _samples(sources)
+def ingests(case: Case) -> list[Ingest]:
+    """Return the account of every CI that is counted: by itself, or by the kernel of the recording host."""
+    rows = case.rows
     to_ci = np.flatnonzero(among(rows.link, lambda link: link.only_to_cfs) & (rows.length > 0))
-    places: dict[int, int | None] = {}
-    for system, own in samples.items():
-        host = sources.instances.items[own[0].instance].host
-        there = {
-            sources.instances.systems[at]
-            for at, item in enumerate(sources.instances.items)
-            if item.host == host
-        }
-        places[system] = _endpoint(sources, to_ci, own, alone=len(samples) == 1, shared=len(there) > 1)
+    samples = _samples(case)
+    places = {system: _endpoint(case, to_ci, own, alone=len(samples) == 1) for system, own in samples.items()}
     taken = Counter(places.values())
     found = []
     for system, own in samples.items():
         endpoint = places[system]
         # Of two CIs at one address and port nothing tells which was meant.
         if endpoint is not None and taken[endpoint] == 1 and len(own) > 1:
-            mine = to_ci[rows.destination[to_ci] == endpoint]
-            mine = mine[np.argsort(rows.time_ns[mine], kind="stable")]
-            account = _account(sources, endpoint, system, mine, own)
+            counted = _Counted(case, endpoint, system, _to(case, to_ci, endpoint), own)
+            account = counted.account()
             if account.lost_on_network:
-                late = _account(sources, endpoint, system, mine, own, _UNDER_WAY_NS)
+                late = counted.account(_UNDER_WAY_NS)
                 # What a slow network explains altogether is no loss: rule 8.
                 account = account if late.lost_on_network else late
             found.append(account)
-    return found
+    return [*found, *_by_kernel(case, to_ci, {item.endpoint for item in found})]
 
 
-def kernel_accounts(sources: Sources, drops: Mapping[int, int], counted: Collection[int]) -> list[Ingest]:
-    """Return the account of every CI without a count here, of whose socket the kernel counted drops.
+def _to(case: Case, to_ci: NDArray[np.intp], endpoint: int) -> NDArray[np.intp]:
+    """Return the datagrams to one CI, in order of time."""
+    mine = to_ci[case.rows.destination[to_ci] == endpoint]
+    return np.asarray(mine[np.argsort(case.rows.time_ns[mine], kind="stable")])
 
-    Args:
-        drops: datagrams that full sockets dropped, by UDP port.
-        counted: endpoints of the CIs that have a count.
-    """
-    rows = sources.rows
-    to_ci = np.flatnonzero(among(rows.link, lambda link: link.only_to_cfs) & (rows.length > 0))
-    places = np.unique(rows.destination[to_ci]).tolist()
-    ports = Counter(sources.endpoints[item].port for item in places)
-    found = []
+
+def _by_kernel(case: Case, to_ci: NDArray[np.intp], counted: Collection[int]) -> Iterator[Ingest]:
+    """Yield the account of every CI without a count here, of whose socket the kernel counted drops."""
+    places = np.unique(case.rows.destination[to_ci]).tolist()
+    ports = Counter(case.endpoints[item].port for item in places)
     for endpoint in places:
-        port = sources.endpoints[endpoint].port
+        port = case.endpoints[endpoint].port
         # Of two hosts' sockets nothing tells which one the counter is of.
-        if endpoint in counted or ports[port] > 1 or not drops.get(port):
-            continue
-        mine = to_ci[rows.destination[to_ci] == endpoint]
-        mine = mine[np.argsort(rows.time_ns[mine], kind="stable")]
-        first_ns, last_ns = int(rows.time_ns[mine[0]]), int(rows.time_ns[mine[-1]])
-        lost = min(drops[port], len(mine))
-        before = Before("socket", lost, first_ns, last_ns)
-        taken = len(mine) - lost
-        found.append(Ingest(endpoint, NOBODY, mine, first_ns, last_ns, taken, [before], by_kernel=True))
-    return found
+        if endpoint not in counted and ports[port] == 1 and (drops := case.host.by_port.get(port)):
+            mine = _to(case, to_ci, endpoint)
+            span, lost = case.span(mine), min(drops, len(mine))
+            before, taken = Before("socket", lost, *span), len(mine) - lost
+            yield Ingest(endpoint, NOBODY, mine, *span, taken, [before], by_kernel=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,10 +195,10 @@ class _Sample:
     source: int
 
 
-def _samples(sources: Sources) -> dict[int, list[_Sample]]:
+def _samples(case: Case) -> dict[int, list[_Sample]]:
     """Return the counts of each cFS, in order of time, all its boots together."""
-    rows, instances = sources.rows, sources.instances
-    samples = sources.payloads.ingest
+    rows, instances = case.rows, case.instances
+    samples = case.payloads.ingest
     row, counts = samples["row"], (samples["packets"] + samples["errors"]) % _MODULUS
     found: dict[int, dict[int, _Sample]] = {}
     own = (instances.of_row[row] != NOBODY) & among(rows.link[row], lambda link: link.only_from_cfs)
@@ -242,175 +207,251 @@ def _samples(sources: Sources) -> dict[int, list[_Sample]]:
     for instance, source, seen, mission_ns, count in zip(
         *(column.tolist() for column in (*columns, counts[own])), strict=True
     ):
-        if instance != instances.owner(source, seen):
-            continue
-        sample = _Sample(seen, mission_ns + instances.items[instance].offset_ns, count, instance, source)
-        found.setdefault(instances.systems[instance], {}).setdefault(seen, sample)
+        if instance == instances.owner(source, seen):
+            made_ns = mission_ns + instances.items[instance].offset_ns
+            sample = _Sample(seen, made_ns, count, instance, source)
+            found.setdefault(instances.systems[instance], {}).setdefault(seen, sample)
     return {system: [of[when] for when in sorted(of)] for system, of in found.items()}
 
 
-def _endpoint(
-    sources: Sources, to_ci: NDArray[np.intp], own: Sequence[_Sample], *, alone: bool, shared: bool
-) -> int | None:
+def _endpoint(case: Case, to_ci: NDArray[np.intp], own: Sequence[_Sample], *, alone: bool) -> int | None:
     """Return where a cFS's CI listens: the only place, or that of its address and number.
 
     Args:
         to_ci: rows of datagrams to any CI.
         own: its counts.
         alone: no other cFS counts.
-        shared: another cFS has its address.
     """
-    places = np.unique(sources.rows.destination[to_ci]).tolist()
+    places: list[int] = np.unique(case.rows.destination[to_ci]).tolist()
     if len(places) == 1 and alone:
-        return int(places[0])
-    address = sources.endpoints[own[0].source].address
-    here = [place for place in places if sources.endpoints[place].address == address]
+        return places[0]
+    items = case.instances.items
+    host, address = items[own[0].instance].host, case.endpoints[own[0].source].address
+    there = zip(items, case.instances.systems, strict=True)
+    shared = len({system for item, system in there if item.host == host}) > 1
+    here = [place for place in places if case.endpoints[place].address == address]
     if len(here) > 1 or shared:
-        names = {sources.instances.items[sample.instance].name for sample in own} - {""}
+        names = {items[sample.instance].name for sample in own} - {""}
         processor = max(names, default="").partition(":")[2]
         port = command_ingest.PORT + int(processor) - 1 if processor.isdecimal() else 0
-        here = [place for place in here if sources.endpoints[place].port == port]
-    return int(here[0]) if len(here) == 1 else None
+        here = [place for place in here if case.endpoints[place].port == port]
+    return here[0] if len(here) == 1 else None
 
 
-def _account(
-    sources: Sources,
-    endpoint: int,
-    system: int,
-    mine: NDArray[np.intp],
-    own: Sequence[_Sample],
-    under_way_ns: int = 0,
-) -> Ingest:
-    """Hold what was sent to a CI against its counts, if that was under way for so long at the most."""
-    sent_ns = sources.rows.time_ns[mine]
-    seen = np.array([item.seen_ns for item in own])
-    made = np.array([item.made_ns for item in own])
-    count = np.array([item.count for item in own])
-    account = Ingest(endpoint, system, mine, int(seen[0]), int(seen[-1]))
-    sent = np.searchsorted(sent_ns, seen, "right")
-    starts = [at for at in range(1, len(own)) if _anew(own[at - 1], own[at])]
-    lost = before = last = 0
-    for first, end in pairwise([0, *starts, len(own)]):
-        part = slice(first, end)
-        high = sent[part] - count[part]
-        emptied_ns, busy = _emptied(sources.profile, seen[part], made[part], count[part])
-        emptied_ns -= under_way_ns
-        low = np.where(busy, -_MODULUS, np.searchsorted(sent_ns, emptied_ns, "right") - count[part])
-        if first and _reset(sources, endpoint, own[first - 1], own[first]):
-            # It ran on, and set its count to 0 by itself: nothing tells of a loss just then.
-            begin: tuple[Cause, int] = ("network", own[first - 1].seen_ns)
-            before = _older(low, high) - lost
-        elif first:
-            ended_ns = _ended_ns(sources, endpoint, own[first - 1], own[first])
-            most_read = before + _most_read(sources.profile, own[last:first], ended_ns)
-            before = int(np.searchsorted(sent_ns, ended_ns, "right")) - lost
-            if before > most_read:
-                # What waited in its socket is gone with it; where it could not keep up it was lost before.
-                full = account.waiting > 2 * sources.profile.ci_datagrams_per_wake
-                account.losses.append(
-                    Before("socket" if full else "restart", before - most_read, own[last].seen_ns, ended_ns)
-                )
-                lost += before - most_read
-                before = most_read
-            down = own[first - 1].instance != own[first].instance or any(
-                item.instance == own[first].instance
-                and item.start_ns <= own[first].seen_ns
-                and own[first - 1].seen_ns <= item.end_ns
-                for item in sources.resets
-            )
-            begin = ("down" if down else "restart", ended_ns)
-        else:
-            begin = _first(sources, own[0], sent_ns)
-            before = 0 if begin[0] == "down" else _older(low, high)
-            if begin[0] != "down":
-                before = min(before, _most_older(sources, endpoint, sent_ns, own[:end]))
-            if busy[1:2].any():
-                low[0] = -_MODULUS  # how much it had read before the first sample, nothing tells
-                idle = np.flatnonzero(np.diff(count[part]) < sources.profile.ci_datagrams_per_wake)
-                behind = int(seen[idle[0] + 1]) if len(idle) else int(seen[-1])
-                if count[end - 1] != sent[end - 1]:  # else it read what was sent here, and nothing older
-                    account.older_until_ns = min(behind, int(seen[0]) + DRAINS_NS)
-        most = sources.profile.ci_datagrams_per_wake
-        drained = np.diff(count[part], prepend=count[first]) < most
-        unread = 0 if first else _unseen(sources, endpoint, sent_ns, own[0])
-        # What was sent before the capture began may wait, and is not lost here.
-        high = high - before if first else np.minimum(high - before, sent[part])
-        run = _Run(seen[part], low - before, high, drained, busy, 2 * most, unread)
-        told = account.losses[-1:]
-        lost = _follow(account, run, lost, begin)
-        account.more = account.losses[-1].more if account.losses[-1:] != told else 0
-        if not first and before and unread is None and account.losses and not busy[1:2].any():
-            least = _sent_until(sources, sent_ns, int(emptied_ns[0])) - own[0].count
-            account.unsure = max(0, before - least)
-        account.waiting = max(0, int(run.high[-1]) - lost)
-        last = first
-    account.taken = int(sent[-1]) - lost - account.waiting
-    if stopped := _stopped(sources, own[-1]):
-        said, since_ns = stopped
-        if unread := int((sent_ns > since_ns).sum()):
-            account.losses.append(Before("ci_stopped", unread, since_ns, int(sent_ns[-1]), said=said))
-    return account
+class _Counted:
+    """What was sent to a CI, and its counts.
 
-
-def _stopped(sources: Sources, last: _Sample) -> tuple[str, int] | None:
-    """Return what said that a CI was stopped, and since when it read nothing; None where it started again."""
-    found = None
-    for record in sources.payloads.events:
-        own = record.app == executive_services.NAME and sources.instances.saying(record) == last.instance
-        if own and record.time_ns > last.seen_ns - _LATE_NS and _NAMED.search(record.message):
-            told = _told_ns(sources, last.seen_ns - SECOND, record.time_ns)
-            stops = record.event_id == executive_services.STOPPED
-            found = (f"event {record}", max(told, default=record.time_ns)) if stops else None
-    return found
-
-
-def _told_ns(sources: Sources, start_ns: int, end_ns: int) -> list[int]:
-    """Return until when CI may have read on after commands that end it, of those between two times."""
-    told = [
-        int(sources.rows.time_ns[item.row]) + _ENDS_NS
-        for item in sources.payloads.executive
-        if item.app in command_ingest.NAMES and item.function_code in executive_services.ENDS_APP
-    ]
-    return [when for when in told if start_ns < when < end_ns]
-
-
-def _sent_until(sources: Sources, sent_ns: NDArray[np.int64], time_ns: int) -> int:
-    """Return how many datagrams were sent until a time; before the capture as after its start, negative."""
-    start_ns = int(sources.rows.time_ns[0])
-    if time_ns >= start_ns:
-        return int(np.searchsorted(sent_ns, time_ns, "right"))
-    return -int(np.searchsorted(sent_ns, 2 * start_ns - time_ns, "right"))
-
-
-def _emptied(
-    profile: SimProfile, seen: NDArray[np.int64], made: NDArray[np.int64], count: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return until when each sample's CI surely had read all there was, and where it read all that it can.
-
-    A sample is older than its datagram by up to a round of Telemetry Output, or as its clock says, and CI
-    read up to a wake-up before.
+    Args:
+        rows: the datagrams to it, in order of time.
+        own: its counts, likewise.
     """
-    most, wake_ns = profile.ci_datagrams_per_wake, profile.ci_wake_ns
-    read = np.diff(count, prepend=count[0])
-    steps = np.diff(seen, prepend=seen[0])
-    busy = read > _BUSY * most * np.maximum(1.0, steps / wake_ns)
-    # Fewer than one wake-up can read: it was empty after the last. Else after an earlier one, or never.
-    oldest = np.minimum(seen - profile.to_wake_ns, made) - wake_ns - _SLACK_NS
-    return oldest - np.where(read < most, 0, steps), busy
+
+    def __init__(
+        self, case: Case, endpoint: int, system: int, rows: NDArray[np.intp], own: Sequence[_Sample]
+    ) -> None:
+        self._case, self._profile = case, case.profile
+        self._endpoint, self._system, self._rows, self._own = endpoint, system, rows, own
+        self._most = self._profile.ci_datagrams_per_wake
+        self._sent_ns = case.rows.time_ns[rows]
+        self._seen, self._made, self._count = (
+            np.array([getattr(item, name) for item in own]) for name in ("seen_ns", "made_ns", "count")
+        )
+        hops = [hop for hop in case.hops if hop.into.link.only_to_cfs and hop.into.receiver == endpoint]
+        sent = [case.captured(hop.into)[hop.arrived] for hop in hops]
+        self._arrived = np.sort(np.concatenate(sent)) if sent else None
+        """When commands to it were sent that came out of cFS again, in order; None where nothing shows it."""
+        self._first_out = min((hop.first for hop in hops if hop.first is not None), default=(0, 0))
+        """When the first of those came out, and when it had been sent."""
+
+    def account(self, under_way_ns: int = 0) -> Ingest:
+        """Hold what was sent against the counts, if that was under way for so long at the most."""
+        own, count, most = self._own, self._count, self._most
+        account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
+        sent = np.searchsorted(self._sent_ns, self._seen, "right")
+        starts = [at for at in range(1, len(own)) if _anew(own[at - 1], own[at])]
+        lost = before = last = 0
+        for first, end in pairwise([0, *starts, len(own)]):
+            part = slice(first, end)
+            high = sent[part] - count[part]
+            emptied_ns, busy = self._emptied(part)
+            emptied_ns -= under_way_ns
+            low = np.where(busy, -_MODULUS, self._sent_until(emptied_ns) - count[part])
+            if first and self._reset(own[first - 1], own[first]):
+                # It ran on, and set its count to 0 by itself: nothing tells of a loss just then.
+                begin: tuple[Cause, int] = ("network", own[first - 1].seen_ns)
+                before = _older(low, high) - lost
+            elif first:
+                begin, lost, before = self._restarted(account, last, first, lost, before)
+            else:
+                begin = self._first_count()
+                older = 0 if begin[0] == "down" else min(_older(low, high), self._most_older(end))
+                before = older
+                if busy[1:2].any():
+                    low[0] = -_MODULUS  # how much it had read before the first sample, nothing tells
+                    idle = np.flatnonzero(np.diff(count[part]) < most)
+                    behind = int(self._seen[idle[0] + 1 if len(idle) else -1])
+                    if count[end - 1] != sent[end - 1]:  # else it read what was sent here, and nothing older
+                        account.older_until_ns = min(behind, own[0].seen_ns + DRAINS_NS)
+            drained = np.diff(count[part], prepend=count[first]) < most
+            unread = 0 if first else self._unseen()
+            # What was sent before the capture began may wait, and is not lost here.
+            high = high - before if first else np.minimum(high - before, sent[part])
+            run = _Run(self._seen[part], low - before, high, drained, busy, 2 * most, unread)
+            already = account.losses[-1:]
+            lost = _follow(account, run, lost, begin)
+            account.more = account.losses[-1].more if account.losses[-1:] != already else 0
+            if not first and before and unread is None and account.losses and not busy[1:2].any():
+                account.unsure = max(0, before - self._surely_sent(int(emptied_ns[0])) + own[0].count)
+            account.waiting = max(0, int(run.high[-1]) - lost)
+            last = first
+        account.taken = int(sent[-1]) - lost - account.waiting
+        self._stop(account)
+        return account
+
+    def _restarted(
+        self, account: Ingest, last: int, first: int, lost: int, before: int
+    ) -> tuple[tuple[Cause, int], int, int]:
+        """Return how a run begins behind a restart, all that is lost until then, and what it read before.
+
+        Args:
+            account: gets what was lost with the socket.
+            last: first sample of the run before,
+            first: and of this one.
+            lost: all that was lost until the restart.
+            before: what was read before the run before.
+        """
+        sooner, later = self._own[first - 1], self._own[first]
+        ended_ns = self._ended_ns(sooner, later)
+        most_read = before + self._most_read(self._own[last:first], ended_ns)
+        before = int(self._sent_until(ended_ns)) - lost
+        if before > most_read:
+            # What waited in its socket is gone with it; where it could not keep up it was lost before.
+            cause: Cause = "socket" if account.waiting > 2 * self._most else "restart"
+            account.losses.append(Before(cause, before - most_read, self._own[last].seen_ns, ended_ns))
+            lost, before = lost + before - most_read, most_read
+        down = sooner.instance != later.instance or any(
+            item.instance == later.instance
+            and item.start_ns <= later.seen_ns
+            and sooner.seen_ns <= item.end_ns
+            for item in self._case.resets
+        )
+        return ("down" if down else "restart", ended_ns), lost, before
+
+    def _stop(self, account: Ingest) -> None:
+        """Add what was sent since a CI was stopped, where it did not start again."""
+        last, instances, found = self._own[-1], self._case.instances, None
+        for record in self._case.payloads.events:
+            own = record.app == executive_services.NAME and instances.saying(record) == last.instance
+            if own and record.time_ns > last.seen_ns - _LATE_NS and _NAMED.search(record.message):
+                until = self._commanded_ns(last.seen_ns - SECOND, record.time_ns)
+                stops = record.event_id == executive_services.STOPPED
+                found = (f"event {record}", max(until, default=record.time_ns)) if stops else None
+        if found and (unread := int((self._sent_ns > found[1]).sum())):
+            span = found[1], int(self._sent_ns[-1])
+            account.losses.append(Before("ci_stopped", unread, *span, said=found[0]))
+
+    def _commanded_ns(self, start_ns: int, end_ns: int) -> list[int]:
+        """Return until when CI may have read on after commands that end it, of those between two times."""
+        until = [
+            int(self._case.rows.time_ns[item.row]) + _ENDS_NS
+            for item in self._case.payloads.executive
+            if item.app in command_ingest.NAMES and item.function_code in executive_services.ENDS_APP
+        ]
+        return [when for when in until if start_ns < when < end_ns]
+
+    def _sent_until(self, time_ns: Any) -> NDArray[np.intp]:
+        return np.asarray(np.searchsorted(self._sent_ns, time_ns, "right"))
+
+    def _surely_sent(self, time_ns: int) -> int:
+        """Return how many were sent until a time; before the capture as after its start, negative."""
+        start_ns = int(self._case.rows.time_ns[0])
+        if time_ns >= start_ns:
+            return int(self._sent_until(time_ns))
+        return -int(self._sent_until(2 * start_ns - time_ns))
+
+    def _emptied(self, part: slice) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return until when each sample's CI surely had read all there was, and where it read all it can.
+
+        A sample is older than its datagram by up to a round of Telemetry Output, or as its clock says, and CI
+        read up to a wake-up before.
+        """
+        seen, count, wake_ns = self._seen[part], self._count[part], self._profile.ci_wake_ns
+        read = np.diff(count, prepend=count[0])
+        steps = np.diff(seen, prepend=seen[0])
+        busy = read > _BUSY * self._most * np.maximum(1.0, steps / wake_ns)
+        # Fewer than one wake-up can read: it was empty after the last. Else after an earlier one, or never.
+        oldest = np.minimum(seen - self._profile.to_wake_ns, self._made[part]) - wake_ns - _SLACK_NS
+        return oldest - np.where(read < self._most, 0, steps), busy
+
+    def _reset(self, before: _Sample, after: _Sample) -> bool:
+        """Tell whether it was told to set its counters to 0 between two samples of one boot."""
+        rows = self._case.rows
+        told = (rows.destination == self._endpoint) & (rows.known_id == command_ingest.COMMAND_MSG_ID)
+        told &= rows.function_code == command_ingest.RESET_COUNTERS
+        told &= (rows.time_ns > before.seen_ns - _LATE_NS) & (rows.time_ns < after.seen_ns)
+        return before.instance == after.instance and bool(told.any())
+
+    def _most_older(self, end: int) -> int:
+        """Return the most that a first count can have fewer than were sent: CI takes one after the other.
+
+        Until a first sample it took no more than it can read in that time. Until the first command of the
+        capture came out it took none that was sent later: what it read was sent before the capture began.
+        """
+        first = self._own[0]
+        since_ns = int(self._sent_ns[0]) if len(self._sent_ns) else first.seen_ns
+        wakes = 2 + (first.seen_ns - since_ns) // self._profile.ci_wake_ns
+        most = self._most * max(0, wakes) - first.count
+        out_ns, went_ns = self._first_out
+        until = [item for item in self._own[:end] if item.seen_ns <= out_ns]
+        return min(most, int(self._sent_until(went_ns)) - until[-1].count) if until else most
+
+    def _first_count(self) -> tuple[Cause, int]:
+        """Return what lost those that were sent before a first count and are not in it, and since when.
+
+        Mission time begins at a known value, which gives the moment of boot: before it nobody listened.
+        """
+        sample = self._own[0]
+        since_ns = int(self._sent_ns[0]) - 1 if len(self._sent_ns) else sample.seen_ns
+        boot_ns = self._case.instances.items[sample.instance].boot_ns(self._profile)
+        return ("down" if since_ns < boot_ns < sample.seen_ns else "network"), since_ns
+
+    def _unseen(self) -> int | None:
+        """Return how many were sent before a first count and did not come out; None where unknown."""
+        if self._arrived is None:
+            return None
+        seen_ns = self._own[0].seen_ns
+        return int(self._sent_until(seen_ns) - np.searchsorted(self._arrived, seen_ns, "right"))
+
+    def _ended_ns(self, last: _Sample, first: _Sample) -> int:
+        """Return until when a CI read that then started again."""
+        if last.instance != first.instance:
+            ended_ns = max(last.seen_ns, self._case.instances.items[last.instance].last_ns)
+        else:
+            between = self._commanded_ns(last.seen_ns - SECOND, first.seen_ns)
+            ended_ns = max(between, default=last.seen_ns)
+        if self._arrived is None:
+            return ended_ns
+        # What came out again was read: it ended where nothing does for the longest time.
+        begin_ns, arrived = last.seen_ns - SECOND, self._arrived
+        inside = arrived[(arrived > begin_ns) & (arrived < first.seen_ns)]
+        bounds = np.concatenate(([begin_ns], inside, [first.seen_ns]))
+        hole = int(np.diff(bounds).argmax())
+        return int(bounds[hole]) if hole else min(ended_ns, int(bounds[1]))
+
+    def _most_read(self, own: Sequence[_Sample], until_ns: int) -> int:
+        """Return how many a CI can have read until a time: what it counted, and its best rate."""
+        seconds = max(0, until_ns - own[-1].made_ns) / SECOND
+        rates = [self._most * SECOND / self._profile.ci_wake_ns]
+        rates += [
+            (later.count - sooner.count) * SECOND / max(1, later.made_ns - sooner.made_ns)
+            for sooner, later in pairwise(own)
+        ]
+        return own[-1].count + ceil(seconds * max(rates)) + 2 * self._most
 
 
 def _anew(before: _Sample, after: _Sample) -> bool:
     """Tell whether a count began anew between two samples."""
     return before.instance != after.instance or after.count < before.count
-
-
-def _reset(sources: Sources, endpoint: int, before: _Sample, after: _Sample) -> bool:
-    """Tell whether a CI was told to set its counters to 0 between two samples of one boot."""
-    rows = sources.rows
-    told = (rows.destination == endpoint) & (rows.known_id == command_ingest.COMMAND_MSG_ID)
-    told &= rows.function_code == command_ingest.RESET_COUNTERS
-    told &= (rows.time_ns > before.seen_ns - _LATE_NS) & (rows.time_ns < after.seen_ns)
-    return before.instance == after.instance and bool(told.any())
 
 
 def _older(low: NDArray[np.int64], high: NDArray[np.int64]) -> int:
@@ -419,71 +460,6 @@ def _older(low: NDArray[np.int64], high: NDArray[np.int64]) -> int:
         return 0
     later = np.flatnonzero(np.maximum.accumulate(low) > np.minimum.accumulate(high))
     return int(high[: later[0] if len(later) else None].min())
-
-
-def _most_older(sources: Sources, endpoint: int, sent_ns: NDArray[np.int64], own: Sequence[_Sample]) -> int:
-    """Return the most that a first count can have fewer than were sent: CI takes one after the other.
-
-    Until a first sample it took no more than it can read in that time. Until the first command of the capture
-    came out it took none that was sent later: what it read was sent before the capture began.
-    """
-    profile, first = sources.profile, own[0]
-    since_ns = int(sent_ns[0]) if len(sent_ns) else first.seen_ns
-    wakes = 2 + (first.seen_ns - since_ns) // profile.ci_wake_ns
-    most = profile.ci_datagrams_per_wake * max(0, wakes) - first.count
-    out_ns, went_ns = sources.first_out.get(endpoint, (0, 0))
-    until = [item for item in own if item.seen_ns <= out_ns]
-    if until:
-        most = min(most, int(np.searchsorted(sent_ns, went_ns, "right")) - until[-1].count)
-    return most
-
-
-def _first(sources: Sources, sample: _Sample, sent_ns: NDArray[np.int64]) -> tuple[Cause, int]:
-    """Return what lost datagrams that were sent before a first count and that it does not have, from when on.
-
-    Mission time begins at a known value, which gives the moment of boot: before it nobody listened.
-    """
-    since_ns = int(sent_ns[0]) - 1 if len(sent_ns) else sample.seen_ns
-    boot_ns = sources.instances.items[sample.instance].boot_ns(sources.profile)
-    return ("down" if since_ns < boot_ns < sample.seen_ns else "network"), since_ns
-
-
-def _unseen(sources: Sources, endpoint: int, sent_ns: NDArray[np.int64], sample: _Sample) -> int | None:
-    """Return how many datagrams were sent before a first count and did not come out; None where unknown."""
-    arrived = sources.arrived_ns.get(endpoint)
-    if arrived is None:
-        return None
-    sent, came = (int(np.searchsorted(times, sample.seen_ns, "right")) for times in (sent_ns, arrived))
-    return sent - came
-
-
-def _ended_ns(sources: Sources, endpoint: int, last: _Sample, first: _Sample) -> int:
-    """Return until when a CI read that then started again."""
-    if last.instance != first.instance:
-        ended_ns = max(last.seen_ns, sources.instances.items[last.instance].last_ns)
-    else:
-        between = _told_ns(sources, last.seen_ns - SECOND, first.seen_ns)
-        ended_ns = max(between, default=last.seen_ns)
-    arrived = sources.arrived_ns.get(endpoint)
-    if arrived is None:
-        return ended_ns
-    # What came out again was read: it ended where nothing does for the longest time.
-    begin_ns = last.seen_ns - SECOND
-    inside = arrived[(arrived > begin_ns) & (arrived < first.seen_ns)]
-    bounds = np.concatenate(([begin_ns], inside, [first.seen_ns]))
-    hole = int(np.diff(bounds).argmax())
-    return int(bounds[hole]) if hole else min(ended_ns, int(bounds[1]))
-
-
-def _most_read(profile: SimProfile, own: Sequence[_Sample], until_ns: int) -> int:
-    """Return how many datagrams a CI can have read until a time: what it counted, and its best rate."""
-    seconds = max(0, until_ns - own[-1].made_ns) / SECOND
-    rates = [profile.ci_datagrams_per_wake * SECOND / profile.ci_wake_ns]
-    rates += [
-        (later.count - sooner.count) * SECOND / max(1, later.made_ns - sooner.made_ns)
-        for sooner, later in pairwise(own)
-    ]
-    return own[-1].count + ceil(seconds * max(rates)) + 2 * profile.ci_datagrams_per_wake
 
 
 @dataclass(frozen=True, slots=True)
@@ -561,3 +537,154 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int]) -> 
     if account.losses[-1:] != before:
         account.losses[-1] = replace(account.losses[-1], more=max(0, levels[-1].high - lost))
     return lost
+
+
+_OUTAGES: Final = frozenset({"down", "restart"})
+
+
+class BeforeCi:
+    """Shares out what the accounts of CI say, to the messages that were sent to it.
+
+    Args:
+        fates: what became of messages, as far as it is told.
+    """
+
+    def __init__(self, case: Case, fates: Sequence[Fate], losses: list[Loss]) -> None:
+        self._case, self._fates, self.losses = case, fates, losses
+        self._more: dict[int, int] = {}
+
+    def share(self, account: Ingest) -> None:
+        """Share out all that was lost before a CI, or may have been where the capture begins amid it."""
+        for before in account.losses:
+            self._before_ci(account, before)
+        fates = self._to(account)
+        most = [int(fate.open.sum()) for fate in fates]
+        for fate, share in zip(fates, shares(account.unsure, most, most), strict=True):
+            fate.ends["unsure"] = fate.claim(np.flatnonzero(fate.open)[:share])
+
+    def _to(self, account: Ingest) -> list[Fate]:
+        """Return what became of the streams that went to a CI."""
+        return [
+            fate
+            for fate in self._fates
+            if fate.stream.link.only_to_cfs and fate.stream.receiver == account.endpoint
+        ]
+
+    def _before_ci(self, account: Ingest, before: Before) -> None:
+        """Share out what was lost before CI: to what did not come out, else by how much was sent."""
+        left, fates = before.lost, self._to(account)
+        seen = [fate for fate in fates if fate.seen]
+        if before.cause == "network" and left > self._missing(account, fates, before.end_ns):
+            return  # more than did not come out: its counts are late, as over a slow link, and tell no loss
+        evidence = _evidence(account, before)
+        if before.cause in _OUTAGES:
+            missing = sum(int((fate.open & self._within(fate, before)).sum()) for fate in seen)
+            if more := max(0, min(before.more, missing - before.lost)):
+                left += more
+                self._more[id(before)] = more
+                evidence.append(f"{more:,} more did not come out, and its counts leave room for them")
+        if before.said:
+            for fate in fates:  # nor will it come
+                never = fate.waits & (self._case.captured(fate.stream) > before.since_ns)
+                fate.open |= never
+                fate.waits &= ~never
+        # What did not come out is the likelier; what is lost first may have been before the first count.
+        spans = [(seen, before.since_ns), (fates, before.since_ns), (fates, 0)][: 2 if before.said else None]
+        if before is account.losses[0] and not before.said:
+            spans.insert(1, (seen, 0))
+        for those, since_ns in spans:
+            left -= self._spread(those, before, since_ns, left, evidence)
+        if left and before.cause != "unknown":  # of no stream, as those without a MsgId
+            span = before.start_ns, before.end_ns
+            hop = LOST_AT[before.cause]
+            self.losses.append(Loss(before.cause, hop, left, *span, "medium", evidence=evidence))
+
+    def _within(self, fate: Fate, before: Before, since_ns: int | None = None) -> NDArray[np.bool_]:
+        """Tell which messages were sent while something was lost, or since a time."""
+        times = self._case.captured(fate.stream)
+        since_ns = before.since_ns if since_ns is None else since_ns
+        return np.asarray((times > since_ns) & (times <= before.end_ns))
+
+    def _missing(self, account: Ingest, fates: Sequence[Fate], end_ns: int) -> int:
+        """Return the most that can be lost of what was sent to a CI until a time: what did not come out."""
+        missing = int(np.searchsorted(self._case.rows.time_ns[account.rows], end_ns, "right"))
+        for fate in fates:
+            missing -= int((~fate.open & (self._case.captured(fate.stream) <= end_ns)).sum())
+        return missing
+
+    def _spread(
+        self, fates: Sequence[Fate], before: Before, since_ns: int, number: int, evidence: list[str]
+    ) -> int:
+        """Tell up to so many messages of some streams lost before CI; return how many were."""
+        windows = [np.flatnonzero(fate.open & self._within(fate, before, since_ns)) for fate in fates]
+        most = [len(inside) for inside in windows]
+        parts = shares(number, most, most)
+        for fate, inside, share in zip(fates, windows, parts, strict=True):
+            if not share:
+                continue
+            # Behind the last one that came out there is no newer one that they could have given way to.
+            last = int(np.flatnonzero(fate.arrived)[-1]) if fate.arrived.any() else inside[-1]
+            sure = inside[inside > last][:share]
+            others = np.setdiff1d(inside, sure)
+            spread = np.linspace(0, len(others) - 1, share - len(sure)).round().astype(np.intp)
+            chosen = np.union1d(sure, others[spread])
+            fate.claim(chosen)
+            if before.cause == "unknown":
+                fate.ends["uncounted"] += share
+            else:
+                self.losses.append(loss_of(self._case, fate, before.cause, chosen, evidence, among=inside))
+        return sum(parts)
+
+    def wait(self, account: Ingest) -> None:
+        """Tell which messages may wait in CI's socket at its last count, once all else is told: the latest.
+
+        CI reads in order: what was sent before one that came out does not wait.
+        """
+        number = account.waiting - self._more_before_ci(account)
+        rows, fates = self._case.rows, self._to(account)
+        free, read_ns = np.ones(len(rows), bool), -1
+        for fate in fates:
+            free[fate.stream.rows] = fate.open | fate.waits
+            read_ns = max(read_ns, int(self._case.captured(fate.stream)[fate.arrived].max(initial=-1)))
+        times = rows.time_ns[account.rows]
+        own = account.rows[(times > read_ns) & (times <= account.last_ns) & free[account.rows]]
+        late = own[len(own) - min(number, len(own)) :]
+        for fate in fates:
+            if not fate.seen:
+                behind = self._case.captured(fate.stream) > account.last_ns
+                fate.ends["late"] = int(behind.sum())
+                fate.open &= ~behind
+            chosen = np.isin(fate.stream.rows, late)
+            fate.ends["queued"] += int(chosen.sum())
+            fate.open &= ~chosen
+            fate.waits &= ~chosen
+
+    def _more_before_ci(self, account: Ingest) -> int:
+        """Tell lost, in CI's last span of loss, what did not come out and its counts leave room for."""
+        if not account.more:
+            return 0
+        last = [item for item in account.losses if item.cause != "ci_stopped"][-1]
+        if last.cause in _OUTAGES:
+            return self._more.get(id(last), 0)
+        seen = [fate for fate in self._to(account) if fate.seen]
+        evidence = ["they did not come out, later ones did, and CI's counts leave room for them"]
+        # What is lost first may have been before the first count.
+        since_ns = last.since_ns if len(account.losses) > 1 else 0
+        return self._spread(seen, last, since_ns, account.more, evidence)
+
+
+def _evidence(account: Ingest, before: Before) -> list[str]:
+    if before.said:
+        return [before.said]
+    taken = account.taken
+    if account.by_kernel:
+        of = f"{before.lost:,} of {len(account.rows):,} datagrams"
+        return [f"/edoras/host: {of} dropped in its socket (the kernel's counter)"]
+    text = f"0x884: CI took {taken:,} of {taken + account.lost + account.waiting:,} datagrams sent to it"
+    evidence = [text, f"{before.lost:,} of them lost between two of its counts"]
+    if account.unsure:
+        evidence.append(
+            "the capture begins amid commands, of which its first counts may have some or not: up to "
+            f"{account.unsure:,} more may be lost, told as not captured"
+        )
+    return evidence

@@ -1,4 +1,4 @@
-"""What was lost, where and why: the values that the accounts are made of.
+"""What was lost, where and why, and what became of each message that went into cFS.
 
 A loss is messages of one route, lost at one place for one cause in one span of time. Every message that is
 lost is in one loss and no more; the balance adds them up, and the rules explain them.
@@ -6,33 +6,24 @@ lost is in one loss and no more; the balance adds them up, and the rules explain
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping  # noqa: TC003  COUNTERS is annotated with it
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from edoras_tools.cfs import command_ingest, sbn, telemetry_output
-from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
-from edoras_tools.diagnosis.evidence.relays.proxied import UNTOUCHED, Proxied, RouteWay
-from edoras_tools.diagnosis.matching.spans import Comb, Span, comb, spans
-from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, Endpoint, Peer
+from edoras_tools.cfs import command_ingest, executive_services
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from numpy.typing import NDArray
 
-    from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss, Track
-    from edoras_tools.diagnosis.evidence.payloads import Payloads
-    from edoras_tools.diagnosis.evidence.peers import Network
-    from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.diagnosis.evidence.timeline.table import Timeline
+    from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
-    from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.diagnosis.matching.streams import Comb, Span, Stream
     from edoras_tools.diagnosis.verdict import Confidence
 
 PipeKind = Literal["limit", "overflow"]
@@ -75,6 +66,7 @@ CI_SOCKETS: Final = tuple(f"{name} socket" for name in command_ingest.NAMES)
 CI_SOCKET: Final = CI_SOCKETS[0]
 BEFORE_CI: Final = "network before CI"
 SBN_SOCKET: Final = "SBN socket"
+BUS: Final = "software bus"
 BEHIND: Final = "between cFS and the capture"
 
 
@@ -144,152 +136,198 @@ class Loss:
         return (self.of - 1) / seconds if self.of and seconds > 0 else 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Known:
-    """What losses are told from."""
+WAITS_NS: Final = SECOND
+"""What was sent so short before the end may still come out."""
 
-    rows: Rows
-    payloads: Payloads
-    endpoints: Sequence[Endpoint]
-    streams: Sequence[Stream]
-    instances: Instances
-    tracks: Mapping[int, Track]
-    reported_losses: Mapping[ReportedLoss, LossEvents]
-    network: Network
-    hops: Sequence[Hop]
-    profile: SimProfile
-    listeners: Mapping[int, int]
-    """Endpoint of a CI to the number of its cFS, where its counts tell."""
-    proxied: Mapping[RouteWay, Proxied]
-    """What a proxy did on purpose to the datagrams of a MsgId, on a link, one way."""
-    timeline: Timeline
-    """What state everything was in, over time."""
-    at: Callable[[int], str]
-    """Writes a time for people."""
-    never_whole: Mapping[tuple[Endpoint, int], list[int]]
-    """Sender and MsgId to the times, ns, of datagrams of which later fragments never came."""
-    closed: NDArray[np.bool_]
-    """(rows,), which datagrams went to a closed port."""
-    outages: Sequence[tuple[int, int]] = ()
-    """From when to when the capturing interface was away."""
-    quiet: Sequence[tuple[int, int]] = ()
-    """From when to when nothing at all was captured, and nothing tells why."""
-    _unseen: list[bool] = field(default_factory=list)
-    _spans: dict[int, list[Span]] = field(default_factory=dict)
-    _captured: dict[int, NDArray[np.int64]] = field(default_factory=dict)
-    _times: dict[tuple[Any, ...], NDArray[np.int64]] = field(default_factory=dict)
 
-    def spans(self, stream: Stream) -> list[Span]:
-        """Return the spans of a stream at one rate; worked out once."""
-        if id(stream) not in self._spans:
-            self._spans[id(stream)] = spans(stream, self.rows)
-        return self._spans[id(stream)]
+End = Literal[
+    "queued",
+    "late",
+    "unsure",
+    "uncounted",
+    "passed_on",
+    "superseded",
+    "unaccounted",
+    "shared",
+    "elsewhere",
+    "uncertain",
+    "missed",
+    "beyond",
+]
+"""How messages into cFS end that are in no loss.
 
-    def captured(self, stream: Stream) -> NDArray[np.int64]:
-        """Return the capture times of a stream's packets: i64, ns since 1970; looked up once."""
-        if id(stream) not in self._captured:
-            self._captured[id(stream)] = self.rows.time_ns[stream.rows]
-        return self._captured[id(stream)]
+At CI: ``queued`` may wait in its socket; ``late`` were sent after its last count; of ``unsure`` its first
+counts do not tell whether it read them; ``uncounted`` are not in its first count, and nothing tells why.
+
+On the bus: ``shared`` is the most that may be among those that a counter has of several traffics together,
+and ``elsewhere`` those that did not come out and may be among these.
+
+At the application: ``passed_on`` came out, and were lost behind that; ``superseded`` gave way to a newer
+one; of ``unaccounted`` nothing tells what became; ``uncertain`` may yet come out, and their pipe lost others
+to the end; ``missed`` may have come out, and the capture may have missed them; ``beyond`` were sent before
+the first that came out or behind the last, by a way whose end may be behind the application."""
+
+
+@dataclass(slots=True)
+class Fate:
+    """What became of each message of a stream into cFS.
+
+    Attributes:
+        stream: the stream.
+        hops: where its messages come out; none where that cannot be seen.
+        spans: its messages in time.
+        arrived: bool (rows,), it came out.
+        newer: bool (rows,), it did not, and a newer one that may have been taken together with it did.
+        open: bool (rows,), nothing has told yet what became of it.
+        waits: bool (rows,), it may yet come out.
+        blind: bool (rows,), it has no values by which it could be seen to come out.
+        unseen: bool (rows,), it may have come out while the capturing interface was away.
+        ends: messages by how they ended.
+        refused: rule to messages that came to nothing by what they are.
+        unfollowed: bool (rows,), it was sent when nothing here could show any more what became of it.
+        unfollowed_since: what was said or asked from which on that is so.
+        reached: messages that came out by their number alone, where cut frames hide which; None elsewhere.
+        commanded: commands to Telemetry Output that 0x880 counts; None where it does not tell.
+        passed: bool (rows,), it may have come out of the application and have been lost behind it.
+        edge: bool (rows,), likewise, where no count behind it would show that.
+        stop: i64 (rows,), place of the stop of an application that it was sent into; -1 for none.
+    """
+
+    stream: Stream
+    hops: list[Hop]
+    spans: list[Span]
+    arrived: NDArray[np.bool_]
+    newer: NDArray[np.bool_]
+    open: NDArray[np.bool_]
+    waits: NDArray[np.bool_]
+    blind: NDArray[np.bool_]
+    unseen: NDArray[np.bool_]
+    ends: Counter[End] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
+    unfollowed: NDArray[np.bool_] | None = None
+    unfollowed_since: str = ""
+    reached: int | None = None
+    commanded: int | None = None
+    passed: NDArray[np.bool_] = field(init=False)
+    edge: NDArray[np.bool_] = field(init=False)
+    stop: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.passed, self.edge = (np.zeros(len(self.stream), bool) for _ in range(2))
+        self.stop = np.full(len(self.stream), -1)
 
     @property
-    def end_ns(self) -> int:
-        """The last datagram."""
-        return int(self.rows.time_ns.max())
+    def seen(self) -> bool:
+        """Whether it can be seen what comes out."""
+        return bool(self.hops)
 
-    def away(self, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which spans of time hold some of an outage of the capturing interface."""
-        out = np.zeros(len(starts), bool)
-        for start_ns, end_ns in self.outages:
-            out |= (starts < end_ns) & (ends > start_ns)
+    @property
+    def waiting(self) -> int:
+        """How many may yet come out, of those that CI has read."""
+        return int((self.waits & ~self.unseen).sum())
+
+    @property
+    def doubled(self) -> int:
+        """How many came out more than once."""
+        return sum(hop.doubled for hop in self.hops)
+
+    def claim(self, rows: NDArray[np.intp]) -> int:
+        """Take messages that are open, or are blind; return how many."""
+        own = rows[self.open[rows] | self.blind[rows]]
+        self.open[own] = self.blind[own] = False
+        return len(own)
+
+
+def follow(case: Case, stream: Stream) -> Fate:
+    """Follow a stream to where it comes out, if that can be seen."""
+    hops = [hop for hop in case.hops if hop.into is stream]
+    size, times = len(stream), case.captured(stream)
+    arrived, followed = (
+        np.logical_or.reduce([np.zeros(size, bool), *masks])
+        for masks in ([hop.arrived for hop in hops], [hop.known for hop in hops])
+    )
+    open_ = followed & ~arrived if hops else np.ones(size, bool)
+    delay = max((int(np.quantile(hop.delays_ns, 0.99)) for hop in hops if len(hop.delays_ns)), default=0)
+    last_ns = times[arrived][-1] if arrived.any() else 0
+    since_ns = max(case.end_ns - delay - WAITS_NS, last_ns - 2 * WAITS_NS)
+    waits = open_ & (times > since_ns) & ~case.unreachable.closed[stream.rows] & bool(hops)
+    # What may have come out while the capturing interface was away did so unseen.
+    unseen = case.is_away(times, times + delay + WAITS_NS) & open_ & bool(hops)
+    waits |= unseen
+    return Fate(
+        stream,
+        hops,
+        case.spans(stream),
+        arrived,
+        _newer(case, hops, open_, times),
+        open_ & ~waits,
+        waits,
+        ~followed & ~arrived & bool(hops),
+        unseen,
+    )
+
+
+def _newer(
+    case: Case, hops: list[Hop], absent: NDArray[np.bool_], times: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Tell which messages may have given way to one that was sent some time later.
+
+    An application that keeps the newest for SBN takes together what waited before it: for a few rounds where
+    CI has more than it reads, and for all of a time in which cFS stood still or nobody woke applications.
+    """
+    out = np.zeros(len(times), bool)
+    if not any(hop.rewritten and hop.out.link.peers for hop in hops):
         return out
+    came = np.flatnonzero(~absent)
+    behind = np.searchsorted(came, np.flatnonzero(absent))
+    rows, behind = np.flatnonzero(absent)[behind < len(came)], behind[behind < len(came)]
+    first = np.where(behind > 0, came[behind - 1] + 1, 0)
+    next_ns = times[came[behind]]
+    out[rows] = next_ns - times[first] <= 2 * WAITS_NS
+    for system, owner in case.timeline.subjects:
+        sleeps = owner.kind == "app" and owner.name in executive_services.SCHEDULERS
+        states = ("stopped", "restarting") if sleeps else ("stalled",)
+        for span in (span for state in states for span in case.timeline.spans(owner, state, system)):
+            out[rows] |= (times[rows] > span.start_lo - SECOND) & (next_ns <= span.end_hi + SECOND)
+    return out
 
-    def done_to(self, stream: Stream) -> Proxied:
-        """Return what a proxy did on purpose to the datagrams of a stream."""
-        to_cfs = stream.link.only_to_cfs or (stream.link.peers and not stream.counted)
-        return self.proxied.get((stream.link.code, to_cfs, stream.msg_id), UNTOUCHED)
 
-    @property
-    def peers_unseen(self) -> bool:
-        """Whether a cFS hands on what another one made, and how that came to it was not captured."""
-        if not self._unseen:
-            on_sbn = among(self.rows.link, lambda link: link.peers).any()
-            handed_on = (
-                stream.link.only_from_cfs and stream.instance not in {NOBODY, self.owner(stream)}
-                for stream in self.streams
-            )
-            self._unseen.append(not on_sbn and any(handed_on))
-        return self._unseen[0]
+def loss_of(
+    case: Case,
+    fate: Fate,
+    kind: LossKind,
+    rows: NDArray[np.intp],
+    evidence: list[str],
+    hop: str = "",
+    among: NDArray[np.intp] | None = None,
+) -> Loss:
+    """Return the loss of some messages of a stream.
 
-    def upstream(self, stream: Stream) -> Hop | None:
-        """Return the hop by which a stream's packets came unchanged, if they did."""
-        return next((hop for hop in self.hops if hop.out is stream and not hop.rewritten), None)
+    Args:
+        rows: which, as indices into the stream's rows.
+        hop: where; by default where that kind of loss is.
+        among: which they may be as well; by default it is sure which they are.
+    """
+    own = case.captured(fate.stream)
+    start_ns, end_ns = int(own[rows].min()), int(own[rows].max())
+    return Loss(
+        kind,
+        hop or LOST_AT[kind],
+        len(rows),
+        start_ns,
+        end_ns,
+        "high" if fate.seen else "medium",
+        msg_id=fate.stream.msg_id,
+        stream=fate.stream,
+        of=int(((own >= start_ns) & (own <= end_ns)).sum()),
+        evidence=evidence,
+        among=Among(fate.stream, rows if among is None else among),
+    )
 
-    def owner(self, stream: Stream) -> int:
-        """Return the instance whose pipe a telemetry stream comes out of."""
-        start_ns = int(self.rows.time_ns[stream.rows[0]])
-        if stream.link.only_from_cfs:
-            return self.instances.owner(stream.sender, start_ns)
-        if stream.instance != NOBODY:
-            return stream.instance
-        name = self.network.identity_of.get(stream.sender, "")
-        return self.instances.named(name, start_ns, stream.sender)
 
-    def label(self, instance: int) -> str:
-        """Return how people are told of an instance."""
-        return "a cFS" if instance == NOBODY else self.instances.label(instance)
-
-    def times(self, stream: Stream) -> NDArray[np.int64]:
-        """Return when a stream's MsgId comes out of its pipe, whoever made it: they share what may wait."""
-        key = stream.link, stream.sender, stream.receiver, stream.msg_id
-        if key not in self._times:
-            alike = [
-                self.rows.time_ns[item.rows]
-                for item in self.streams
-                if (item.link, item.sender, item.receiver, item.msg_id) == key
-                or (item.link.only_from_cfs and (item.sender, item.msg_id) == (stream.sender, stream.msg_id))
-            ]
-            self._times[key] = np.sort(np.concatenate(alike))
-        return self._times[key]
-
-    def rounds(self, stream: Stream, span: Span) -> Comb:
-        """Return the rounds in which a stream's MsgId comes meanwhile."""
-        times = self.times(stream)
-        return comb(times[(times >= span.start_ns) & (times <= span.end_ns)])
-
-    def hop(self, stream: Stream) -> str:
-        """Return the name of the pipe that a telemetry stream comes out of."""
-        if stream.link.only_from_cfs:
-            return telemetry_output.PIPE
-        spacecraft, _, processor = self.network.identity_of.get(stream.receiver, "").partition(":")
-        return sbn.peer_pipe(Peer(int(spacecraft), int(processor))) if processor else "pipe of an SBN peer"
-
-    def named(self, instance: int, msg_id: int, kind: str, *, output: bool) -> LossEvents | None:
-        """Return the events that name a MsgId at Telemetry Output's pipe, or at a peer's."""
-        for reported, said in self.reported_losses.items():
-            if (reported.instance, reported.msg_id, reported.kind) == (instance, msg_id, kind) and (
-                reported.at_output if output else reported.at_peer
-            ):
-                return said
-        return None
-
-    def into_system(self, stream: Stream, system: int) -> bool:
-        """Tell whether a stream into cFS arrives at a system, as far as that is known."""
-        members = [at for at, other in enumerate(self.instances.systems) if other == system]
-        return not members or any(self.goes_to(stream, at) for at in members)
-
-    def system(self, stream: Stream) -> int:
-        """Return the number of the system that a stream into cFS arrives at; 0 where that is not known."""
-        return next((item for item in self.instances.systems if self.into_system(stream, item)), 0)
-
-    def goes_to(self, stream: Stream, instance: int) -> bool:
-        """Tell whether a stream into cFS arrives at an instance, as far as that is known."""
-        if instance == NOBODY:
-            return True
-        item, system = self.instances.items[instance], self.instances.systems[instance]
-        if stream.link.only_to_cfs:
-            known = self.listeners.get(stream.receiver)
-            return known == system if known is not None else system not in self.listeners.values()
-        if item.name and self.network.identity_of.get(stream.receiver, item.name) != item.name:
-            return False
-        here = int(self.instances.hosts[stream.receiver]) == item.host
-        return here or not self.instances.others_named(instance)
+LOST_AT: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("down", "restart", "ci_stopped", "port_closed"), command_ingest.NAME),
+    "network": BEFORE_CI,
+    "socket": CI_SOCKET,
+}
+"""Kind of a loss before CI to where it is."""

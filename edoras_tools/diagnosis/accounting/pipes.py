@@ -1,13 +1,18 @@
-"""What pipes lost of the messages that went into cFS, by what came out again; and when a pipe was full."""
+"""What pipes lost of the messages that went into cFS, when a pipe was full, and what counters have left.
+
+What a counter of the software bus counted and nothing that came out explains is shared out to what events
+name, else to what is sent faster than a pipe takes; what is left is lost, and not known which.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import queues
+from edoras_tools.cfs import names, queues, telemetry_output
 from edoras_tools.cfs.software_bus import STOPS_AFTER
 from edoras_tools.diagnosis.accounting.claims import (
     ABSENT,
@@ -18,32 +23,38 @@ from edoras_tools.diagnosis.accounting.claims import (
     QUIET,
     Claim,
     Counts,
+    Shared,
     claimed_alike,
 )
+from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
 from edoras_tools.diagnosis.accounting.losses import (
     APP,
+    BUS,
     COUNTER_NAMES,
     COUNTERS,
     LEAD_NS,
     PIPE_EVENTS,
     TAIL_NS,
+    WAITS_NS,
     Among,
+    Fate,
     Loss,
     PipeKind,
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.links.table import carrying
+from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.accounting.fates import Fate
-    from edoras_tools.diagnosis.accounting.losses import Known
+    from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss
-    from edoras_tools.diagnosis.matching.spans import Span
-    from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.diagnosis.matching.streams import Span, Stream
+
 
 LATE_NS: Final = 2 * SECOND
 """A count is seen within so long of what it counts."""
@@ -80,17 +91,13 @@ class _Own:
 class Pipes:
     """Tells what was lost at pipes, of messages whose way out can be seen.
 
-    Args:
-        counts: of each instance, less what was told of them.
-
     Attributes:
         claims: of messages that counters may have counted.
     """
 
-    def __init__(self, known: Known, counts: Mapping[int, Counts], losses: list[Loss]) -> None:
-        self._known, self._counts, self.losses = known, counts, losses
-        self._indexed = 0
-        self._same: dict[tuple[object, ...], Loss] = {}
+    def __init__(self, case: Case, losses: list[Loss]) -> None:
+        self._case, self._counts, self.losses = case, case.loss_counts, losses
+        self._same: dict[tuple[int, PipeKind, int, Span], Loss] = {}
         self.claims: list[Claim] = []
         self._whose: list[_Own] = []
 
@@ -100,14 +107,14 @@ class Pipes:
         group = [
             instance
             for instance in self._counts
-            if self._known.goes_to(stream, instance) and self._leaves(fate, instance)
+            if self._case.goes_to(stream, instance) and self._leaves(fate, instance)
         ]
         kinds = [
             kind for kind in COUNTERS if any(self._named(stream, kind, instance)[0] for instance in group)
         ]
         named = bool(kinds)
         # Of traffic that nobody can follow events tell that it has a part in what others' counts may be.
-        if not group or not (fate.seen or (named and self._known.hops)):
+        if not group or not (fate.seen or (named and self._case.hops)):
             return
         kinds += [kind for kind in COUNTERS if kind not in kinds]
         low_ns, high_ns = self._times(fate)
@@ -133,19 +140,18 @@ class Pipes:
 
     def _bursts(self, fate: Fate) -> bool:
         """Tell whether more of a stream may come to its pipe in one round than that takes."""
-        times, profile = self._known.captured(fate.stream), self._known.profile
+        times, profile = self._case.captured(fate.stream), self._case.profile
         period = (
             profile.ci_wake_ns if fate.stream.link.only_to_cfs else profile.sbn_wake_ns * profile.sbn_polls
         )
-        most = np.searchsorted(times, times + period) - np.arange(len(times))
-        return bool(most.max() > profile.app_msg_limit)
+        return most_at_once(times, period) > profile.app_msg_limit
 
     def _times(self, fate: Fate) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return from when and until when each message can have been counted: i64, capture time in ns.
 
         CI hands on in order: what it lost was handed on before the next one that came out did.
         """
-        times = self._known.captured(fate.stream)
+        times = self._case.captured(fate.stream)
         delay = max((hop.last_ns for hop in fate.hops), default=0)
         low_ns = np.maximum(times - LEAD_NS, self._taken_since(fate, times))
         return low_ns, times + delay + LATE_NS
@@ -166,7 +172,7 @@ class Pipes:
 
     def _leaves(self, fate: Fate, instance: int) -> bool:
         """Tell whether an instance is the one that a stream into cFS goes to, where several are there."""
-        owners = {self._known.owner(hop.out) for hop in fate.hops if not hop.out.link.last_hop}
+        owners = {self._case.owner(hop.out) for hop in fate.hops if not hop.out.link.last_hop}
         return not owners or instance in owners or NOBODY in owners
 
     def _taken_since(self, fate: Fate, times: NDArray[np.int64]) -> int:
@@ -175,7 +181,7 @@ class Pipes:
         if not firsts or not fate.stream.link.only_to_cfs:
             return 0
         out_ns, went_ns = min(firsts)
-        profile = self._known.profile
+        profile = self._case.profile
         wakes = 1 + int(np.searchsorted(times, went_ns)) // profile.ci_datagrams_per_wake
         return out_ns - wakes * profile.ci_wake_ns - LEAD_NS
 
@@ -197,8 +203,8 @@ class Pipes:
             among: which they are, or are some of.
             first: some are of what the first 0x803 had counted already.
         """
-        loss = self._known_loss(stream, kind, instance, cut)
-        if loss is not None:
+        key = id(stream), kind, instance, cut
+        if (loss := self._same.get(key)) is not None:
             loss.lost += number
             before = loss.among.rows if loss.among else among[:0]
             loss.among = Among(stream, np.union1d(before, among))
@@ -206,65 +212,55 @@ class Pipes:
         reported, said = self._named(stream, kind, instance)
         evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them{_FIRST if first else ''}"]
         if said is not None:
-            window = cut.start_ns - LEAD_NS, cut.end_ns + TAIL_NS
-            events = said.within(*window)
-            if events:
+            if events := said.within(cut.start_ns - LEAD_NS, cut.end_ns + TAIL_NS):
                 evidence.insert(0, f"event CFE_SB {PIPE_EVENTS[kind]} x{events}: {said.records[0].message}")
-            track = self._known.tracks[instance]
+            track = self._case.tracks[instance]
             if track.growth(COUNTERS[kind], said.last_ns + LEAD_NS) > 0 and said.count >= STOPS_AFTER - 2:
                 evidence.append(f"cFS stops this event after {STOPS_AFTER}; the counter goes on")
         else:
             evidence.append("no event names it: suppressed, filtered, or lost itself")
         of, start_ns, end_ns = self._sent_to(stream, cut, instance)
-        self.losses.append(
-            Loss(
-                kind=kind,
-                instance=instance,
-                hop=reported.pipe if reported else APP,
-                msg_id=stream.msg_id,
-                stream=stream,
-                span=cut,
-                lost=number,
-                of=of,
-                start_ns=start_ns,
-                end_ns=end_ns,
-                confidence="high" if reported else "medium",
-                evidence=evidence,
-                sender=reported.sender if reported else "",
-                among=Among(stream, among),
-            )
+        self._same[key] = Loss(
+            kind,
+            reported.pipe if reported else APP,
+            number,
+            start_ns,
+            end_ns,
+            "high" if reported else "medium",
+            instance,
+            stream.msg_id,
+            stream,
+            cut,
+            of,
+            evidence,
+            sender=reported.sender if reported else "",
+            among=Among(stream, among),
         )
+        self.losses.append(self._same[key])
 
     def _sent_to(self, stream: Stream, cut: Span, instance: int) -> tuple[int, int, int]:
         """Return how many of a span were sent in the life of one cFS, and from when to when."""
-        items, systems = self._known.instances.items, self._known.instances.systems
+        items, systems = self._case.instances.items, self._case.instances.systems
         item, system = items[instance], systems[instance]
         own = [other.offset_ns for other, its in zip(items, systems, strict=True) if its == system]
-        times = self._known.captured(stream)[cut.first : cut.last + 1]
-        boot_ns = item.boot_ns(self._known.profile)
+        times = self._case.captured(stream)[cut.first : cut.last + 1]
+        boot_ns = item.boot_ns(self._case.profile)
         inside = times[(times > (boot_ns if item.offset_ns > min(own) else 0))]
         inside = inside[inside <= item.last_ns] if item.offset_ns < max(own) else inside
         if not len(inside):
             return cut.count, cut.start_ns, cut.end_ns
         return len(inside), max(cut.start_ns, int(inside[0])), min(cut.end_ns, int(inside[-1]))
 
-    def _known_loss(self, stream: Stream, kind: PipeKind, instance: int, cut: Span) -> Loss | None:
-        """Return the loss of a span that an instance is known to have counted as a kind."""
-        for loss in self.losses[self._indexed :]:
-            self._same.setdefault((id(loss.stream), loss.kind, loss.instance, loss.span), loss)
-        self._indexed = len(self.losses)
-        return self._same.get((id(stream), kind, instance, cut))
-
     def _named(
         self, stream: Stream, kind: PipeKind, instance: int
     ) -> tuple[ReportedLoss | None, LossEvents | None]:
-        for reported, said in self._known.reported_losses.items():
+        for reported, said in self._case.reported_losses.items():
             if (reported.instance, reported.msg_id, reported.kind) == (instance, stream.msg_id, kind):
                 return reported, said
         return None, None
 
 
-def pressed(known: Known, stream: Stream, span: Span, kind: PipeKind, missing: NDArray[np.int64]) -> bool:
+def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: NDArray[np.int64]) -> bool:
     """Tell whether so much came that a pipe can have lost what is missing from a span of a stream.
 
     Where a MsgId's limit or a whole pipe is full, what did get in comes out in one burst, and the loss lies
@@ -274,30 +270,35 @@ def pressed(known: Known, stream: Stream, span: Span, kind: PipeKind, missing: N
         kind: over the MsgId's limit, or out of a full pipe.
         missing: (rows of the stream,), what is missing behind each.
     """
-    profile, output = known.profile, stream.link.only_from_cfs
+    profile, output = case.profile, stream.link.only_from_cfs
     queue = queues.telemetry_pipe(profile) if output else queues.peer_pipe(profile)
     period, limit = queue.round_ns, queue.limit(stream.msg_id)
-    own = known.captured(stream)
+    own = case.captured(stream)
     at = np.arange(span.first, min(span.last + 1, len(own) - 1))
     at = at[missing[at] > 0]
     if kind == "overflow":
-        sent = (known.rows.link == stream.link) & (known.rows.source == stream.sender)
+        sent = (case.rows.link == stream.link) & (case.rows.source == stream.sender)
         if not output:
-            sent &= known.rows.destination == stream.receiver
-        times = known.rows.time_ns[sent]
+            sent &= case.rows.destination == stream.receiver
+        times = case.rows.time_ns[sent]
         # Some of what fills the pipe may not be here: half of it tells.
         full = _full(times, period, min(queue.depth // 2, measured_depth(times, period)))
         return _beside(full, own[at] - period, own[at + 1] + period, missing[at])
-    rounds, clean = known.rounds(stream, span), limit
+    rounds, clean = case.rounds(stream, span), limit
     if rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
         clean, limit = rounds.most, max(limit, rounds.most)
     # Others may share the MsgId: the round that was full need not have brought one of this stream's.
-    if _beside(_full(known.times(stream), period, limit), own[at], own[at + 1], missing[at]):
+    if _beside(_full(case.times(stream), period, limit), own[at], own[at + 1], missing[at]):
         return True
     inside = own[span.first : span.last + 1]
     later = len(inside) - int(np.searchsorted(inside, inside[0] + period // 2))
     later += int(missing[span.first : span.last].sum())
     return later * period > _OVER * clean * (span.end_ns - span.start_ns) > 0
+
+
+def most_at_once(times: NDArray[np.int64], period_ns: int) -> int:
+    """Return the most of some messages, at least one, that come within a period of time."""
+    return int((np.searchsorted(times, times + period_ns) - np.arange(len(times))).max())
 
 
 def measured_depth(times: NDArray[np.int64], period: int) -> int:
@@ -318,11 +319,266 @@ def _full(times: NDArray[np.int64], period: int, most: int) -> NDArray[np.int64]
 
 
 def _beside(
-    times: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    missing: NDArray[np.int64],
+    times: NDArray[np.int64], starts: NDArray[np.int64], ends: NDArray[np.int64], missing: NDArray[np.int64]
 ) -> bool:
     """Tell whether most of what is missing is missing where one of some times lies."""
     there = np.searchsorted(times, ends) > np.searchsorted(times, starts)
     return int(missing[there].sum()) * 2 > int(missing.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """What a counter may have counted.
+
+    Attributes:
+        msg_id: of what.
+        pipe: where it would be lost.
+        stream: its traffic; None where that is not in the capture.
+        lost_from: the stream that lacks them; that traffic, or what was seen behind the pipe.
+        spans: its traffic in time.
+        since_ns: until then what was counted may have been sent before the capture began.
+        sender: who sends it, as an event names it.
+        said: the events that name it.
+    """
+
+    msg_id: int
+    pipe: str
+    stream: Stream | None
+    lost_from: Stream | None
+    spans: Sequence[Span]
+    since_ns: int
+    sender: str = ""
+    said: LossEvents | None = None
+
+    def active(self, start_ns: int, end_ns: int) -> int | None:
+        """Return which of its spans can be counted in a second; None where none can, or another may be."""
+        if end_ns <= self.since_ns:
+            return None
+        if not self.spans:
+            return 0 if self.said is not None and self.said.first_ns - TAIL_NS <= end_ns else None
+        before = [index for index, item in enumerate(self.spans) if item.start_ns - LEAD_NS <= end_ns]
+        # What waits in a socket is delivered, and counted, long after it was sent.
+        return before[-1] if before and start_ns - self.spans[before[-1]].end_ns <= DRAINS_NS else None
+
+    def most(self, span: int) -> int:
+        """Return how many of a span can have been lost."""
+        return self.spans[span].count if self.spans else np.iinfo(np.int32).max
+
+    @property
+    def named(self) -> tuple[str, int, str]:
+        """Label of its link, MsgId and pipe."""
+        return self.stream.link.label if self.stream else "", self.msg_id, self.pipe
+
+
+class Leftover:
+    """Shares out what counters have left.
+
+    Args:
+        fates: id of a stream to what became of its messages.
+
+    Attributes:
+        uncaptured: instance to what it counted lost while the capturing interface was away, and is told of
+            nothing that was captured.
+    """
+
+    def __init__(self, case: Case, fates: Mapping[int, Fate], pipes: Pipes) -> None:
+        self._case, self._counts, self._fates = case, case.loss_counts, fates
+        self._pipes, self._losses = pipes, pipes.losses
+        self._older_ns = {item.endpoint: item.older_until_ns for item in case.ingests}
+        self.uncaptured = Counter[int]()
+
+    def share(self, shared: Sequence[Shared]) -> None:
+        """Share out what nothing has taken: to what events name, else to what is sent too fast for a pipe.
+
+        Args:
+            shared: counts that several kinds of traffic share: each is a loss of its own.
+        """
+        streams = {id(stream): stream for stream in self._case.streams}
+        for item in shared:
+            rivals = [streams[flow] for flow in item.flows]
+            self._together(item, {(rival.link.label, rival.msg_id, self._pipe(rival)) for rival in rivals})
+        for instance, counts in self._counts.items():
+            # What is counted now was sent up to a round of CI before.
+            away = self._case.is_away(counts.times[:-1] - WAITS_NS - LEAD_NS, counts.times[1:])
+            for kind, left in counts.left.items():
+                if number := int(left[away].sum()):
+                    self.uncaptured[instance] += number
+                    left[away] = 0
+                if left.any():
+                    self._leftover(instance, counts, kind)
+
+    def tell(self, gaps: Sequence[Loss]) -> None:
+        """Make losses of what nothing explains.
+
+        Args:
+            gaps: losses behind cFS; another cFS may have counted those of which nothing tells where.
+        """
+        unplaced = [(loss, [loss.lost]) for loss in gaps if loss.kind == "unknown"]
+        for instance, counts in self._counts.items():
+            for kind, left in counts.left.items():
+                if left.any():
+                    span = counts.span(np.flatnonzero(left))
+                    number = int(left.sum())
+                    if number := number - self._elsewhere(unplaced, instance, kind, number, span):
+                        text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
+                        self._losses.append(
+                            Loss("unknown", BUS, number, *span, "low", instance, evidence=[text])
+                        )
+
+    def _elsewhere(
+        self,
+        unplaced: Sequence[tuple[Loss, list[int]]],
+        instance: int,
+        kind: PipeKind,
+        number: int,
+        span: tuple[int, int],
+    ) -> int:
+        """Return how many are missing behind another cFS at that time, which are told there.
+
+        What one cFS loses on the way to another leaves a gap behind that one: one loss, not two.
+
+        Args:
+            unplaced: such gaps, and how many of each are left; they become fewer.
+        """
+        placed = 0
+        for gap, left in unplaced:
+            apart = gap.start_ns - LEAD_NS > span[1] or gap.end_ns + TAIL_NS < span[0]
+            if share := 0 if apart or gap.instance == instance else min(left[0], number - placed):
+                left[0] -= share
+                placed += share
+                gap.evidence.append(
+                    f"0x803 of {self._case.label(instance)}: {COUNTER_NAMES[kind]} +{share:,} that nothing "
+                    "else explains, which may be these"
+                )
+        return placed
+
+    def _leftover(self, instance: int, counts: Counts, kind: PipeKind) -> None:
+        candidates = self._candidates(instance, kind)
+        left = counts.left[kind]
+        groups: dict[tuple[tuple[int, int], ...], list[int]] = {}
+        for second in np.flatnonzero(left).tolist():
+            times = counts.span([second])
+            active = ((index, item.active(*times)) for index, item in enumerate(candidates))
+            key = tuple((index, span) for index, span in active if span is not None)
+            groups.setdefault(key, []).append(second)
+        for active_, seconds in groups.items():
+            number, times = int(left[seconds].sum()), counts.span(seconds)
+            rivals = [candidates[index] for index, _ in active_]
+            share = min(number, sum(item.most(span) for item, (_, span) in zip(rivals, active_, strict=True)))
+            if len(rivals) == 1:
+                self._blame(rivals[0], active_[0][1], instance, kind, share, times)
+            elif rivals:
+                for item in rivals:
+                    if (fate := self._fates.get(id(item.stream))) is not None:
+                        fate.ends["shared"] += min(share, len(fate.stream))
+                flows = frozenset(id(item.stream) for item in rivals if item.stream is not None)
+                self._together(Shared(instance, kind, flows, share, *times), {item.named for item in rivals})
+            number -= share
+            for second in seconds:
+                part = min(int(left[second]), number)
+                number -= part
+                left[second] = part
+
+    def _candidates(self, instance: int, kind: PipeKind) -> list[_Candidate]:
+        """Return what may be counted: what events name, else what is sent faster than a pipe takes."""
+        case, found = self._case, []
+        for reported, said in case.reported_losses.items():
+            if (reported.instance, reported.kind) != (instance, kind):
+                continue
+            out = [
+                stream
+                for stream in case.streams
+                if (reported.at_output or reported.at_peer)
+                and stream.msg_id == reported.msg_id
+                and stream.link.peers == reported.at_peer
+            ]
+            # What leaves by a pipe and is seen behind it has gaps, which are counted there; what is lost
+            # behind the last message that was seen leaves none.
+            if any(case.captured(stream)[-1] > said.first_ns for stream in out):
+                continue
+            fate = self._fed(reported, instance)
+            if fate is None:
+                lost_from = out[0] if len(out) == 1 else None
+                found.append(
+                    _Candidate(reported.msg_id, reported.pipe, None, lost_from, (), 0, reported.sender, said)
+                )
+            elif not fate.seen:
+                found.append(self._candidate(fate.stream, reported.pipe, reported.sender, said))
+        return found or (list(self._suspects(instance)) if kind == "limit" else [])
+
+    def _candidate(
+        self, stream: Stream, pipe: str, sender: str = "", said: LossEvents | None = None
+    ) -> _Candidate:
+        spans, since_ns = self._case.spans(stream), self._older_ns.get(stream.receiver, 0)
+        return _Candidate(stream.msg_id, pipe, stream, stream, spans, since_ns, sender, said)
+
+    def _fed(self, reported: ReportedLoss, instance: int) -> Fate | None:
+        """Return the traffic that the messages of a reported loss came from, if the capture has it."""
+        wanted = carrying("flight" if reported.sender.startswith("SBN") else "ground", to_cfs=True)
+        for fate in self._fates.values():
+            stream = fate.stream
+            same = stream.msg_id == reported.msg_id and stream.link is wanted
+            if same and self._case.goes_to(stream, instance):
+                return fate
+        return None
+
+    def _suspects(self, instance: int) -> Iterator[_Candidate]:
+        case = self._case
+        application, output = queues.application_pipe(case.profile), queues.telemetry_pipe(case.profile)
+        leaving = {stream.msg_id for stream in case.streams if stream.link.only_from_cfs}
+        for stream in case.streams:
+            if stream.known_id in names.MSG_ID_NAMES and stream.route == NO_ROUTE:
+                continue
+            fate, times = self._fates.get(id(stream)), case.captured(stream)
+            if stream.link.only_to_cfs and not (fate and fate.seen):
+                if most_at_once(times, application.round_ns) > application.usual_limit:
+                    yield self._candidate(stream, APP)
+            elif stream.link.peers and stream.msg_id in leaving and case.goes_to(stream, instance):
+                over = most_at_once(times, output.round_ns) > output.limit(stream.msg_id)
+                if over and case.owner(stream) != instance:
+                    yield self._candidate(stream, telemetry_output.PIPE)
+
+    def _pipe(self, stream: Stream) -> str:
+        """Return the pipe that traffic goes into: an application's, Telemetry Output's or an SBN peer's."""
+        return APP if id(stream) in self._fates else self._case.pipe_of(stream)
+
+    def _together(self, item: Shared, rivals: set[tuple[str, int, str]]) -> None:
+        """Tell counts that several kinds of traffic share as one loss, of none of them."""
+        text = f"0x803: {COUNTER_NAMES[item.kind]} +{item.number:,}, which may be of any of these"
+        loss = Loss(item.kind, BUS, item.number, item.start_ns, item.end_ns, "high", item.instance)
+        loss.evidence, loss.rivals = [text], tuple(sorted(rivals))
+        self._losses.append(loss)
+
+    def _blame(
+        self, item: _Candidate, span: int, instance: int, kind: PipeKind, number: int, times: tuple[int, int]
+    ) -> None:
+        cut = item.spans[span] if item.spans else None
+        among = None
+        if cut is not None and item.stream is not None:  # of which nothing has told what became of them
+            rows, fate = np.arange(cut.first, cut.last + 1), self._fates.get(id(item.stream))
+            among = Among(item.stream, rows if fate is None else rows[fate.open[rows]])
+            if item.said is not None:
+                self._pipes.lose(item.stream, cut, kind, number, instance, among.rows)
+                return
+        text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
+        evidence = [text, "no event names it: suppressed, filtered, or lost itself"]
+        if item.said is not None:
+            first = item.said.records[0].message
+            evidence = [f"event CFE_SB {PIPE_EVENTS[kind]} x{item.said.count}: {first}", text]
+        self._losses.append(
+            Loss(
+                kind,
+                item.pipe,
+                number,
+                *((cut.start_ns, cut.end_ns) if cut else times),
+                "medium",
+                instance,
+                item.msg_id,
+                item.lost_from,
+                cut,
+                cut.count if cut else None,
+                evidence,
+                sender=item.sender,
+                among=among,
+            )
+        )

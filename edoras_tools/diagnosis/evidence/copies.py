@@ -1,4 +1,4 @@
-"""Datagrams that are in the capture more than once: captured twice, or doubled by the network.
+"""Datagrams that are there more than once: captured twice, doubled by the network, or sent by several.
 
 One datagram keeps its IP identification and its bytes wherever it is captured, and a sender gives the next
 one another identification. So:
@@ -6,11 +6,25 @@ one another identification. So:
 1. Equal bytes between the same ports, with one identification that is not 0, within 20 ms: one datagram.
    Where it was captured at two places (another link layer header, interface or time to live), or four of
    five datagrams of the conversation are doubled, the capture did it: a *copy*, counted once. Else it is a
-   *duplicate*: the network's, which its receiver gets twice, as far as ``doubled`` cannot tell otherwise.
+   *duplicate*: the network's, which its receiver gets twice, as far as rules 3 to 7 cannot tell otherwise.
 2. Where the identification is 0 (it may be, where fragmenting is forbidden) equal bytes are a copy only
    where they were captured at two places, or the whole conversation comes steadily in twos: at least eight
    groups of equal datagrams within 5 ms, nearly all of exactly two. A burst of 50 equal datagrams is one
    group, and stays 50.
+
+The receiver of a duplicate gets twice what the network doubled, and once what the capture did. So, in this
+order:
+
+3. Between two of its counts CI read as many as were sent with the second ones, or as many as without them.
+   What was under way at either count makes a range: only where one of both is outside of it, it tells.
+4. What an application made of a command comes out as often as it got it. Values that were sent once tell.
+5. What is told of one way holds for the others: a capture doubles all, and a network that is known to has
+   not been helped.
+6. Else two with one time are the capture's: no interface gets two at once.
+7. Else nothing tells. They are left out, and of what went to cFS it is uncertain whether that came twice.
+
+Without equal identifications, echoes of a steady sender and several senders at once tell why more of a MsgId
+came than one sender means to send.
 """
 
 from __future__ import annotations
@@ -21,14 +35,21 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.io.frames.linklayer import network_headers
+from edoras_tools.links.table import among
 from edoras_tools.model import OTHER, Columns, PacketBatch
-from edoras_tools.units import MILLISECOND
+from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.fingerprint import of_bytes
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
     from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.payloads import Samples
+    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.model import Endpoint
 
 
 _WITHIN_NS: Final = 20 * MILLISECOND
@@ -188,3 +209,182 @@ def _perhaps_again(number: NDArray[np.uint64], time_ns: NDArray[np.int64]) -> bo
             if (number[rows] == number[last]).any():
                 return True
     return False
+
+
+BY_CAPTURE: Final = 1
+BY_NETWORK: Final = 2
+_READ_NS: Final = 2500 * MILLISECOND
+"""A count is seen within so long of what it counts."""
+
+
+def who_doubled(
+    rows: Rows, copies: Copies, samples: Samples, sources: NDArray[np.int32], endpoints: Sequence[Endpoint]
+) -> NDArray[np.int8]:
+    """Return who doubled each row: i8, ``BY_CAPTURE`` or ``BY_NETWORK``; 0 where nothing tells, or none did.
+
+    Args:
+        copies: of these rows.
+        samples: the counts of CI.
+        sources: who sent each of them, as an index of ``endpoints``.
+    """
+    out = np.zeros(len(rows), np.int8)
+    to_cfs = among(rows.link, lambda link: link.to_cfs and link.packets)
+    kept = ~copies.copy
+    answers = np.flatnonzero(kept & ~copies.duplicate & among(rows.link, lambda link: link.from_cfs))
+    votes: dict[int, int] = {}
+    for receiver in np.unique(rows.destination[copies.duplicate & to_cfs]).tolist():
+        mine = np.flatnonzero(kept & to_cfs & (rows.destination == receiver))
+        own = copies.duplicate[mine]
+        vote = 0
+        for counted in _tracks(rows, receiver, samples, sources, endpoints):
+            vote += _by_counts(rows.time_ns[mine], own, *counted)
+        votes[receiver] = vote or _by_answers(rows, mine, own, answers)
+    whole = sum(votes.values())
+    for receiver, members in by_value(np.where(copies.duplicate, rows.destination, -1)):
+        if receiver >= 0 and (vote := votes.get(receiver, 0) or whole):
+            out[members] = BY_NETWORK if vote > 0 else BY_CAPTURE
+    out[copies.duplicate & (out == 0) & copies.at_once] = BY_CAPTURE
+    return out
+
+
+def _tracks(
+    rows: Rows, receiver: int, samples: Samples, sources: NDArray[np.int32], endpoints: Sequence[Endpoint]
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Yield times and counts of each CI that may be a receiver: those at its address."""
+    address = endpoints[receiver].address
+    if not among(rows.link[rows.destination == receiver], lambda link: link.only_to_cfs).all():
+        return
+    for source, members in by_value(sources):
+        if endpoints[source].address == address:
+            yield samples["time_ns"][members], (samples["packets"] + samples["errors"])[members]
+
+
+def _by_counts(
+    sent_ns: NDArray[np.int64], again: NDArray[np.bool_], seen_ns: NDArray[np.int64], total: NDArray[np.int64]
+) -> int:
+    """Return how many of those that were there twice CI read twice, less those that it read once.
+
+    Args:
+        sent_ns: when each datagram was sent, in order.
+        again: which were there before.
+        seen_ns: when each count was.
+        total: the counts.
+    """
+    vote, step = 0, 1
+    early, late = (np.searchsorted(sent_ns, seen_ns - slack) for slack in (_READ_NS, 0))
+    twice = np.concatenate(([0], np.cumsum(again)))
+    while step < len(seen_ns):
+        first, last = np.arange(0, len(seen_ns) - step, step), np.arange(step, len(seen_ns), step)
+        counted = total[last] - total[first]
+        least, most = (early[last], late[first]), (late[last], early[first])
+        fits = [
+            (counted >= np.maximum(low, 0)) & (counted <= high)
+            for low, high in (
+                tuple(end - begin - less * (twice[end] - twice[begin]) for end, begin in (least, most))
+                for less in (0, 1)
+            )
+        ]
+        number = twice[late[last]] - twice[late[first]]
+        vote += int(number[fits[0] & ~fits[1]].sum()) - int(number[fits[1] & ~fits[0]].sum())
+        step *= 2
+    return vote
+
+
+def _by_answers(
+    rows: Rows, mine: NDArray[np.intp], again: NDArray[np.bool_], answers: NDArray[np.intp]
+) -> int:
+    """Return of how many that were there twice two came out, less those of which one did.
+
+    Args:
+        mine: datagrams that went in.
+        again: which of these were there before.
+        answers: what came out, each once.
+    """
+    values, came = np.unique(rows.body_print[mine], return_counts=True)
+    doubled = np.isin(values, rows.body_print[mine[again]])
+    went = np.sort(rows.body_print[answers])
+    number = np.searchsorted(went, values, "right") - np.searchsorted(went, values)
+    alone = number[(came == 1) & ~doubled & (number > 0) & (values != 0)]
+    usual = int(np.median(alone)) if len(alone) else 0  # it may leave on several ways
+    told = number[(came == 2) & doubled & (values != 0)]
+    return int((told == 2 * usual).sum()) - int((told == usual).sum()) if usual else 0
+
+
+_LEAST_ECHOES: Final = 3
+_LEAST_SHARE: Final = 0.1
+_ECHO: Final = 0.4
+"""A copy follows within this share of the usual time from one message to the next,"""
+_ECHO_SHARE: Final = 0.02
+_AT_USUAL: Final = 0.6
+"""and so many of the others come at that usual time, give or take a third."""
+
+
+def crowding(rows: Rows, own: NDArray[np.intp], endpoints: Sequence[Endpoint]) -> str:
+    """Return half a sentence that says who sent some datagrams more than once; empty where one sender did.
+
+    Args:
+        own: rows of datagrams of one MsgId that went to one receiver, in order of time.
+    """
+    return _several_senders(rows, own, endpoints) or _echoes(rows, own)
+
+
+def _several_senders(rows: Rows, own: NDArray[np.intp], endpoints: Sequence[Endpoint]) -> str:
+    """Tell of senders that sent at one time, not one after the other."""
+    sources, counts = np.unique(rows.source[own], return_counts=True)
+    least = max(_LEAST_ECHOES, _LEAST_SHARE * len(own))
+    times = {
+        int(source): rows.time_ns[own[rows.source[own] == source]]
+        for source, count in zip(sources, counts, strict=True)
+        if count >= least
+    }
+    if len(times) < 2:
+        return ""
+    start_ns, end_ns = max(at[0] for at in times.values()), min(at[-1] for at in times.values())
+    if any(2 * int(((at >= start_ns) & (at <= end_ns)).sum()) < len(at) for at in times.values()):
+        return ""
+    each = ", ".join(f"{endpoints[source]} at {_hz(at)}" for source, at in times.items())
+    return f"{len(times)} senders sent it at once ({each})"
+
+
+def find_echoes(rows: Rows, own: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Tell which of a steady sender's datagrams are copies: they come a short time after an equal one.
+
+    That time is always about the same; a burst of equal ones has no usual time from one to the next. What a
+    second sender sends is no copy.
+    """
+    times, prints = rows.time_ns[own], rows.bytes_print[own]
+    steps, none = np.diff(times), np.zeros(len(own), bool)
+    if len(steps) < 2 * _LEAST_ECHOES:
+        return none
+    usual = _usual(steps)
+    sources = rows.source[own]
+    echo = (steps < _ECHO * usual) & (prints[1:] == prints[:-1]) & (sources[1:] == sources[:-1])
+    if int(echo.sum()) < max(_LEAST_ECHOES, _ECHO_SHARE * len(own)):
+        return none
+    first, median, third = np.quantile(steps[echo], (0.25, 0.5, 0.75))
+    rest = np.diff(times[np.concatenate(([True], ~echo))])
+    steady = np.abs(rest - usual) < usual / 3
+    if third - first > max(median / 3, 5 * MILLISECOND) or steady.mean() < _AT_USUAL:
+        return none
+    return np.concatenate(([False], echo))
+
+
+def _echoes(rows: Rows, own: NDArray[np.intp]) -> str:
+    """Tell of copies on the way."""
+    echo, steps = find_echoes(rows, own), np.diff(rows.time_ns[own])
+    if not echo.any():
+        return ""
+    late_ms = np.median(steps[echo[1:]]) / MILLISECOND
+    return (
+        f"{int(echo.sum()):,} of them are copies that came {late_ms:.0f} ms after an equal one, the others "
+        f"at {SECOND / _usual(steps):.1f} Hz, so the network or a relay doubles them"
+    )
+
+
+def _usual(steps: NDArray[np.int64]) -> float:
+    """Return the time from one message to the next, of most of them."""
+    return float(np.quantile(steps, 0.75))
+
+
+def _hz(times: NDArray[np.int64]) -> str:
+    return f"{(len(times) - 1) * SECOND / max(1, int(times[-1] - times[0])):.1f} Hz"

@@ -284,6 +284,10 @@ class Payloads:
             if values is not None:
                 self.commands.append(CommandRecord(base + row, *key, values))
 
+    def outputs(self, *codes: int) -> list[OutputCommand]:
+        """Return the commands to Telemetry Output that have one of some function codes."""
+        return [item for item in self.output if item.function_code in codes]
+
     def over(self, kept: NDArray[np.intp], count: int) -> Payloads:
         """Return those of the rows that are kept, for a table of only these rows, in their order.
 

@@ -17,11 +17,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind, Flow
-from edoras_tools.diagnosis.evidence.copies import find_copies
+from edoras_tools.diagnosis.evidence.copies import BY_CAPTURE, BY_NETWORK, find_copies, who_doubled
 from edoras_tools.diagnosis.evidence.cut_times import with_cut_times
-from edoras_tools.diagnosis.evidence.doubled import BY_CAPTURE, BY_NETWORK, who_doubled
-from edoras_tools.diagnosis.evidence.relays.relayed import before_proxy
-from edoras_tools.diagnosis.evidence.relays.translated import one_name
+from edoras_tools.diagnosis.evidence.relays import before_proxy, one_name
 from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, followed
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint
@@ -34,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.payloads import Payloads
-    from edoras_tools.diagnosis.evidence.relays.proxied import Proxied, RouteWay
+    from edoras_tools.diagnosis.evidence.relays import Proxied, RouteWay
 
 _MOST_SET: Final = 16
 """A clock is set back now and then; records that go back more often are out of order."""

@@ -9,9 +9,9 @@ import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.conversations import Conversations
-from edoras_tools.diagnosis.evidence import fingerprint, robot
+from edoras_tools.diagnosis.evidence.fingerprint import SharedFields, of_values, robot_commands, robot_prints
 from edoras_tools.diagnosis.evidence.payloads import Payloads
-from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder
+from edoras_tools.diagnosis.evidence.unreachable import ErrorRecorder
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch
@@ -164,7 +164,7 @@ class Recorder:
         self.errors = ErrorRecorder(self._ends)
         self.samples: dict[tuple[int, int], dict[int, bytes]] = {}
         self._index: dict[tuple[int, str, int], int] = {}
-        self._shared = robot.SharedFields(context)
+        self._shared = SharedFields(context)
         self._times: list[NDArray[np.int64]] = []
         self._parts: list[Rows] = []
         self._sequences = SequenceCounts()
@@ -191,7 +191,7 @@ class Recorder:
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch; datagrams that carry no packet are left out, but for commands to a robot."""
         self.conversations.add(batch, columns)
-        commands = robot.robot_commands(columns, batch, self.context.structs)
+        commands = robot_commands(columns, batch, self.context.structs)
         chosen = np.flatnonzero(among(columns.link, lambda link: link.packets) | commands)
         beside = among(columns.link, lambda link: link.quotes)
         self.left_out += len(batch) - len(chosen) - int(beside.sum())
@@ -211,7 +211,7 @@ class Recorder:
         All of them carry a packet or a command, or all are errors or signs of life.
         """
         beside = among(columns.link, lambda link: link.quotes or link.last_hop)
-        if beside.all() and not robot.robot_commands(columns, batch, self.context.structs).any():
+        if beside.all() and not robot_commands(columns, batch, self.context.structs).any():
             self.errors.add(batch, columns)
             return
         self.payloads.add(batch, columns, self._kept)
@@ -327,11 +327,7 @@ class Recorder:
         return offset, length, space, vain
 
     def _fingerprints(
-        self,
-        batch: PacketBatch,
-        columns: Columns,
-        offset: NDArray[np.int64],
-        length: NDArray[np.int32],
+        self, batch: PacketBatch, columns: Columns, offset: NDArray[np.int64], length: NDArray[np.int32]
     ) -> tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]:
         """Return fingerprints of the bytes of each message, of its values, and of these with time stamps."""
         body = np.zeros(len(batch), np.uint64)
@@ -343,12 +339,10 @@ class Recorder:
             name = routes[index].type if index != NO_ROUTE else ""
             if name and types is not None and types.has(name):
                 rows = there[columns.route[there] == index]
-                plain[rows], stamped[rows] = fingerprint.of_values(
-                    types, name, batch.data, offset[rows], length[rows]
-                )
+                plain[rows], stamped[rows] = of_values(types, name, batch.data, offset[rows], length[rows])
         told = np.flatnonzero(among(columns.link, lambda item: item.last_hop))
         if len(told):
-            body[told], stamped[told] = robot.fingerprints(batch, told, types)
+            body[told], stamped[told] = robot_prints(batch, told, types)
             plain[told] = body[told]
         return body, plain, stamped
 

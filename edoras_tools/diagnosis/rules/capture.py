@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.decode.conversations import ConversationKind, foreign, unnamed
-from edoras_tools.diagnosis.evidence.relays.proxied import PROXY_HOP
+from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
 from edoras_tools.diagnosis.ledger import ON_PURPOSE
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, verdict, warning
 from edoras_tools.links import table
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
@@ -31,36 +31,34 @@ def not_examined(case: Case) -> Iterator[Verdict]:
     Say so first: what is below is not the whole link.
     """
     for item in unnamed(case.prepared.flows):
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             item.advice,
+            "lengths, types and MsgIds in it agree as only that link's do",
             hop="capture",
-            evidence=("lengths, types and MsgIds in it agree as only that link's do",),
             remedy=item.remedy,
         )
-    missing = sum(case.telemetry.away.values()) if len(case.rows) and case.away else 0
+    missing = (
+        sum(ends["away"] for ends in case.telemetry.ends.values()) if len(case.rows) and case.away else 0
+    )
     counted = f"sequence counts: {plural(missing, 'message')} that span such a time are not captured"
     for outage in case.capture.outages:
         end_ns = outage.end_ns or max(case.end_ns, outage.start_ns)
         lasted = f"was away {(end_ns - outage.start_ns) / 1e9:.1f} s: what was sent then"
-        yield Verdict(
-            Severity.WARNING,
+        yield warning(
             f"{outage.interface} {lasted if outage.end_ns else AWAY} is not examined",
+            f"the recorder found it {outage.why}",
+            *((counted,) if missing else ()),
             hop="capture",
             span=(outage.start_ns, end_ns),
-            evidence=(f"the recorder found it {outage.why}", *((counted,) if missing else ())),
             remedy=_REMEDY,
         )
     for start_ns, end_ns in case.holes if len(case.rows) else ():
-        yield Verdict(
-            Severity.WARNING,
+        yield warning(
             f"the capture has a hole of {(end_ns - start_ns) / 1e9:.1f} s: traffic in it is not examined",
+            "it shows no datagram of anybody; all sent before and after, and cFS went on counting",
+            *((counted,) if missing else ()),
             hop="capture",
             span=(start_ns, end_ns),
-            evidence=(
-                "it shows no datagram of anybody; all sent before and after, and cFS went on counting",
-                *((counted,) if missing else ()),
-            ),
             remedy=_REMEDY,
         )
 
@@ -72,14 +70,13 @@ def capture_drops(case: Case) -> Iterator[Verdict]:
     """
     drops = case.capture.drops
     if drops:
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             f"the capture itself lost {drops:,} frames before they were written: what is missing below may "
             "be among them",
+            "the capture's own drop counter",
             hop="capture",
             lost=drops,
             of=drops + len(case.rows),
-            evidence=("the capture's own drop counter",),
             remedy="capture on a faster or quieter host, with a filter on the links' ports, or to a faster "
             "disk",
         )
@@ -92,13 +89,12 @@ def cut_frames(case: Case) -> Iterator[Verdict]:
     """
     cut = np.flatnonzero(case.rows.has(Finding.CAPTURE_CUT))
     if len(cut):
-        yield Verdict(
-            Severity.WARNING,
+        yield warning(
             f"{len(cut):,} of {len(case.rows):,} frames were cut by the capture: what their ends would show "
             "(messages, events, counters) is not judged; datagrams are counted",
+            "the capture says that these frames were longer on the wire",
             hop="capture",
             span=case.span(cut),
-            evidence=("the capture says that these frames were longer on the wire",),
             remedy="capture whole frames, without -s or with -s 0",
         )
 
@@ -115,17 +111,14 @@ def stream_gap(case: Case) -> Iterator[Verdict]:
         if not link.transport.tcp or not len(members):
             continue
         first = int(members[0])
-        yield Verdict(
-            Severity.WARNING,
+        yield warning(
             f"{link.name} over TCP: bytes are missing in front of {plural(len(members), 'message')} of "
             f"{int((rows.link == link).sum()):,}; what was in them is not judged",
+            f"packet {rows.number[first]}: the first message behind bytes that are missing or no message",
+            "TCP delivers every byte or ends the connection: the capture lacks them, the peer does not",
             link=link.label,
             hop="capture",
             span=case.span(members),
-            evidence=(
-                f"packet {rows.number[first]}: the first message behind bytes that are missing or no message",
-                "TCP delivers every byte or ends the connection: the capture lacks them, the peer does not",
-            ),
             remedy="capture whole frames, with a larger buffer, and from before the connections begin",
         )
 
@@ -137,22 +130,16 @@ def not_cfs(case: Case) -> Iterator[Verdict]:
     """
     flows = case.prepared.flows
     for line in foreign(flow for flow in flows if flow.kind is ConversationKind.FOREIGN):
-        yield Verdict(
-            Severity.NOTE,
-            line,
-            hop="capture",
-            remedy="none; another program uses this port, and no cFS gets it",
-        )
+        yield note(line, hop="capture", remedy="none; another program uses this port, and no cFS gets it")
     for flow in flows:
         if flow.kind is ConversationKind.STRANGER:
-            yield Verdict(
-                Severity.WARNING,
+            yield warning(
                 f"{flow.datagrams:,} datagrams on port {flow.destination.port} do not look like cFS, left "
                 f"out: {flow.source} sends them to {flow.destination}, where {flow.link.name} is",
+                "none of them is a packet whose length agrees, or has a MsgId that is known",
                 link=flow.link.label,
                 hop=str(flow.source),
                 span=(flow.first_ns, flow.last_ns),
-                evidence=("none of them is a packet whose length agrees, or has a MsgId that is known",),
                 remedy=f"another program at {flow.source.address} sends to this port; move it",
             )
 
@@ -164,27 +151,23 @@ def captured_twice(case: Case) -> Iterator[Verdict]:
     """
     copies = case.prepared.copies
     if copies:
-        yield Verdict(
-            Severity.NOTE,
+        yield note(
             f"{copies:,} datagrams were captured twice, and are counted once",
-            hop="capture",
-            evidence=(
-                "the same bytes with the same IP identification, or at another place, within ms",
-                *(
-                    f"{other} is another name of {name}: the same datagrams are there within ms, "
-                    "and were only forwarded"
-                    for other, name in case.prepared.translated.items()
-                    if other != name
-                ),
+            "the same bytes with the same IP identification, or at another place, within ms",
+            *(
+                f"{other} is another name of {name}: the same datagrams are there within ms, "
+                "and were only forwarded"
+                for other, name in case.prepared.translated.items()
+                if other != name
             ),
+            hop="capture",
             remedy="capture on one interface instead of any, or at one place",
         )
 
 
 def too_many(start_ns: int, end_ns: int, most: int) -> Verdict:
     """Return what is said first, by no rule that is asked, where they are too many to be sorted."""
-    return Verdict(
-        Severity.ERROR,
+    return error(
         f"the whole capture is out of time order, and holds more than the {most:,} datagrams that can be "
         "sorted: it is judged in parts, and what is said of loss, order and restarts is not right",
         hop="capture",
@@ -201,11 +184,10 @@ def out_of_order(case: Case) -> Iterator[Verdict]:
     """
     count = case.prepared.disordered
     if count:
-        yield Verdict(
-            Severity.NOTE,
+        yield note(
             f"{count:,} records of the capture stand behind later ones; all were put in order of time",
+            "capture times run back, and the times in cFS's packets with them",
             hop="capture",
-            evidence=("capture times run back, and the times in cFS's packets with them",),
             remedy="none; reordercap writes such a file in order",
         )
 
@@ -221,14 +203,13 @@ def duplicated(case: Case) -> Iterator[Verdict]:
             sender, receiver = (case.endpoints[end[own[0]]] for end in (rows.source, rows.destination))
             there = f"{plural(len(own), 'datagram')} from {sender} to {receiver}"
             was = "was" if len(own) == 1 else "were"
-            yield Verdict(
-                Severity.NOTE,
+            yield note(
                 f"{there} {was} doubled by the network"
                 if by_network
                 else f"{there} {was} captured twice; nothing shows whether the network doubled what was sent",
+                "the same bytes with the same IP identification, captured at one place",
                 hop="network",
                 span=(int(rows.time_ns[own].min()), int(rows.time_ns[own].max())),
-                evidence=("the same bytes with the same IP identification, captured at one place",),
                 remedy="none; whoever receives them gets them twice"
                 if by_network
                 else "capture what CI counts (0x884), or what comes out: that tells how often they came",
@@ -240,13 +221,12 @@ def duplicated(case: Case) -> Iterator[Verdict]:
         # A row may tell that an earlier one was not late after all.
         if (number := int(rows.reordered[own].sum())) > 0:
             sender, receiver = (case.endpoints[end[own[0]]] for end in (rows.source, rows.destination))
-            yield Verdict(
-                Severity.NOTE,
+            yield note(
                 f"{plural(number, 'datagram')} from {sender} to {receiver} came late: the network put "
                 f"{'it behind a later one' if number == 1 else 'them behind later ones'}",
+                "their sequence counts are lower than those before, and nothing began anew",
                 hop="network",
                 span=case.span(own),
-                evidence=("their sequence counts are lower than those before, and nothing began anew",),
                 remedy="none; who receives them sees an older value after a newer one",
             )
 
@@ -264,18 +244,15 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
         own = jump.clock == "capture"
         whose = "the capture's own clock" if own else f"the clock of cFS {jump.clock}, and not the capture's,"
         way = "back" if jump.by_ns < 0 else "ahead"
-        yield Verdict(
-            Severity.WARNING,
+        yield warning(
             f"{whose} was set {way} by {seconds(abs(jump.by_ns) / SECOND)} at packet "
             f"{case.rows.number[jump.row]}: times here are given as if it had not",
+            "time runs back from one packet to the next"
+            if jump.by_ns < 0 and own
+            else "mission time and the capture's part ways here, and sequence counts go on: no restart",
+            *(() if own else _commands_to_clock(case, when)),
             hop="capture" if own else "cFS",
             span=(when, when),
-            evidence=(
-                "time runs back from one packet to the next"
-                if jump.by_ns < 0 and own
-                else "mission time and the capture's part ways here, and sequence counts go on: no restart",
-                *(() if own else _commands_to_clock(case, when)),
-            ),
             remedy="discipline the clock (chrony), and do not set it while capturing"
             if own
             else "see who sends TIME commands (0x1805); mission times before and after do not compare",
@@ -298,12 +275,11 @@ def proxy_faults(case: Case) -> Iterator[Verdict]:
     Say what was done to each MsgId.
     """
     if case.prepared.relayed:
-        yield Verdict(
-            Severity.NOTE,
+        yield note(
             f"{plural(case.prepared.relayed, 'datagram')} were captured in front of the proxy: they are its "
             "own recording's once more, and not counted again",
+            "what the proxy dropped is among them",
             hop=PROXY_HOP,
-            evidence=("what the proxy dropped is among them",),
             remedy="none",
         )
     for (link, to_cfs, msg_id), item in case.proxied.items():
@@ -314,14 +290,15 @@ def proxy_faults(case: Case) -> Iterator[Verdict]:
         ]
         done += [f"{number:,} struck by {kind}" for kind, number in item.others.items()]
         way = "to cFS" if to_cfs else "from cFS"
-        yield Verdict(
+        yield verdict(
             Severity.WARNING if item.dropped else Severity.NOTE,
             f"datagrams on {case.name(msg_id)} {way}: {', '.join(done)} on purpose by the proxy",
+            ON_PURPOSE,
+            *(f"rule {rule}" for rule in item.rules),
             msg_id=msg_id if msg_id >= 0 else None,
             link=table.link(link).label,
             hop=PROXY_HOP,
             lost=len(item.dropped) or None,
             span=(item.start_ns, item.end_ns),
-            evidence=(ON_PURPOSE, *(f"rule {rule}" for rule in item.rules)),
             remedy="none: it was asked for",
         )

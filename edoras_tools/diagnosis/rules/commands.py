@@ -12,7 +12,7 @@ import numpy as np
 from edoras_tools.cfs import command_ingest, software_bus, telemetry_output
 from edoras_tools.cfs.limits import CI_BUFFER
 from edoras_tools.diagnosis.rules.routes import misread
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
 from edoras_tools.links.ci import CI
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import MILLISECOND
@@ -103,10 +103,7 @@ _BAD_COMMANDS: Final = (
         True,
     ),
     BadCommandKind(
-        Finding.CDR_TOO_LONG,
-        "CDR longer than the configured type",
-        "accepted, and read as that type",
-        False,
+        Finding.CDR_TOO_LONG, "CDR longer than the configured type", "accepted, and read as that type", False
     ),
     BadCommandKind(
         Finding.ENVELOPE_OVERRUN,
@@ -114,12 +111,7 @@ _BAD_COMMANDS: Final = (
         "accepted silently; the application reads beyond the data",
         False,
     ),
-    BadCommandKind(
-        Finding.CDR_BIG_ENDIAN,
-        "CDR in big-endian order",
-        "accepted, and read as such",
-        False,
-    ),
+    BadCommandKind(Finding.CDR_BIG_ENDIAN, "CDR in big-endian order", "accepted, and read as such", False),
     BadCommandKind(
         Finding.LENGTH_MISMATCH,
         "packet data length disagrees with the datagram",
@@ -128,10 +120,7 @@ _BAD_COMMANDS: Final = (
         refused_7=True,
     ),
     BadCommandKind(
-        Finding.CHECKSUM_BAD,
-        "wrong checksum",
-        "obeyed all the same: no application here checks it",
-        False,
+        Finding.CHECKSUM_BAD, "wrong checksum", "obeyed all the same: no application here checks it", False
     ),
 )
 
@@ -258,16 +247,16 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
         evidence.append("the capture cut the events of that time: what cFS said about it is not there")
     elif kind.event and not events and case.has_telemetry:
         evidence.append("no event about it in the capture: suppressed, filtered, or not asked for")
-    return Verdict(
+    return verdict(
         Severity.ERROR if lost else Severity.NOTE if kind.finding in _HARMLESS else Severity.WARNING,
         f"{which}{kind.what}; {done}",
+        *evidence,
         msg_id=msg_id,
         link="ci",
         hop="CI_LAB_APP" if kind.finding is Finding.TRUNCATED or refused else None,
         lost=lost,
         of=len(members),
         span=case.span(members),
-        evidence=tuple(evidence),
         remedy=f"send whole commands of {cfe.COMMAND_HEADER_BYTES} to {CI_BUFFER} bytes whose fields agree",
         confidence="high" if events or not kind.event else "medium",
         by_type=kind.finding is Finding.CDR_INVALID,

@@ -13,7 +13,7 @@ from edoras_tools.cfs.executive_services import RESTART
 from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
 from edoras_tools.diagnosis.accounting.losses import LEAD_NS, Loss, LossKind
 from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, note, verdict, warning
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.table import among
@@ -90,12 +90,11 @@ def cfs_stalled(case: Case) -> Iterator[Verdict]:
                 f"; {plural(sent, 'message')} sent to it then had to wait, and came at once" if sent else ""
             )
             whose = case.label(case.instances.systems.index(system))
-            yield Verdict(
-                Severity.WARNING,
+            yield warning(
                 f"{whose} stood still from {case.at(span.start_lo)} to {case.at(span.end_hi)}{waited}",
+                span.change.witness,
                 hop="cFS",
                 span=(span.start_lo, span.end_hi),
-                evidence=(span.change.witness,),
                 remedy="look at the load of its host, and at who may stop its process (a debugger, SIGSTOP)",
                 confidence="medium",
             )
@@ -114,16 +113,18 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, told: Se
     lost = sum(loss.lost for loss in down)
     what = "command" if all(loss.stream is None or loss.stream.is_command for loss in down) else "message"
     meanwhile = f"{plural(lost, what)} sent meanwhile reached nobody" if lost else "counts begin again"
-    return Verdict(
+    return verdict(
         Severity.ERROR if lost else Severity.WARNING,
         f"{whose} restarted between {case.at(span[0])} and {case.at(span[1])}: {meanwhile}",
+        how,
+        *told,
+        *(line for loss in down for line in loss.evidence),
         msg_id=down[0].msg_id if len(down) == 1 else None,
         link=down[0].stream.link.label if len(down) == 1 and down[0].stream else "ci" if down else None,
         hop="cFS",
         lost=lost or None,
         of=sum(loss.of or 0 for loss in down) or None,
         span=span,
-        evidence=(how, *told, *(line for loss in down for line in loss.evidence)),
         remedy=f"enable Telemetry Output again as soon as cFS runs: {case.inject(ENABLE_OUTPUT)}",
     )
 
@@ -169,7 +170,7 @@ def not_observable(case: Case) -> Iterator[Verdict]:
 
 
 def _not_shown(reason: str, remedy: str) -> Verdict:
-    return Verdict(Severity.NOTE, reason, hop="capture", remedy=remedy)
+    return note(reason, hop="capture", remedy=remedy)
 
 
 _COUNTERS = {"limit": ("msg_limits", 17), "overflow": ("pipe_overflows", 25)}
@@ -191,15 +192,14 @@ def event_suppression(case: Case) -> Iterator[Verdict]:
             events = sum(told.count for told in said)
             if not said or track.growth(name, last_ns + LEAD_NS) < 2 or track.growth(name) <= events:
                 continue
-            yield Verdict(
-                Severity.NOTE,
+            yield note(
                 f"cFS reported CFE_SB {number} {plural(events, 'time')}, the last at {case.at(last_ns)}, "
                 f"while its counter grew by {track.growth(name):,}: cFS stops this event after "
                 f"{STOPS_AFTER}, "
                 "until its filter is reset, and events may be lost themselves",
+                f"after the last of them +{track.growth(name, last_ns + LEAD_NS):,} in 0x803",
                 hop="event services",
                 span=(last_ns, track.times[-1]),
-                evidence=((f"after the last of them +{track.growth(name, last_ns + LEAD_NS):,} in 0x803"),),
                 remedy=f"trust the counter; to hear of it again: {case.inject('evs-reset-filters', NAME)}",
             )
 
@@ -216,13 +216,12 @@ def event_squelch(case: Case) -> Iterator[Verdict]:
         if (record.sender, app) in seen:
             continue
         seen.add((record.sender, app))
-        yield Verdict(
-            Severity.NOTE,
+        yield note(
             f"events of {app} on cFS {record.sender} are squelched: it says more than Event Services lets "
             "through",
+            f"packet {record.number}, {case.at(record.time_ns)}: {record}",
             hop="event services",
             span=(record.time_ns, record.time_ns),
-            evidence=(f"packet {record.number}, {case.at(record.time_ns)}: {record}",),
             remedy=f"do not conclude from silence of {app}; its counters go on",
         )
 
@@ -252,13 +251,12 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
         errors = track.growth("send_errors")
         losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))
         if errors > losses + refused and not any("sends failed" in line for line in told):
-            yield Verdict(
-                Severity.WARNING,
+            yield warning(
                 f"{plural(errors - losses - refused, 'send')} on the software bus of {case.label(instance)} "
                 "failed, and neither a pipe nor an event says why",
+                f"0x803: MessageSendErrors +{errors:,}, of them {losses:,} at pipes",
                 hop="software bus",
                 span=(track.times[0], track.times[-1]),
-                evidence=(f"0x803: MessageSendErrors +{errors:,}, of them {losses:,} at pipes",),
                 remedy="look at the console of cFS",
                 confidence="medium",
             )
@@ -284,11 +282,11 @@ def _error(case: Case, members: list[EventRecord]) -> Verdict:
     texts = list(dict.fromkeys(item.message for item in members))
     grave = len(members) >= _GOES_ON or any(item.event_type >= EventType.CRITICAL for item in members)
     again = f" {len(members):,} times, the last at {case.at(last.time_ns)}" if len(members) > 1 else ""
-    return Verdict(
+    return verdict(
         Severity.ERROR if grave else Severity.WARNING,
         f"cFS {first.sender} reports an error at {case.at(first.time_ns)}{again}: {first}",
+        *(f"event {first.app} {first.event_id}: {text}" for text in texts[1 : _SHOWN + 1]),
         hop=first.app,
         span=(first.time_ns, last.time_ns),
-        evidence=tuple(f"event {first.app} {first.event_id}: {text}" for text in texts[1 : _SHOWN + 1]),
         remedy="look at the console of cFS around that time, and at what was commanded just before",
     )

@@ -12,8 +12,8 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.cfs.software_bus import NAME
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.closed import one_sided
-from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.advice import loss_verdict, lost_at
+from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, note, verdict, warning
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.words import plural
@@ -21,8 +21,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.diagnosis.accounting.fates import Fate
-    from edoras_tools.diagnosis.accounting.losses import Loss
+    from edoras_tools.diagnosis.accounting.losses import Fate, Loss
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
 
@@ -56,7 +55,7 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
             link = loss.stream.link.label if loss.stream else None
             yield loss_verdict(case, loss, f"{lost_at(case, loss)}: {why}", link=link, remedy=remedy)
     for fate in case.commands.fates.values():
-        if fate.unaccounted or fate.beyond:
+        if fate.ends["unaccounted"] or fate.ends["beyond"]:
             yield _lost_crossing(case, fate) if fate.seen else _unfollowed(case, fate)
 
 
@@ -68,8 +67,8 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     missing = case.rows.time_ns[stream.rows][np.flatnonzero(fate.open)]
     visible = bool(case.tracks)
     evidence = [f"{int(fate.arrived.sum()):,} came out {', '.join(ways)} with the same values"]
-    if fate.superseded:
-        evidence.append(f"{fate.superseded:,} more gave way to a newer one, and are not counted here")
+    if superseded := fate.ends["superseded"]:
+        evidence.append(f"{superseded:,} more gave way to a newer one, and are not counted here")
     accounts = [item for item in case.ingests if item.endpoint == stream.receiver]
     last_ns = max((item.last_ns for item in accounts), default=case.end_ns)
     behind = int((missing > last_ns).sum())
@@ -85,18 +84,20 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     if fate.doubled and (extra := sum(item.not_captured for item in accounts)):
         more = f"and CI counted {extra:,} more than were sent here: the network may have lost these before it"
         evidence.append(f"{fate.doubled:,} came out more than once, {more}")
-    went_in = f"{fate.unaccounted or fate.beyond:,} of {len(stream):,} messages that went into cFS"
-    proven = "are not accounted for" if fate.unaccounted else "may be lost"
-    return Verdict(
-        Severity.ERROR if fate.unaccounted else Severity.WARNING,
+    unaccounted = fate.ends["unaccounted"]
+    went_in = f"{unaccounted or fate.ends['beyond']:,} of {len(stream):,} messages that went into cFS"
+    proven = "are not accounted for" if unaccounted else "may be lost"
+    return verdict(
+        Severity.ERROR if unaccounted else Severity.WARNING,
         f"{went_in} on {case.name(stream.msg_id)} {proven}: they never came out {' or '.join(ways)}, and the "
         "capture cannot show why",
+        *evidence,
+        *case.drops_text(),
         msg_id=stream.msg_id,
         link=stream.link.label,
         hop="application",
         of=len(stream),
         span=(int(missing[0]), int(missing[-1])),
-        evidence=(*evidence, *case.drops_text()),
         remedy="look at the application's own counters and console; a capture on the cFS host, from before "
         "the traffic, shows which of them arrive there",
         confidence="medium" if visible else "low",
@@ -118,16 +119,16 @@ def _unfollowed(case: Case, fate: Fate) -> Verdict:
         evidence = [fate.unfollowed_since]
         times = times[fate.unfollowed]
     open_ = fate.reached is None and fate.commanded is None
-    return Verdict(
-        Severity.WARNING,
-        f"{fate.unaccounted:,} of {len(stream):,} messages that went into cFS on {case.name(stream.msg_id)} "
-        f"{'may be lost' if open_ else 'are not accounted for'}: {why}",
+    return warning(
+        f"{fate.ends['unaccounted']:,} of {len(stream):,} messages that went into cFS on "
+        f"{case.name(stream.msg_id)} {'may be lost' if open_ else 'are not accounted for'}: {why}",
+        *evidence,
+        *case.drops_text(),
         msg_id=stream.msg_id,
         link=stream.link.label,
         hop="application",
         of=len(stream),
         span=(int(times[0]), int(times[-1])),
-        evidence=(*evidence, *case.drops_text()),
         remedy="capture what comes out of the application too: the robot link (UDP 8080 to 8585), SBN",
         confidence="medium",
     )
@@ -170,16 +171,16 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
         else "are missing, and the software bus lost none of them: they were lost between cFS and the "
         "capture, or by the capture"
     )
-    return Verdict(
-        Severity.ERROR,
+    return error(
         f"{lost:,} of {of:,} messages on {names[0] if one else f'{len(names)} MsgIds'} {where}",
+        *evidence,
+        *case.drops_text(),
         msg_id=first.msg_id if one else None,
         link=first.stream.link.label,
         hop=first.hop,
         lost=lost,
         of=of,
         span=(min(loss.start_ns for loss in members), max(loss.end_ns for loss in members)),
-        evidence=(*evidence, *case.drops_text()),
         remedy="let fragments through on the way, or raise its MTU above the longest of these"
         if cut
         else "capture on the cFS host too: packets seen there but not here were lost by the network, "
@@ -194,11 +195,9 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
 
     Say how many, of which topics, and how good the capture surely is.
     """
-    missed = [(item, item.missed) for item in case.commands.fates.values()]
+    missed = [(item, item.ends["missed"]) for item in case.commands.fates.values()]
     found = [(item.stream, number) for item, number in missed if number]
-    found += [
-        (item, number) for item in case.streams if (number := case.telemetry.uncertain.get(id(item), 0))
-    ]
+    found += [(item, number) for item in case.streams if (number := case.telemetry.ended(item, "uncertain"))]
     if not found:
         return
     quality, most = case.quality, 100 * case.quality.upper_share()
@@ -207,27 +206,21 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
         known = f"{quality.checked:,} datagrams were checked that surely passed: {quality.missing:,} lack"
     else:
         known = "nothing here tells what the capture missed"
-    yield Verdict(
-        Severity.WARNING,
+    yield warning(
         f"{plural(total, 'message')} may be lost, or the capture missed "
         f"{'it' if total == 1 else 'them'}: it may lack up to {most:.2g} % of what passed",
+        known,
+        *(
+            f"nothing at all was captured from {case.at(start_ns)} to {case.at(end_ns)}"
+            for start_ns, end_ns in case.quiet
+        ),
+        *(f"{case.name(stream.msg_id)}: {number:,} of {len(stream) + number:,}" for stream, number in found),
+        *case.drops_text(),
         msg_id=streams[0].msg_id if len(streams) == 1 else None,
         link=streams[0].link.label if len({stream.link for stream in streams}) == 1 else None,
         span=(
             min(int(case.rows.time_ns[stream.rows[0]]) for stream in streams),
             max(int(case.rows.time_ns[stream.rows[-1]]) for stream in streams),
-        ),
-        evidence=(
-            known,
-            *(
-                f"nothing at all was captured from {case.at(start_ns)} to {case.at(end_ns)}"
-                for start_ns, end_ns in case.known.quiet
-            ),
-            *(
-                f"{case.name(stream.msg_id)}: {number:,} of {len(stream) + number:,}"
-                for stream, number in found
-            ),
-            *case.drops_text(),
         ),
         remedy="capture with edoras record, or as pcapng: they keep the kernel's count of drops; if it is 0 "
         "these are lost",
@@ -250,39 +243,38 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
             evidence.append(
                 f"published at {offered:.0f}/s; {why}: {clean:g}/s, so {pipe} is the likely place"
             )
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             f"{loss.lost:,} of {loss.of:,} messages on {case.name(loss.msg_id)} are missing behind the "
             "point where they were counted; the capture cannot show where",
+            *evidence,
+            *case.drops_text(),
             msg_id=loss.msg_id,
             link=loss.stream.link.label,
             hop=pipe if offered > clean else None,
             lost=loss.lost,
             of=loss.of,
             span=(loss.start_ns, loss.end_ns),
-            evidence=(*evidence, *case.drops_text()),
             remedy="capture Telemetry Output's link with 0x803 and 0x808 in TO's table: its counters and "
             "events tell",
             confidence="low",
         )
     for stream in case.streams:
-        if untold := case.telemetry.untold.get(id(stream), 0):
-            yield Verdict(
-                Severity.WARNING,
+        if untold := case.telemetry.ended(stream, "untold"):
+            yield warning(
                 f"{untold:,} counts of {case.name(stream.msg_id)} are not accounted for: "
                 f"{_why(case, stream)}",
+                *case.drops_text(),
                 msg_id=stream.msg_id,
                 link=stream.link.label,
                 of=len(stream) + untold,
                 span=case.span(stream.rows),
-                evidence=case.drops_text(),
                 remedy=_remedy(case, stream),
                 confidence="low",
             )
 
 
 def _why(case: Case, stream: Stream) -> str:
-    if not one_sided(case.known, stream):
+    if not one_sided(case, stream):
         return (
             "the capture cut off when packets were made, so nothing tells whether they were lost, not sent, "
             "or are another cFS's"
@@ -299,7 +291,7 @@ def _why(case: Case, stream: Stream) -> str:
 
 
 def _remedy(case: Case, stream: Stream) -> str:
-    if not one_sided(case.known, stream):
+    if not one_sided(case, stream):
         return "capture whole frames, without -s or with -s 0"
     return "capture what the peer sends, too" if stream.link.peers else "capture what is sent to CI, too"
 
@@ -312,18 +304,17 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
     for loss in case.losses:
         if loss.rivals or (loss.kind == "unknown" and loss.stream is None):
             names = " or ".join(dict.fromkeys(case.name(msg_id) for _, msg_id, _ in loss.rivals))
-            yield Verdict(
-                Severity.ERROR,
+            yield error(
                 f"{plural(loss.lost, 'message')} lost on the software bus of {case.label(loss.instance)}; "
                 + (
                     f"the capture cannot show whether of {names}"
                     if names
                     else "the capture cannot show which"
                 ),
+                *loss.evidence,
                 hop=loss.hop,
                 lost=loss.lost,
                 span=(loss.start_ns, loss.end_ns),
-                evidence=tuple(loss.evidence),
                 remedy="capture CI, TO and SBN together, and before the traffic starts let events name "
                 f"MsgId, pipe and sender: {case.inject(ENABLE_OUTPUT)}; "
                 f"{case.inject('evs-reset-filters', NAME)}",
@@ -337,19 +328,19 @@ def superseded(case: Case) -> Iterator[Verdict]:
     Count them apart from loss: this is how the two-robot application works.
     """
     for fate in case.commands.fates.values():
-        if not fate.superseded:
+        number = fate.ends["superseded"]
+        if not number:
             continue
         stream = fate.stream
         outs = " and ".join(case.name(hop.out.msg_id) for hop in fate.hops)
-        yield Verdict(
-            Severity.HABIT,
-            f"{fate.superseded:,} of {len(stream):,} messages on {case.name(stream.msg_id)} gave way to a "
+        yield habit(
+            f"{number:,} of {len(stream):,} messages on {case.name(stream.msg_id)} gave way to a "
             f"newer one before the application sent {outs}: it takes them in bursts, and the last goes on",
+            f"{int(fate.arrived.sum()):,} came out with the same values",
             msg_id=stream.msg_id,
             link=stream.link.label,
             hop="application",
             span=case.span(stream.rows),
-            evidence=(f"{int(fate.arrived.sum()):,} came out with the same values",),
             remedy="send at most 2 Hz for every command to go on, or count on the newest alone",
             confidence="medium",
         )
@@ -369,17 +360,11 @@ def older_losses(case: Case) -> Iterator[Verdict]:
         if of > here:
             losses = f"{of - here:,} loss{'es' * (of - here > 1)}"
             beside = f", beside {here:,} of what is here" if here else ""
-            yield Verdict(
-                Severity.NOTE,
+            yield note(
                 f"{losses} counted by {case.label(instance)} before {case.at(first_ns)}{beside}: older than "
                 "this capture, or of traffic that it does not show",
+                f"the first 0x803, at {case.at(first_ns)}: MsgLimit {limits:,}, PipeOverflow {overflows:,}",
                 hop="software bus",
                 span=(first_ns, first_ns),
-                evidence=(
-                    (
-                        f"the first 0x803, at {case.at(first_ns)}: MsgLimit {limits:,}, PipeOverflow "
-                        f"{overflows:,}"
-                    ),
-                ),
                 remedy="none; not counted as loss of this capture",
             )

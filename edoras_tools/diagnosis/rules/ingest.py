@@ -10,10 +10,9 @@ from edoras_tools.cfs import command_ingest, queues
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
-from edoras_tools.diagnosis.advice import advise
-from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at
+from edoras_tools.diagnosis.advice import advise, loss_verdict, lost_at
 from edoras_tools.diagnosis.rules.commands import refusals
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Verdict, error, note, warning
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
 from edoras_tools.model import Finding
@@ -43,15 +42,14 @@ def host_drops(case: Case) -> Iterator[Verdict]:
         sent = _sent_to(case, port)
         of = f" of {sent:,}" if sent >= count else ""
         whose = f"{link.upper()}'s socket" if link else "the socket"
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             f"{plural(count, 'datagram')}{of} dropped in {whose} (UDP port {port}), which was full: "
             "the kernel counted them",
+            "/edoras/host: the kernel's counter of that socket",
             link=link or None,
             hop=f"socket of UDP port {port}",
             lost=None if ingests else count,
             of=sent if sent >= count else None,
-            evidence=("/edoras/host: the kernel's counter of that socket",),
             remedy=f"send less at once, or make its buffer larger: {_LARGER}",
         )
     for count, what, remedy in (
@@ -67,11 +65,10 @@ def host_drops(case: Case) -> Iterator[Verdict]:
         ),
     ):
         if count:
-            yield Verdict(
-                Severity.WARNING,
+            yield warning(
                 f"{count:,} {what}; they may be others' than these links'",
+                "/edoras/host: the kernel's counters of the host",
                 hop="host",
-                evidence=("/edoras/host: the kernel's counters of the host",),
                 remedy=remedy,
             )
 
@@ -103,33 +100,31 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
                 remedy="look at the uplink: a capture on the cFS host shows which of them arrive there",
             )
     for fate in case.commands.fates.values():
-        if fate.uncounted:
+        if number := fate.ends["uncounted"]:
             stream = fate.stream
             start_ns = int(case.rows.time_ns[stream.rows[0]])
             counted = (item.first_ns for item in case.ingests if item.endpoint == stream.receiver)
-            yield Verdict(
-                Severity.WARNING,
-                f"{fate.uncounted:,} of {len(stream):,} commands on {case.name(stream.msg_id)} are not "
+            yield warning(
+                f"{number:,} of {len(stream):,} commands on {case.name(stream.msg_id)} are not "
                 "accounted for: CI's first count has fewer than were sent before it",
+                "lost on the way, or read by a CI that started again since: no count tells",
                 msg_id=stream.msg_id,
                 link="ci",
                 hop=command_ingest.NAME,
                 of=len(stream),
                 span=(start_ns, max(start_ns, *counted)),
-                evidence=("lost on the way, or read by a CI that started again since: no count tells",),
                 remedy="capture from before the commands, and have Telemetry Output enabled first",
                 confidence="medium",
             )
     for account in case.ingests:
         if account.not_captured:
-            yield Verdict(
-                Severity.NOTE,
+            yield note(
                 f"CI counted {plural(account.not_captured, 'datagram')} more than the capture shows: the "
                 "capture missed some, another sender's do not pass here, or the network doubles some",
+                f"0x884: CI took {account.taken + account.not_captured:,}",
                 link="ci",
                 hop="capture",
                 span=(account.first_ns, account.last_ns),
-                evidence=(f"0x884: CI took {account.taken + account.not_captured:,}",),
                 remedy="capture on the cFS host",
                 confidence="medium",
             )
@@ -151,15 +146,14 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
             yield loss_verdict(case, loss, reason, link="ci", remedy=advise(case, loss), evidence=evidence)
     for account in case.ingests:
         if account.waiting > socket.reads:
-            yield Verdict(
-                Severity.WARNING,
+            yield warning(
                 f"{plural(account.waiting, 'datagram')} wait in CI's socket at its last count, or were "
                 f"dropped: {reads}",
+                f"0x884: CI took {account.taken:,}",
                 link="ci",
                 hop=CI_SOCKET,
                 of=account.taken + account.lost + account.waiting,
                 span=(account.first_ns, account.last_ns),
-                evidence=(f"0x884: CI took {account.taken:,}",),
                 remedy=remedy,
                 confidence="medium",
             )
@@ -192,20 +186,17 @@ def ci_cut(case: Case) -> Iterator[Verdict]:
         )
         said = next((item for row in members.tolist() for item in refusals(case, row, limit)), None)
         words = f"said: {said}" if said else "says nothing of it"
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             f"{len(members):,} of {of:,} commands on {case.name(msg_id)} are longer than CI's {limit} bytes: "
             f"CI cuts them there and {'drops what lacks its end' if said else 'accepts them silently'}",
+            packets,
+            f"up to {int(sizes.max()):,} bytes; cFS {words}",
             msg_id=msg_id,
             link="ci",
             hop="CI_LAB_APP",
             lost=len(members),
             of=of,
             span=case.span(members),
-            evidence=(
-                packets,
-                f"up to {int(sizes.max()):,} bytes; cFS {words}",
-            ),
             remedy=f"send less than {limit} bytes a command, header included; or build CI with a larger "
             "buffer",
         )
@@ -247,12 +238,11 @@ def app_outage(case: Case) -> Iterator[Verdict]:
         since = f"stopped at {case.at(item.start_ns)}" if item.start_ns >= case.start_ns else "not running"
         until = "" if item.end_ns is None else f" and started again at {case.at(item.end_ns)}"
         what = f"restarted at {case.at(item.start_ns)}" if item.restarted else since + until
-        yield Verdict(
-            Severity.WARNING,
+        yield warning(
             f"{item.app} was {what}; no loss by it can be seen here",
+            item.witness,
             hop=item.app,
             span=(start_ns, end_ns),
-            evidence=(item.witness,),
             remedy=_remedy(case, item.app, restarts=item.restarted),
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from edoras_tools.cfs.limits import BRIDGE_BUFFER
 from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.diagnosis.verdict import Confidence, Severity, Verdict
+from edoras_tools.diagnosis.verdict import Confidence, Verdict, error, note
 from edoras_tools.links import table
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
@@ -85,16 +85,15 @@ def _overrun(case: Case, link: Link, msg_id: int, members: NDArray[np.intp], of:
             f"malformed packet {rows.number[before]} went into cFS just before, and was passed on"
         )
         remedy = "send well-formed datagrams: the application passes on what its buffer held"
-    return Verdict(
-        Severity.ERROR,
+    return error(
         f"{len(members):,} of {of:,} messages on {case.name(msg_id)} {reason}",
+        *evidence,
         msg_id=msg_id,
         link=link.label,
         hop="flight application",
         lost=len(members),
         of=of,
         span=case.span(members),
-        evidence=tuple(evidence),
         remedy=remedy,
         confidence=confidence,
     )
@@ -119,17 +118,16 @@ def ground_bridge_buffer(case: Case) -> Iterator[Verdict]:
     over = (rows.link == TO) & rows.has(Finding.OVER_BRIDGE_BUFFER) & (rows.space > 0)
     for msg_id, members in groups(rows.msg_id, np.flatnonzero(over)):
         of = int(((rows.link == TO) & (rows.msg_id == msg_id)).sum())
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             f"{len(members):,} of {of:,} messages on {case.name(msg_id)} are longer than the ground "
             f"bridge's {BRIDGE_BUFFER} bytes: it publishes what follows its buffer as garbage",
+            f"up to {int(rows.length[members].max()):,} bytes a datagram",
             msg_id=msg_id,
             link="to",
             hop="ground bridge",
             lost=len(members),
             of=of,
             span=case.span(members),
-            evidence=(f"up to {int(rows.length[members].max()):,} bytes a datagram",),
             remedy=f"keep telemetry below {BRIDGE_BUFFER} bytes, or give the bridge a larger buffer",
             confidence="medium",
         )
@@ -147,17 +145,16 @@ def flight_bridge_length(case: Case) -> Iterator[Verdict]:
         towards = int(rows.destination[members[0]])
         of = int((whole & (rows.msg_id == msg_id) & (rows.destination == towards)).sum())
         sizes = ", ".join(str(size) for size in np.unique(rows.length[members])[:4].tolist())
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             f"{len(members):,} of {of:,} messages on {case.name(msg_id)} have a length that the public "
             "flight bridge drops: it keeps it in 8 bits, and below 11 is no header",
+            f"datagrams of {sizes} bytes to {case.endpoints[towards]}",
             msg_id=msg_id,
             link="sbn",
             hop="flight bridge",
             lost=len(members),
             of=of,
             span=case.span(members),
-            evidence=(f"datagrams of {sizes} bytes to {case.endpoints[towards]}",),
             remedy="pad the flight struct by 11 bytes or more, or keep the length in a size_t in the bridge",
             confidence="medium",
         )
@@ -202,7 +199,7 @@ def _counted(case: Case) -> dict[tuple[int, int], list[int]]:
     sent before it, but for what may still be on its way.
     """
     rows, times = case.rows, case.rows.time_ns
-    if case.known.peers_unseen:
+    if case.peers_unseen:
         return {}  # what one cFS sends another comes in unseen
     arriving = np.flatnonzero(
         ((rows.link == CI) | (rows.link == SBN))
@@ -245,17 +242,16 @@ def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], evidence
     if packets:
         more = ", ..." if len(members) > _FEW else ""
         evidence = (f"packet {packets}{more}, the first at {case.at(int(times[0]))}", *evidence)
-    return Verdict(
-        Severity.ERROR,
+    return error(
         f"{plural(len(members), 'message') if members else 'messages'} on {case.name(msg_id)} without a "
         "subscriber in cFS: the software bus drops them",
+        *evidence,
         msg_id=msg_id,
         link=link.label,
         hop="software bus",
         lost=len(members) or None,
         of=len(members) or None,
         span=(int(times[0]), int(times[-1])),
-        evidence=evidence,
         remedy="correct the MsgId in the mission file, or have the application subscribe to it",
         confidence="medium" if "cFS said" not in evidence[-1] else "high",
     )
@@ -273,19 +269,14 @@ def stale_tail(case: Case) -> Iterator[Verdict]:
             of = int(((rows.link == link) & (rows.msg_id == msg_id)).sum())
             first = int(members[0])
             tail = int(rows.space[first] - rows.cdr_length[first])
-            yield Verdict(
-                Severity.NOTE,
+            yield note(
                 f"{len(members):,} of {of:,} messages on {case.name(msg_id)} carry bytes of an earlier, "
                 "longer message behind their CDR: harmless, readers stop where the envelope says",
+                f"packet {rows.number[first]}: {tail} bytes behind {rows.cdr_length[first]} bytes "
+                "of CDR, not all zero: the struct has a fixed size and is not cleared",
                 msg_id=msg_id,
                 link=link.label,
                 hop="flight application",
                 span=case.span(members),
-                evidence=(
-                    (
-                        f"packet {rows.number[first]}: {tail} bytes behind {rows.cdr_length[first]} bytes "
-                        "of CDR, not all zero: the struct has a fixed size and is not cleared"
-                    ),
-                ),
                 remedy="none needed; clear the struct before each message to keep old data off the link",
             )

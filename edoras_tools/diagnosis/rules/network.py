@@ -9,7 +9,7 @@ import numpy as np
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.cfs.sbn import NAME
 from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE, UNSEEN, Connection, PeerChange, PeerSilence
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, note, verdict, warning
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Finding, Peer
 from edoras_tools.units import MILLISECOND, SECOND
@@ -42,14 +42,13 @@ def sbn_timeout(case: Case) -> Iterator[Verdict]:
 
 def _unseen(case: Case, connection: Connection, silent: PeerChange) -> Verdict:
     """Say that a peer is not dead, but out of sight."""
-    return Verdict(
-        Severity.NOTE,
+    return note(
         f"nothing of SBN peer {connection.peer} is seen here after {case.at(silent.time_ns)}, yet "
         f"{connection.observer} goes on sending to it: its datagrams do not cross this point any more",
+        f"{connection.observer} still sent at {case.at(int(connection.sent_ns[-1]))}",
         link="sbn",
         hop="capture",
         span=(silent.time_ns, case.end_ns),
-        evidence=(f"{connection.observer} still sent at {case.at(int(connection.sent_ns[-1]))}",),
         remedy="capture on the host of cFS, where both directions pass",
         confidence="medium",
     )
@@ -59,16 +58,15 @@ def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
     """Say that a peer is silent when the capture ends: nobody knows whether it is there."""
     sent = connection.sent_in(silence)
     seconds = (case.end_ns - silence.start_ns) / SECOND
-    return Verdict(
-        Severity.WARNING,
+    return warning(
         f"SBN peer {connection.peer} is silent since {case.at(silence.start_ns)}, {seconds:.1f} s to the "
         f"end of the capture; {connection.observer} sent it {plural(len(sent), 'message')} since, and "
         "nothing shows whether they were heard",
+        f"last datagram of {connection.peer} at {case.at(silence.start_ns)}",
         link="sbn",
         hop=f"SBN peer {connection.peer}",
         of=len(sent) or None,
         span=(silence.start_ns, case.end_ns),
-        evidence=(f"last datagram of {connection.peer} at {case.at(silence.start_ns)}",),
         remedy="capture longer: a peer that is gone is given up after 11 s",
         confidence="medium",
     )
@@ -99,18 +97,18 @@ def _verdict(case: Case, connection: Connection, silent: PeerSilence) -> Verdict
     returned = (
         f"back after {(back_ns - silent.start_ns) / SECOND:.1f} s" if back_ns else "not back in this capture"
     )
-    return Verdict(
+    return verdict(
         Severity.ERROR if len(sent) else Severity.WARNING,
         f"SBN peer {connection.peer} fell silent at {case.at(silent.start_ns)} and timed out at "
         f"{connection.observer} {(out_ns - silent.start_ns) // SECOND} s later; {returned}. It was "
         "killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent",
+        *evidence,
         link="sbn",
         hop=f"SBN peer {connection.peer}",
         lost=len(sent) or None,
         of=len(sent) or None,
         # It is lost until the peer is given up, however long it stays away.
         span=(silent.start_ns, min(max(out_ns, int(sent[-1]) if len(sent) else 0), until)),
-        evidence=tuple(evidence),
         remedy="restart the peer; it is connected again with its first SUB or PROTO. Send DISCONNECT "
         "before a planned stop",
     )
@@ -125,20 +123,18 @@ def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
         for last_ns, dead_ns, back_ns, (last, first) in connection.restarts:
             sent = connection.sent_ns[(connection.sent_ns > last_ns) & (connection.sent_ns < back_ns)]
             lost = int((sent > dead_ns).sum())
-            yield Verdict(
+            yield verdict(
                 Severity.ERROR if lost else Severity.WARNING,
                 f"SBN peer {connection.peer} was started again: nothing came from it from {case.at(last_ns)} "
                 f"to {case.at(back_ns)}, then it subscribed anew. {connection.observer} did not notice, and "
                 f"{plural(lost, 'message')} that it sent reached nobody",
+                f"packet {case.rows.number[last]} is its last, packet {case.rows.number[first]} its SUB",
+                f"{len(sent) - lost:,} more may have been heard, until {case.at(dead_ns)}",
                 link="sbn",
                 hop=f"SBN peer {connection.peer}",
                 lost=lost or None,
                 of=len(sent) or None,
                 span=(last_ns, back_ns),
-                evidence=(
-                    f"packet {case.rows.number[last]} is its last, packet {case.rows.number[first]} its SUB",
-                    f"{len(sent) - lost:,} more may have been heard, until {case.at(dead_ns)}",
-                ),
                 remedy="send nothing while the peer starts again; its DISCONNECT before a planned stop makes "
                 "cFS hold back what is for it",
             )
@@ -161,17 +157,16 @@ def sbn_tcp_overwritten(case: Case) -> Iterator[Verdict]:
         beside = app[_beside(rows.time_ns, rows.source, app, own, case.profile.sbn_wake_ns)]
         if len(peers) < 2 or not len(beside):
             continue
-        yield Verdict(
-            Severity.WARNING,
+        yield warning(
             f"cFS {observer} hears {len(peers)} SBN peers over TCP, and {len(beside):,} of "
             f"{plural(len(app), 'message')} to it came within {case.profile.sbn_wake_ns // MILLISECOND} ms "
             "of another peer's: of messages that one wake-up finds on several connections, SBN's TCP module "
             "keeps the last and drops the others, without an event or a counter",
+            f"peers: {', '.join(sorted(peers))}",
             link="sbn",
             hop=f"SBN of {observer}",
             of=len(app),
             span=case.span(beside),
-            evidence=(f"peers: {', '.join(sorted(peers))}",),
             remedy="give each TCP peer a net of its own in sbn_conf_tbl (NetNum, and a port of this cFS for "
             "it), or use UDP",
             confidence="medium",
@@ -224,24 +219,16 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
         who = case.network.identity_of.get(source, str(case.endpoints[source]))
         kinds = np.unique(rows.sbn_msg_type[there]).tolist()
         names = ", ".join(sbn.MSG_TYPE_NAMES.get(kind, hex(kind)) for kind in kinds)
-        yield Verdict(
-            Severity.WARNING,
+        yield warning(
             f"{who} sends to {case.endpoints[target]} and nothing comes back: the peers are not connected, "
             "or the answers do not cross this capture point",
+            f"{plural(len(there), 'datagram')} ({names}) in {(last_ns - first_ns) / SECOND:.0f} s, no answer",
+            "stock SBN announces only to a peer whose spacecraft and processor both differ: "
+            "between equal spacecraft numbers the first SUB or PROTO of either side has to come "
+            "through",
             link="sbn",
             hop="SBN",
             span=(first_ns, last_ns),
-            evidence=(
-                (
-                    f"{plural(len(there), 'datagram')} ({names}) in {(last_ns - first_ns) / SECOND:.0f} s, "
-                    "no answer"
-                ),
-                (
-                    "stock SBN announces only to a peer whose spacecraft and processor both differ: "
-                    "between equal spacecraft numbers the first SUB or PROTO of either side has to come "
-                    "through"
-                ),
-            ),
             remedy="see that the peer runs, listens at that port, and is in cFS's SBN table with this "
             "identity; capture at the peer to see whether answers leave it",
             confidence="medium",
@@ -261,14 +248,13 @@ def sbn_disconnected(case: Case) -> Iterator[Verdict]:
             later = connection.changes[at + 1 :]
             back = next((item for item in later if item.state == "connected"), None)
             told = f"connected again at {case.at(back.time_ns)}" if back else "not back in this capture"
-            yield Verdict(
-                Severity.NOTE,
+            yield note(
                 f"SBN peer {connection.peer} disconnected from {connection.observer} at "
                 f"{case.at(change.time_ns)}, in order; {told}",
+                change.why,
                 link="sbn",
                 hop=f"SBN peer {connection.peer}",
                 span=(change.time_ns, back.time_ns if back else case.end_ns),
-                evidence=(change.why,),
                 remedy="none",
             )
 
@@ -290,14 +276,15 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
             for item in case.outages
             if item.app == NAME and item.start_ns - SECOND < when < item.ended_ns + SECOND
         ]
-        yield Verdict(
+        yield verdict(
             Severity.WARNING if back else Severity.ERROR,
             f"{who} disconnected from its SBN peer {peer or 'there'} at {case.at(when)}"
             + ("" if back else ", and sent no application message to anybody after that"),
+            f"packet {rows.number[row]}: DISCONNECT from {who}",
+            *stops,
             link="sbn",
             hop=f"SBN peer {peer}",
             span=(when, case.end_ns),
-            evidence=(f"packet {rows.number[row]}: DISCONNECT from {who}", *stops),
             remedy="look at the events of SBN around that time; to restart it: "
             f"{case.inject('es-restart-app', NAME)}",
         )
@@ -322,26 +309,24 @@ def sbn_table(case: Case) -> Iterator[Verdict]:
     for peer, (row, number) in heard.items():
         start_ns = int(rows.time_ns[row])
         if peer not in table:
-            yield Verdict(
-                Severity.WARNING,
+            yield warning(
                 f"{peer} sends on SBN, and the table that was given does not name it: a cFS with this table "
                 "refuses what it sends",
+                f"{plural(number, 'datagram')} of it, from {case.endpoints[rows.source[row]]}",
                 link="sbn",
                 hop="SBN",
                 span=(start_ns, case.end_ns),
-                evidence=(f"{plural(number, 'datagram')} of it, from {case.endpoints[rows.source[row]]}",),
                 remedy=f"add {peer} to sbn_conf_tbl, or give the bridge an identity that is in it",
                 confidence="medium",
             )
     for peer, place in table.items():
         if peer not in heard:
-            yield Verdict(
-                Severity.NOTE,
+            yield note(
                 f"{peer}, which the table that was given names at {place.address}:{place.port}, sends "
                 "nothing that was captured",
+                f"on SBN are {', '.join(map(str, heard))}",
                 link="sbn",
                 hop="SBN",
-                evidence=(f"on SBN are {', '.join(map(str, heard))}",),
                 remedy="see whether it runs; capture where its datagrams pass",
                 confidence="high",
             )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs import sbn as facts
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, verdict
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, Finding, Peer
 from edoras_tools.units import SECOND
@@ -126,16 +126,17 @@ def _verdict(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
     type_ = int(rows.sbn_msg_type[first])
     name = sbn.MSG_TYPE_NAMES.get(type_, f"type 0x{type_:02x}") if type_ >= 0 else "SBN datagram"
     which = f"packet {rows.number[first]}" if len(members) == 1 else f"{len(members):,} datagrams"
-    return Verdict(
+    return verdict(
         Severity.ERROR if kind.refused else Severity.WARNING,
         f"{which} ({name}): {kind.what}; {kind.done}{_consequence(said)}",
+        *evidence,
+        *said,
         msg_id=msg_id if msg_id != NO_MSG_ID else None,
         link="sbn",
         hop="SBN",
         lost=len(members) if kind.refused else None,
         of=len(members),
         span=case.span(members),
-        evidence=(*evidence, *said),
         remedy="write the 11-byte header: MsgSz of the payload alone, a known MsgType, ProcessorID, "
         "SpacecraftID",
         confidence="high" if said or not kind.events else "medium",
@@ -202,15 +203,15 @@ def _refused(
         seen: what else is seen of it.
     """
     span = case.span(members)
-    return Verdict(
-        Severity.ERROR,
+    return error(
         reason,
+        f"packet {case.rows.number[members[0]]} at {case.at(span[0])}{seen}",
+        *said,
         link="sbn",
         hop="SBN",
         lost=len(members),
         of=len(members),
         span=span,
-        evidence=(f"packet {case.rows.number[members[0]]} at {case.at(span[0])}{seen}", *said),
         remedy=remedy,
         confidence="high" if said else "medium",
     )
@@ -302,15 +303,14 @@ def subscription_storm(case: Case) -> Iterator[Verdict]:
             continue
         total = sum(map(len, often))
         period = float(np.median(np.concatenate([np.diff(when) for when in often])))
-        yield Verdict(
-            Severity.HABIT,
+        yield habit(
             f"{case.network.identity_of.get(source, 'a peer')} sends its "
             f"{plural(len(often), 'subscription')} again every {period / 1e6:.0f} ms, {total:,} in all: the "
             "public flight bridge does; cFS ignores repeats",
+            f"from {case.endpoints[source]}",
             link="sbn",
             hop="flight bridge",
             span=(int(min(when[0] for when in often)), int(max(when[-1] for when in often))),
-            evidence=(f"from {case.endpoints[source]}",),
             remedy="none needed; subscribing once after PROTO would do",
         )
 
@@ -327,13 +327,12 @@ def proto_storm(case: Case) -> Iterator[Verdict]:
         heard = int(every[source])
         if len(sent) < _LEAST or 2 * len(sent) < heard:
             continue
-        yield Verdict(
-            Severity.HABIT,
+        yield habit(
             f"{case.network.identity_of.get(source, 'a peer')} answers every datagram with PROTO, "
             f"{len(sent):,} in all: the public flight bridge does; cFS reports an event for each and goes on",
+            f"{len(sent):,} PROTO for {heard:,} datagrams received",
             link="sbn",
             hop="flight bridge",
             span=case.span(sent),
-            evidence=(f"{len(sent):,} PROTO for {heard:,} datagrams received",),
             remedy="none needed; the events may squelch SBN's others (15 a second)",
         )

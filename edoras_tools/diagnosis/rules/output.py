@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from ipaddress import AddressValueError, IPv4Address
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.cfs import executive_services, telemetry_output
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.software import system_at
+from edoras_tools.diagnosis.evidence.timeline.changes import system_at
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, security, verdict, warning
 from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.to import TO
@@ -44,7 +45,7 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
     wanted = bool(len(commands)) or bool(case.mission.ground)
     if not wanted or (rows.link == TO).any() or case.end_ns - case.start_ns < _WAIT_NS:
         return
-    enables = [item for item in case.payloads.output if item.function_code == telemetry_output.ENABLE]
+    enables = case.payloads.outputs(telemetry_output.ENABLE)
     evidence = [f"{plural(len(commands), 'command')} to CI, no datagram from Telemetry Output"]
     if enables:
         evidence += [
@@ -56,12 +57,11 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
         )
     else:
         reason = "Telemetry Output sends nothing here, and no command in the capture enables it"
-    yield Verdict(
-        Severity.WARNING,
+    yield warning(
         reason,
+        *evidence,
         link="to",
         hop="TO_LAB_APP",
-        evidence=tuple(evidence),
         remedy=f"{case.inject(ENABLE_OUTPUT)}; to see telemetry, capture on the host that it is enabled for, "
         "UDP port 1235; on the console of cFS, look for TO_LAB_APP's first event",
         confidence="medium",
@@ -73,22 +73,23 @@ def to_destination(case: Case) -> Iterator[Verdict]:
 
     Go through the enable commands: addresses that are none, and addresses that change.
     """
-    rows = case.rows
-    enables = [
-        item
-        for item in case.payloads.output
-        if item.function_code == telemetry_output.ENABLE and rows.link[item.row] == CI
-    ]
-    for item in enables:
-        if not is_address(item.address):
-            yield _no_address(case, item)
-    by_target: dict[int, list[OutputCommand]] = {}
-    for item in enables:
-        if is_address(item.address):
-            by_target.setdefault(int(rows.destination[item.row]), []).append(item)
-    for members in by_target.values():
-        if len({item.address for item in members}) > 1:
-            yield _fight(case, members)
+    for members in _enables(case).values():
+        for item in members:
+            if not is_address(item.address):
+                yield _no_address(case, item)
+    for members in _enables(case).values():
+        own = [item for item in members if is_address(item.address)]
+        if len({item.address for item in own}) > 1:
+            yield _fight(case, own)
+
+
+def _enables(case: Case) -> dict[int, list[OutputCommand]]:
+    """Return the commands that enable Telemetry Output and went to a CI, by its endpoint."""
+    found: dict[int, list[OutputCommand]] = {}
+    for item in case.payloads.outputs(telemetry_output.ENABLE):
+        if case.rows.link[item.row] == CI:
+            found.setdefault(int(case.rows.destination[item.row]), []).append(item)
+    return found
 
 
 def is_address(text: str) -> bool:
@@ -107,18 +108,15 @@ def _no_address(case: Case, item: OutputCommand) -> Verdict:
         for record in case.said(start_ns, start_ns + 2 * SECOND, *telemetry_output.NAMES)
         if telemetry_output.ENABLED.phrase in record.message
     ]
-    return Verdict(
-        Severity.WARNING,
+    return warning(
         f"Telemetry Output was enabled for {item.address!r}, which is no address: where it sends then is up "
         "to the flight host",
+        f"packet {case.rows.number[item.row]} at {case.at(start_ns)}, {case.rows.length[item.row]} bytes",
+        *(f"cFS said: {record}" for record in said[:1]),
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         link="ci",
         hop="TO_LAB_APP",
         span=(start_ns, start_ns),
-        evidence=(
-            f"packet {case.rows.number[item.row]} at {case.at(start_ns)}, {case.rows.length[item.row]} bytes",
-            *(f"cFS said: {record}" for record in said[:1]),
-        ),
         remedy="send the whole char[16]: 24 bytes in all",
     )
 
@@ -131,21 +129,16 @@ def _fight(case: Case, members: list[OutputCommand]) -> Verdict:
     changes = sum(a.address != b.address for a, b in pairwise(members))
     fighting = changes > 1
     who = "two ground stations fight over Telemetry Output: it" if len(senders) > 1 else "Telemetry Output"
-    return Verdict(
-        Severity.WARNING,
-        (
-            f"{who} was redirected {changes} times, and sends to one address at a time"
-            if fighting
-            else "Telemetry Output was redirected: the first ground station gets nothing from then on"
-        ),
+    return warning(
+        f"{who} was redirected {changes} times, and sends to one address at a time"
+        if fighting
+        else "Telemetry Output was redirected: the first ground station gets nothing from then on",
+        f"enabled from: {', '.join(sorted(senders))}",
+        "enabled for: " + ", ".join(steps[:8]) + (", ..." if len(steps) > 8 else ""),
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         link="to",
         hop="TO_LAB_APP",
         span=(times[0], times[-1]),
-        evidence=(
-            f"enabled from: {', '.join(sorted(senders))}",
-            "enabled for: " + ", ".join(steps[:8]) + (", ..." if len(steps) > 8 else ""),
-        ),
         remedy="enable TO from one station only, and fan its telemetry out from there (edoras proxy)",
     )
 
@@ -157,12 +150,12 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
     """
     lost = [loss for loss in case.losses if loss.closed]
     closed = [
-        (part, part.missing - sum(part.taken.values()))
+        (part, part.missing - part.taken.total())
         for part in case.telemetry.parts
         if part.closed and not (part.silenced or part.unled or part.cause) and part.stream.link is TO
     ]
 
-    def told(when: int, msg_id: int = -1) -> dict[str, Any]:
+    def told(when: int, msg_id: int = -1) -> tuple[int | None, list[str]]:
         """Return the lost, of those that this stop explains first, and what is known of them."""
         here = [loss for loss in lost if loss.start_ns - SECOND <= when <= loss.end_ns + SECOND]
         for loss in here:
@@ -180,7 +173,7 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
                 f"0x803 counts {number:,} of them lost at {telemetry_output.PIPE}, which nobody emptied: "
                 "lost, though Telemetry Output would not have sent them either"
             )
-        return {"lost": number or None, "evidence": tuple(known)}
+        return number or None, known
 
     yield from _commanded(case, told)
     yield from _restarted(case, told)
@@ -192,31 +185,25 @@ def _published(missing: int) -> str:
     return f"{plural(missing, 'message')} published meanwhile {'was' if missing == 1 else 'were'} not sent"
 
 
-def _commanded(case: Case, told: Callable[..., dict[str, Any]]) -> Iterator[Verdict]:
+def _commanded(case: Case, told: Callable[..., tuple[int | None, list[str]]]) -> Iterator[Verdict]:
     """Name each command that stops telemetry."""
     rows = case.rows
-    for item in case.payloads.output:
-        if item.function_code not in telemetry_output.STOPS:
-            continue
+    for item in case.payloads.outputs(*telemetry_output.STOPS):
         when = int(rows.time_ns[item.row])
         what = "every MsgId" if item.msg_id < 0 else case.name(item.msg_id)
-        known = told(when, item.msg_id)
+        lost, known = told(when, item.msg_id)
         again = _added_again(case, item, when)
-        yield Verdict(
-            Severity.NOTE if again and not known["evidence"] else Severity.WARNING,
+        yield verdict(
+            Severity.NOTE if again and not known else Severity.WARNING,
             f"Telemetry Output was told to stop sending {what} at {case.at(when)}{again}",
+            f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
+            f"{item.function_code}, from {case.endpoints[rows.source[item.row]].address}",
+            *known,
             msg_id=item.msg_id if item.msg_id >= 0 else None,
             link="to",
             hop=telemetry_output.NAME,
             span=(when, when),
-            lost=known["lost"],
-            evidence=(
-                (
-                    f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
-                    f"{item.function_code}, from {case.endpoints[rows.source[item.row]].address}"
-                ),
-                *known["evidence"],
-            ),
+            lost=lost,
             remedy="none: it was added again"
             if again
             else f"add it again: {case.inject('to-add', f'0x{item.msg_id:04x}')}"
@@ -240,7 +227,7 @@ def _added_again(case: Case, item: OutputCommand, when: int) -> str:
     return f", and to send it again, at most {later[0].value} a round, at {case.at(later[0].not_before_ns)}"
 
 
-def _restarted(case: Case, told: Callable[..., dict[str, Any]]) -> Iterator[Verdict]:
+def _restarted(case: Case, told: Callable[..., tuple[int | None, list[str]]]) -> Iterator[Verdict]:
     """Say that Telemetry Output sends from another port: it was restarted."""
     rows = case.rows
     moves = [
@@ -252,22 +239,26 @@ def _restarted(case: Case, told: Callable[..., dict[str, Any]]) -> Iterator[Verd
     if moves:
         end_ns = min(end for _, end in moves)
         start_ns = max((start for start, _ in moves if start < end_ns), default=end_ns)
-        yield Verdict(
-            Severity.WARNING,
+        lost, known = told(end_ns)
+        yield warning(
             f"Telemetry Output sends from another port at {case.at(end_ns)}: it was restarted, and forgot "
             "that it was enabled",
+            *known,
             link="to",
             hop=telemetry_output.NAME,
+            lost=lost,
             span=(start_ns, end_ns),
-            **told(end_ns),
             remedy=f"enable it again: {case.inject(ENABLE_OUTPUT)}",
         )
 
 
 def _silent(case: Case) -> Iterator[Verdict]:
     """Say when nothing was sent until Telemetry Output was enabled."""
-    for sender, spans in case.telemetry.silences.items():
-        number = sum(lost for item, lost, _ in case.telemetry.silenced if item.sender == sender)
+    silenced = Counter[int]()
+    for item, lost, _ in case.telemetry.silenced:
+        silenced[item.sender] += lost
+    for sender, number in silenced.items():
+        spans = case.silences_of(sender)
         for start_ns, end_ns in spans if number else ():
             failed = case.suppressed((start_ns, end_ns))
             taken = None if failed else _taken(case, sender, start_ns, end_ns)
@@ -277,19 +268,17 @@ def _silent(case: Case) -> Iterator[Verdict]:
                 why = f"it sent to {taken.value}, for which it was enabled at {case.at(taken.not_before_ns)}"
             else:
                 why = "its socket failed, or it sent to another address"
-            yield Verdict(
+            yield verdict(
                 Severity.ERROR if failed else Severity.WARNING,
                 f"Telemetry Output sent nothing from {case.at(start_ns)} to {case.at(end_ns)}, until it was "
                 f"enabled: {why}",
+                f"sequence counts: {plural(number, 'message')} that the software bus did not lose",
+                *((f"event {failed}",) if failed else ()),
+                *((taken.witness,) if taken else ()),
                 link="to",
                 hop=telemetry_output.SOCKET,
                 lost=number if failed and len(spans) == 1 else None,
                 span=(start_ns, end_ns),
-                evidence=(
-                    f"sequence counts: {plural(number, 'message')} that the software bus did not lose",
-                    *((f"event {failed}",) if failed else ()),
-                    *((taken.witness,) if taken else ()),
-                ),
                 remedy="look at the address that it was enabled for; after an error of its socket Telemetry "
                 f"Output drops what comes until it is enabled again: {case.inject(ENABLE_OUTPUT)}",
                 confidence="high" if failed or taken else "medium",
@@ -321,10 +310,8 @@ def _ended(case: Case) -> Iterator[Verdict]:
     length = case.end_ns - last_ns
     commands = int(((rows.link == CI) & (rows.time_ns > last_ns + SECOND)).sum())
     removed = any(
-        item.function_code in telemetry_output.STOPS
-        and item.msg_id < 0
-        and abs(int(rows.time_ns[item.row]) - last_ns) < _WAIT_NS
-        for item in case.payloads.output
+        item.msg_id < 0 and abs(int(rows.time_ns[item.row]) - last_ns) < _WAIT_NS
+        for item in case.payloads.outputs(*telemetry_output.STOPS)
     )
     if removed or not commands or length < max(_ENDS_NS, _ENDS_ROUNDS * int(np.median(rounds))):
         return
@@ -345,14 +332,14 @@ def _ended(case: Case) -> Iterator[Verdict]:
         if stopped
         else "no counter and no event tells what became of them"
     )
-    yield Verdict(
-        Severity.WARNING,
+    yield warning(
         f"Telemetry Output sends nothing from {case.at(last_ns)} to the end, {length / SECOND:.1f} s, while "
         f"commands go on: {why}",
+        f"{plural(commands, 'datagram')} to CI since then",
+        *(came if robot else ()),
         link="to",
         hop=telemetry_output.NAME,
         span=(last_ns, case.end_ns),
-        evidence=(f"{plural(commands, 'datagram')} to CI since then", *(came if robot else ())),
         remedy=f"start it again: {case.inject('es-start-app', stopped[-1].app)}"
         if stopped
         else "see whether cFS and its Telemetry Output run; one that started again has forgotten that it "
@@ -367,28 +354,21 @@ def to_taken_over(case: Case) -> Iterator[Verdict]:
     Name every enable command that takes the telemetry away from whom another host enabled it for.
     """
     rows = case.rows
-    by_target: dict[int, list[OutputCommand]] = {}
-    for item in case.payloads.output:
-        if item.function_code == telemetry_output.ENABLE and rows.link[item.row] == CI:
-            by_target.setdefault(int(rows.destination[item.row]), []).append(item)
-    for members in by_target.values():
+    for members in _enables(case).values():
         enables = [item for item in members if is_address(item.address)]
         for before, after in pairwise(enables):
             old, new = (case.endpoints[rows.source[item.row]].address for item in (before, after))
             if before.address == after.address or old == new:
                 continue
             time_ns = int(rows.time_ns[after.row])
-            yield Verdict(
-                Severity.SECURITY,
+            yield security(
                 f"{new} had all telemetry sent to {after.address}; {before.address}, for which {old} had "
                 "enabled it, gets none from then on",
+                f"packet {rows.number[after.row]} at {case.at(time_ns)}",
+                f"before: packet {rows.number[before.row]} at {case.at(int(rows.time_ns[before.row]))}",
                 msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
                 link="to",
                 hop=telemetry_output.NAME,
                 span=(time_ns, time_ns),
-                evidence=(
-                    f"packet {rows.number[after.row]} at {case.at(time_ns)}",
-                    f"before: packet {rows.number[before.row]} at {case.at(int(rows.time_ns[before.row]))}",
-                ),
                 remedy="let only the station reach CI's port, and enable TO again",
             )

@@ -10,9 +10,17 @@ import numpy as np
 from edoras_tools.cfs import command_ingest, queues, telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
-from edoras_tools.diagnosis.advice import advise, clean_round, crowding_of, limit_command
-from edoras_tools.diagnosis.loss_verdict import loss_verdict, lost_at, published, stood_still
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.advice import (
+    advise,
+    clean_round,
+    crowding_of,
+    limit_command,
+    loss_verdict,
+    lost_at,
+    published,
+    stood_still,
+)
+from edoras_tools.diagnosis.verdict import Verdict, error
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.wire import cfe
@@ -62,7 +70,7 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     if crowd := crowding_of(case, loss):
         reason += f". {crowd[0].upper()}{crowd[1:]}"
     if loss.span is not None and loss.stream is not None and loss.span.rate_hz:
-        times = case.known.captured(loss.stream)[loss.span.first : loss.span.last + 1]
+        times = case.captured(loss.stream)[loss.span.first : loss.span.last + 1]
         most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
         sent = f"sent at {loss.span.rate_hz:.1f} Hz"
         if loss.span.rate_hz > clean and times[-1] - times[0] > period:
@@ -79,12 +87,7 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
                 f"{who} or the application came to it later than that"
             )
     return loss_verdict(
-        case,
-        loss,
-        reason,
-        link="sbn" if over_network else "ci",
-        evidence=evidence,
-        remedy=advise(case, loss),
+        case, loss, reason, link="sbn" if over_network else "ci", evidence=evidence, remedy=advise(case, loss)
     )
 
 
@@ -130,14 +133,7 @@ def _over_output_limit(case: Case, loss: Loss) -> Verdict:
         evidence.append(
             f"at most {limit} came in one round, every {period / 1e6:.1f} ms: {rate:.1f} Hz is clean"
         )
-    return loss_verdict(
-        case,
-        loss,
-        reason,
-        link="to",
-        evidence=evidence,
-        remedy=advise(case, loss),
-    )
+    return loss_verdict(case, loss, reason, link="to", evidence=evidence, remedy=advise(case, loss))
 
 
 def _set_by(case: Case, loss: Loss) -> str:
@@ -184,15 +180,14 @@ def _with_them(case: Case, others: Sequence[Loss]) -> Verdict:
     lost: Counter[int] = Counter()
     for item in others:
         lost[item.msg_id] += item.lost
-    return Verdict(
-        Severity.ERROR,
+    return error(
         f"{plural(lost.total(), 'message')} of cFS itself lost at {telemetry_output.PIPE}, of "
         f"{plural(len(lost), 'MsgId')}: a pipe that is full takes nothing, whoever filled it",
+        ", ".join(f"{case.name(msg_id)} {number:,}" for msg_id, number in lost.items()),
         link="to",
         hop=telemetry_output.PIPE,
         lost=lost.total(),
         span=(min(item.start_ns for item in others), max(item.end_ns for item in others)),
-        evidence=(", ".join(f"{case.name(msg_id)} {number:,}" for msg_id, number in lost.items()),),
         remedy="as for the MsgId that fills it",
         confidence=min((item.confidence for item in others), key=("low", "medium", "high").index),
         cause="overflow",

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.diagnosis.accounting.ports import PORT_CLOSED, REFUSED, UDP_PORT
+from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, error, verdict
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
@@ -53,14 +53,14 @@ def port_closed(case: Case) -> Iterator[Verdict]:
             reason += f": {plural(number, 'message')} reached nobody ({names}{more})"
         if span.step_ns:
             reason += f"; its own datagrams, {SECOND / span.step_ns:.1f} a second, stopped too"
-        yield Verdict(
+        yield verdict(
             Severity.ERROR if number else Severity.WARNING,
             reason,
+            *evidence,
             hop=f"{UDP_PORT} {span.port}",
             lost=number or None,
             of=number + uncertain.total(),
             span=(span.start_ns, span.last_ns),
-            evidence=tuple(evidence),
             remedy="start the program that listens there before what sends to it; if it ended, its own log "
             "says why",
         )
@@ -76,17 +76,16 @@ def unreachable(case: Case) -> Iterator[Verdict]:
         if rows is None:
             continue
         endpoint = case.endpoints[item.endpoint]
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             f"{plural(len(rows), 'message')} of {case.name(item.stream.msg_id)} did not reach {endpoint}: "
             "ICMP errors about them came back",
+            "edoras sniff --link icmp shows what each error says",
             msg_id=item.stream.msg_id if item.own else None,
             link=item.stream.link.label,
             hop=f"{UDP_PORT} {endpoint}",
             lost=len(rows),
             of=len(rows),
             span=case.span(item.stream.rows[rows]),
-            evidence=("edoras sniff --link icmp shows what each error says",),
             remedy="look at the route to that host, and at firewalls on the way",
         )
 
@@ -110,7 +109,7 @@ def _within(case: Case, span: ClosedSpan, open_ns: int, cause: str | None) -> Co
     for loss in case.commands.losses if cause else ():
         if loss.kind == cause and loss.stream and case.endpoints[loss.stream.receiver] == span.port:
             assert loss.among is not None
-            times = case.known.captured(loss.stream)[loss.among.rows]
+            times = case.captured(loss.stream)[loss.among.rows]
             if number := int(((times >= open_ns) & (times < span.end_ns)).sum()):
                 found[case.name(loss.msg_id)] += number
     return found

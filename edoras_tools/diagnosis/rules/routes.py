@@ -8,7 +8,7 @@ import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.budget import limit
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Verdict, error, note, warning
 from edoras_tools.links import table
 from edoras_tools.links.ci import CI
 from edoras_tools.links.to import TO
@@ -47,19 +47,16 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
         named = any(loss.msg_id == stream.msg_id and loss.kind == "limit" for loss in case.losses)
         if rate <= clean * _OVER or named or _counted(case, stream):
             continue
-        yield Verdict(
-            Severity.WARNING,
+        yield warning(
             f"{case.name(stream.msg_id)} is sent at {rate:.1f} Hz, above the {clean:g} Hz that are clean: "
             f"{why}. The capture cannot show how many were lost",
+            f"{len(stream):,} commands, one every {usual / 1e6:.1f} ms",
+            "no counter of 0x803 then",
             msg_id=stream.msg_id,
             link="ci",
             hop=hop,
             of=len(stream),
             span=(int(times[0]), int(times[-1])),
-            evidence=(
-                f"{len(stream):,} commands, one every {usual / 1e6:.1f} ms",
-                "no counter of 0x803 then",
-            ),
             remedy=f"send at most {clean:g} Hz; to know what was lost, capture telemetry too, in whole "
             "frames: TO's link, UDP port 1235, with 0x803 in its table",
             confidence="medium",
@@ -98,10 +95,11 @@ def wrong_direction(case: Case) -> Iterator[Verdict]:
         if len(other) and not against:
             seen_on = (elsewhere or route.link).name
             wrong = f"configured on {route.link.label.upper()} and seen on {seen_on} only"
-        yield Verdict(
-            Severity.WARNING,
+        yield warning(
             f"{case.name(route.msg_id)} is {wrong}: commands have the bit "
             f"0x{case.mission.msg_ids.command_bit:04x}, telemetry does not",
+            f"{route.file}:{route.line}: {route.key}",
+            f"{plural(len(seen), 'datagram')} of it seen",
             msg_id=route.msg_id,
             topic=route.topic,
             link=route.link.label,
@@ -110,10 +108,6 @@ def wrong_direction(case: Case) -> Iterator[Verdict]:
             span=(
                 int(rows.time_ns[seen[0]]) if len(seen) else case.start_ns,
                 int(rows.time_ns[seen[-1]]) if len(seen) else case.end_ns,
-            ),
-            evidence=(
-                f"{route.file}:{route.line}: {route.key}",
-                f"{plural(len(seen), 'datagram')} of it seen",
             ),
             remedy="list the key under command or telemetry as its MsgId says, or correct its mid",
         )
@@ -134,11 +128,13 @@ def wrong_type(case: Case) -> Iterator[Verdict]:
         fits = fitting(case, _samples(case, route), route.type)
         sizes = ", ".join(str(size) for size in np.unique(rows.cdr_length[bad])[:4].tolist())
         refused = bool(rows.has(Finding.CDR_INVALID)[bad].any())
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             f"{len(bad):,} of {count:,} messages on {case.name(route.msg_id)} "
             f"{'do not decode as' if refused else 'are longer than'} {route.type}"
             + (f"; {' or '.join(fits[:_MOST])} would fit" if fits else ""),
+            f"{route.file}:{route.line}: type {route.type}",
+            f"CDR of {sizes} bytes",
+            *([f"types that fit these bytes: {', '.join(fits)}"] if fits else ()),
             msg_id=route.msg_id,
             topic=route.topic,
             link=route.link.label,
@@ -146,11 +142,6 @@ def wrong_type(case: Case) -> Iterator[Verdict]:
             lost=len(bad),
             of=count,
             span=case.span(bad),
-            evidence=(
-                f"{route.file}:{route.line}: type {route.type}",
-                f"CDR of {sizes} bytes",
-                *([f"types that fit these bytes: {', '.join(fits)}"] if fits else ()),
-            ),
             remedy="name the type that the other side sends; both bridges and the flight application must "
             "agree",
             confidence="high" if fits else "medium",
@@ -214,26 +205,24 @@ def topic_never_seen(case: Case) -> Iterator[Verdict]:
         if (rows.msg_id == route.msg_id).any():
             continue  # it is seen, on another link
         who = "the bridge" if route.to_cfs else "cFS"
-        yield Verdict(
-            Severity.NOTE,
+        yield note(
             f"{route.topic} (0x{route.msg_id:04x}) is configured on {route.link.label.upper()} and never "
             f"seen, while other traffic of that link is: {who} sends none, or under another MsgId",
+            f"{route.file}:{route.line}: {route.key}",
             msg_id=route.msg_id,
             topic=route.topic,
             link=route.link.label,
             hop="bridge" if route.to_cfs else "cFS",
-            evidence=(f"{route.file}:{route.line}: {route.key}",),
             remedy="see that its publisher runs; compare its mid with MsgIds seen and not configured",
             confidence="medium",
         )
     for link, topics in absent.items():
-        yield Verdict(
-            Severity.NOTE,
+        yield note(
             f"no datagram of the {link.label.upper()} link is in the capture: it cannot show what "
             f"{', '.join(topics)} did",
+            f"links seen: {', '.join(sorted(item.label.upper() for item in links)) or 'none'}",
             link=link.label,
             hop="capture",
-            evidence=(f"links seen: {', '.join(sorted(item.label.upper() for item in links)) or 'none'}",),
             remedy=f"capture where the {link.label.upper()} link passes, or on every host and merge "
             "(record -r A -r B)",
         )
@@ -254,18 +243,15 @@ def not_configured(case: Case) -> Iterator[Verdict]:
     fitting_each = types_that_fit_each(types, known, own) if types is not None else [[]] * len(every)
     for (msg_id, members), fits in zip(every.items(), fitting_each, strict=True):
         link = table.link(rows.link[members[0]])
-        yield Verdict(
-            Severity.NOTE,
+        yield note(
             f"{plural(len(members), 'message')} on 0x{msg_id:04x} ({link.label.upper()}) "
             f"{'carries' if len(members) == 1 else 'carry'} an EDORAS envelope, "
             "and no mission file names that MsgId: the bridges ignore it",
+            f"CDR of {rows.cdr_length[members[0]]} bytes",
+            *([f"types that fit: {', '.join(fits[:4])}"] if fits else ()),
             msg_id=msg_id,
             link=link.label,
             hop="mission file",
             span=case.span(members),
-            evidence=(
-                f"CDR of {rows.cdr_length[members[0]]} bytes",
-                *([f"types that fit: {', '.join(fits[:4])}"] if fits else ()),
-            ),
             remedy="add the topic to a mission file, or give that file with -c",
         )

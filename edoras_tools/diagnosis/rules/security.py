@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs.names import PRIVILEGED, command_name
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Verdict, habit, security
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
@@ -51,19 +51,16 @@ def stranger_commands(case: Case) -> Iterator[Verdict]:
         names = sorted({case.name(int(rows.msg_id[row])) for row in kinds})
         start_ns = int(rows.time_ns[members[0]])
         allowed = {text for row in kinds if (text := privilege(case, row))}
-        yield Verdict(
-            Severity.SECURITY,
+        yield security(
             f"{plural(len(members), 'command')} to CI at {target} from {sender}, to which no telemetry of it "
             "goes: CI obeys whoever reaches its port",
+            f"packet {rows.number[members[0]]} at {case.at(start_ns)} is the first",
+            f"telemetry goes to {', '.join(sorted(known))}",
+            f"MsgIds: {', '.join(names[:6])}" + (", ..." if len(names) > 6 else ""),
+            *(f"it could {text}" for text in sorted(allowed)),
             link="ci",
             hop="CI_LAB_APP",
             span=case.span(members),
-            evidence=(
-                f"packet {rows.number[members[0]]} at {case.at(start_ns)} is the first",
-                f"telemetry goes to {', '.join(sorted(known))}",
-                f"MsgIds: {', '.join(names[:6])}" + (", ..." if len(names) > 6 else ""),
-                *(f"it could {text}" for text in sorted(allowed)),
-            ),
             remedy="if it is a second ground station, nothing; else let only the station reach CI's port "
             "(a firewall, or authentication in front of CI)",
             confidence="medium",
@@ -92,18 +89,17 @@ def identity_from_two_addresses(case: Case) -> Iterator[Verdict]:
             continue
         order = sorted(first, key=first.__getitem__)
         second = first[order[1]]
-        yield Verdict(
-            Severity.SECURITY,
+        yield security(
             f"SBN peer {Peer(who >> 32, who & 0xFFFFFFFF)} speaks from {len(order)} addresses: "
             f"{', '.join(order)}; cFS takes whatever bears its identity",
-            link="sbn",
-            hop="SBN",
-            span=(int(rows.time_ns[second]), int(rows.time_ns[members[-1]])),
-            evidence=tuple(
+            *(
                 f"{address}: {plural(count[address], 'datagram')}, the first at "
                 f"{case.at(int(rows.time_ns[first[address]]))}"
                 for address in order[:8]
             ),
+            link="sbn",
+            hop="SBN",
+            span=(int(rows.time_ns[second]), int(rows.time_ns[members[-1]])),
             remedy="give each peer its own processor_id; if there is only one, somebody else uses its name",
             confidence="medium",
         )
@@ -129,17 +125,14 @@ def repeated_commands(case: Case) -> Iterator[Verdict]:
         origins = sorted({names[item] for item in origin[repeats[at]].tolist()})
         start_ns, row = int(rows.time_ns[members[0]]), int(members[0])
         earlier = int(sent[first[which[np.searchsorted(sent, row)]]])
-        yield Verdict(
-            Severity.SECURITY,
+        yield security(
             f"{plural(len(members), 'command')} from {names[who]} repeat, byte for byte, what "
             f"{', '.join(origins)} sent before: a recording is being sent again",
+            f"packet {rows.number[row]} at {case.at(start_ns)} repeats packet {rows.number[earlier]}",
+            f"MsgIds: {', '.join(sorted({case.name(int(rows.msg_id[item])) for item in members}))}",
             link="ci",
             hop="CI_LAB_APP",
             span=case.span(members),
-            evidence=(
-                f"packet {rows.number[row]} at {case.at(start_ns)} repeats packet {rows.number[earlier]}",
-                f"MsgIds: {', '.join(sorted({case.name(int(rows.msg_id[item])) for item in members}))}",
-            ),
             remedy="the bridges' commands carry no count and no time, so that cFS obeys old ones again; let "
             "only the station reach CI's port",
             confidence="medium",
@@ -178,18 +171,15 @@ def privileged_commands(case: Case) -> Iterator[Verdict]:
             {case.endpoints[source].address for source in np.unique(rows.source[members]).tolist()}
         )
         times = rows.time_ns[members].tolist()
-        yield Verdict(
-            Severity.SECURITY,
+        yield security(
             f"{plural(len(members), 'command')} {command_name(msg_id, code)} on {case.name(msg_id)} from "
             f"{_some(senders)}: it can {PRIVILEGED[msg_id, code]}",
+            f"sent at {_some([case.at(when) for when in times])}",
+            f"packet {rows.number[members[0]]} is the first",
             msg_id=msg_id,
             link="ci",
             hop="CI_LAB_APP",
             span=(times[0], times[-1]),
-            evidence=(
-                f"sent at {_some([case.at(when) for when in times])}",
-                f"packet {rows.number[members[0]]} is the first",
-            ),
             remedy="see that whoever sent it was meant to; CI asks nobody who he is",
         )
 
@@ -210,13 +200,12 @@ def checksum(case: Case) -> Iterator[Verdict]:
     absent = int((commands & rows.has(Finding.CHECKSUM_ABSENT)).sum())
     if absent:
         of = int(commands.sum())
-        yield Verdict(
-            Severity.HABIT,
+        yield habit(
             f"{absent:,} of {of:,} commands carry no checksum, as the EDORAS bridges send them; no cFS "
             "application here checks it, so a damaged command is obeyed",
+            "the checksum byte is 0, and 0 is not right",
             link="ci",
             hop="ground bridge",
-            evidence=("the checksum byte is 0, and 0 is not right",),
             remedy="none needed on a link that checks for itself; else compute it (0xFF XOR every byte) "
             "and have the application call CFE_MSG_ValidateChecksum",
         )

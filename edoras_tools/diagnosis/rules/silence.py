@@ -11,11 +11,10 @@ import numpy as np
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.reasons import Way, reasons_for
-from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
-from edoras_tools.diagnosis.matching.spans import Span, steady_rate
+from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reasons_for
+from edoras_tools.diagnosis.matching.streams import Span, steady_rate
 from edoras_tools.diagnosis.rules.messages import struct_overrun
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, error, verdict
 from edoras_tools.links.table import among
 from edoras_tools.links.to import TO
 from edoras_tools.model import NO_ROUTE
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.accounting.stops import Outage
+    from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
 
@@ -56,7 +55,7 @@ def telemetry_vanished(case: Case) -> Iterator[Verdict]:
             continue
         if _asked_for(case, stream, removed) or _stopped(case, stream, stops):
             continue
-        if stream.instance == NOBODY or stream.instance != case.known.owner(stream):
+        if stream.instance == NOBODY or stream.instance != case.owner(stream):
             continue  # handed on for a peer, which may be gone
         times = case.rows.time_ns[stream.rows]
         last_ns = int(times[-1])
@@ -76,16 +75,15 @@ def telemetry_vanished(case: Case) -> Iterator[Verdict]:
             continue  # topic_silent tells of it
         signs += _longer(case, last_ns)
         sure = len(signs) > 1
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             f"{case.name(stream.msg_id)} came every {usual / SECOND:.1f} s until {case.at(last_ns)} and "
             "never again, while other telemetry goes on: its header in the application's memory was "
             "overwritten",
+            *signs,
             msg_id=stream.msg_id,
             link="to",
             hop="flight application",
             span=(last_ns, alive_ns),
-            evidence=tuple(signs),
             remedy="make the struct in front of it large enough (see struct_overrun), and restart the "
             "application: the MsgId does not come back by itself",
             confidence="high" if sure else "medium",
@@ -94,11 +92,9 @@ def telemetry_vanished(case: Case) -> Iterator[Verdict]:
 
 def _removed(case: Case) -> dict[int, list[int]]:
     """Return when Telemetry Output was told to stop sending, in order, by MsgId; -1: all of them."""
-    stops = {telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL}
     found: dict[int, list[int]] = {}
-    for item in case.payloads.output:
-        if item.function_code in stops:
-            found.setdefault(item.msg_id, []).append(int(case.rows.time_ns[item.row]))
+    for item in case.payloads.outputs(telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL):
+        found.setdefault(item.msg_id, []).append(int(case.rows.time_ns[item.row]))
     return {msg_id: sorted(times) for msg_id, times in found.items()}
 
 
@@ -128,11 +124,7 @@ def _strange(case: Case) -> list[tuple[int, Stream]]:
 
 
 def _signs(
-    case: Case,
-    stream: Stream,
-    span: tuple[int, int],
-    overruns: Sequence[Verdict],
-    alike: Sequence[Stream],
+    case: Case, stream: Stream, span: tuple[int, int], overruns: Sequence[Verdict], alike: Sequence[Stream]
 ) -> Iterator[str]:
     """Yield what happened when it stopped: a message too long, a MsgId that is garbage.
 
@@ -142,9 +134,9 @@ def _signs(
         alike: streams of nobody's that began just then, of the same size.
     """
     last_ns, alive_ns = span
-    for verdict in overruns:
-        if abs(verdict.start_ns - last_ns) < _NEAR_NS and verdict.msg_id is not None:
-            yield f"{case.name(verdict.msg_id)} overran its struct at {case.at(verdict.start_ns)}"
+    for item in overruns:
+        if abs(item.start_ns - last_ns) < _NEAR_NS and item.msg_id is not None:
+            yield f"{case.name(item.msg_id)} overran its struct at {case.at(item.start_ns)}"
     for reported, said in case.reported_losses.items():
         internal = not reported.sender.startswith(("CI_LAB", "SBN"))
         told = internal and not reported.at_pipe
@@ -232,7 +224,7 @@ def topic_silent(case: Case) -> Iterator[Verdict]:
         published = stream.link.from_cfs or stream.link.peers
         # Of packets without a time nothing tells whether their cFS ran on.
         dated = stream.instance != NOBODY or not (stream.counted or stream.known_id in MSG_ID_NAMES)
-        dated &= id(stream) not in case.telemetry.untold
+        dated &= "untold" not in case.telemetry.ends[id(stream)]
         told_of = stream.known_id in _EVENTS or stream.msg_id in told
         if published and dated and len(stream) >= _LEAST and not told_of:
             found += _silences(case, stream)
@@ -245,7 +237,7 @@ def topic_silent(case: Case) -> Iterator[Verdict]:
 def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
     times = case.rows.time_ns[stream.rows]
     steps = np.diff(np.append(times, _ends(case, stream)))
-    spans = case.known.spans(stream)
+    spans = case.spans(stream)
     for at in np.flatnonzero((steps > _WAIT_NS) & (stream.missing == 0)).tolist():
         start_ns = int(times[at])
         until_ns = int(times[at + 1]) if at + 1 < len(times) else _again(case, stream, start_ns)
@@ -336,7 +328,7 @@ def _rate(stream: Stream, times: NDArray[np.int64], before: Sequence[Span], at: 
 
 def _ends(case: Case, stream: Stream) -> int:
     """Return until when the stream could have gone on: while the cFS that made it and that sent it ran."""
-    ran = {stream.instance, case.known.owner(stream)} - {NOBODY}
+    ran = {stream.instance, case.owner(stream)} - {NOBODY}
     return min((case.instances.items[index].last_ns for index in ran), default=case.end_ns)
 
 
@@ -350,7 +342,7 @@ def _surely_silent(stream: Stream, before: NDArray[np.int64], length: int) -> bo
 
 def _explained(case: Case, stream: Stream, start_ns: int, end_ns: int) -> bool:
     """Tell whether something else tells of it: it was asked for, or what it is made from is silent too."""
-    system = case.known.system(stream) if stream.is_command else _system(case, stream)
+    system = case.system(stream) if stream.is_command else _system(case, stream)
     name = case.network.identity_of.get
     way = Way(stream.msg_id, stream.link, system, stream.is_command, name(stream.receiver, ""))
     reasons = reasons_for(case.timeline, way, start_ns, end_ns, case.at)
@@ -375,7 +367,7 @@ def _explained(case: Case, stream: Stream, start_ns: int, end_ns: int) -> bool:
 
 def _system(case: Case, stream: Stream) -> int:
     """Return the number of the cFS that sends a stream."""
-    owner = case.known.owner(stream)
+    owner = case.owner(stream)
     return case.instances.systems[owner] if owner != NOBODY else 0
 
 
@@ -415,14 +407,14 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
     ]
     evidence += [item.witness for item in case.outages if any(line.startswith(item.app) for line in causes)]
     evidence += _sent_before(case, first.start_ns)
-    return Verdict(
+    return verdict(
         Severity.NOTE if all(item.rate is None for item in members) else Severity.WARNING,
         f"{who}{came} stopped at {case.at(first.start_ns)}{until}: {why}",
+        *evidence,
         msg_id=first.stream.msg_id if len(members) == 1 else None,
         link=first.stream.link.label,
         hop="source",
         span=(first.start_ns, max(item.end_ns for item in members)),
-        evidence=tuple(evidence),
         remedy="look at the application's console and events; capture its SBN link or its input to see "
         "whether it still gets what it needs",
         confidence="medium" if causes else "low",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.diagnosis.chains import BridgeCount
+from edoras_tools.diagnosis.balance import BridgeCount
 from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.table import Recorder, Rows

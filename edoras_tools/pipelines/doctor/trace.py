@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from edoras_tools.diagnosis.case import Case
-from edoras_tools.diagnosis.evidence.relays.proxied import proxied
+from edoras_tools.diagnosis.evidence.relays import proxied
 from edoras_tools.diagnosis.examination import Chapter, Diagnosis, Examination, judge_single
-from edoras_tools.diagnosis.hop_rates import TopicRates, topic_rates
-from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.missing import Missing, missing
-from edoras_tools.diagnosis.rounds import Timing, rounds_into, rounds_out
+from edoras_tools.diagnosis.rounds import Timing, TopicRates, rounds_into, rounds_out, topic_rates
 from edoras_tools.diagnosis.trace import (
     ENDING_TEXTS,
     PASSED_ON,
@@ -165,9 +163,9 @@ def _timing(case: Case, stream: Stream, name: str) -> Timing:
 def _endings(case: Case, stream: Stream) -> Sequence[tuple[int, str]]:
     """Return what became of the messages of a stream that did not come out, by the ledger."""
     sums: dict[str, int] = {}
-    for entry in MessageLedger(case).way(stream).entries():
+    for entry in case.ledger.way(stream).entries():
         text = case.called(entry.text) if entry.ending == "lost" else ENDING_TEXTS[entry.ending]
         sums[text] = sums.get(text, 0) + entry.number
     fate = case.commands.fates.get(id(stream))
-    behind = fate.passed_on if fate is not None else 0
+    behind = fate.ends["passed_on"] if fate is not None else 0
     return [*((number, text) for text, number in sums.items()), *[(behind, PASSED_ON)] * bool(behind)]

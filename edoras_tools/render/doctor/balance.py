@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rich.text import Text
 
-from edoras_tools.diagnosis.chains import PEER_TO_ROBOT, Chain
-from edoras_tools.diagnosis.summary import CAUSES
+from edoras_tools.diagnosis.balance import PEER_TO_ROBOT, Chain
+from edoras_tools.diagnosis.ledger import cause_text
 from edoras_tools.render import units
 from edoras_tools.render.capture.info import msg_id_text, route_text
 from edoras_tools.render.severity import Level
@@ -82,7 +82,7 @@ def causes(row: Mapping[str, Any]) -> str:
     """Return why messages of a row were lost: ``92 over a message limit``; of one not counted, what would."""
     if row.get("lost", 0) is None:
         return str(row["not_counted"])
-    return ", ".join(f"{number:,} {CAUSES.get(cause, cause)}" for cause, number in row["lost_by"].items())
+    return ", ".join(f"{number:,} {cause_text(cause)}" for cause, number in row["lost_by"].items())
 
 
 def figure_text(value: int | None) -> str:

@@ -19,8 +19,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.diagnosis.hop_rates import HopRate, TopicRates
-    from edoras_tools.diagnosis.rounds import Rounds, Timing
+    from edoras_tools.diagnosis.rounds import HopRate, Rounds, Timing, TopicRates
     from edoras_tools.diagnosis.trace import MessageTrace
 
 _WIDEST: Final = 100

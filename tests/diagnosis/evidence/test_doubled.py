@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rewriting import Udp, write
 
-from edoras_tools.diagnosis.evidence.doubled import _by_counts
+from edoras_tools.diagnosis.evidence.copies import _by_counts
 from edoras_tools.wire import cfe
 
 SECOND, LATER_NS = 10**9, 300_000

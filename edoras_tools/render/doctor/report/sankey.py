@@ -7,8 +7,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.balance import ways
-from edoras_tools.diagnosis.ledger import ENDINGS, Row, summed
-from edoras_tools.diagnosis.summary import CAUSES
+from edoras_tools.diagnosis.ledger import ENDINGS, Row, cause_text, summed
 from edoras_tools.diagnosis.trace import ENDING_TEXTS
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.render.doctor.report import charts
@@ -48,7 +47,7 @@ class Band:
 def bands(row: Row) -> list[Band]:
     """Return what became of the messages that came to a hop: together as many as came, and copies."""
     members = [Band(row.hop, "out", row.out, "went on")]
-    members += [Band(row.hop, "lost", number, CAUSES.get(cause, cause)) for cause, number in row.lost.items()]
+    members += [Band(row.hop, "lost", number, cause_text(cause)) for cause, number in row.lost.items()]
     for ending in ENDINGS[1:]:
         members.append(Band(row.hop, ending, getattr(row, ending), ENDING_TEXTS[ending]))
     return [item for item in members if item.number or item.ending == "out"]

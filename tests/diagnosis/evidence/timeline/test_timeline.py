@@ -15,8 +15,14 @@ from places import ROOT
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.case import Capture, Case
 from edoras_tools.diagnosis.evidence.table import Recorder
-from edoras_tools.diagnosis.evidence.timeline.reasons import Way, reasons_for
-from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Change, StateOwner, Timeline
+from edoras_tools.diagnosis.evidence.timeline.table import (
+    NEVER,
+    Change,
+    StateOwner,
+    Timeline,
+    Way,
+    reasons_for,
+)
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN

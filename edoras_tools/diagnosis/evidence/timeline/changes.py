@@ -1,10 +1,18 @@
-"""State changes that commands, events and boots show: of a cFS, its applications, tables, clock and output.
+"""State changes that commands, events, boots and traffic show: of a cFS, its applications, links and peers.
 
 1. A command takes effect at most ``_SLACK_NS`` after it was sent; one that ends an application within
    ``_ENDS_NS``: it is killed where it does not end by itself. Without an answer that is not sure.
 2. An event is said at the latest when its packet was made. It confirms the command before it.
 3. A boot ends every state: applications run, Telemetry Output sends nothing and has the table it starts with.
 4. A Telemetry Output that is started again has forgotten whom it sends to, and what was added and removed.
+5. A peer is connected, silent, timed out or disconnected as :class:`Network` follows it, and silent, too,
+   from its last datagram to its restart where nobody gave it up.
+6. A peer is subscribed to what its SUBs of this connection name. A connection that ends, ends them all; what
+   the peer does not ask for again it does not get.
+7. A whole cFS stood still (stopped by its host, starved, or stuck in one task) when nothing at all came of
+   it, although it sent steadily before and after; no sequence count is missing, so it published nothing; and
+   what came first behind was made then, so no network held it back. An output that was switched off, a boot,
+   or a capture that saw nothing is no such time.
 """
 
 from __future__ import annotations
@@ -25,17 +33,24 @@ from edoras_tools.cfs import (
 )
 from edoras_tools.cfs.arguments import EVS_MSG_ID, TBL_MSG_ID, TIME_MSG_ID
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Change, StateOwner
+from edoras_tools.diagnosis.evidence.peers import ALREADY
+from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner, Timeline
 from edoras_tools.links.table import among
 from edoras_tools.units import SECOND
+from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from numpy.typing import NDArray
+
     from edoras_tools.diagnosis.evidence.clocks.steady import Jump
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.payloads import CommandRecord, EventRecord, Payloads
+    from edoras_tools.diagnosis.evidence.peers import Connection, Network, SbnParty
     from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.matching.streams import Stream
+
 
 _SLACK_NS: Final = 2 * SECOND
 _ENDS_NS: Final = 10 * SECOND
@@ -268,3 +283,191 @@ def _boot(system: int, low_ns: int, high_ns: int, witness: str) -> Iterator[Chan
         (StateOwner("cfs"), "running"),
     ):
         yield Change(system, subject, state, low_ns, high_ns, witness)
+
+
+_WAKE_NS: Final = SECOND
+
+
+def network_changes(
+    rows: Rows, payloads: Payloads, instances: Instances, network: Network
+) -> Iterator[Change]:
+    """Yield the changes of every peer, as each cFS sees it."""
+    listed = payloads.subscriptions
+    at, contents = listed["row"], listed["said"]
+    for (peer, observer), connection in network.connections.items():
+        system = _system(instances, observer)
+        yield from _peer(connection, system, int(rows.time_ns[0]))
+        own = _between(rows, network, at, peer, observer)
+        yield from _subscriptions(rows, at[own], contents[own], payloads, connection, system)
+
+
+def capture_changes(away: Sequence[tuple[int, int]]) -> Iterator[Change]:
+    """Yield when nothing could be captured, and when it could again."""
+    for start_ns, end_ns in away:
+        for state, when in (("away", start_ns), ("back", end_ns)):
+            yield Change(EVERY, StateOwner("capture"), state, when, when, "nothing was captured meanwhile")
+
+
+def _system(instances: Instances, observer: SbnParty) -> int:
+    name, host = observer
+    fits = [
+        system
+        for item, system in zip(instances.items, instances.systems, strict=True)
+        if item.name == name and item.host == host
+    ]
+    return fits[0] if fits else 0
+
+
+def _between(
+    rows: Rows, network: Network, at: NDArray[np.int64], peer: SbnParty, observer: SbnParty
+) -> NDArray[np.bool_]:
+    """Tell which rows one party sent to another."""
+    ends = []
+    for party, column in ((peer, rows.source), (observer, rows.destination)):
+        places = [place for place in np.unique(column[at]).tolist() if network.party(place) == party]
+        ends.append(np.isin(column[at], places))
+    return np.asarray(ends[0] & ends[1])
+
+
+def _peer(connection: Connection, system: int, begin_ns: int) -> Iterator[Change]:
+    """Yield the states of a peer."""
+    subject = StateOwner("peer", connection.peer)
+    if connection.changes and connection.changes[0].why != ALREADY:
+        yield Change(system, subject, "disconnected", begin_ns, begin_ns, "nothing came from it before")
+    for item in connection.changes:
+        yield Change(system, subject, item.state, item.time_ns, item.time_ns + _WAKE_NS, item.why)
+    for last_ns, dead_ns, back_ns, (last, first) in connection.restarts:
+        text = f"nothing from it for {(back_ns - last_ns) / SECOND:.1f} s, then it subscribed anew"
+        yield Change(system, subject, "silent", last_ns, dead_ns, text, (last,))
+        yield Change(system, subject, "connected", back_ns, back_ns, "it subscribed anew", (first,))
+
+
+def _subscriptions(
+    rows: Rows,
+    at: NDArray[np.int64],
+    contents: NDArray[np.int64],
+    payloads: Payloads,
+    connection: Connection,
+    system: int,
+) -> Iterator[Change]:
+    peer = connection.peer
+    ends = [item for item in connection.changes if item.state in {"timed_out", "disconnected"}]
+    begins = [item for item in connection.changes if item.state == "connected" and item.why != ALREADY]
+    edges = np.array([item.time_ns for item in ends], np.int64)
+    session = np.searchsorted(edges, rows.time_ns[at])
+    unsubscribed = rows.sbn_msg_type[at] == MsgType.UNSUB
+    # A bridge says the same twice a second: of each connection the first of each content tells, unless one of
+    # them takes back what others asked for.
+    key = np.stack((session, contents)) if len(at) else np.zeros((2, 0), np.int64)
+    first = np.sort(np.unique(key, axis=1, return_index=True)[1])
+    chosen = np.arange(len(at)) if unsubscribed.any() else first
+    asked: dict[int, set[int]] = {}
+    for place in chosen.tolist():
+        row, ended = int(at[place]), bool(unsubscribed[place])
+        now = int(rows.time_ns[row])
+        verb, state = ("UNSUB", "unsubscribed") if ended else ("SUB", "subscribed")
+        for msg_id in payloads.contents[int(contents[place])].wanted:
+            members = asked.setdefault(int(session[place]), set())
+            if ended or msg_id not in members:
+                (members.discard if ended else members.add)(msg_id)
+                subject = StateOwner("subscription", peer, msg_id)
+                begun = [item for item in begins if item.time_ns <= now]
+                if begun and not ended and now > begun[-1].time_ns + _WAKE_NS:
+                    since = begun[-1].time_ns
+                    text = f"{peer} was connected and had not subscribed to it"
+                    yield Change(system, subject, "unsubscribed", since, since + _WAKE_NS, text)
+                text = f"{verb} of {peer} for 0x{msg_id:04x}"
+                yield Change(system, subject, state, now, now + _WAKE_NS, text, (row,))
+    for number, item in enumerate(ends):
+        for msg_id in asked.get(number, ()):
+            subject = StateOwner("subscription", peer, msg_id)
+            text = f"its connection ended: {item.why}"
+            yield Change(system, subject, "unsubscribed", item.time_ns, item.time_ns + _WAKE_NS, text)
+
+
+_LEAST_NS: Final = 2 * SECOND
+_FACTOR: Final = 3
+"""Nothing for so many of the longest of its usual pauses: it stood still."""
+_LEAST_STREAMS: Final = 3
+_MADE_NS: Final = SECOND
+_OFF: Final = (
+    (StateOwner("output"), ("disabled", "suppressed")),
+    (StateOwner("entry"), ("unsubscribed", "as at the start")),
+    (StateOwner("cfs"), ("down",)),
+    *(
+        (StateOwner("app", name), ("stopped", "restarting", "failed"))
+        for name in (*telemetry_output.NAMES, *executive_services.SCHEDULERS)
+    ),
+)
+
+
+def stalls(
+    rows: Rows, streams: Sequence[Stream], instances: Instances, timeline: Timeline
+) -> Iterator[Change]:
+    """Yield when each cFS stood still, and when it went on.
+
+    Args:
+        timeline: what else is known of it.
+    """
+    whose = np.array([*instances.systems, NOBODY])[instances.of_row]
+    robot = among(rows.link, lambda link: link.last_hop)
+    for system in sorted(set(instances.systems)):
+        # What goes to a robot comes of the only cFS, or may come of any.
+        times = rows.time_ns[(whose == system) | robot]
+        steps = np.diff(times)
+        if len(steps) < _LEAST_STREAMS:
+            continue
+        pauses = steps[steps > SECOND // 20]
+        usual_ns = int(np.quantile(pauses, 0.9)) if len(pauses) else 0
+        own = [
+            item
+            for item in streams
+            if item.instance != NOBODY and instances.systems[item.instance] == system and item.counted
+        ]
+        for at in np.flatnonzero(steps > max(_LEAST_NS, _FACTOR * usual_ns)).tolist():
+            start_ns, end_ns = times[at : at + 2].tolist()
+            if _switched_off(timeline, system, start_ns, end_ns):
+                continue
+            if _published_nothing(rows, instances, own, start_ns, end_ns):
+                seconds = (end_ns - start_ns) / SECOND
+                text = (
+                    f"nothing came of it for {seconds:.1f} s, no count is missing, and it went on as before"
+                )
+                yield Change(system, StateOwner("cfs"), "stalled", start_ns, start_ns + usual_ns, text)
+                yield Change(
+                    system, StateOwner("cfs"), "running", end_ns - usual_ns, end_ns, "it sends again"
+                )
+
+
+def _switched_off(timeline: Timeline, system: int, start_ns: int, end_ns: int) -> bool:
+    away = timeline.spans(StateOwner("capture"), "away", EVERY)
+    spans = [
+        span for owner, states in _OFF for state in states for span in timeline.spans(owner, state, system)
+    ]
+    return any(span.overlaps(start_ns, end_ns) for span in (*spans, *away))
+
+
+def _published_nothing(
+    rows: Rows, instances: Instances, streams: Sequence[Stream], start_ns: int, end_ns: int
+) -> bool:
+    """Tell whether several steady streams were due, lack nothing, and what came first was made then."""
+    due = lacking = 0
+    for stream in streams:
+        times = rows.time_ns[stream.rows]
+        at = int(np.searchsorted(times, start_ns, "right")) - 1
+        if at < 1 or at + 2 > len(times) - 1:
+            continue
+        usual_ns = _usual(times, at)
+        if 2 * usual_ns > end_ns - start_ns:
+            continue
+        if int(instances.made_ns[stream.rows[at + 1]]) < end_ns - _MADE_NS:
+            return False
+        due += 1
+        # What it makes up for at once when it goes on may be more than a pipe takes.
+        lacking += bool(stream.missing[at])
+    return due >= _LEAST_STREAMS and 3 * lacking <= due
+
+
+def _usual(times: NDArray[np.int64], at: int) -> int:
+    """Return the usual time between messages before a row."""
+    return int(np.quantile(np.diff(times[max(0, at - 20) : at + 1]), 0.9))

@@ -1,0 +1,238 @@
+"""What stands between a sender and a receiver: proxies, captures in front of them, address translation.
+
+Proxies and replays say in the recording what they did on purpose; nobody is blamed for it.
+
+1. What one dropped is lost at the proxy: it is not in the recording, and no later hop misses it.
+2. If it sent a datagram several times, all but the first are duplicates of that hop.
+3. A datagram that it delayed, changed or cut is counted, and continues.
+
+A proxy's recording contains what it sent on, and in ``/edoras/faults`` what it dropped. A capture in front
+of the proxy contains both. Therefore:
+
+4. If the proxy dropped a datagram and the capture has it, it was captured in front of the proxy.
+5. If most of what was dropped in one direction is in the capture, the conversations that contain it are in
+   front of the proxy. They are left out, and what was dropped is counted once, at the proxy.
+6. If the conversation has the same endpoints behind the proxy, only what was dropped is left out: the others
+   are copies, which are counted once anyway.
+7. Bytes that are sent again and again prove nothing.
+
+The same datagrams may be on both sides of an address translation, as a Docker host or a router does it.
+
+8. Whoever only forwards a datagram keeps its bytes and its IP identification, and lowers its time to live.
+   Whoever sends it anew, as a proxy, does not lower it: that is a hop of its own.
+9. If nearly all datagrams of one conversation, and at least eight, come so within 20 ms in another one, the
+   two are one conversation: its endpoints have two names. Of shorter conversations that is so if their
+   addresses are known to be two names of one.
+10. Each endpoint gets the name of the inner side: a source's before it is translated, a destination's behind
+    it. Many may share the outer address.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.links.table import among
+from edoras_tools.sessions.sequence import MODULUS
+from edoras_tools.units import MILLISECOND
+from edoras_tools.wire import sbn
+from edoras_tools.wire.arrays.fingerprint import of_bytes
+from edoras_tools.wire.arrays.window import PADDING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.model import Endpoint
+    from edoras_tools.sessions.faults.fault import Fault
+
+
+PROXY_HOP: Final = "proxy"
+_DROPPED: Final = "dropped"
+_TIMES: Final = ("sent ", " times")
+_OVERFLOW: Final = "overflow"
+
+
+@dataclass(slots=True)
+class Proxied:
+    """What was done to the datagrams of one MsgId on one link, one way.
+
+    Attributes:
+        dropped: the datagrams that it dropped, as they came, with their times.
+        doubled: how many it sent besides the first.
+        others: kind of any other fault to how many datagrams it struck.
+        start_ns: when the first was struck.
+        end_ns: and the last.
+        rules: the rules that struck, as they were written.
+    """
+
+    dropped: list[tuple[int, bytes]] = field(default_factory=list)
+    doubled: int = 0
+    others: Counter[str] = field(default_factory=Counter)
+    start_ns: int = 0
+    end_ns: int = 0
+    rules: dict[str, None] = field(default_factory=dict)
+
+    def counts(self, *, peers: bool) -> list[int]:
+        """Return the sequence counts of what was dropped.
+
+        Args:
+            peers: an SBN header stands in front of each packet.
+        """
+        at = (sbn.HEADER.size if peers else 0) + 2
+        return [
+            int.from_bytes(data[at : at + 2], "big") % MODULUS
+            for _, data in self.dropped
+            if len(data) >= at + 2
+        ]
+
+
+UNTOUCHED: Final = Proxied()
+RouteWay = tuple[int, bool, int]
+"""Code of the link, whether to cFS, and the MsgId."""
+
+
+def proxied(faults: Sequence[Fault]) -> dict[RouteWay, Proxied]:
+    """Return what was done, by link, way and MsgId."""
+    found: dict[RouteWay, Proxied] = {}
+    gone: dict[tuple[int, int, bytes], Counter[str]] = {}
+    for fault in faults:
+        item = found.setdefault((fault.link.code, fault.to_cfs, fault.msg_id), Proxied())
+        item.start_ns = min(item.start_ns or fault.time_ns, fault.time_ns)
+        item.end_ns = max(item.end_ns, fault.time_ns)
+        if fault.rule:
+            item.rules[fault.rule] = None
+        if fault.detail.startswith(_DROPPED) or fault.kind == _OVERFLOW:
+            # Of two rules that drop one datagram both are recorded.
+            same = gone.setdefault((fault.time_ns, fault.stream, fault.original), Counter())
+            before = max(same.values(), default=0)
+            same[fault.rule] += 1
+            if max(same.values()) > before:
+                item.dropped.append((fault.time_ns, fault.original))
+        elif fault.detail.startswith(_TIMES[0]) and fault.detail.endswith(_TIMES[1]):
+            item.doubled += int(fault.detail[len(_TIMES[0]) : -len(_TIMES[1])]) - 1
+        else:
+            item.others[fault.kind] += 1
+    return found
+
+
+_WITHIN_NS: Final = 20 * MILLISECOND
+_LEAST: Final = 0.8
+"""Of what was dropped, so much is there; and of its bytes so much differ."""
+
+
+def before_proxy(rows: Rows, proxied: Mapping[RouteWay, Proxied]) -> NDArray[np.bool_]:
+    """Return which rows were captured in front of a proxy."""
+    out = np.zeros(len(rows), bool)
+    pair = rows.source.astype(np.int64) << 32 | rows.destination
+    for (link, _, msg_id), item in proxied.items():
+        own = np.flatnonzero((rows.link == link) & (rows.msg_id == msg_id))
+        prints = _prints([data for _, data in item.dropped])
+        if not len(own) or len(np.unique(prints)) < max(1, _LEAST * len(prints)):
+            continue
+        found = _there(rows, own, prints, np.array([when for when, _ in item.dropped], np.int64))
+        if len(found) < _LEAST * len(prints):
+            continue
+        ways = np.unique(pair[found])
+        in_front = np.isin(pair, ways) & among(rows.link, lambda kind: kind.packets)
+        if (~in_front[own]).any():
+            out |= in_front
+        else:
+            out[found] = True
+    return out
+
+
+def _there(
+    rows: Rows, own: NDArray[np.intp], prints: NDArray[np.uint64], times: NDArray[np.int64]
+) -> NDArray[np.intp]:
+    """Return the rows that are, by their bytes and time, one of some datagrams."""
+    order = np.lexsort((times, prints))
+    prints, times = prints[order], times[order]
+    there = own[np.isin(rows.bytes_print[own], prints)]
+    first = np.searchsorted(prints, rows.bytes_print[there])
+    last = np.searchsorted(prints, rows.bytes_print[there], "right")
+    near = [
+        bool((np.abs(times[low:high] - when) <= _WITHIN_NS).any())
+        for low, high, when in zip(first.tolist(), last.tolist(), rows.time_ns[there].tolist(), strict=True)
+    ]
+    return np.asarray(there[np.array(near, bool)])
+
+
+def _prints(datagrams: Sequence[bytes]) -> NDArray[np.uint64]:
+    length = np.array([len(data) for data in datagrams], np.int64)
+    data = np.frombuffer(b"".join(datagrams) + bytes(PADDING), np.uint8)
+    return of_bytes(data, np.cumsum(length) - length, length)
+
+
+_LEAST_DATAGRAMS: Final = 8
+_NEARLY_ALL: Final = 0.8
+_MIX: Final = np.uint64(0x9E3779B97F4A7C15)
+
+
+def one_name(rows: Rows, endpoints: Sequence[Endpoint]) -> NDArray[np.int32]:
+    """Return the endpoint that each endpoint is counted as; mostly it is the same.
+
+    Args:
+        rows: in order of time.
+        endpoints: what their ``source`` and ``destination`` index.
+    """
+    names = np.arange(len(endpoints), dtype=np.int32)
+    same = _forwarded(rows, endpoints)
+    if not same:
+        return names
+    outer = {other for _, other in same}
+
+    def preferred(index: int) -> tuple[bool, str, int]:
+        return index in outer, endpoints[index].address, endpoints[index].port
+
+    changed = True
+    while changed:
+        changed = False
+        for pair in same:
+            best = min((int(names[index]) for index in pair), key=preferred)
+            for index in pair:
+                changed |= bool(names[index] != best)
+                names[index] = best
+    return names
+
+
+def _forwarded(rows: Rows, endpoints: Sequence[Endpoint]) -> set[tuple[int, int]]:
+    """Return the endpoints that are two names of one: the inner, then the outer."""
+    if not len(rows) or rows.life.min() == rows.life.max():  # nothing was forwarded
+        return set()
+    pair = rows.source.astype(np.int64) << 32 | rows.destination
+    key = rows.bytes_print ^ rows.identification.astype(np.uint64) * _MIX
+    order = np.lexsort((rows.time_ns, key))
+    near = (key[order][1:] == key[order][:-1]) & (np.diff(rows.time_ns[order]) <= _WITHIN_NS)
+    early, late = order[:-1][near], order[1:][near]
+    onward = (pair[early] != pair[late]) & (rows.life[late] < rows.life[early])
+    if not onward.any():
+        return set()
+    ways, number = np.unique(np.stack((pair[early], pair[late]))[:, onward], axis=1, return_counts=True)
+    there, sizes = np.unique(pair, return_counts=True)
+    size = dict(zip(there.tolist(), sizes.tolist(), strict=True))
+    likely = [
+        (count, _ends(one, other))
+        for (one, other), count in zip(ways.T.tolist(), number.tolist(), strict=True)
+        if count >= _NEARLY_ALL * min(size[one], size[other])
+    ]
+    found = {ends for count, both in likely if count >= _LEAST_DATAGRAMS for ends in both}
+    known = {frozenset(endpoints[index].address for index in ends) for ends in found}
+    for _, both in likely:
+        if all(frozenset(endpoints[index].address for index in ends) in known for ends in both):
+            found |= both
+    return found
+
+
+def _ends(one: int, other: int) -> set[tuple[int, int]]:
+    """Return the endpoints of two ways that differ: the inner, then the outer.
+
+    A source is translated on the way out, a destination on the way in.
+    """
+    source, destination = (one >> 32, other >> 32), (other & 0xFFFFFFFF, one & 0xFFFFFFFF)
+    return {ends for ends in (source, destination) if ends[0] != ends[1]}

@@ -1,1 +1,0 @@
-"""What stands between a sender and a receiver: proxies, relays, address translation."""
