@@ -160,6 +160,7 @@ class LinkProtocol(Link):
         sender_port: whether the source port is enough where the destination port decides nothing.
         wireshark: name of Wireshark's own dissector, which is left the link's datagrams; empty for ours.
         framing: cuts its messages from TCP streams, where ``transport`` has them.
+        sends: whether the door ``send`` opens.
         magic: how every datagram of it begins: it is recognised on any port that no other link has, and where
             it is four bytes ``--port LINK:any`` captures it; empty where nothing tells so much.
     """
@@ -172,6 +173,7 @@ class LinkProtocol(Link):
     wireshark: ClassVar[str] = ""
     framing: ClassVar[Framing | None] = None
     magic: ClassVar[bytes] = b""
+    sends: ClassVar[bool] = False
 
     @classmethod
     def part(cls, place: str) -> Any:

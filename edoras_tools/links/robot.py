@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from edoras_tools.doors import imported
 from edoras_tools.links.protocol import CERTAIN, Form, LinkProtocol, Seen
 from edoras_tools.model import Transport
 from edoras_tools.wire.robot import CFS_PORT, ROBOT_PORT, SENT_TO
@@ -32,6 +31,7 @@ class RobotLink(LinkProtocol):
     to_cfs = True
     from_cfs = True
     last_hop = True
+    sends = True
     layouts = tuple(SENT_TO)
     forms: ClassVar = {
         layout.size: Form((layout,), port, doubles=sum(slot.field.kind == "float" for slot in layout.slots))
@@ -43,7 +43,7 @@ class RobotLink(LinkProtocol):
         del site
         port = CFS_PORT if up else ROBOT_PORT
         lengths = [layout.size for layout, to in SENT_TO.items() if to == port]
-        sending: LinkSending = imported("edoras_tools.links.sending:FormSending")(self, port, lengths)
+        sending: LinkSending = self.part("sending:FormSending")(self, port, lengths)
         return sending
 
     def recognise(self, facts: Seen) -> Any:

@@ -65,7 +65,7 @@ class LinkSending:
         link: of the messages.
         port: where the receiver usually listens; 0: it has to be named.
         framing: cuts what the receiver answers; the messages then go over one TCP connection, else over UDP.
-        renews: whether ``made`` makes others of the recorded messages.
+        renews: whether ``renew`` makes others of the recorded messages.
         packets: whether the messages are the space packets of the rows, without what is in front of them.
         session: what is said besides the messages; None: nothing.
         refusals: what is not sent, and why, a line each; known once all rows were asked for.
@@ -81,12 +81,12 @@ class LinkSending:
         self.link = link
         self.refusals: list[str] = []
 
-    def chosen(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
         """Tell which rows go to the receiver, bool (n,)."""
         del batch
         return np.asarray(columns.link == self.link)
 
-    def made(
+    def renew(
         self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
     ) -> tuple[list[bytes], NDArray[np.int64]]:
         """Return what is sent for all messages, and when; for a link that ``renews``.
@@ -104,6 +104,6 @@ class FormSending(LinkSending):
         super().__init__(link)
         self.port, self._lengths = port, lengths
 
-    def chosen(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
         """Tell which rows have one of the lengths."""
-        return super().chosen(batch, columns) & np.isin(batch.length, self._lengths)
+        return super().outgoing_rows(batch, columns) & np.isin(batch.length, self._lengths)

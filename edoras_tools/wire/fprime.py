@@ -131,7 +131,7 @@ FRAME_SHAPES: Final = (
     FrameShape(TELEMETRY_FRAME, _CRC16),
 )
 """The kinds of frames, by the numbers in ``Frames.shape``; a space packet may come without one."""
-_OWN, _SPACE, _TC, _TM = range(4)
+_OWN, SPACE_SHAPE, TC_SHAPE, _TM = range(4)
 _BODY: Final = np.array([FRAME.size, 0, COMMAND_FRAME.size, TELEMETRY_FRAME.size])
 """Where in a frame its packets start."""
 TM_FRAME_BYTES: Final = 1024
@@ -208,7 +208,7 @@ def frame_shapes_of(field: Callable[[Layout, str, int], Any], length: Any) -> tu
         space = space & (field(SPACE_PACKET, name, 0) == 0)
     command = COMMAND_FRAME
     last = field(command, "frame_length", 0) + headers.TC_LENGTH_BIAS
-    tc = (last == length) & (length >= _LEAST[_TC]) & (field(command, "control_command_flag", 0) == 0)
+    tc = (last == length) & (length >= _LEAST[TC_SHAPE]) & (field(command, "control_command_flag", 0) == 0)
     telemetry = TELEMETRY_FRAME
     first = field(telemetry, "first_header_pointer", 0)
     tm = (length >= _LEAST[_TM]) & ((first < length) | (first >= headers.ONLY_IDLE_DATA))
@@ -264,7 +264,7 @@ def read_ground_frames(
     rows = np.flatnonzero(~own & ~cut)
     if len(rows):
         if checked:
-            framed = rows[framing[rows] != _SPACE]
+            framed = rows[framing[rows] != SPACE_SHAPE]
             corrupt[framed] = crc16_rows(data, offset[framed], length[framed].astype(np.int32)) != 0
         first = np.where(framing == _TM, field(TELEMETRY_FRAME, "first_header_pointer"), 0)[rows]
         start = offset[rows] + _BODY[framing[rows]] + first
@@ -300,8 +300,8 @@ def frame_lengths(
 
     stated = field(COMMAND_FRAME, "frame_length") + headers.TC_LENGTH_BIAS
     inside = field(SPACE_PACKET, "packet_data_length", COMMAND_FRAME.size) + ccsds.LENGTH_BIAS
-    own, _, tc, tm = frame_shapes_of(field, np.where(inside + _LEAST[_TC] == stated, stated, tm_bytes))
-    tc &= inside + _LEAST[_TC] == stated
+    own, _, tc, tm = frame_shapes_of(field, np.where(inside + _LEAST[TC_SHAPE] == stated, stated, tm_bytes))
+    tc &= inside + _LEAST[TC_SHAPE] == stated
     own_size = field(FRAME, "length") + _LEAST[_OWN]
     alive = (window == np.frombuffer(KEEP_ALIVE, np.uint8)).all(axis=1)
     sizes = [np.int64(len(KEEP_ALIVE)), own_size, stated]

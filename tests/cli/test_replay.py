@@ -57,7 +57,7 @@ def test_every_byte_of_every_command(call, captures, datagrams, receiver):
     assert done.code == 0
     assert (report["sent"], report["send_errors"], report["rate_asked_hz"]) == (500, 0, None)
     assert report["lateness_us"] == {"p50": None, "p99": None, "max": None}
-    assert report["seen"] == {"events": [], "counters": {}, "telemetry": [], "sbn": {}}
+    assert report["seen"] == {"events": [], "counters": {}, "telemetry": [], "sbn": {}, "answers": 0}
 
 
 @pytest.mark.parametrize("through", ["x.mcap", "x.pcapng"])

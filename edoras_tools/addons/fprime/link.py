@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.doors import LinkEvidence
     from edoras_tools.links.reading import Reading
+    from edoras_tools.links.sending import LinkSending
     from edoras_tools.links.site import Site
     from edoras_tools.wire.layout import Layout
 
@@ -74,8 +75,15 @@ class GroundDataLink(LinkProtocol):
     from_cfs = True
     layouts = fprime.LINK_LAYOUTS
     port_decides = False
+    sends = True
     dictionary = True
     several = True
+
+    def send(self, site: Site, *, up: bool) -> LinkSending:
+        """Return how its frames go to the ground system, or to flight software."""
+        del site
+        sending: LinkSending = self.part("sending:GroundDataSending")(self, self.framing, up=up)
+        return sending
 
     def recognise(self, facts: Seen) -> Any:
         """Recognise a start word, or the header of a TC or TM frame that fits the datagram."""

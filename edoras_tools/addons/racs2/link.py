@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.doors import OwnTopics, TopicSpace
     from edoras_tools.links.reading import Reading
+    from edoras_tools.links.sending import LinkSending
     from edoras_tools.links.site import Site
 
 _WORDS: Final = Layout(
@@ -86,6 +87,12 @@ class RacsBridgeLink(LinkProtocol):
     from_cfs = True
     layouts = (racs2.TO_ROS, racs2.TO_CFS)
     port_decides = False
+    sends = True
+
+    def send(self, site: Site, *, up: bool) -> LinkSending | None:
+        """Return how its messages go to the ROS side; that side, the server, sends those to cFS."""
+        del site
+        return None if up else self.part("sending:BridgeSending")(self)
 
     def recognise(self, facts: Seen) -> Any:
         """Recognise the 32 bytes of a header; pings and handshakes are not of the link."""

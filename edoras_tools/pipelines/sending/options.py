@@ -156,21 +156,21 @@ def receiver(text: str, site: Site) -> tuple[Receiver | LinkReceiver, Endpoint |
     label, _, rest = text.partition(":")
     if label == "udp" and rest:
         return LinkReceiver(text, LinkSending(OTHER)), parse_endpoint(rest)
-    known = {item.label: item for item in links() if item.send(site, up=False)}
-    if label not in known or rest not in {"", "up", "down"}:
+    senders = {item.label: item for item in links() if item.sends}
+    if label not in senders or rest not in {"", "up", "down"}:
         raise ConfigError(
-            f"--to: {text!r} is not one of {', '.join([*Receiver, *known])}, udp:HOST:PORT; LINK:up is "
+            f"--to: {text!r} is not one of {', '.join([*Receiver, *senders])}, udp:HOST:PORT; LINK:up is "
             "towards the flight software"
         )
-    sending = known[label].send(site, up=rest == "up")
+    sending = senders[label].send(site, up=rest == "up")
     if sending is None:
         raise ConfigError(f"--to {text}: nothing is sent on {label} towards the flight software")
     return LinkReceiver(text, sending), None
 
 
-def sends(site: Site) -> dict[Link, str]:
+def sending_options() -> dict[Link, str]:
     """Return the option that sends the messages of a link, of each that has one."""
-    own: dict[Link, str] = {item: f"--to {item.label}" for item in links() if item.send(site, up=False)}
+    own: dict[Link, str] = {item: f"--to {item.label}" for item in links() if item.sends}
     return own | {item.link: f"--to {item}" for item in Receiver} | {OTHER: "--to udp:HOST:PORT"}
 
 

@@ -19,7 +19,7 @@ from edoras_tools.pipelines.sending.options import (
     SendOptions,
     called,
     fits,
-    sends,
+    sending_options,
 )
 from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.sessions.outgoing import Changes, Outgoing, join_datagrams
@@ -118,7 +118,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
                 period.end_ns and len(elapsed) and int(elapsed[-1]) > period.end_ns + 10**9
             ):
                 break
-    others = _others(options.to.link, links, sends(bench.columns.context))
+    others = _others(options.to.link, links, sending_options())
     if not parts:
         raise CaptureError(f"{source.info.name}: {_nothing(options.to, others, seen_towards)}")
     notes = [f"{cut:,} datagrams were cut by the capture, and are sent cut"] if cut else []
@@ -137,14 +137,14 @@ def _anew(out: Outgoing, sending: LinkSending | None) -> Outgoing:
     """Return what is sent for recorded messages."""
     if sending is None or not sending.renews:
         return out
-    return Outgoing.bare(out.link, *sending.made([out[row] for row in range(len(out))], out.time_ns))
+    return Outgoing.bare(out.link, *sending.renew([out[row] for row in range(len(out))], out.time_ns))
 
 
 def _towards(
     batch: PacketBatch, columns: Columns, options: SendOptions, mission: Mission
 ) -> NDArray[np.bool_]:
     if options.to.sending:
-        return options.to.sending.chosen(batch, columns)
+        return options.to.sending.outgoing_rows(batch, columns)
     towards: NDArray[np.bool_] = columns.link == options.to.link
     if options.to is Receiver.SBN:
         ports = [link.peer_port for link in mission.flight] or [_SBN_PORT]

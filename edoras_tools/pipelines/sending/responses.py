@@ -163,6 +163,7 @@ class Responses:
         counters: of the software bus, the first and the last received.
         counts: packets by link and MsgId.
         network: SBN messages by type, other than application messages.
+        answers: messages of a link without space packets.
         ingest: what CI's own count shows of what was sent to it.
         expected: as given.
     """
@@ -172,6 +173,7 @@ class Responses:
         self.counters: tuple[dict[str, int], dict[str, int]] | None = None
         self.counts: dict[tuple[Link, int], int] = {}
         self.network: dict[str, int] = {}
+        self.answers = 0
         self.ingest = IngestCount()
         self.expected = expected or AwaitedResults()
         self._mission = mission
@@ -194,7 +196,7 @@ class Responses:
                 return
             data = data[sbn.HEADER.size :]
         elif not link.packets:
-            self.network[link.name] = self.network.get(link.name, 0) + 1
+            self.answers += 1
             return
         if len(data) < 2:
             return
@@ -274,6 +276,7 @@ class Responses:
                 for (link, msg_id), count in sorted(self.counts.items())
             ],
             "sbn": dict(sorted(self.network.items())),
+            "answers": self.answers,
         }
 
     def _counters(self) -> dict[str, dict[str, int]]:

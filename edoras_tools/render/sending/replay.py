@@ -86,6 +86,8 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
         facts.add_row("event", f"and {len(seen['events']) - _MOST_EVENTS} more")
     if seen["sbn"]:
         facts.add_row("SBN", ", ".join(f"{name} {count:,}" for name, count in seen["sbn"].items()))
+    if answers := seen.get("answers"):
+        facts.add_row("received", plural(answers, "message"))
     return Group(facts, Text(), _routes(seen["telemetry"])) if seen["telemetry"] else facts
 
 

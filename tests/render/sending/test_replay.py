@@ -97,7 +97,7 @@ def test_what_came_of_it():
 
 
 def test_nothing_came_back():
-    empty = {"events": [], "counters": {}, "telemetry": [], "sbn": {}}
+    empty = {"events": [], "counters": {}, "telemetry": [], "sbn": {}, "answers": 0}
     late = dict.fromkeys(("p50", "p99", "max"))
     summary = {
         **OUTCOME,

@@ -1,0 +1,50 @@
+"""How frames of F Prime are sent again: to its ground system as flight software does, or the other way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.links.sending import LinkSending
+from edoras_tools.wire import fprime
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.framing import Framing
+    from edoras_tools.model import Columns, Link, PacketBatch
+
+_PORT: Final = 50000
+"""Where the ground system listens, and the TCP server of flight software."""
+
+
+class GroundDataSending(LinkSending):
+    """Frames as they were captured, over one TCP connection.
+
+    Args:
+        link: as given.
+        framing: cuts what comes back.
+        up: commands and files to flight software; else channels, events and files to the ground system.
+    """
+
+    port = _PORT
+
+    def __init__(self, link: Link, framing: Framing, *, up: bool) -> None:
+        super().__init__(link)
+        self.framing, self._up = framing, up
+        self._bare = 0
+
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+        """Tell which frames go this way: TC frames and commands up, all others down."""
+        rows = np.flatnonzero(super().outgoing_rows(batch, columns))
+        frames = fprime.read_ground_frames(batch.data, batch.offset[rows], batch.length[rows], checked=False)
+        up = frames.shape == fprime.TC_SHAPE
+        up[frames.packets.row[frames.packets.kind == fprime.PacketType.COMMAND]] = True
+        bare = frames.shape == fprime.SPACE_SHAPE
+        self._bare += int(np.count_nonzero(bare & (up == self._up)))
+        text = "are space packets without a frame: neither side takes these over TCP"
+        self.refusals = [f"{self._bare:,} {text}"] if self._bare else []
+        going = np.zeros(len(batch), bool)
+        going[rows[(up == self._up) & ~bare]] = True
+        return going
