@@ -124,7 +124,7 @@ ADDONS: Final = (
         "rtps",
         adds={
             "links": {"rtps": "link:RTPS"},
-            "rules": _rules("dds_lost", "dds_not_captured", "dds_resent"),
+            "rules": _rules("dds_no_samples", "dds_lost", "dds_not_captured", "dds_resent"),
         },
     ),
     Addon("tui", adds={"parts": {"panes": "cli"}}, extra="tui"),

@@ -826,6 +826,21 @@ def acknack(base, missing=()):
 
 
 @case
+def dds_no_samples(lab, tmp_path, msg_id):
+    (plain,) = samples(lab).verdicts
+    assert plain.reason == "no sample of DDS is in the capture: 1 participant, 1 topic announced"
+    found = lab.examine([lab.at(0, WRITING, READING, announced(shared=True))])
+    (told,) = found.verdicts
+    assert "they share memory" in told.reason
+    assert "FASTDDS_BUILTIN_TRANSPORTS=UDPv4" in told.remedy
+    assert (found.bad, found.start_ns == found.end_ns > 0) == (True, True)
+    beside = lab.examine(lab.merged(lab.simulate()[0], lab.at(1, WRITING, READING, announced(shared=True))))
+    (note,) = (item for item in beside.verdicts if item.rule == "dds_no_samples")
+    assert note.severity is Severity.NOTE
+    return found
+
+
+@case
 def dds_lost(lab, tmp_path, msg_id):
     given_up = samples(
         lab, sample(1), beat(1, 2), acknack(1), acknack(2, [2]), sample(3), beat(3, 3), acknack(4)

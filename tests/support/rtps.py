@@ -72,14 +72,15 @@ def text(value, order="<"):
     return struct.pack(f"{order}I", len(raw)) + raw
 
 
-def announcement(topic, type_name, guid=PREFIX + WRITER, *, reliable=True, order="<"):
-    """Return the data by which a writer is announced."""
+def announcement(topic, type_name, guid=PREFIX + WRITER, *, reliable=True, order="<", shared=False):
+    """Return the data by which a writer is announced; ``shared`` through the memory of its host."""
     kind = 2 if reliable else 1
     parts = [
         parameter(0x005A, guid, order),
         parameter(0x0005, text(topic, order), order),
         parameter(0x0007, text(type_name, order), order),
         parameter(0x001A, struct.pack(f"{order}IiI", kind, 0, 0), order),
+        *([parameter(0x002F, struct.pack(f"{order}iI", 16, 7413) + bytes(16), order)] if shared else ()),
         struct.pack(f"{order}HH", 1, 0),
     ]
     return (b"\0\3" if order == "<" else b"\0\2") + b"\0\0" + b"".join(parts)

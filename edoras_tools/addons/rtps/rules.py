@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.addons.rtps.evidence import sample_verdict
+from edoras_tools.addons.rtps.evidence import SAMPLE_HOP, sample_verdict
 from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.writers import SampleFollower
 from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.wire.rtps.headers import PREFIX_BYTES
 from edoras_tools.wire.rtps.messages import guid_text
-from edoras_tools.words import plural
+from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,6 +54,41 @@ def dds_lost(case: Case) -> Iterator[Verdict]:
             ),
             remedy="reliable endpoints send again what is lost; a deeper history keeps it for longer",
         )
+
+
+def dds_no_samples(case: Case) -> Iterator[Verdict]:
+    """Participants of DDS announce topics, and no sample of any is in the capture.
+
+    Say whether they can reach each other through shared memory, which no capture sees. A note where the
+    capture has traffic of cFS: it may have been made for that.
+    """
+    follower = case.capture.evidence.get(RTPS)
+    if not isinstance(follower, SampleFollower) or follower.topic_writers():
+        return
+    announced = follower.announcements()
+    participants = {item.guid[:PREFIX_BYTES] for item in announced}
+    writers = [item for item in announced if item.is_writer and item.ros_topic.startswith("/")]
+    topics = sorted({item.ros_topic for item in writers})
+    if not participants:
+        return
+    shared = bool(topics) and all(item.shared_memory for item in writers)
+    why = "; they share memory, which no capture sees" if shared else ""
+    yield Verdict(
+        Severity.NOTE if len(case.rows) else Severity.ERROR,
+        f"no sample of DDS is in the capture: {plural(len(participants), 'participant')}, "
+        f"{plural(len(topics), 'topic')} announced{why}",
+        link=RTPS.label,
+        hop=SAMPLE_HOP,
+        span=(follower.first_ns, follower.last_ns),
+        evidence=(
+            f"{plural(follower.datagrams, 'datagram')} of discovery and acknowledgement",
+            *([f"writers announced on {listed(topics, 8)}"] if topics else ()),
+            *(["each of them announces a locator of shared memory"] if shared else ()),
+        ),
+        remedy="set FASTDDS_BUILTIN_TRANSPORTS=UDPv4 where the nodes start, and capture again"
+        if shared
+        else "capture while something is published, where it passes",
+    )
 
 
 def dds_not_captured(case: Case) -> Iterator[Verdict]:

@@ -37,6 +37,7 @@ from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 from edoras_tools.wire.rtps.headers import SubmessageKind
 from edoras_tools.wire.rtps.messages import guid_text
+from edoras_tools.wire.rtps.parameters import Announcement
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -219,6 +220,8 @@ class SampleFollower(LinkEvidence):
         writers: by GUID, in order of what was first captured of them.
         datagrams: of RTPS, as they were captured.
         made: rows that were put together from fragments.
+        first_ns: time of the first datagram.
+        last_ns: time of the last.
         left_out: submessages of writers beyond the limit.
     """
 
@@ -226,6 +229,7 @@ class SampleFollower(LinkEvidence):
         self._endpoints = endpoints
         self.writers: dict[bytes, SampleWriter] = {}
         self.datagrams = self.made = self.left_out = 0
+        self.first_ns = self.last_ns = 0
 
     def topic_writers(self) -> tuple[TopicWriter, ...]:
         """Return the writers of which samples were captured, but those by which ROS tells of its nodes."""
@@ -236,6 +240,10 @@ class SampleFollower(LinkEvidence):
                 topic = READER.topic_of(guid, self._endpoints)
                 writers.append(TopicWriter(topic, endpoint.ros_type if endpoint else "", writer))
         return tuple(writers)
+
+    def announcements(self) -> list[Announcement]:
+        """Return what participants and endpoints said of themselves."""
+        return [item for item, _ in self._endpoints.announced.values() if isinstance(item, Announcement)]
 
     def summary(self) -> dict[str, Any]:
         """Return the writers, and how many of their samples were captured."""
@@ -250,14 +258,17 @@ class SampleFollower(LinkEvidence):
         ]
 
     def spans(self) -> list[tuple[int, int]]:
-        """Return from when to when samples were captured."""
-        return [(item.writer.first_ns, item.writer.last_ns) for item in self.topic_writers()]
+        """Return from when to when datagrams were captured."""
+        return [(self.first_ns, self.last_ns)] if self.datagrams else []
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch, with the samples that were put together from fragments."""
         rows = np.flatnonzero(columns.link == RTPS)
         if not len(rows):
             return
+        times = batch.time_ns[rows]
+        self.first_ns = min(self.first_ns, int(times.min())) if self.datagrams else int(times.min())
+        self.last_ns = max(self.last_ns, int(times.max()))
         joined = int(np.count_nonzero(batch.original_length[rows] < 0))
         self.made += joined
         self.datagrams += len(rows) - joined

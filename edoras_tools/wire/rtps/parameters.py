@@ -32,12 +32,17 @@ class ParameterId(IntEnum):
     TYPE_NAME = 0x0007
     VENDOR_ID = 0x0016
     USER_DATA = 0x002C
+    UNICAST_LOCATOR = 0x002F
+    DEFAULT_UNICAST_LOCATOR = 0x0031
     PARTICIPANT_GUID = 0x0050
     ENDPOINT_GUID = 0x005A
     ENTITY_NAME = 0x0062
     STATUS_INFO = 0x0071
 
 
+_LOCATORS: Final = (ParameterId.UNICAST_LOCATOR, ParameterId.DEFAULT_UNICAST_LOCATOR)
+_SHARED_MEMORY: Final = 16
+"""Kind of a locator of Fast DDS that is no address of a network (its ``LOCATOR_KIND_SHM``)."""
 STATUS_NAMES: Final = {1: "disposed", 2: "unregistered"}
 
 
@@ -50,12 +55,24 @@ class Announcement:
         topic: as DDS has it: ``rt/cmd_vel``.
         type: as DDS has it: ``geometry_msgs::msg::dds_::Twist_``.
         name: of the participant.
+        shared_memory: whether it can be reached through the memory of its host, past any network.
     """
 
     guid: bytes
     topic: str = ""
     type: str = ""
     name: str = ""
+    shared_memory: bool = False
+
+    @property
+    def is_participant(self) -> bool:
+        """Whether it is of a participant itself, by the kind of its entity (table 9.2)."""
+        return self.guid[-1:] == b"\xc1"
+
+    @property
+    def is_writer(self) -> bool:
+        """Whether it is of a writer (table 9.1)."""
+        return self.guid[-1:] in {b"\x02", b"\x03"}
 
     @property
     def ros_topic(self) -> str:
@@ -114,7 +131,7 @@ def read_announcement(data: bytes) -> Announcement | None:
     Args:
         data: from the encapsulation on.
     """
-    guid, participant, topic, kind, name = b"", b"", "", "", ""
+    guid, participant, topic, kind, name, shared_memory = b"", b"", "", "", "", False
     for number, value, order in read_parameters(data):
         parameter = number & _MUST_UNDERSTAND
         if parameter == ParameterId.ENDPOINT_GUID and len(value) >= GUID_BYTES:
@@ -127,8 +144,10 @@ def read_announcement(data: bytes) -> Announcement | None:
             kind = _text(value, order)
         elif parameter == ParameterId.ENTITY_NAME:
             name = _text(value, order)
+        elif parameter in _LOCATORS:
+            shared_memory |= int.from_bytes(value[:4], order) == _SHARED_MEMORY
     owner = guid or participant
-    return Announcement(owner, topic, kind, name) if owner else None
+    return Announcement(owner, topic, kind, name, shared_memory) if owner else None
 
 
 def _text(value: bytes, order: Literal["big", "little"]) -> str:
