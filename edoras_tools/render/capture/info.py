@@ -105,7 +105,10 @@ class _CaptureSummary:
         yield totals(self.summary)
         if self.summary.get("routes"):
             yield Text()
-            yield routes(self.summary["routes"], options.max_width)
+            every = self.summary["routes"]
+            yield routes(every[:_MOST_ROUTES], options.max_width)
+            if len(every) > _MOST_ROUTES:
+                yield plain(f"and {len(every) - _MOST_ROUTES:,} more, which --json has", palette.DIM)
         if self.summary.get("entries"):
             yield Text()
             yield _entries(self.summary["entries"])
@@ -270,6 +273,8 @@ _COLUMNS: Final = (
 )
 
 
+_MOST_ROUTES: Final = 500
+"""Lines of the table of routes; rich takes some ms for each."""
 _OF_TOPICS: Final = [
     item for item in _COLUMNS if item.title in {"Topic", "Type", "Count", "Rate", "Jitter", "Bytes"}
 ]

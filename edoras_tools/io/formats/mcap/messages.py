@@ -50,8 +50,8 @@ class SelectedMessages(NamedTuple):
     sequence: NDArray[np.uint32]
     publish_time: NDArray[np.int64]
 
-    def take(self, rows: NDArray[Any]) -> SelectedMessages:
-        """Return the messages that an index array or a mask chooses, over the same buffer."""
+    def take(self, rows: NDArray[Any] | slice) -> SelectedMessages:
+        """Return the messages that an index array, a mask or a slice chooses, over the same buffer."""
         parts = {name: value if name == "data" else value[rows] for name, value in self._asdict().items()}
         return SelectedMessages(**parts)
 
@@ -133,6 +133,8 @@ def _walked(raw: bytes | bytearray | memoryview) -> Iterator[SelectedMessages | 
 
 def joined_messages(parts: Sequence[SelectedMessages]) -> SelectedMessages:
     """Put the messages of several chunks together: what is done with them costs about as much for few."""
+    if len(parts) == 1:
+        return parts[0]
     ends = np.cumsum([len(part.data) for part in parts])
     offsets = [part.offset + (end - len(part.data)) for part, end in zip(parts, ends.tolist(), strict=True)]
     return SelectedMessages(

@@ -35,7 +35,9 @@ _LARGEST_SNAP_LENGTH = 16 << 20
 _LOOKED_BACK = 8
 """Records before a damaged place of which one may have a wrong length, so that others are in its frame."""
 _FAR_S = 86400
-"""Behind a damaged place no record is later or earlier than the last one by so much."""
+"""Behind a damaged place no record is later or earlier than the last one by so much,"""
+_FAR_RECORDS = 5
+"""unless so many others follow it: another capture may begin there."""
 _STRIDE = 16 << 10
 _SIGHT = 512
 """A seed is searched for in the first _SIGHT bytes of every _STRIDE."""
@@ -87,17 +89,27 @@ class PcapSource(RecordSource):
         positions, stop = walk_records(start, end, self._seeds(data, start, end), successor, step)
         headers = read_at(data, positions, np.dtype((dtype, 4)))
         captured = headers[:, 2].astype(np.int64)
+        seconds = headers[:, 0].astype(np.int64)
+        far = abs(np.diff(seconds, prepend=self._latest_s or seconds[:1])) > _FAR_S
         absurd = (captured > self._limit) | ~headers.any(axis=1)  # zeros are no record
+        absurd |= far & (headers[:, 3] < captured)  # the bytes of records, read from a wrong place
         if absurd.any():
             first = int(absurd.argmax())
             stop = int(positions[first])
             positions, headers, captured = positions[:first], headers[:first], captured[:first]
+        latest_s, self._latest_s = (
+            self._latest_s,
+            int(seconds[len(positions) - 1]) if len(positions) else self._latest_s,
+        )
         problem = self._problem(stop, end)
-        for row in range(max(0, len(positions) - _LOOKED_BACK), len(positions) if problem else 0):
-            first = int(positions[row]) + RECORD_HEADER_BYTES
-            earlier_s = int(headers[row - 1, 0]) if row else self._latest_s
-            absent = not captured[row] and abs(int(headers[row, 0]) - earlier_s) > _FAR_S
-            if absent or self._next_record(first, first + int(captured[row])) is not None:
+        self._latest_s = latest_s
+        damaged = bool(problem or self.left_out)  # in a sound file any bytes may look like records
+        rows = {*np.flatnonzero(far[: len(positions)])[: _LOOKED_BACK * damaged].tolist()}
+        for row in sorted(
+            rows | {*range(max(0, len(positions) - _LOOKED_BACK), len(positions) * bool(problem))}
+        ):
+            self._latest_s = int(seconds[row - 1]) if row else self._latest_s
+            if self._is_wrong(int(positions[row]), int(captured[row]), end, far=bool(far[row])):
                 inside = "in which others begin" if captured[row] else "at another time"
                 problem = f"record {{}} claims a frame of {captured[row]} bytes, {inside}"
                 stop = int(positions[row])
@@ -116,12 +128,26 @@ class PcapSource(RecordSource):
             return ""
         if not header.any():
             return "zeros are where record {} begins"
-        claimed = int(header.view(f"{self._order}u4")[2])
+        seconds, _, claimed, original = map(int, header.view(f"{self._order}u4"))
         if claimed <= self._limit:
-            return ""
+            far = self._latest_s and abs(seconds - self._latest_s) > _FAR_S
+            return "record {} has an impossible time and length" if far and original < claimed else ""
         return f"record {{}} claims a frame of {claimed} bytes, but the maximum is {self._limit}"
 
+    def _is_wrong(self, place: int, captured: int, end: int, *, far: bool) -> bool:
+        """Return whether the length of a record is wrong: another one begins in it."""
+        edge = place + RECORD_HEADER_BYTES + captured
+        if not far:
+            return self._next_record(place + RECORD_HEADER_BYTES, edge) is not None
+        found = self._search(place + 1, min(end, edge + SEARCHED), near=True)
+        return not captured or (found is not None and found < edge)
+
     def _next_record(self, start: int, end: int) -> int | None:
+        found = self._search(start, end, near=True)
+        return self._search(start, end, near=False) if found is None and self._latest_s else found
+
+    def _search(self, start: int, end: int, *, near: bool) -> int | None:
+        """Return where a record begins, of about the time of the last one, or one that many others follow."""
         data = self._window.data
         while start < end:
             if not data[start]:  # there may be gigabytes of zeros, of which three begin a header at most
@@ -129,12 +155,16 @@ class PcapSource(RecordSource):
                 start = max(start, start + int(filled.argmax()) - 11 if filled.any() else end)
             places = np.arange(start, min(start + SEARCHED, end - RECORD_HEADER_BYTES))
             sound, after = self._look(data, places, end + 1)
-            places, after = places[sound], after[sound]
-            behind = np.minimum(after, end - RECORD_HEADER_BYTES)
-            sound = (after == end) | self._look(data, behind, end + 1)[0]
-            if self._latest_s:
+            if near and self._latest_s:
                 seconds = read_at(data, places, np.dtype(f"{self._order}u4")).astype(np.int64)
                 sound &= abs(seconds - self._latest_s) < _FAR_S
+            places, after = places[sound], after[sound]
+            sound = np.ones(len(places), bool)
+            for _ in range(1 if near else _FAR_RECORDS):
+                behind = np.minimum(after, end - RECORD_HEADER_BYTES)
+                follows, further = self._look(data, behind, end + 1)
+                sound &= (after == end) | follows
+                after = np.where(after == end, end, further)
             if sound.any():
                 return int(places[sound.argmax()])
             start += SEARCHED

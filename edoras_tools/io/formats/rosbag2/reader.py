@@ -411,6 +411,8 @@ def _released(
     if not parts:
         return None, []
     joined = joined_messages(parts)
+    if until is None and (joined.log_time[1:] >= joined.log_time[:-1]).all():
+        return joined, []
     order = np.argsort(joined.log_time, kind="stable")
     count = len(order) if until is None else int(np.searchsorted(joined.log_time[order], until, "left"))
     rest = order[count:]

@@ -21,7 +21,7 @@ from edoras_tools.io.formats.rosbag2.reader import METADATA, files_of, open_topi
 from edoras_tools.model import RECORDED, PacketBatch, SourceInfo, SourceStatistics
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.io import Source
@@ -97,6 +97,7 @@ def _parts(path: Path, files: Sequence[Path], open_part: Callable[[Path], Source
         raise refusal
 
 
+_MOST_ROWS: Final = 1 << 18
 _MOST_TOPICS: Final = 32767
 """A row's topic has 15 bits."""
 
@@ -160,7 +161,7 @@ class MessageSource(SourceDefaults):
         number, position = 1, 0
         for file, numbers in self._files:
             try:
-                for messages in map(unpacked, file.messages()):
+                for messages in _in_parts(map(unpacked, file.messages())):
                     batch = _batch(messages, numbers, number)
                     number += len(batch)
                     self.statistics.datagrams += len(batch)
@@ -178,6 +179,13 @@ class MessageSource(SourceDefaults):
         """Remove temporary copies."""
         for file, _ in self._files:
             file.close()
+
+
+def _in_parts(every: Iterable[SelectedMessages]) -> Iterator[SelectedMessages]:
+    """Yield at most ``_MOST_ROWS`` at once: a chunk may have millions of messages without bytes."""
+    for messages in every:
+        for first in range(0, len(messages.log_time), _MOST_ROWS):
+            yield messages.take(slice(first, first + _MOST_ROWS))
 
 
 def _batch(messages: SelectedMessages, numbers: Mapping[int, int], first: int) -> PacketBatch:

@@ -242,7 +242,7 @@ def read_again(path: Path, report: Recovery) -> Recovery:
                 found = Counter(chunk_content(file, path.name, index, summary.channels).channel_id.tolist())
                 for channel, count in found.items():
                     read[summary.channels[channel].topic] += count
-                if number % step == 0:
+                if number % step == 0 and found.total() <= _BY_LIBRARY:
                     file.seek(index.chunk_start_offset + RECORD_HEAD.size)
                     records = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
                     again = Counter(item.channel_id for item in records if isinstance(item, Message))
