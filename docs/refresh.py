@@ -143,25 +143,18 @@ def _inside(folder: Path) -> Iterator[None]:
 
 
 def _findings() -> str:
-    """Return every finding, the gravest first."""
+    """Return every finding, the gravest first, with its bit as recorded."""
     from edoras_tools.render.severity import EXPLANATIONS
 
     rows = sorted(EXPLANATIONS.items(), key=lambda item: (-item[1].severity, item[0]))
-    head = "| finding | severity | in the list | what it is, and what the receiver does |"
-    lines = [head, "|---|---|---|---|"]
+    head = "| bit | value | finding | severity | in the list | what it is, and what the receiver does |"
+    lines = [head, "|---|---|---|---|---|---|"]
     lines += [
-        f"| `{finding.label}` | {told.severity.label} | {told.severity.mark} {told.short} | {told.meaning} |"
+        f"| {finding.bit_length() - 1} | {int(finding)} | `{finding.label}` | {told.severity.label} | "
+        f"{told.severity.mark} {told.short} | {told.meaning} |"
         for finding, told in rows
     ]
     return "\n".join(lines) + "\n"
-
-
-def _bits() -> str:
-    """Return every finding with its bit, as recorded."""
-    from edoras_tools.model import Finding
-
-    rows = [f"| {finding.bit_length() - 1} | {int(finding)} | `{finding.label}` |" for finding in Finding]
-    return "\n".join(["| bit | value | finding |", "|---|---|---|", *rows]) + "\n"
 
 
 def _truth() -> str:
@@ -304,36 +297,30 @@ def _marks() -> str:
 
 
 def _balance() -> str:
-    """Return the balance of every capture of the tests: what is missing, and the rest as one row."""
-    from edoras_tools.render.doctor.balance import causes
-
+    """Return the balance of every capture of the tests, MsgIds together: hops where something is missing."""
     figures = ("in", "duplicated", "out", "lost", "superseded", "waiting", "not_captured", "unaccounted")
-    heads = ("capture", "MsgId", "hop", *(figure.replace("_", " ") for figure in figures), "by")
+    heads = ("capture", "hop", "MsgIds", *(figure.replace("_", " ") for figure in figures))
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for name, found in _balances().items():
-        rows = found["balance"]
-        missing = [row for row in rows if row["in"] != row["out"]]
-        even = [row for row in rows if row["in"] == row["out"]]
-        for row in missing:
-            told = " | ".join(f"{row[figure]:,}" if row[figure] else "" for figure in figures)
-            which = row["msg_id"] or "not known"
-            lines.append(f"| {name} | {which} | {row['hop']} | {told} | {causes(row)} |")
-        came = sum(row["in"] for row in even)
-        told = f"{len(even)} hops where nothing is missing | {came:,} | | {came:,} |"
-        lines.append(f"| {name} | | {told}{' |' * 6}")
+        hops: dict[str, list[dict[str, Any]]] = {}
+        for row in found["balance"]:
+            hops.setdefault(row["hop"] if row["in"] != row["out"] else "", []).append(row)
+        for hop, rows in sorted(hops.items(), key=lambda item: not item[0]):
+            sums = [sum(row[figure] for row in rows) for figure in figures]
+            told = " | ".join(f"{number:,}" if number else "" for number in sums)
+            lines.append(f"| {name} | {hop or 'all others'} | {len(rows)} | {told} |")
     return "\n".join(lines) + "\n"
 
 
 def _index() -> str:
-    """Return the tables of an archive's index."""
+    """Return the tables of an archive's index, a line each."""
     from edoras_tools.addons.archive import tables
 
     lines = []
     for table in tables.TABLES.values():
-        lines += [f"**`{table.name}`**: {table.description}", "", "| column | type | what |", "|---|---|---|"]
-        lines += [f"| `{item.name}` | {item.kind} | {item.description} |" for item in table.columns[1:]]
-        lines.append("")
-    return "\n".join(lines)
+        columns = [f"`{item.name}` ({item.kind}) {item.description}" for item in table.columns[1:]]
+        lines.append(f"- **`{table.name}`**, {table.description}: {'; '.join(columns)}")
+    return "\n".join([*lines, ""])
 
 
 TABLES: Final[dict[str, Callable[[], str]]] = {
@@ -341,7 +328,6 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "balance": _balance,
     "marks": _marks,
     "findings": _findings,
-    "bits": _bits,
     "truth": _truth,
     "sizes": _sizes,
     "tui.KEYS": _keys,
