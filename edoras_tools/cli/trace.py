@@ -49,6 +49,7 @@ def trace(
         Option("--output", "-o", metavar="FILE", help="Write .svg, .html, or .mmd for Mermaid."),
     ] = None,
     force: recordings.Force = False,
+    times: options.TimeOptions = options.TimeOptions(),
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
@@ -58,9 +59,11 @@ def trace(
     shows that. Exit code 3: it was lost.
     """
     from edoras_tools.pipelines.doctor.doctor import examine, profile_with
+    from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.doctor.trace import Tracing
 
     files, request = _request(arguments or [], read or [], which)
+    scope = Scope(period=times.period())
     if output is not None:
         _check(output, request)
         check_new(output, files, force=force)
@@ -69,7 +72,7 @@ def trace(
         inputs = InputOptions(FileOptions(files))
         source, bench = open_input(inputs, decoding.settings(constants=True), aligned=True, progress=bar)
         tracing = Tracing(bench.columns.context, profile_with(decoding.constants), request)
-        findings = examine(source, bench, progress=bar, examination=tracing)
+        findings = examine(source, bench, scope=scope, progress=bar, examination=tracing)
     no_datagrams(source)
     if findings.failure is not None:
         tell(str(findings.failure))

@@ -23,7 +23,7 @@ from edoras_tools.addons.tui.lists.hex_pane import WIDE, HexPane
 from edoras_tools.addons.tui.lists.layers import Layers
 from edoras_tools.addons.tui.lists.lines import HeaderLine, Lines
 from edoras_tools.addons.tui.lists.packets import Packets
-from edoras_tools.addons.tui.lists.rate_graph import RateGraph
+from edoras_tools.addons.tui.lists.rate_graph import Drawing, RateGraph
 from edoras_tools.addons.tui.lists.routes import Routes
 from edoras_tools.addons.tui.lists.sequence_view import SequenceView
 from edoras_tools.addons.tui.prompts import FilterLine, Prompt
@@ -71,7 +71,8 @@ KEYS: Final = (
         ("R", "graph of the rates of the packets in the list"),
         ("o O", "sort the list, or the routes, by the next column, the other way round"),
         ("Esc", "back to the packet"),
-        ("t", "time: since the start, since the previous line, UTC, epoch"),
+        ("t", "trace: the way of the packet's message through cFS, hop by hop"),
+        ("u", "time: since the start, since the previous line, UTC, epoch"),
         ("c", "columns of the list: any of its own, and any field; the selected one is added"),
         ("b", "bytes of the UDP payload, or the whole frame"),
         ("z", "only this pane; all panes again"),
@@ -156,6 +157,7 @@ class Panes(App[None]):
         routes: the routes and their rates.
         sequence: the conversation.
         rates: the graph of rates.
+        trace: the way of one message.
         prompt: asks for a search text or a packet number.
     """
 
@@ -163,7 +165,7 @@ class Panes(App[None]):
     ENABLE_COMMAND_PALETTE = False
     BINDINGS: ClassVar[list[Any]] = [
         Binding("F", "follow", "Follow", show=False),
-        Binding("t", "time", "Time", show=False),
+        Binding("u", "time", "Time", show=False),
         Binding("b", "base", "Bytes", show=False),
         Binding("z", "zoom", "Zoom", show=False),
         Binding("T", "theme", "Theme", show=False),
@@ -191,7 +193,7 @@ class Panes(App[None]):
         self.packets = Packets(self.store, self._decoding, choice.time_format, verbose=choice.verbose)
         self.layers, self.hex_pane = Layers(), HexPane()
         self.routes, self.sequence = Routes(self.ledger, live=self.live), SequenceView()
-        self.rates = RateGraph()
+        self.rates, self.trace = RateGraph("rates"), Drawing("trace")
         self.prompt = Prompt()
         self._lower = ContentSwitcher(initial="packet", id="lower")
         self._title_left, self._title_right = Static(classes="left"), Static(classes="right")
@@ -217,6 +219,8 @@ class Panes(App[None]):
                 yield self.sequence
             with Vertical(id="rates-view"):
                 yield self.rates
+            with Vertical(id="trace-view"):
+                yield self.trace
         yield self.prompt
         with Horizontal(id="status"):
             yield self._status_left
@@ -347,8 +351,9 @@ class Panes(App[None]):
         elif self._view == "sequence-view":
             title = Text("Conversation of all links" if self._every_link else "SBN conversation")
             right = Text("Enter goes to the packet · Esc back")
-        elif self._view == "rates-view":
-            title, right = Text("Rates"), Text("z fills the screen · Esc back")
+        elif self._view in {"rates-view", "trace-view"}:
+            title = Text(self._view.removesuffix("-view").capitalize())
+            right = Text("z fills the screen · Esc back")
         elif self.decoded is not None:
             title, right = _packet_title(self.decoded), Text(self.hex_pane.title)
         title.no_wrap, title.overflow = True, "ellipsis"

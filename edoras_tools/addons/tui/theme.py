@@ -121,7 +121,7 @@ HexPane {
     & > .hex-pane--byte { background: $foreground; color: $background; text-style: bold; }
 }
 HexPane.-wide { width: 76; }
-#routes-view, #sequence-view, #rates-view { height: 1fr; }
+#routes-view, #sequence-view, #rates-view, #trace-view { height: 1fr; }
 #routes-heads, #sequence-heads { color: $secondary; }
 
 #prompt {

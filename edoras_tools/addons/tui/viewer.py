@@ -24,11 +24,14 @@ from edoras_tools.addons.tui.lists.lines import Lines
 from edoras_tools.addons.tui.navigation import Navigation, filter_of
 from edoras_tools.addons.tui.panes import ViewOptions
 from edoras_tools.addons.tui.prompts import FilterLine
+from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import EdorasError
 from edoras_tools.io.outputs import ENDING
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.capture.conversation import Conversation
+from edoras_tools.pipelines.doctor.trace import TraceRequest, Tracing
+from edoras_tools.render.doctor.trace import ladder
 from edoras_tools.render.severity import Level
 
 if TYPE_CHECKING:
@@ -76,6 +79,7 @@ class Viewer(Navigation):
         Binding("question_mark", "help", "Help", key_display="?"),
         Binding("q", "quit", "Quit"),
         Binding("ctrl+c", "quit", "Quit", show=False, priority=True),
+        Binding("t", "view('trace')", "Trace", show=False),
         Binding("S", "view('sequence', True)", "Sequence of all links", show=False),
         Binding("R", "view('rates')", "Rates", show=False),
         Binding("o", "sort", "Sort", show=False),
@@ -305,7 +309,7 @@ class Viewer(Navigation):
     # The lower half
 
     def action_view(self, name: str, every: bool = False) -> None:
-        """Show the packet, the routes, the conversation or the rates."""
+        """Show the packet, the routes, the conversation, the rates or the way of the message."""
         switcher = self._lower
         pane = name if name == "packet" else f"{name}-view"
         if switcher.current == pane and (name != "sequence" or every == self._every_link):
@@ -314,10 +318,15 @@ class Viewer(Navigation):
         switcher.current = pane
         self._every_link = every
         if name != "packet":
-            {"routes": self.routes, "sequence": self.sequence, "rates": self.rates}[name].focus()
+            views = {"routes": self.routes, "sequence": self.sequence, "rates": self.rates}
+            views.get(name, self.trace).focus()
         self._refresh_figures()
         self._update_lower()
         self._refresh_title()
+        if name == "trace":
+            self.trace.empty = f"packet {self._number:,}: the whole capture is examined"
+            self.trace.show(None)
+            self._follow(self._number)
 
     def action_leave(self) -> None:
         """Go back: from one pane to all, from another view to the packet, to the list."""
@@ -362,7 +371,30 @@ class Viewer(Navigation):
 
     @on(messages.RatesReady)
     def _show_rates(self, event: messages.RatesReady) -> None:
-        self.rates.show(event.figure)
+        self.rates.plot(event.figure)
+
+    @work(thread=True, exclusive=True, group="trace")
+    def _follow(self, number: int) -> None:
+        worker = get_current_worker()
+        tracing = Tracing(self._decoding, SimProfile(), TraceRequest(number))
+        for block in [*self.store.blocks]:
+            if worker.is_cancelled:
+                return
+            tracing.add(block.batch, block.columns)
+        tracing.diagnose()
+        try:
+            tracing.check()
+        except EdorasError as error:
+            self._post(messages.TraceReady(str(error), 0))
+        else:
+            assert tracing.trace is not None
+            self._post(messages.TraceReady(tracing.trace, self.store.begin_ns or 0))
+
+    @on(messages.TraceReady)
+    def _show_trace(self, event: messages.TraceReady) -> None:
+        trace, zero_ns = event.trace, event.zero_ns
+        self.trace.empty = trace if isinstance(trace, str) else ""
+        self.trace.show(None if isinstance(trace, str) else lambda width: ladder(trace, zero_ns, width))
 
     @work(thread=True, exclusive=True, group="sequence")
     def _build_conversation(self, every: bool) -> None:

@@ -522,12 +522,29 @@ def test_the_conversation_is_a_ladder_that_leads_to_packets(drive):
     drive(script)
 
 
+def test_the_way_of_the_packet_is_followed(drive):
+    async def script(hands):
+        app = hands.app
+        await hands.go(189)
+        await hands.press("t")
+        assert app._lower.current == "trace-view"
+        await hands.until(lambda: len(app.trace._lines) > 1, "its way")
+        assert "0x082a" in hands.lines(app.trace)[0]
+        assert "packet 189" in "\n".join(hands.lines(app.trace))
+        await hands.press("escape", "g", "t")  # SBN's own: no message of a link
+        await hands.until(lambda: len(app.trace._lines) == 1 and "examined" not in app.trace.empty, "why not")
+        await hands.press("escape")
+        assert app._lower.current == "packet"
+
+    drive(script)
+
+
 def test_time_is_told_four_ways(drive):
     async def script(hands):
         seen = []
         for _ in TimeFormat:
             seen.append(hands.lines(hands.app.packets)[1].split()[1])
-            await hands.press("t")
+            await hands.press("u")
         assert seen[0] == "0.000159"
         assert seen[1] == "0.000159"
         assert seen[2].startswith("06:18:47.19")

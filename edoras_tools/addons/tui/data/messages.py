@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.tui.data.store import PacketBlock
     from edoras_tools.decode.filters.filter import Where
+    from edoras_tools.diagnosis.trace import MessageTrace
     from edoras_tools.render.capture.sequence import SequenceMessage as Run
     from edoras_tools.render.plot.figure import Figure
 
@@ -78,6 +79,15 @@ class RatesReady(Message):
     def __init__(self, figure: Figure | None) -> None:
         super().__init__()
         self.figure = figure
+
+
+class TraceReady(Message):
+    """The way of a packet's message; why there is none, as a text."""
+
+    def __init__(self, trace: MessageTrace | str, zero_ns: int) -> None:
+        super().__init__()
+        self.trace = trace
+        self.zero_ns = zero_ns
 
 
 class Notice(Message):

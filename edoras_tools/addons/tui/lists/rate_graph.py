@@ -1,4 +1,4 @@
-"""The rates of the packets that the list shows, as a graph."""
+"""What is drawn below the list: the rates of the packets that it shows, or the way of one of them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from edoras_tools.addons.tui.lists.lines import Lines, strip_of
 from edoras_tools.render.plot.terminal import plot_lines
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from textual.strip import Strip
 
     from edoras_tools.render.plot.figure import Figure
@@ -18,22 +20,22 @@ _AROUND: Final = 6
 """Lines of a graph besides its field: heading, legend, axis."""
 
 
-class RateGraph(Lines):
-    """A graph that fills its pane; nothing in it is selected.
+class Drawing(Lines):
+    """A drawing that fills its pane; nothing in it is selected.
 
     Attributes:
-        empty: shown while there is no graph.
+        empty: shown while there is no drawing.
     """
 
-    def __init__(self) -> None:
-        super().__init__(id="rates")
+    def __init__(self, name: str) -> None:
+        super().__init__(id=name)
         self.empty = "no packet"
-        self._figure: Figure | None = None
+        self._draw: Callable[[int], list[Text]] | None = None
         self._lines: list[Text] = []
 
-    def show(self, figure: Figure | None) -> None:
-        """Show a graph."""
-        self._figure = figure
+    def show(self, draw: Callable[[int], list[Text]] | None) -> None:
+        """Show a drawing, which is made for a width."""
+        self._draw = draw
         self._lay_out()
 
     def rows(self) -> int:
@@ -54,9 +56,20 @@ class RateGraph(Lines):
         self._lay_out()
 
     def _lay_out(self) -> None:
-        if self._figure is None:
-            self._lines = [Text(f"  {self.empty}", "dim")]
-        else:
-            rows = max(3, self.page - _AROUND)
-            self._lines = plot_lines(self._figure, self.room, colour=True, rows=rows)
+        self._lines = self._draw(self.room) if self._draw else [Text(f"  {self.empty}", "dim")]
         self.recount()
+
+
+class RateGraph(Drawing):
+    """A graph of rates, as high as its pane."""
+
+    _figure: Figure | None = None
+
+    def plot(self, figure: Figure | None) -> None:
+        """Show a graph."""
+        self._figure = figure
+        self.show(self._plotted if figure else None)
+
+    def _plotted(self, width: int) -> list[Text]:
+        assert self._figure is not None
+        return plot_lines(self._figure, width, colour=True, rows=max(3, self.page - _AROUND))
