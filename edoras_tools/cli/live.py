@@ -171,7 +171,7 @@ class StopOptions(NamedTuple):
     """How much live traffic is read, and how long a source is shown."""
 
     limits: options.PartOptions
-    every: options.EveryPort = False
+    every: Annotated[bool, Option("--all", "-a", hidden=True)] = False
 
 
 @grouped

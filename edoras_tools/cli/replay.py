@@ -62,7 +62,7 @@ class PartOptions(NamedTuple):
     """Which part of the recording is sent."""
 
     times: options.TimeOptions = options.TimeOptions()
-    duration: Annotated[int | None, Option(parser=options.duration, help="So much from --start on.")] = None
+    duration: Annotated[int | None, Option(parser=options.duration, hidden=True)] = None
     first: Annotated[int | None, Option("--count", "-n", parser=options.count, help="Send so many.")] = None
     route: Annotated[list[str] | None, Option(help="Only MsgIds, topics or keys, e.g. '0x18*'.")] = None
 

@@ -20,9 +20,7 @@ class FlightOptions(NamedTuple):
 
     limit: Annotated[int, Option(min=1, max=255, help="Telemetry Output: messages of a MsgId that wait.")] = 4
     msg_max: Annotated[int, Option(min=0, hidden=True)] = 0
-    generator: Annotated[
-        Any, Option(parser=options.msg_id, help="MsgId of the generator's commands; default 0x18F0.")
-    ] = None
+    generator: Annotated[Any, Option(parser=options.msg_id, hidden=True)] = None
     extended_header: Annotated[bool, Option("--extended-header", hidden=True)] = False
     msg_id_version: Annotated[int, Option(min=1, max=2, hidden=True)] = 1
     set_values: Annotated[
