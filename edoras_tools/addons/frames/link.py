@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.errors import ConfigError
 from edoras_tools.links.framing import Framing, prefixed
 from edoras_tools.links.protocol import BatchRows, LinkProtocol, Seen
 from edoras_tools.model import Datagram, Decoded, Finding, LayerField, Link, PacketBatch
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.doors import Unwrapper
     from edoras_tools.links.reading import Reading
+    from edoras_tools.links.sending import LinkSending
     from edoras_tools.links.site import Site
     from edoras_tools.wire.layout import Layout
 
@@ -121,6 +123,7 @@ class TransferFramesLink(LinkProtocol):
         headers.TC_SEGMENT,
     )
     port_decides = False
+    sends = True
 
     def recognise(self, facts: Seen) -> Any:
         """Recognise nothing by the datagram alone: a mission has to say what it is."""
@@ -142,6 +145,23 @@ class TransferFramesLink(LinkProtocol):
     def unwrapper(self, site: Site) -> Unwrapper | None:
         """Return what takes packets out of frames; None where the mission has none."""
         return self.part("unframer:Unframer")(site.frames) if site.frames else None
+
+    def send(self, site: Site, *, up: bool) -> LinkSending:
+        """Return how packets go in frames of the mission's first port with TC frames, or with others.
+
+        Raises:
+            ConfigError: it has none, or some that cannot be made.
+        """
+        kinds = "TC" if up else "TM or AOS"
+        port, form = next(
+            (item for item in sorted(site.frames.items()) if (item[1].kind == "tc") == up), (0, None)
+        )
+        if form is None:
+            raise ConfigError(f"no mission file says where {kinds} frames go: name one with 'frames' by -c")
+        if form.header_error_control:
+            raise ConfigError("AOS frames with a header error control, a Reed-Solomon code, cannot be made")
+        sending: LinkSending = self.part("sending:FrameSending")(self, port, form)
+        return sending
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read the headers of one frame."""

@@ -1,0 +1,95 @@
+"""Packets are framed anew: other readers of frames find every packet again, and the channel's own counts."""
+
+import struct
+
+import pytest
+import yaml
+from places import SAMPLES
+from rewriting import datagrams
+from spacepackets.ccsds.tm_frame import TmTransferFrame
+from waiting import Ear
+
+ROVER = SAMPLES / "captures/a_rover.pcap"
+FORMS = {
+    "tm": {"kind": "tm", "length": 128},
+    "tm_whole": {"kind": "tm", "length": 1115, "fecf": False},
+    "aos": {"kind": "aos", "length": 200, "ocf": True, "insert_zone": 4},
+    "tc": {"kind": "tc"},
+    "tc_segments": {"kind": "tc", "segment_header": True},
+}
+
+
+@pytest.fixture
+def sent(tmp_path, call):
+    """A function: the frames that replay sends of the rover, by a mission's form."""
+
+    def send(form, *words):
+        mission = tmp_path / "frames.yaml"
+        with Ear() as ear:
+            entry = {"port": ear.port, **form}
+            node = {"ros__parameters": {"frames": {"f": entry}}}
+            mission.write_text(yaml.safe_dump({"ground_bridge_node": node}))
+            to = "frames:up" if form["kind"] == "tc" else "frames"
+            done = call("replay", ROVER, "--to", to, "-c", mission, "--max", "-q", *words)
+            assert done.code == 0, done.err
+            return ear.take()
+
+    return send
+
+
+def packets_to(port):
+    return [item.payload for item in datagrams(ROVER) if item.destination[1] == port]
+
+
+def packets_in(zones):
+    """Return the packets of (data, first header pointer), put together as the pointers and lengths say."""
+    stream, found, at = b"".join(data for data, _ in zones), [], 0
+    begins, place = [], 0
+    for data, first in zones:
+        begins += [place + first] if first != 0x7FF else []
+        place += len(data)
+    heads = []
+    while at + 6 <= len(stream):
+        word, _, length = struct.unpack_from(">HHH", stream, at)
+        heads.append(at)
+        if word & 0x7FF != 0x7FF:
+            found.append(stream[at : at + length + 7])
+        at += length + 7
+    assert set(begins) <= {*heads, at}
+    return found
+
+
+@pytest.mark.parametrize("kind", ["tm", "tm_whole"])
+def test_tm_frames_as_spacepackets_reads_them(kind, sent):
+    form = FORMS[kind]
+    frames = [TmTransferFrame.unpack(item, form["length"], form.get("fecf", True)) for item in sent(form)]
+    heads = [item.primary_header for item in frames]
+    firsts = [item.frame_datafield_status.first_header_pointer for item in heads]
+    zones = [(bytes(item.data_field), first) for item, first in zip(frames, firsts, strict=True)]
+    assert packets_in(zones) == packets_to(1235)
+    assert [item.vc_frame_count for item in heads] == [at % 256 for at in range(len(frames))]
+    assert [item.master_ch_frame_count for item in heads] == [at % 256 for at in range(len(frames))]
+
+
+def test_aos_frames_byte_by_byte(sent):
+    frames = sent(FORMS["aos"])
+    assert {len(item) for item in frames} == {200}
+    assert [int.from_bytes(item[2:5], "big") for item in frames] == [*range(len(frames))]
+    assert {item[0] >> 6 for item in frames} == {1}
+    zones = [(item[12:-6], int.from_bytes(item[10:12], "big") & 0x7FF) for item in frames]
+    assert packets_in(zones) == packets_to(1235)
+
+
+@pytest.mark.parametrize("kind", ["tc", "tc_segments"])
+def test_tc_frames_byte_by_byte(kind, sent):
+    frames, head = sent(FORMS[kind]), 5 + (kind == "tc_segments")
+    assert [item[head:-2] for item in frames] == packets_to(1234)
+    assert [int.from_bytes(item[2:4], "big") & 0x3FF for item in frames] == [len(item) - 1 for item in frames]
+    assert [item[4] for item in frames] == [at % 256 for at in range(len(frames))]
+    assert kind == "tc" or {item[5] for item in frames} == {3 << 6}
+
+
+def test_without_a_mission_it_is_said(call):
+    done = call("replay", ROVER, "--to", "frames")
+    assert (done.code, len(done.err)) == (2, 1)
+    assert "no mission file says where TM or AOS frames go" in done.err[0]
