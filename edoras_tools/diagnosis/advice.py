@@ -1,4 +1,4 @@
-"""What to change where a queue loses messages, and what would still be lost then, by the queue model.
+"""What to change where a queue loses messages, what would still be lost then, and the verdict on a loss.
 
 Rules:
 

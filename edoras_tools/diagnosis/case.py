@@ -60,7 +60,14 @@ from edoras_tools.diagnosis.matching.streams import (
     find_streams,
     spans,
 )
-from edoras_tools.diagnosis.quality import HostDrops, Quality, assess_quality, find_holes, host_drops
+from edoras_tools.diagnosis.quality import (
+    HostDrops,
+    Quality,
+    assess_quality,
+    find_holes,
+    host_drops,
+    overlapping,
+)
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, HostCounters, InterfaceOutage, Link, Peer
 from edoras_tools.units import SECOND
@@ -266,15 +273,9 @@ class Case:
     @cached_property
     def quality(self) -> Quality:
         """What bounds the datagrams that the capture missed."""
+        holes, drops = sorted([*self.away, *self.quiet]), self.capture.drops
         return assess_quality(
-            self.rows,
-            self.payloads,
-            self.instances,
-            self.streams,
-            self.hops,
-            self.tracks,
-            sorted([*self.away, *self._holes[1]]),
-            self.capture.drops,
+            self.rows, self.payloads, self.instances, self.streams, self.hops, self.tracks, holes, drops
         )
 
     @cached_property
@@ -381,10 +382,7 @@ class Case:
 
     def is_away(self, starts: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Tell which spans of time hold some of an outage of the capturing interface."""
-        out = np.zeros(len(starts), bool)
-        for start_ns, end_ns in self.away:
-            out |= (starts < end_ns) & (ends > start_ns)
-        return out
+        return overlapping(starts, ends, self.away)
 
     def spans(self, stream: Stream) -> list[Span]:
         """Return the spans of a stream at one rate; worked out once."""

@@ -1,4 +1,4 @@
-"""How much the capture itself may have missed.
+"""How much the capture itself may have missed, where it has holes, and what the host's kernel dropped.
 
 A capture that drops frames at random drops some of those that other evidence proves to have been sent. So
 datagrams are checked of which something else in the capture says that they passed the tap:
@@ -21,6 +21,13 @@ assumed that a tap drops frames whoever sent them.
 Where CI counted fewer than the tap saw, something behind the tap lost commands, and could hide as many that
 the capture lacks: the counts of that CI check nothing. Times at which nothing was captured are left out; they
 are no share. Frames that were captured twice are counted once before.
+
+The capture has a hole if nothing was captured although everybody went on sending:
+
+1. Nothing at all was captured for longer than Telemetry Output and SBN ever wait.
+2. What cFS counts went on meanwhile: most of its streams miss counts there.
+3. Others who sent steadily were not captured either: those who command, or a second SBN peer. A network that
+   fails between two of them does not hide both.
 """
 
 from __future__ import annotations
@@ -259,7 +266,7 @@ def check_inputs(
             captured[place] |= hop.origin >= 0
         when = rows.time_ns[leaving]
         early = when - start_ns <= _START_NS + 2 * longest_ns
-        usable = sole & ~early & ~_within(when - longest_ns - _START_NS, when, holes)
+        usable = sole & ~early & ~overlapping(when - longest_ns - _START_NS, when, holes)
         if usable.any() and captured[usable].mean() >= _ALIKE:
             into = members[0].into
             sender = int(hosts[rows.source[into.rows[0]]])
@@ -315,7 +322,7 @@ def _rests(
     rest = np.flatnonzero(before == np.searchsorted(sent_ns, made_ns + _LATE_NS))
     counted, seen = np.diff(total[rest]), np.diff(before[rest])
     usable = (counted >= 0) & (np.diff(made_ns[rest]) > 0)
-    usable &= ~_within(made_ns[rest][:-1] - _REST_NS, made_ns[rest][1:], holes)
+    usable &= ~overlapping(made_ns[rest][:-1] - _REST_NS, made_ns[rest][1:], holes)
     return counted[usable], seen[usable]
 
 
@@ -347,7 +354,7 @@ def check_sequence_counts(
         absent = np.ones(len(of), bool)
         absent[last] = False
         start_ns, end_ns = when - _ROUNDS_NS, when + _ROUNDS_NS
-        usable = _quiet(track, start_ns, end_ns) & ~_within(start_ns, end_ns, holes)
+        usable = _quiet(track, start_ns, end_ns) & ~overlapping(start_ns, end_ns, holes)
         sender = int(instances.hosts[rows.source[own[0]]])
         before = totals.get(sender, (0, 0))
         totals[sender] = before[0] + int(usable.sum()), before[1] + int((usable & absent).sum())
@@ -364,10 +371,10 @@ def _quiet(track: Track, start_ns: NDArray[np.int64], end_ns: NDArray[np.int64])
     return np.asarray(inside & (lost[np.maximum(low, 0)] == lost[np.minimum(high, len(times) - 1)]))
 
 
-def _within(
+def overlapping(
     start_ns: NDArray[np.int64], end_ns: NDArray[np.int64], holes: Sequence[tuple[int, int]]
 ) -> NDArray[np.bool_]:
-    """Tell which times overlap a hole."""
+    """Tell which times overlap one of some spans: bool."""
     out = np.zeros(len(start_ns), bool)
     for begin, end in holes:
         out |= (start_ns < end) & (end_ns > begin)

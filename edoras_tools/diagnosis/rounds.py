@@ -7,6 +7,9 @@ Rules:
 2. A message that came out left with the wake-up whose burst it is in. One that did not come out would have
    left with the next wake-up behind it.
 3. What waited in front of a message are those of its MsgId that left with the same wake-up.
+4. How often the messages of a topic came to a hop is the publisher's rate times the share of them that came
+   out there: bursts, in which a queue is read, do not change it. Where nothing shows what came out, there is
+   none.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 A fingerprint is made from the decoded values, so that another encoding, padding or time stamp does not change
 it. Fingerprints are u64; 0 means that there is none.
+
+What a flight application sends to its robot are bare numbers without a header: they are compared as the bytes
+or values of the type that they carry, or by the numbers that a robot's own struct shares with a command.
 """
 
 from __future__ import annotations

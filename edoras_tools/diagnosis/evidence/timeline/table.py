@@ -5,7 +5,7 @@
 2. Every state has a witness. What nothing shows is no state.
 3. A subject is in one state at a time. Changes are put in order; one that repeats the state confirms it, and
    makes its interval no wider. So the spans of a subject never overlap.
-4. What a boot ends, it ends for all subjects of its cFS; who makes the changes says so (``software``).
+4. What a boot ends, it ends for all subjects of its cFS; who makes the changes says so (``changes``).
 """
 
 from __future__ import annotations
