@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.doors import LinkEvidence, OwnTopics, TopicSpace
     from edoras_tools.links.reading import Reading
+    from edoras_tools.links.sending import LinkSending
     from edoras_tools.links.site import Site
     from edoras_tools.wire.layout import Layout
 
@@ -54,6 +55,7 @@ class FileDeliveryLink(LinkProtocol):
     wireshark = "cfdp"
     in_packets = True
     port_decides = False
+    sends = True
 
     def recognise(self, facts: Seen) -> Any:
         """Recognise a header of a known version whose lengths add up to the datagram's."""
@@ -63,6 +65,11 @@ class FileDeliveryLink(LinkProtocol):
         header = 2 * number["entity_id_length"] + number["sequence_number_length"] + cfdp.PDU_HEADER.size + 3
         plausible = (number["version"] < cfdp.NEWEST_VERSION + 1) & (number["pdu_data_field_length"] > 0)
         return BY_CONTENT * (plausible & (header + number["pdu_data_field_length"] == facts.length))
+
+    def send(self, site: Site, *, up: bool) -> LinkSending | None:
+        """Return how files go to the receiver's entity; which way is a matter of ``--target``."""
+        del site
+        return None if up else self.part("sending:FileSending")(self)
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
         """Judge whether PDUs are whole; see :meth:`LinkProtocol.locate`."""

@@ -286,7 +286,7 @@ class SendOptions:
             ConfigError: there are some.
         """
         own = {
-            "--listen": self.listen,
+            "--listen": self.listen if self.to.sending and self.to.sending.framing else None,
             "--expect": self.expect,
             "--max-loss": self.max_loss is not None,
             "--as": self.sender,

@@ -179,7 +179,7 @@ class Transmission:
             transmitter = _transmitter(options)
             stack.enter_context(transmitter)
             listeners: list[tuple[Link, Listener]] = []
-            if options.listen is not None and not is_sbn:
+            if options.listen is not None and not (is_sbn or options.to.sending):
                 listener = stack.enter_context(Listener(options.listen))
                 listeners.append((carrying("ground", to_cfs=options.to is not Receiver.CI), listener))
             local = listeners[0][1].local if listeners else transmitter.local
@@ -277,4 +277,5 @@ def _transmitter(options: SendOptions) -> Transmitter | StreamTransmitter:
     framing = sending.framing if sending else protocol(options.to.link).framing if options.tcp else None
     if framing is not None:
         return StreamTransmitter(options.target, framing)
-    return Transmitter(options.target, options.listen if options.to is Receiver.SBN else None)
+    answered = options.to is Receiver.SBN or sending is not None
+    return Transmitter(options.target, options.listen if answered else None)

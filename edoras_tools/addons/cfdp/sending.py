@@ -1,0 +1,206 @@
+"""How files of CFDP are sent again: each recorded transaction as a new one, of the class that it had.
+
+The recorded PDUs of the file's sender go out with a new transaction sequence number. In class 2 its side of
+the procedures is kept: what the receiver misses is sent again, EOF until it is acknowledged, and Finished is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.links.sending import LinkSending, SendingSession
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfdp
+from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
+from edoras_tools.wire.cfdp import Directive
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.model import Columns, Link, PacketBatch
+    from edoras_tools.wire.cfdp import Pdus
+
+_AGAIN_NS: Final = SECOND
+"""EOF is sent again after this time, until it is acknowledged."""
+_MOST_TRIES: Final = 30
+_OF_SENDER: Final = (Directive.FILE_DATA, Directive.METADATA, Directive.EOF)
+_FINISHED_ACKNOWLEDGED: Final = bytes([Directive.ACK, Directive.FINISHED << 4 | 1, 2])
+"""An ACK of Finished, with no error, of a transaction that has terminated."""
+
+
+def _read(data: bytes) -> Pdus:
+    return cfdp.read_pdus(np.frombuffer(data, np.uint8), np.array([0]), np.array([len(data)], np.int32))
+
+
+@dataclass(slots=True)
+class SentFile:
+    """A new transaction.
+
+    Attributes:
+        pieces: what the recording has of the file, (first byte, one past the last, PDU).
+        metadata: its PDU; empty where the recording has none.
+        eof: likewise.
+        acknowledged: of class 2.
+        due_ns: when EOF goes again; 0 before it was sent.
+        tries: how often it went again.
+        state: ``open``, ``told`` (EOF was acknowledged), ``finished``; what the receiver said last.
+        missing: bytes that were asked for and the recording has not.
+    """
+
+    pieces: list[tuple[int, int, bytes]] = field(default_factory=list)
+    metadata: bytes = b""
+    eof: bytes = b""
+    acknowledged: bool = False
+    due_ns: int = 0
+    tries: int = 0
+    state: str = "open"
+    missing: int = 0
+
+    def again(self, requests: Iterable[Sequence[int]]) -> Iterator[bytes]:
+        """Yield the PDUs that hold what is asked for."""
+        for first, last in requests:
+            if (first, last) == (0, 0) and self.metadata:
+                yield self.metadata
+            there = [piece for piece in self.pieces if piece[0] < last and piece[1] > first]
+            self.missing += 0 if there or first == last else last - first
+            yield from (data for _, _, data in there)
+
+
+class FileSender(SendingSession):
+    """The sender's side of all transactions of class 2."""
+
+    def __init__(self) -> None:
+        self.files: dict[tuple[int, int], SentFile] = {}
+        self._open: list[SentFile] = []
+
+    @property
+    def _waiting(self) -> list[SentFile]:
+        return [item for item in self._open if item.state != "finished" and item.tries < _MOST_TRIES]
+
+    @property
+    def busy(self) -> bool:  # type: ignore[override]
+        """Whether a receiver has not finished; not for ever."""
+        return bool(self._waiting)
+
+    @property
+    def next_ns(self) -> int:  # type: ignore[override]
+        """When an EOF is due."""
+        return min((item.due_ns for item in self._waiting if item.due_ns), default=SendingSession.next_ns)
+
+    def begin(self, files: dict[tuple[int, int], SentFile]) -> None:
+        """Take the transactions that are sent."""
+        self.files = files
+        self._open = [item for item in files.values() if item.acknowledged and item.eof]
+
+    def sent(self, *, now: int) -> None:
+        """Let the first EOF be due some time after the messages."""
+        for item in self._open:
+            if not item.tries:
+                item.due_ns = now + _AGAIN_NS
+
+    def due(self, *, now: int) -> Iterable[bytes]:
+        """Return the EOFs that nobody acknowledged."""
+        late = [item for item in self._waiting if item.due_ns <= now]
+        for item in late:
+            item.due_ns, item.tries = now + _AGAIN_NS, item.tries + 1
+        return [item.eof for item in late if item.state == "open"]
+
+    def answer(self, data: bytes, *, now: int) -> Iterable[bytes]:
+        """Take a PDU of the receiver's."""
+        del now
+        pdus = _read(data)
+        key = int(pdus.source_entity_id[0]), int(pdus.transaction_sequence_number[0])
+        item, kind = self.files.get(key), int(pdus.kind[0])
+        if item is None or kind < 0 or not pdus.toward_sender[0]:
+            return ()
+        values = cfdp.parameters(kind, int(pdus.large[0]), data[int(pdus.start[0]) : int(pdus.end[0])])
+        if kind == Directive.NAK:
+            item.state = "told" if item.state == "open" else item.state
+            return [*item.again(values["segment_requests"])]
+        if kind == Directive.ACK and values["acknowledged_directive"] == Directive.EOF:
+            item.state = "told" if item.state == "open" else item.state
+        if kind == Directive.FINISHED:
+            item.state = "finished"
+            return (_with_field(item.eof, _FINISHED_ACKNOWLEDGED),) if item.acknowledged else ()
+        return ()
+
+    def notes(self) -> Iterable[str]:
+        """Return how many files came whole, and what was asked for in vain."""
+        done, missing = (
+            sum(item.state == "finished" for item in self._open),
+            sum(item.missing for item in self.files.values()),
+        )
+        if self._open:
+            yield f"{done:,} of {len(self._open):,} files of class 2 were acknowledged as finished"
+        if missing:
+            yield f"{missing:,} bytes that the receiver asked for are not in the recording"
+
+
+class FileSending(LinkSending):
+    """What senders of files sent, in new transactions."""
+
+    renews = True
+    port = 5222
+
+    def __init__(self, link: Link) -> None:
+        super().__init__(link)
+        self.session: FileSender = FileSender()
+
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+        """Tell which PDUs are pieces, Metadata and EOF, as they were sent."""
+        own = super().outgoing_rows(batch, columns)
+        rows = np.flatnonzero(own)
+        pdus = cfdp.read_pdus(batch.data, batch.offset[rows], batch.length[rows])
+        own[rows] = np.isin(pdus.kind, _OF_SENDER) & ~pdus.toward_sender & ~pdus.corrupt
+        return own
+
+    def renew(
+        self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
+    ) -> tuple[list[bytes], NDArray[np.int64]]:
+        """Number the transactions anew, from the time of the recording on: no receiver knows these."""
+        numbers: dict[tuple[int, int], int] = {}
+        files: dict[tuple[int, int], SentFile] = {}
+        made = []
+        for data in messages:
+            pdus = _read(data)
+            source, old = int(pdus.source_entity_id[0]), int(pdus.transaction_sequence_number[0])
+            width = 8 * ((data[3] & 7) + 1)
+            number = numbers.setdefault((source, old), (old + (1 << width - 1) + len(numbers)) % (1 << width))
+            new = _numbered(data, number)
+            item = files.setdefault((source, number), SentFile(acknowledged=bool(pdus.acknowledged[0])))
+            first = int(pdus.file_offset[0])
+            if pdus.kind[0] == Directive.FILE_DATA:
+                item.pieces.append((first, first + int(pdus.end[0] - pdus.data[0]), new))
+            elif pdus.kind[0] == Directive.METADATA:
+                item.metadata = new
+            else:
+                item.eof = new
+            made.append(new)
+        self.session.begin(files)
+        return made, time_ns
+
+
+def _numbered(data: bytes, number: int) -> bytes:
+    """Return a PDU with another transaction sequence number, and its CRC, if it has one, made right."""
+    ids, count = (data[3] >> 4 & 7) + 1, (data[3] & 7) + 1
+    at = cfdp.PDU_HEADER.size + ids
+    return _checked(data[:at] + number.to_bytes(count, "big") + data[at + count :])
+
+
+def _with_field(like: bytes, content: bytes) -> bytes:
+    """Return a PDU with the header of another one and another data field."""
+    ids, count = (like[3] >> 4 & 7) + 1, (like[3] & 7) + 1
+    crc = bytes(CRC16_BYTES * (like[0] >> 1 & 1))
+    size = (len(content) + len(crc)).to_bytes(2, "big")
+    return _checked(like[:1] + size + like[3 : cfdp.PDU_HEADER.size + 2 * ids + count] + content + crc)
+
+
+def _checked(pdu: bytes) -> bytes:
+    if not pdu[0] >> 1 & 1:
+        return pdu
+    return pdu[:-CRC16_BYTES] + crc16(pdu[:-CRC16_BYTES]).to_bytes(CRC16_BYTES, "big")
