@@ -10,6 +10,7 @@ import sys
 
 import foxglove_client as peer
 import pytest
+import warm
 from schema import held
 from websockets.exceptions import InvalidStatus
 
@@ -23,7 +24,7 @@ def started(command):
     running = []
 
     def start(*arguments):
-        process = subprocess.Popen(
+        process = warm.Popen(
             [command, "live", "--ws-port", "0", *map(str, arguments)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

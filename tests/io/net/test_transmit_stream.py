@@ -3,13 +3,12 @@
 import json
 import socket
 import struct
-import subprocess
-import sys
 import time
 from threading import Thread
 
 import numpy as np
 import pytest
+import warm
 from streams import Segment, packet, sbn_message, write_segments
 
 from edoras_tools.errors import CaptureError
@@ -76,9 +75,9 @@ def capture(tmp_path):
 
 
 def replayed(capture, port, *more):
-    words = [sys.executable, "-m", "edoras_tools", "replay", capture, "--to", "sbn", "--json"]
+    words = ["replay", capture, "--to", "sbn", "--json"]
     words += ["--target", f"{HOST}:{port}", "--linger", "50ms", *more]
-    return subprocess.run(words, capture_output=True, timeout=300, text=True, check=False)
+    return warm.run(*words, text=True)
 
 
 def test_the_packets_leave_at_their_times_in_a_session(capture):
