@@ -6,7 +6,7 @@ import subprocess
 from io import BytesIO
 
 import pytest
-from effort import examples
+from effort import LONG, examples
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.pipelines.structs import take
@@ -203,7 +203,7 @@ def test_of_damaged_files_one_line_is_said(flags, tmp_path):
             harmed[chance.randrange(4, len(harmed))] ^= 1 << chance.randrange(8)
         broken.write_bytes(harmed)
         said.add(mistake_of(broken))
-    assert len(said) > 5
+    assert len(said) > (5 if LONG else 3)  # what is harmed is also the name of the folder, of any length
     assert all(text.startswith(str(broken)) and "\n" not in text for text in said - {""}), said
 
 
