@@ -68,6 +68,9 @@ INSTALLED = [distro(name) for name in DISTROS]
 APART = [distro(name, pytest.mark.own_network) for name in DISTROS]
 
 
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+
 def python(name):
     return HOME / name / "bin/python"
 
@@ -79,7 +82,7 @@ def peer(name, types, **variables):
     Yields:
         Its environment, and what asks it on which topics our node publishes, with the hash of each type.
     """
-    environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": "14"} | variables
+    environ = os.environ | {RANGE: "LOCALHOST", "ROS_DOMAIN_ID": "14"} | variables
     routes = [word for item in types for word in (item, *topics(item))]
     command = [python(name), SUPPORT / "ros_peer.py", "peer", *routes]
     process = subprocess.Popen(
@@ -159,6 +162,21 @@ def test_on_this_machine_only_nothing_leaves_it(name, variables):
                 watched.recv(2048)
     finally:
         ip("link", "del", "leaving")
+
+
+@pytest.mark.parametrize("name", APART if LONG else APART[:1])
+def test_a_node_of_this_machine_only_finds_ours_at_its_default(name):
+    """Ours is on another interface then, and listens where such a node looks for others."""
+    ip("link", "add", "outside", "type", "veth", "peer", "name", "far")
+    try:
+        for end in ("outside", "far"):
+            ip("link", "set", end, "up")
+        ip("addr", "add", "10.9.0.1/24", "dev", "outside")
+        some = BRIDGED[:1]
+        with peer(name, some) as (environ, _):
+            check(name, some, round_trip("dds", name, some, environ | {RANGE: "SUBNET"})[0])
+    finally:
+        ip("link", "del", "outside")
 
 
 def known(name):

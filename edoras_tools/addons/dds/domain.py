@@ -10,6 +10,8 @@ What comes later in this list holds:
 4. Our options.
 
 Beside these Cyclone DDS's own defaults hold: the first interface that it finds fit, discovery by multicast.
+But where nothing else is said it also uses ``lo``, and listens on one of the ports that the standard gives to
+participants of a machine (RTPS 9.6.1.1): there a node with ``LOCALHOST`` looks for others.
 """
 
 from __future__ import annotations
@@ -43,6 +45,13 @@ _PEERS: Final = "ROS_STATIC_PEERS"
 _LOCAL_ONLY: Final = "ROS_LOCALHOST_ONLY"
 _MOST_PARTICIPANTS: Final = 32
 """Participants of a machine that discovery by unicast finds, as rmw_cyclonedds has it."""
+_WITH_LO: Final = (
+    '<Interfaces><NetworkInterface autodetermine="true"/><NetworkInterface name="lo"/></Interfaces>'
+)
+_INDEX: Final = (
+    "<ParticipantIndex>auto</ParticipantIndex>"
+    f"<MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}</MaxAutoParticipantIndex>"
+)
 _FAST_DDS_3: Final = "1.15"
 """The vendor id of eProsima; Cyclone DDS then matches its types by name, as rmw_fastrtps itself does."""
 _PREFIX: Final = re.compile(r"^\d+\.\d+ \[\d*\]\s+\S+:\s*")
@@ -67,7 +76,7 @@ def compatible() -> str:
 
 
 def discovery(environ: Mapping[str, str]) -> str:
-    """Return ROS's variables of discovery as XML for Cyclone DDS; empty if none is set.
+    """Return ROS's variables of discovery as XML for Cyclone DDS; empty for its own configuration.
 
     Raises:
         ConfigError: a variable has a value that ROS does not know.
@@ -85,7 +94,7 @@ def discovery(environ: Mapping[str, str]) -> str:
         alone = "" if peers else _interface("lo")
         general = alone + "<AllowMulticast>false</AllowMulticast>"
         return _domain(General=general, Discovery=_unicast(["localhost", *peers]))
-    return _domain(Discovery=_unicast(peers)) if peers and reach == "SUBNET" else ""
+    return _domain(Discovery=_unicast(peers) if peers else _INDEX) if reach == "SUBNET" else ""
 
 
 def _domain(**sections: str) -> str:
@@ -101,10 +110,7 @@ def _interface(name: str) -> str:
 def _unicast(peers: Iterable[str]) -> str:
     """Return discovery by unicast: it finds a participant only on one of the ports that are tried."""
     inner = "".join(f"<Peer Address={quoteattr(item)}/>" for item in peers)
-    return (
-        "<ParticipantIndex>auto</ParticipantIndex>"
-        f"<MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}</MaxAutoParticipantIndex><Peers>{inner}</Peers>"
-    )
+    return f"{_INDEX}<Peers>{inner}</Peers>"
 
 
 def configuration(options: Mapping[str, str]) -> str:
@@ -156,24 +162,28 @@ def release(number: int) -> None:
 
 def _create(number: int, config: str) -> Domain | None:
     """Return a new domain; None if the one that is open in this process already fits."""
-    users, ros = os.environ.get(_URI, ""), discovery(os.environ)
+    users, variables = os.environ.get(_URI, ""), discovery(os.environ)
     lines: list[str] = []
-    try:
-        with _overheard(lines):
-            return Domain(number, ",".join(filter(None, (compatible(), ros, users, config))))
-    except DDSException as error:
-        if error.code == DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
-            if not config and not ros:
-                return None
-            raise ConfigError(f"dds: domain {number} is open in this process without options") from error
-        settings = ", ".join(
-            filter(None, (users and f"${_URI}", ros and "ROS's variables", config and "options"))
-        )
-        why = "; ".join(dict.fromkeys(lines)) or error.msg
-        raise ConfigError(
-            f"dds: Cyclone DDS opens no domain {number}: {why}"
-            + (f"; look at: {settings}" if settings else "")
-        ) from error
+    usual, chosen = variables == discovery({}), bool(users) or "NetworkInterface" in config
+    # Each asks for less than the one before: a machine may have no other interface, or no port left.
+    beside = [] if chosen else [f"{variables},{_domain(General=_WITH_LO)}"]
+    reaches = [*beside, variables, ""] if usual else [variables]
+    for reach in reaches:
+        lines.clear()
+        try:
+            with _overheard(lines):
+                return Domain(number, ",".join(filter(None, (compatible(), reach, users, config))))
+        except DDSException as error:
+            failure = error
+            if error.code == DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
+                if not config and usual:
+                    return None
+                raise ConfigError(f"dds: domain {number} is open in this process without options") from error
+    named = users and f"${_URI}", "" if usual else "ROS's variables", config and "options"
+    settings = ", ".join(filter(None, named))
+    why = "; ".join(dict.fromkeys(lines)) or failure.msg
+    look = f"; look at: {settings}" if settings else ""
+    raise ConfigError(f"dds: Cyclone DDS opens no domain {number}: {why}{look}") from failure
 
 
 @contextmanager

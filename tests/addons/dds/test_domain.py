@@ -1,10 +1,12 @@
 """Options as Cyclone DDS's configuration."""
 
+from contextlib import ExitStack
+from socket import AF_INET, SOCK_DGRAM, socket
 from xml.etree import ElementTree as ET
 
 import pytest
 
-from edoras_tools.addons.dds.domain import compatible, configuration, discovery, hold
+from edoras_tools.addons.dds.domain import compatible, configuration, discovery, hold, release
 from edoras_tools.errors import ConfigError
 
 
@@ -74,6 +76,21 @@ def test_variables_of_ros(environ, interface, multicast, peers):
     assert domain.findtext("Domain/General/AllowMulticast") == multicast
     assert [peer.get("Address") for peer in domain.iter("Peer")] == peers
     assert (domain.findtext("Domain/Discovery/Tag") is not None) == ("OFF" in environ.values())
+
+
+def test_ours_listens_where_others_look_for_it():
+    for environ in ({}, {"ROS_STATIC_PEERS": "10.0.0.1"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}):
+        assert ET.fromstring(discovery(environ)).findtext("Domain/Discovery/ParticipantIndex") == "auto"
+    assert discovery({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}) == ""
+
+
+@pytest.mark.own_network
+def test_a_domain_is_joined_where_all_its_ports_are_taken():
+    with ExitStack() as taken:
+        for port in range(7410 + 250 * 77, 7410 + 250 * 77 + 66, 2):
+            taken.enter_context(socket(AF_INET, SOCK_DGRAM)).bind(("", port))
+        hold(77, "")
+        release(77)
 
 
 def test_a_variable_that_ros_does_not_know():
