@@ -43,12 +43,12 @@ from edoras_tools.diagnosis.evidence.timeline.changes import (
     SoftwareChanges,
     capture_changes,
     network_changes,
-    stalls,
 )
 from edoras_tools.diagnosis.evidence.timeline.table import Timeline
 from edoras_tools.diagnosis.evidence.unreachable import Unreachable, find_unreachable
 from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
+from edoras_tools.diagnosis.matching.stalls import stalls
 from edoras_tools.diagnosis.matching.streams import (
     Comb,
     Reset,

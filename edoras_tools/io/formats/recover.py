@@ -29,8 +29,9 @@ from edoras_tools.io.formats.mcap.recover import recover as recover_mcap
 from edoras_tools.io.formats.mcap.recover import verify as verify_mcap
 from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes
-from edoras_tools.io.formats.mcap.recovery.report import LostStretch, Recovery, read_again
+from edoras_tools.io.formats.mcap.recovery.report import LostStretch, Recovery
 from edoras_tools.io.formats.mcap.recovery.walk import walk
+from edoras_tools.io.formats.mcap.result import read_again
 from edoras_tools.io.formats.open import unwrapped
 from edoras_tools.io.formats.pcap.reader import MAGICS, PcapSource
 from edoras_tools.io.formats.pcapng.reader import PcapngSource

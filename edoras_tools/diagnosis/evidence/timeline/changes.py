@@ -9,10 +9,6 @@
    from its last datagram to its restart where nobody gave it up.
 6. A peer is subscribed to what its SUBs of this connection name. A connection that ends, ends them all; what
    the peer does not ask for again it does not get.
-7. A whole cFS stood still (stopped by its host, starved, or stuck in one task) when nothing at all came of
-   it, although it sent steadily before and after; no sequence count is missing, so it published nothing; and
-   what came first behind was made then, so no network held it back. An output that was switched off, a boot,
-   or a capture that saw nothing is no such time.
 """
 
 from __future__ import annotations
@@ -34,7 +30,7 @@ from edoras_tools.cfs import (
 from edoras_tools.cfs.arguments import EVS_MSG_ID, TBL_MSG_ID, TIME_MSG_ID
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.peers import ALREADY
-from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner, Timeline
+from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
 from edoras_tools.links.table import among
 from edoras_tools.units import SECOND
 from edoras_tools.wire.sbn import MsgType
@@ -49,7 +45,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import CommandRecord, EventRecord, Payloads
     from edoras_tools.diagnosis.evidence.peers import Connection, Network, SbnParty
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.diagnosis.matching.streams import Stream
 
 
 _SLACK_NS: Final = 2 * SECOND
@@ -383,91 +378,3 @@ def _subscriptions(
             subject = StateOwner("subscription", peer, msg_id)
             text = f"its connection ended: {item.why}"
             yield Change(system, subject, "unsubscribed", item.time_ns, item.time_ns + _WAKE_NS, text)
-
-
-_LEAST_NS: Final = 2 * SECOND
-_FACTOR: Final = 3
-"""Nothing for so many of the longest of its usual pauses: it stood still."""
-_LEAST_STREAMS: Final = 3
-_MADE_NS: Final = SECOND
-_OFF: Final = (
-    (StateOwner("output"), ("disabled", "suppressed")),
-    (StateOwner("entry"), ("unsubscribed", "as at the start")),
-    (StateOwner("cfs"), ("down",)),
-    *(
-        (StateOwner("app", name), ("stopped", "restarting", "failed"))
-        for name in (*telemetry_output.NAMES, *executive_services.SCHEDULERS)
-    ),
-)
-
-
-def stalls(
-    rows: Rows, streams: Sequence[Stream], instances: Instances, timeline: Timeline
-) -> Iterator[Change]:
-    """Yield when each cFS stood still, and when it went on.
-
-    Args:
-        timeline: what else is known of it.
-    """
-    whose = np.array([*instances.systems, NOBODY])[instances.of_row]
-    robot = among(rows.link, lambda link: link.last_hop)
-    for system in sorted(set(instances.systems)):
-        # What goes to a robot comes of the only cFS, or may come of any.
-        times = rows.time_ns[(whose == system) | robot]
-        steps = np.diff(times)
-        if len(steps) < _LEAST_STREAMS:
-            continue
-        pauses = steps[steps > SECOND // 20]
-        usual_ns = int(np.quantile(pauses, 0.9)) if len(pauses) else 0
-        own = [
-            item
-            for item in streams
-            if item.instance != NOBODY and instances.systems[item.instance] == system and item.counted
-        ]
-        for at in np.flatnonzero(steps > max(_LEAST_NS, _FACTOR * usual_ns)).tolist():
-            start_ns, end_ns = times[at : at + 2].tolist()
-            if _switched_off(timeline, system, start_ns, end_ns):
-                continue
-            if _published_nothing(rows, instances, own, start_ns, end_ns):
-                seconds = (end_ns - start_ns) / SECOND
-                text = (
-                    f"nothing came of it for {seconds:.1f} s, no count is missing, and it went on as before"
-                )
-                yield Change(system, StateOwner("cfs"), "stalled", start_ns, start_ns + usual_ns, text)
-                yield Change(
-                    system, StateOwner("cfs"), "running", end_ns - usual_ns, end_ns, "it sends again"
-                )
-
-
-def _switched_off(timeline: Timeline, system: int, start_ns: int, end_ns: int) -> bool:
-    away = timeline.spans(StateOwner("capture"), "away", EVERY)
-    spans = [
-        span for owner, states in _OFF for state in states for span in timeline.spans(owner, state, system)
-    ]
-    return any(span.overlaps(start_ns, end_ns) for span in (*spans, *away))
-
-
-def _published_nothing(
-    rows: Rows, instances: Instances, streams: Sequence[Stream], start_ns: int, end_ns: int
-) -> bool:
-    """Tell whether several steady streams were due, lack nothing, and what came first was made then."""
-    due = lacking = 0
-    for stream in streams:
-        times = rows.time_ns[stream.rows]
-        at = int(np.searchsorted(times, start_ns, "right")) - 1
-        if at < 1 or at + 2 > len(times) - 1:
-            continue
-        usual_ns = _usual(times, at)
-        if 2 * usual_ns > end_ns - start_ns:
-            continue
-        if int(instances.made_ns[stream.rows[at + 1]]) < end_ns - _MADE_NS:
-            return False
-        due += 1
-        # What it makes up for at once when it goes on may be more than a pipe takes.
-        lacking += bool(stream.missing[at])
-    return due >= _LEAST_STREAMS and 3 * lacking <= due
-
-
-def _usual(times: NDArray[np.int64], at: int) -> int:
-    """Return the usual time between messages before a row."""
-    return int(np.quantile(np.diff(times[max(0, at - 20) : at + 1]), 0.9))

@@ -46,10 +46,11 @@ from edoras_tools.io.formats.mcap.recovery.numbering import (
     renumbered,
 )
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes
-from edoras_tools.io.formats.mcap.recovery.report import FilePart, LostStretch, Recovery, read_again
+from edoras_tools.io.formats.mcap.recovery.report import FilePart, LostStretch, Recovery
 from edoras_tools.io.formats.mcap.recovery.scan import Piece, Scan
 from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary, summaries
 from edoras_tools.io.formats.mcap.recovery.walk import walk
+from edoras_tools.io.formats.mcap.result import read_again
 from edoras_tools.io.formats.mcap.unpack import Proof
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
 from edoras_tools.io.outputs import NewFile

@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
-from mcap.records import Chunk, Message
-from mcap.stream_reader import breakup_chunk
-
-from edoras_tools.errors import CaptureError, os_errors
-from edoras_tools.io.formats.mcap.index import RECORD_HEAD
-from edoras_tools.io.formats.mcap.messages import chunk_content
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
 from edoras_tools.older import UTC
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from edoras_tools.io.formats.mcap.recovery.numbering import Definitions
     from edoras_tools.io.formats.mcap.recovery.summaries import FoundSummary
 
@@ -218,39 +206,3 @@ def _time(time_ns: int | None) -> str:
         return f"{datetime.fromtimestamp(time_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3]
     except (OverflowError, ValueError, OSError):
         return f"{time_ns} ns"
-
-
-_BY_LIBRARY: Final = 20_000
-"""About so many messages are read by the ``mcap`` library too, which takes some 40 us for each."""
-
-
-def read_again(path: Path, report: Recovery) -> Recovery:
-    """Return the report of a file, with what its readers do not find.
-
-    Every message is read along the index, and whole chunks, evenly spread, by the ``mcap`` library.
-
-    Raises:
-        CaptureError: the file cannot be opened.
-    """
-    kept, read, refusal = Counter(report.messages), Counter[str](), ""
-    with os_errors(f"{path}: cannot be read"), path.open("rb") as file:
-        try:
-            summary = make_reader(file).get_summary()
-            assert summary is not None, "it has just been written"
-            step = 1 + kept.total() // _BY_LIBRARY
-            for number, index in enumerate(summary.chunk_indexes):
-                found = Counter(chunk_content(file, path.name, index, summary.channels).channel_id.tolist())
-                for channel, count in found.items():
-                    read[summary.channels[channel].topic] += count
-                if number % step == 0 and found.total() <= _BY_LIBRARY:
-                    file.seek(index.chunk_start_offset + RECORD_HEAD.size)
-                    records = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
-                    again = Counter(item.channel_id for item in records if isinstance(item, Message))
-                    refusal = refusal if again == found else "the mcap library finds other messages in it"
-        except (CaptureError, McapError, EOFError, ValueError) as error:
-            refusal = str(error)
-    if read != kept and not refusal:
-        refusal = f"its index leads to {read.total():,} of {kept.total():,} messages"
-    if not refusal:
-        return report
-    return replace(report, lost=True, reasons=[*report.reasons, f"of the result: {refusal}"])

@@ -1,0 +1,114 @@
+"""Times in which a whole cFS stood still: stopped by its host, starved, or stuck in one task.
+
+Nothing at all came of it, although it sent steadily before and after; no sequence count is missing, so it
+published nothing; and what came first behind was made then, so no network held it back. An output that was
+switched off, a boot, or a capture that saw nothing is no such time.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.cfs import executive_services, telemetry_output
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.timeline.table import EVERY, Change, StateOwner, Timeline
+from edoras_tools.links.table import among
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.evidence.instances import Instances
+    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+_LEAST_NS: Final = 2 * SECOND
+_FACTOR: Final = 3
+"""Nothing for so many of the longest of its usual pauses: it stood still."""
+_LEAST_STREAMS: Final = 3
+_MADE_NS: Final = SECOND
+_OFF: Final = (
+    (StateOwner("output"), ("disabled", "suppressed")),
+    (StateOwner("entry"), ("unsubscribed", "as at the start")),
+    (StateOwner("cfs"), ("down",)),
+    *(
+        (StateOwner("app", name), ("stopped", "restarting", "failed"))
+        for name in (*telemetry_output.NAMES, *executive_services.SCHEDULERS)
+    ),
+)
+
+
+def stalls(
+    rows: Rows, streams: Sequence[Stream], instances: Instances, timeline: Timeline
+) -> Iterator[Change]:
+    """Yield when each cFS stood still, and when it went on.
+
+    Args:
+        timeline: what else is known of it.
+    """
+    whose = np.array([*instances.systems, NOBODY])[instances.of_row]
+    robot = among(rows.link, lambda link: link.last_hop)
+    for system in sorted(set(instances.systems)):
+        # What goes to a robot comes of the only cFS, or may come of any.
+        times = rows.time_ns[(whose == system) | robot]
+        steps = np.diff(times)
+        if len(steps) < _LEAST_STREAMS:
+            continue
+        pauses = steps[steps > SECOND // 20]
+        usual_ns = int(np.quantile(pauses, 0.9)) if len(pauses) else 0
+        own = [
+            item
+            for item in streams
+            if item.instance != NOBODY and instances.systems[item.instance] == system and item.counted
+        ]
+        for at in np.flatnonzero(steps > max(_LEAST_NS, _FACTOR * usual_ns)).tolist():
+            start_ns, end_ns = times[at : at + 2].tolist()
+            if _switched_off(timeline, system, start_ns, end_ns):
+                continue
+            if _published_nothing(rows, instances, own, start_ns, end_ns):
+                seconds = (end_ns - start_ns) / SECOND
+                text = (
+                    f"nothing came of it for {seconds:.1f} s, no count is missing, and it went on as before"
+                )
+                yield Change(system, StateOwner("cfs"), "stalled", start_ns, start_ns + usual_ns, text)
+                yield Change(
+                    system, StateOwner("cfs"), "running", end_ns - usual_ns, end_ns, "it sends again"
+                )
+
+
+def _switched_off(timeline: Timeline, system: int, start_ns: int, end_ns: int) -> bool:
+    away = timeline.spans(StateOwner("capture"), "away", EVERY)
+    spans = [
+        span for owner, states in _OFF for state in states for span in timeline.spans(owner, state, system)
+    ]
+    return any(span.overlaps(start_ns, end_ns) for span in (*spans, *away))
+
+
+def _published_nothing(
+    rows: Rows, instances: Instances, streams: Sequence[Stream], start_ns: int, end_ns: int
+) -> bool:
+    """Tell whether several steady streams were due, lack nothing, and what came first was made then."""
+    due = lacking = 0
+    for stream in streams:
+        times = rows.time_ns[stream.rows]
+        at = int(np.searchsorted(times, start_ns, "right")) - 1
+        if at < 1 or at + 2 > len(times) - 1:
+            continue
+        usual_ns = _usual(times, at)
+        if 2 * usual_ns > end_ns - start_ns:
+            continue
+        if int(instances.made_ns[stream.rows[at + 1]]) < end_ns - _MADE_NS:
+            return False
+        due += 1
+        # What it makes up for at once when it goes on may be more than a pipe takes.
+        lacking += bool(stream.missing[at])
+    return due >= _LEAST_STREAMS and 3 * lacking <= due
+
+
+def _usual(times: NDArray[np.int64], at: int) -> int:
+    """Return the usual time between messages before a row."""
+    return int(np.quantile(np.diff(times[max(0, at - 20) : at + 1]), 0.9))
