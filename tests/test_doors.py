@@ -12,10 +12,11 @@ from typer.testing import CliRunner
 
 from edoras_tools import addons, doors
 from edoras_tools.addons import Addon, ListedCommand
-from edoras_tools.cli import main
+from edoras_tools.cli import main, options
 from edoras_tools.diagnosis.rules import rules, shipped_rules
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import installed_formats
+from edoras_tools.links.table import links
 from edoras_tools.middleware.opening import middleware
 from edoras_tools.structs.files import parse_layout
 
@@ -149,7 +150,7 @@ from pathlib import Path
 looked = []
 sys.addaudithook(lambda name, what: looked.append(str(what[0])) if name == "open" else None)
 sys.argv = ["edoras", *sys.argv[1:]]
-from edoras_tools.cli import main
+from edoras_tools.cli import main, options
 try:
     main.run(main.program(*(word for word in sys.argv[1:2] if main.is_command(word))))
 except SystemExit:
@@ -202,3 +203,7 @@ def test_a_middleware_that_is_none_is_refused(package):
     package(middleware="modem = modem_tools:VALUE")
     with pytest.raises(ConfigError, match=r"of the installed package modem-tools: .* is not an object of"):
         middleware("modem")
+
+
+def test_the_options_name_every_link_that_ships():
+    assert {*options.LINKS} == {*(link.label for link in links()), "other"}

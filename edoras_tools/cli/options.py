@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from typer import BadParameter, Context, Option
 
+from edoras_tools import doors
 from edoras_tools.cli.declare import headed
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import ROWS
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.sessions.faults.machine import FaultPlan
 
-LINKS = (*ROWS, "other")
+LINKS = (*ROWS, *doors.shipped("links"), "other")
 
 
 def number(text: str) -> int:
