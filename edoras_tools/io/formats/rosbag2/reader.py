@@ -178,10 +178,9 @@ def files_of(folder: Path) -> list[Path]:
     if metadata.exists():
         try:
             entries = YAML(typ="safe").load(metadata)["rosbag2_bagfile_information"]["relative_file_paths"]
-            names = [str(name) for name in entries]
+            listed = [folder / str(name) for name in entries if (folder / str(name)).exists()]
         except (OSError, YAMLError, KeyError, TypeError, ValueError):
             return files
-        listed = [folder / name for name in names if (folder / name).exists()]
         return listed or files
     return files
 
@@ -484,6 +483,6 @@ def query(path: Path, text: str, values: tuple[Any, ...]) -> Iterator[Any]:
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
             yield from database.execute(text, values)
-    except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite's message may not be valid text
-        why = "damaged" if isinstance(error, UnicodeDecodeError) else printable(str(error))
+    except (sqlite3.Error, UnicodeDecodeError, MemoryError) as error:  # the message may not be valid text
+        why = printable(str(error)) if isinstance(error, sqlite3.Error) else "damaged"
         raise CaptureError(f"{path}: is not a readable rosbag2 database: {why}") from None

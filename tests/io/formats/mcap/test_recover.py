@@ -401,6 +401,18 @@ def test_a_length_that_covers_other_messages_is_refused(tmp_path, foreign, bit):
     assert len(everything(made)[0]) == 199
 
 
+def test_a_wrong_checksum_in_the_head_of_a_sound_chunk_is_not_kept(tmp_path, recording):
+    """Its frame proves itself; a reader that checks the head's CRC would refuse the result."""
+    raw, summary = bytearray(recording.read_bytes()), everything(recording)[1]
+    raw[summary.chunk_indexes[1].chunk_start_offset + 9 + 24] ^= 4
+    source, made = tmp_path / "bad.mcap", tmp_path / "made.mcap"
+    source.write_bytes(raw)
+    report = recover(source, made)
+    assert verify(source) == report
+    assert (report.lost, "the head of a chunk is damaged" in report.reasons) == (False, True)
+    assert everything(made)[0] == everything(recording)[0]
+
+
 def test_messages_beside_chunks_are_put_into_one(tmp_path, foreign):
     """An indexed reader does not see them, so a file with both is not intact."""
     raw, loose = foreign().read_bytes(), foreign(chunked=False).read_bytes()

@@ -36,6 +36,7 @@ from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse
 from edoras_tools.io.formats.mcap.recovery.walk import Entries, Walked, walk
 from edoras_tools.io.formats.mcap.unpack import COMPRESSIONS, Proof, frame_at, inflate, unpack_chunk
 from edoras_tools.io.topics.rows import MAGIC
+from edoras_tools.wire.arrays.crc import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -247,7 +248,7 @@ class Scan:
                 continue
             piece = self._sound(Piece(Opcode.CHUNK, place, stop, head=head, proof=proof), raw, stop)
             sane = stop == end == data + head.length and len(raw) == head.size
-            piece.record_end = stop if sane and (not head.crc or proof is Proof.CHECKSUM) else 0
+            piece.record_end = stop if sane and (not head.crc or crc32(raw) == head.crc) else 0
             if (searched or self._broken) and not self._claimed(piece, stop - data):
                 return None
             self._chunks = True
