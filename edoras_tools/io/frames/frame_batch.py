@@ -29,7 +29,8 @@ class FrameBatch:
         link_type: u16, pcap LINKTYPE.
         offset: i64, start of the frame in ``data``.
         length: i32, captured bytes.
-        original_length: i32, bytes on the wire.
+        original_length: i32, bytes on the wire; 2 GiB and more, which no frame has, become the largest one:
+            below 0 is a row that was not captured.
     """
 
     data: NDArray[np.uint8]
@@ -42,6 +43,12 @@ class FrameBatch:
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    def __post_init__(self) -> None:
+        """Keep garbled lengths from being read as those of rows that were made."""
+        garbled = self.original_length < 0
+        if garbled.any():
+            self.original_length[garbled] = np.iinfo(np.int32).max
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,6 +21,9 @@ from edoras_tools.io.formats import stream
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcap import reader as pcap
 from edoras_tools.io.frames import chain as framing
+from edoras_tools.pipelines.capture.record import Target
+from edoras_tools.pipelines.capture.record import record as record_all
+from edoras_tools.pipelines.workbench import Settings
 
 FRAME = bytes(Ether() / IP(src="127.0.0.1", dst="127.0.0.2") / UDP(sport=1, dport=2) / Raw(b"hello"))
 RAW = bytes(IP(src="127.0.0.1", dst="127.0.0.2") / UDP(sport=1, dport=2) / Raw(b"hello"))
@@ -32,6 +35,16 @@ def header(order="<", magic=0xA1B2C3D4, link_type=1, snap_length=65535, version=
 
 def record(frame, seconds=1, rest=0, order="<", original=None):
     return struct.pack(f"{order}IIII", seconds, rest, len(frame), original or len(frame)) + frame
+
+
+@pytest.mark.parametrize("suffix", ["pcap", "pcapng", "mcap"])
+def test_a_garbled_length_on_the_wire_loses_no_datagram(tmp_path, suffix):
+    whole = [record(FRAME), record(FRAME, original=0xFF000000 | len(FRAME)), record(FRAME)]
+    (tmp_path / "a.pcap").write_bytes(header() + b"".join(whole))
+    copy = tmp_path / f"copy.{suffix}"
+    source = open_file(tmp_path / "a.pcap")
+    recorded = record_all(source, Settings().workbench(source.info), Target(copy))
+    assert recorded.ledger.datagrams == len(read(copy)[0]) == 3
 
 
 def udp_frame(payload):
