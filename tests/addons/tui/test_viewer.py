@@ -439,6 +439,7 @@ def test_routes_are_sorted_by_any_column(drive):
         routes = hands.app.routes
         await hands.press("r")
         await hands.until(lambda: routes.rows() > 5, "the routes")
+        await hands.until(lambda: titles[0] in str(routes.header()), "drawn in their size")
         first = list(routes._rows)
         for title in titles if LONG else titles[:4]:
             await hands.press("o")
@@ -529,7 +530,7 @@ def test_the_way_of_the_packet_is_followed(drive):
         await hands.press("t")
         assert app._lower.current == "trace-view"
         await hands.until(lambda: len(app.trace._lines) > 1, "its way")
-        assert "0x082a" in hands.lines(app.trace)[0]
+        await hands.until(lambda: "0x082a" in "".join(hands.lines(app.trace)[:1]), "drawn in its size")
         assert "packet 189" in "\n".join(hands.lines(app.trace))
         await hands.press("escape", "g", "t")  # SBN's own: no message of a link
         await hands.until(lambda: len(app.trace._lines) == 1 and "examined" not in app.trace.empty, "why not")
