@@ -75,10 +75,7 @@ def outputs(page, refresh):
 def test_the_tutorial_runs_from_capture_to_cure(refresh, tmp_path):
     """In the time that it takes, in a network of its own; how many are lost is another number each time."""
     page = ROOT / "docs/tutorial.md"
-    try:
-        ran = namespace.inside(lambda: refresh.refreshed(page, tmp_path))
-    except OSError as error:
-        pytest.skip(str(error))
+    ran = namespace.inside(lambda: refresh.refreshed(page, tmp_path))
     assert outputs(ran, refresh) == outputs(page.read_text(), refresh)
 
 
