@@ -31,16 +31,6 @@ def test_ports_formats_and_links():
     assert (mission.frames[2].link.label, mission.warnings, mission.routes) == ("sbn", (), ())
 
 
-def test_frames_in_tcp_streams():
-    context = Context(read("down: {port: 5111, kind: aos, length: 99, transport: tcp}"))
-    (framed,) = context.mission.frames
-    assert framed.format == FrameFormat("aos", 99, stream=True)
-    assert context.framings[5111].form == framed.format
-    context = Context(read("down: {port: 50000, kind: tm, length: 99, transport: tcp, link: fprime}"))
-    assert context.framings[50000].tm_bytes == 99
-    assert context.framings[50001].tm_bytes == 1024
-
-
 def test_a_port_belongs_to_the_link_of_its_packets_alone():
     context = Context(read("down: {port: 5111, kind: tm, length: 99}"))
     assert [link.label for link in context.links if context.ports[link][5111]] == ["to"]

@@ -47,10 +47,12 @@ from edoras_tools.addons.cfdp.link import CFDP
 from edoras_tools.addons.cfdp.transactions import FileEvidence
 from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.decode.filters.rows import ColumnRows
+from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_FINDINGS, Finding
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.sessions.faults.rules import parse_rule
 from edoras_tools.wire import cfdp, cfe
 
 
@@ -364,3 +366,8 @@ def test_both_readers_say_the_same_of_any_bytes_in_packets(packets, payloads, co
     follower = FileEvidence(msg_ids=(0x18C8, 0x8C2))
     follower.add(batch, columns)
     assert follower.pdus == follower.packets <= len(payloads)
+
+
+def test_faults_know_the_link():
+    with pytest.raises(ConfigError, match="one of ci, to, sbn, cfdp is needed"):
+        parse_rule("drop:1,link=cd")

@@ -16,15 +16,19 @@ from streams import segments_of, write_segments
 from transfer_frames import GROUND, Maker, space_packet
 
 from edoras_tools.addons.frames.link import FRAMES
+from edoras_tools.decode import Context
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.to import TO
+from edoras_tools.mission import loads
 from edoras_tools.model import Finding
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.wire.transfer_frames import FrameFormat
 
+IN_TCP = "link: {{ros__parameters: {{frames: {{down: {{length: 99, transport: tcp, {}}}}}}}}}"
 MAKERS = {
     "tm": Maker("tm", 40, second=b"ab", ocf=True),
     "aos": Maker("aos", 40, insert=b"zone", craft=0x2A7),
@@ -194,3 +198,13 @@ def test_the_doctor_names_the_lost_frames_and_info_the_damaged(rover):
 
 def _broken(item):
     return Udp(item.time_ns, item.source, item.destination, item.payload[:-1] + bytes([item.payload[-1] ^ 1]))
+
+
+def test_frames_in_tcp_streams():
+    context = Context(loads({"f.yaml": IN_TCP.format("port: 5111, kind: aos").encode()}))
+    (framed,) = context.mission.frames
+    assert framed.format == FrameFormat("aos", 99, stream=True)
+    assert context.framings[5111].form == framed.format
+    context = Context(loads({"f.yaml": IN_TCP.format("port: 50000, kind: tm, link: fprime").encode()}))
+    assert context.framings[50000].tm_bytes == 99
+    assert context.framings[50001].tm_bytes == 1024

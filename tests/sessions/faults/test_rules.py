@@ -67,7 +67,7 @@ BAD = {
     "delay:1s,msgid=3": "delay takes no 'msgid'; did you mean msg_id?",
     "delay:1s,p": "p has no value; write p=VALUE",
     "delay:1s,,": "delay takes no ','; there are p,",
-    "drop:1,link=cd": "link 'cd': one of ci, to, sbn, cfdp is needed",
+    "drop:1,link=cd": "link 'cd': one of ci, to, sbn",
     "drop:1,to=moon": "to 'moon': one of cfs, ground, bridge is needed",
     "drop:1,msg_id=0x11827": "msg_id '0x11827': MsgIds of 16 bits are needed",
     "drop:1,sbn=APPLE": "sbn 'APPLE': a number of 8 bits or one of NO_MSG",
