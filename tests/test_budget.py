@@ -39,8 +39,8 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(65_430, 150, 58_000),
-    "lines with code, all": Limit(81_648, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(64_449, 150, 58_000),
+    "lines with code, all": Limit(81_656, 150, 84_000),  # with what is still to come
     "files": Limit(557, 10, 450),
     "files below 170 lines, of 1,000": Limit(431, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
@@ -214,7 +214,7 @@ def test_figures_keep_to_their_limits(figures):
 
 
 def test_a_limit_is_kept_and_follows():
-    limits = {"files": Limit(100, 10, 50)}
+    limits = {"files": Limit(557, 10, 50)}
     assert list(judged({"files": 100}, limits)) == []
     assert list(judged({"files": 90}, limits)) == []
     assert list(judged({"files": 101}, limits)) == ["files: 101 is over the limit of 100"]

@@ -80,6 +80,14 @@ ADDONS: Final = (
         extra="archive",
     ),
     Addon(
+        "check",
+        commands={
+            "check": ListedCommand(
+                "Explain", "Check a capture against expectations, or draft them.", "cli:check"
+            )
+        },
+    ),
+    Addon(
         "codegen",
         commands={
             "codegen": ListedCommand(

@@ -43,7 +43,7 @@ _NO_MEMORY: Final = (
 _OF_THE_CORE: Final = {
     "Look": ("sniff", "info", "decode", "live", "plot", "trace", "hz", "host"),
     "Record": ("record", "recover", "export"),
-    "Explain": ("doctor", "report", "compare", "check"),
+    "Explain": ("doctor", "report", "compare"),
     "Send": ("replay", "inject", "proxy"),
     "Connect": ("bridge", "mission", "structs"),
     "Try": ("samples", "help"),

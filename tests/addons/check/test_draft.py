@@ -6,13 +6,13 @@ import pytest
 from effort import long_but
 from places import CAPTURES, MISSIONS, ROOT
 
+from edoras_tools.addons.check.draft import draft
+from edoras_tools.addons.check.expectations import load_expectations
+from edoras_tools.addons.check.run import check, junit
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import SimulatedSource
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.io import SourceDefaults
-from edoras_tools.pipelines.check.draft import draft
-from edoras_tools.pipelines.check.expectations import load_expectations
-from edoras_tools.pipelines.check.run import check, junit
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.units import SECOND
 

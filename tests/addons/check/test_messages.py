@@ -6,11 +6,11 @@ import pytest
 from others import write_bag, write_studio
 from rosbags.rosbag2 import StoragePlugin
 
+from edoras_tools.addons.check.draft import draft
+from edoras_tools.addons.check.expectations import load_expectations
+from edoras_tools.addons.check.observation import NOT_OBSERVABLE
+from edoras_tools.addons.check.run import check
 from edoras_tools.errors import ConfigError
-from edoras_tools.pipelines.check.draft import draft
-from edoras_tools.pipelines.check.expectations import load_expectations
-from edoras_tools.pipelines.check.observation import NOT_OBSERVABLE
-from edoras_tools.pipelines.check.run import check
 from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.workbench import Settings
 

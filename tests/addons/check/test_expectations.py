@@ -4,9 +4,9 @@ import inspect
 
 import pytest
 
+from edoras_tools.addons.check import expectations
+from edoras_tools.addons.check.expectations import EventExpectation, load_expectations
 from edoras_tools.errors import ConfigError
-from edoras_tools.pipelines.check import expectations
-from edoras_tools.pipelines.check.expectations import EventExpectation, load_expectations
 
 
 def load(folder, text):

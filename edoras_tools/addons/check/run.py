@@ -6,15 +6,8 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from edoras_tools.diagnosis.accounts import latency_ms
-from edoras_tools.diagnosis.balance import not_counted, sent
-from edoras_tools.diagnosis.ledger import CAPTURE, Row
-from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
-from edoras_tools.io.outputs import write_bytes
-from edoras_tools.mission.report import printable
-from edoras_tools.model import NO_ROUTE
-from edoras_tools.pipelines.check.expectations import LOSS_KEYS
-from edoras_tools.pipelines.check.observation import (
+from edoras_tools.addons.check.expectations import LOSS_KEYS
+from edoras_tools.addons.check.observation import (
     NOT_OBSERVABLE,
     Examined,
     FilterCount,
@@ -22,6 +15,13 @@ from edoras_tools.pipelines.check.observation import (
     Subject,
     examine_or_count,
 )
+from edoras_tools.diagnosis.accounts import latency_ms
+from edoras_tools.diagnosis.balance import not_counted, sent
+from edoras_tools.diagnosis.ledger import CAPTURE, Row
+from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
+from edoras_tools.io.outputs import write_bytes
+from edoras_tools.mission.report import printable
+from edoras_tools.model import NO_ROUTE
 from edoras_tools.render.severity import NOTABLE
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from edoras_tools.cfs.profile import SimProfile
-    from edoras_tools.diagnosis.examination import Diagnosis
-    from edoras_tools.io import Source
-    from edoras_tools.pipelines.capture.ledger import Ledger
-    from edoras_tools.pipelines.check.expectations import (
+    from edoras_tools.addons.check.expectations import (
         EventExpectation,
         Expectations,
         FieldExpectation,
         Tolerance,
     )
+    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.diagnosis.examination import Diagnosis
+    from edoras_tools.io import Source
+    from edoras_tools.pipelines.capture.ledger import Ledger
     from edoras_tools.pipelines.doctor.doctor import Pace
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.names import PacketKinds

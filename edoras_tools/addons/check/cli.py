@@ -16,8 +16,8 @@ from edoras_tools.cli.output import file_progress, print_json, print_view
 from edoras_tools.errors import ConfigError, InterruptError
 
 if TYPE_CHECKING:
+    from edoras_tools.addons.check.observation import Examined
     from edoras_tools.io import Source
-    from edoras_tools.pipelines.check.observation import Examined
     from edoras_tools.pipelines.doctor.scope import Scope
 
 
@@ -47,10 +47,10 @@ def check(
     Expectations are bounds of rates, counts, sizes, losses and latencies, what must hold of fields, and which
     events, findings and verdicts may appear. Exit code 3: one of them is not met.
     """
+    from edoras_tools.addons.check.expectations import load_expectations
+    from edoras_tools.addons.check.run import check as run
+    from edoras_tools.addons.check.run import write_junit
     from edoras_tools.io.outputs import check_new
-    from edoras_tools.pipelines.check.expectations import load_expectations
-    from edoras_tools.pipelines.check.run import check as run
-    from edoras_tools.pipelines.check.run import write_junit
     from edoras_tools.pipelines.doctor.doctor import Pace, profile_with
 
     scope, profile = part.scope(), profile_with(decoding.constants)
@@ -107,7 +107,7 @@ def _draft(
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    from edoras_tools.pipelines.check.draft import draft
+    from edoras_tools.addons.check.draft import draft
     from edoras_tools.pipelines.doctor.doctor import profile_with
 
     if task.junit or printing.json:

@@ -12,13 +12,13 @@ import math
 import re
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.addons.check.expectations import LOSS_KEYS
+from edoras_tools.addons.check.observation import Examined, Subject, examine_or_count
+from edoras_tools.addons.check.run import NOTABLE_FINDINGS, Figures
 from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.pipelines.capture.info import Counting
-from edoras_tools.pipelines.check.expectations import LOSS_KEYS
-from edoras_tools.pipelines.check.observation import Examined, Subject, examine_or_count
-from edoras_tools.pipelines.check.run import NOTABLE_FINDINGS, Figures
 from edoras_tools.pipelines.names import PacketKinds, SampleTopics
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from edoras_tools.addons.check.run import CheckReport, CheckResult, junit, write_junit
 from edoras_tools.errors import CaptureError
-from edoras_tools.pipelines.check.run import CheckReport, CheckResult, junit, write_junit
 
 junitparser = pytest.importorskip("junitparser")
 

@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.addons.check.expectations import Expectations, FieldExpectation
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
-    from edoras_tools.pipelines.check.expectations import Expectations, FieldExpectation
     from edoras_tools.pipelines.reading import ReadLoop
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
