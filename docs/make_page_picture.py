@@ -14,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from edoras_tools.addons.foxglove.player import PlaybackOptions, RecordingPlayer, open_recording
+from edoras_tools.addons.foxglove.serving import attach
 from edoras_tools.model import Endpoint
-from edoras_tools.pipelines.live.player import PlaybackOptions, RecordingPlayer, open_recording
-from edoras_tools.pipelines.live.run import attach
 from edoras_tools.pipelines.workbench import Settings
 
 SAMPLES: Final = Path(__file__).resolve().parents[1] / "samples"

@@ -42,8 +42,8 @@ PUT_OFF = {
         "only for recordings from a pipe or packed, and for captures inside zstd data",
     ),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
-    "io/foxglove/server.py": (
-        "edoras_tools.io.foxglove.client",
+    "addons/foxglove/server/server.py": (
+        "edoras_tools.addons.foxglove.server.client",
         "websockets, an extra: when the first client comes",
     ),
     "addons/racs2/link.py": (

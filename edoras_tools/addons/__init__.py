@@ -139,6 +139,19 @@ ADDONS: Final = (
     Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),
     Addon("dds", adds={"middleware": {"dds": ":DDS"}}, extra="dds"),
     Addon(
+        "foxglove",
+        commands={
+            "live": ListedCommand(
+                "Look", "Show a link or a recording in Foxglove.", "cli:live", before="plot"
+            )
+        },
+        adds={
+            "middleware": {"foxglove": ":FOXGLOVE"},
+            "parts": {"foxglove": "serving", "display": "cli"},
+        },
+        extra="live",
+    ),
+    Addon(
         "wireshark",
         commands={
             "wireshark": ListedCommand(

@@ -12,9 +12,8 @@ from typer import Argument, Option
 from edoras_tools.cli import options, sending
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import say, tell_reach
-from edoras_tools.cli.live import RelayOutputOptions
 from edoras_tools.cli.output import print_json, print_view
-from edoras_tools.cli.relays import finish_relay, run_relay
+from edoras_tools.cli.relays import RelayOutputOptions, finish_relay, run_relay
 from edoras_tools.cli.sending import DryRun, Yes, address, confirm_targets
 from edoras_tools.errors import ConfigError
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, ExitStack
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Protocol
 
 import typer
+from typer import BadParameter, Option
 
+from edoras_tools import doors
+from edoras_tools.cli import recordings, sending
+from edoras_tools.cli.declare import headed
 from edoras_tools.cli.endings import LOST, lost_outputs, say, tell
 from edoras_tools.cli.output import print_json
 from edoras_tools.errors import EdorasError
@@ -18,8 +22,70 @@ if TYPE_CHECKING:
     from rich.console import Console, Group
 
     from edoras_tools.cli.options import PrintOptions
+    from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.bridge.run import Bridges
     from edoras_tools.pipelines.proxy.run import Proxy
+    from edoras_tools.pipelines.recorder import RelayRecorder
+    from edoras_tools.pipelines.workbench import Workbench
+
+
+_SHORTEST_TOKEN: Final = 8
+
+
+def place(text: str) -> Endpoint:
+    """Read ``[HOST:]PORT``; the default host is 127.0.0.1."""
+    return sending.address(text if ":" in text else f"127.0.0.1:{text}")
+
+
+Origins = Annotated[
+    list[str] | None,
+    Option("--allow-origin", metavar="ORIGIN", help="Foxglove: also allow pages of this origin."),
+]
+
+
+def token(text: str) -> str:
+    """Read a token; a short one could be guessed."""
+    if len(text) < _SHORTEST_TOKEN:
+        raise BadParameter(
+            f"a token needs at least {_SHORTEST_TOKEN} characters; a shorter one is easy to guess"
+        )
+    return text
+
+
+Token = Annotated[
+    Any,
+    Option(envvar="EDORAS_TOKEN", parser=token, help="Foxglove: clients need it: ws://HOST:PORT/?token=..."),
+]
+
+
+@headed("Outputs")
+class RelayOutputOptions(NamedTuple):
+    """Where a command that relays traffic also writes it: to a recording, and to Foxglove."""
+
+    output: recordings.Output = None
+    force: recordings.Force = False
+    live: Annotated[Any, Option(parser=place, metavar="[HOST:]PORT", help="For Foxglove, e.g. 8765.")] = None
+    allow_origin: Origins = None
+    token: Token = None
+
+    def recorder(
+        self, workbench: Callable[[], Workbench], name: str, **how: Any
+    ) -> Callable[[], RelayRecorder] | None:
+        """Return what starts the recorder, its target already checked; None if nothing is recorded or shown.
+
+        Args:
+            workbench: gives what the recorder decodes with.
+            how: see ``RelayRecorder``.
+        """
+        if self.output is None and self.live is None:
+            return None
+        from edoras_tools.pipelines.recorder import RelayRecorder
+
+        goal, bench = recordings.recording_target(self.output, force=self.force), workbench()
+        show = None
+        if self.live is not None:
+            show = doors.part("display").server(bench, self.live, self.allow_origin, self.token)
+        return lambda: RelayRecorder(goal, bench, name, show=show, **how)
 
 
 class Relay(Protocol):
@@ -90,7 +156,6 @@ def finish_relay(
         EdorasError: it ended early.
         typer.Exit: with code 3, if anything was lost.
     """
-    from edoras_tools.render.bridge import served
     from edoras_tools.render.terminal.terminal import error_console
     from edoras_tools.render.terminal.text import clean
 
@@ -101,7 +166,7 @@ def finish_relay(
     elif not quiet:
         console = error_console()
         console.print(show(summary, console.width, output))
-        for line in served(shown) if shown else ():
+        for line in doors.part("display").served(shown) if shown else ():
             say(line)
     if json or quiet:
         for line in notes(summary):

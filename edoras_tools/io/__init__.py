@@ -181,3 +181,16 @@ class Sink(Protocol):
         Raises:
             CaptureError: the output cannot be written.
         """
+
+
+class DisplaySink(Sink, Protocol):
+    """A sink that clients watch over a network."""
+
+    @property
+    def addresses(self) -> tuple[str, str]:
+        """What a browser opens: Foxglove's application, and our own page."""
+        ...
+
+    def summary(self) -> dict[str, Any]:
+        """Return what clients were sent, in the form of ``foxglove`` in ``live --json``."""
+        ...

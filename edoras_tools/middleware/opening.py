@@ -24,9 +24,6 @@ _OF_THE_CORE: Final = {
         "pip install ros-rclpy ros-rmw-fastrtps-cpp",
         open=True,
     ),
-    "foxglove": Middleware(
-        f"{_HERE}.foxglove:open_graph", "an extra ({why}): pip install 'edoras-tools[live]'"
-    ),
     "local": Middleware(f"{_HERE}.local:open_graph"),
 }
 

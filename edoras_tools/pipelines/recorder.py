@@ -42,9 +42,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from edoras_tools.io import Sink
+    from edoras_tools.io import DisplaySink, Sink
     from edoras_tools.io.formats.watched import OutputLoss
-    from edoras_tools.io.foxglove.sink import FoxgloveSink
     from edoras_tools.io.net.buffer import DatagramBuffer
     from edoras_tools.io.processes import Desk
     from edoras_tools.pipelines.workbench import Workbench
@@ -87,7 +86,7 @@ class Recorded(NamedTuple):
         datagrams: how many.
         routes: their counts by route, in the shape of ``info --json``.
         losses: outputs that were removed while they were written.
-        display: what the Foxglove server showed, in the form of ``proxy --json``; None without one.
+        display: what clients were shown, in the form of ``proxy --json``; None without one.
     """
 
     datagrams: int = 0
@@ -105,7 +104,7 @@ class _Writer:
         bench: Workbench,
         info: SourceInfo,
         tap: Callable[[PacketBatch, Columns], None] | None,
-        show: Callable[[SourceInfo, SourceStatistics], FoxgloveSink] | None,
+        show: Callable[[SourceInfo, SourceStatistics], DisplaySink] | None,
     ) -> None:
         self._bench, self._tap = bench, tap
         sequences = SequenceCounts()
@@ -280,7 +279,7 @@ class RelayRecorder:
         name: name of the source, for the recording's metadata.
         kind: kind of the source, likewise: ``proxy``, ``bridge``, ``demo``.
         tap: called with every batch, on the recorder's thread.
-        show: makes a Foxglove sink from the source's info and statistics (``pipelines.live.attach``).
+        show: makes a sink that clients watch from the source's info and statistics.
         apart: a second process decodes and writes, where there can be one; ``recorded`` is known at the end.
 
     Attributes:
@@ -299,7 +298,7 @@ class RelayRecorder:
         name: str,
         kind: str = "proxy",
         tap: Callable[[PacketBatch, Columns], None] | None = None,
-        show: Callable[[SourceInfo, SourceStatistics], FoxgloveSink] | None = None,
+        show: Callable[[SourceInfo, SourceStatistics], DisplaySink] | None = None,
         *,
         apart: bool = False,
     ) -> None:

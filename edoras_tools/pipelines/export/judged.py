@@ -10,9 +10,8 @@ import numpy as np
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.doctor import examine, list_missing
-from edoras_tools.pipelines.export.block import TopicBlock
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
+from edoras_tools.ros.cdr.columns import MessageColumns, Ragged, TopicBlock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence

@@ -22,9 +22,9 @@ from edoras_tools.pipelines.export.tables import TableForm, check_fields, chosen
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
-    from edoras_tools.pipelines.export.block import TopicBlock
     from edoras_tools.pipelines.export.sources import TopicSource
     from edoras_tools.render.terminal.text import Progress
+    from edoras_tools.ros.cdr.columns import TopicBlock
 
 _TASKS: Final = 96
 """Pieces of tables that wait to be written, those of about six batches: limits memory. With fewer, who reads

@@ -25,11 +25,11 @@ from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.pipelines.capture.ledger import LONGEST_NOTE
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.scope import Scope
-from edoras_tools.pipelines.export.block import TopicBlock
 from edoras_tools.pipelines.export.judged import JUDGED, judged_block, judged_blocks
 from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
+from edoras_tools.ros.cdr.columns import TopicBlock
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.words import listed

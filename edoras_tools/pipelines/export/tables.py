@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.pipelines.export.block import TopicBlock
     from edoras_tools.pipelines.export.sources import TopicSource
+    from edoras_tools.ros.cdr.columns import TopicBlock
 
 ELEMENT: Final = "element"
 """The column with the index of an element, if every element of a list has a row."""

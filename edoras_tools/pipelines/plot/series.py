@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.pipelines.doctor.scope import Scope
-    from edoras_tools.pipelines.export.block import TopicBlock
     from edoras_tools.pipelines.selection import Period
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress
+    from edoras_tools.ros.cdr.columns import TopicBlock
 
 LARGE: Final = 16 << 20
 """Bytes of a capture from which on an examination takes longer than people wait for a plot."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -67,6 +67,30 @@ class MessageColumns:
 
     def __len__(self) -> int:
         return len(self.valid)
+
+
+@dataclass(frozen=True, slots=True)
+class TopicBlock:
+    """Messages of one topic, one row each.
+
+    Attributes:
+        topic: with its leading slash.
+        time_ns: i64, capture or recording time, ns since 1970.
+        message: the fields.
+        publish_ns: i64, publish time in the packet; None if the input has none.
+        sequence: packet sequence counts; None if there are none.
+        present: the rows that have a field, by field; a field that is not listed is in all rows.
+    """
+
+    topic: str
+    time_ns: NDArray[np.int64]
+    message: MessageColumns
+    publish_ns: NDArray[np.int64] | None = None
+    sequence: NDArray[np.unsignedinteger] | None = None
+    present: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
 
 
 def columns(

@@ -7,11 +7,11 @@ from racs2_peer import Talk, to_cfs, to_ros
 from rosbags.highlevel import AnyReader
 from streams import write_segments
 
+from edoras_tools.addons.foxglove.server.server import ServerOptions
+from edoras_tools.addons.foxglove.server.sink import FoxgloveSink
 from edoras_tools.addons.racs2 import topics as racs2
 from edoras_tools.errors import RouteError
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.foxglove.server import ServerOptions
-from edoras_tools.io.foxglove.sink import FoxgloveSink
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.export.reading import read

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 from typer import Argument, Exit, Option
 
+from edoras_tools import doors
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import LOST, say, tell
@@ -22,7 +23,6 @@ from edoras_tools.older import StrEnum
 if TYPE_CHECKING:
     from edoras_tools.addons.lab.demo.run import Demo, DemoPlan
     from edoras_tools.addons.lab.emulator import Scenario as ScenarioName
-    from edoras_tools.model import Endpoint
 
 _TOUR_S: Final = 6.0
 _DEMO_S: Final = 20.0
@@ -78,7 +78,7 @@ class DemoOptions(NamedTuple):
             domain=usual_domain() if self.domain is None else self.domain,
             options=dict(self.ros_options or ()),
             distro=self.distro,
-            live=_where(self.ws_port) if self.live else None,
+            live=doors.part("foxglove").usual_address(self.ws_port) if self.live else None,
             replace=replace,
         )
 
@@ -162,24 +162,5 @@ def _begin(running: Demo, *, quiet: bool) -> None:
     say(f"emulated {running.plan.scenario}, recorded to {running.plan.output}; Ctrl-C ends")
     say(beside(running.summary()))
     if running.foxglove:
-        server = running.foxglove.server
-        say(f"Foxglove: {server.app_url}\nor in a browser: {server.page_url}")
-
-
-def _where(port: int | None) -> Endpoint:
-    """Return the address for Foxglove: the port that was named, else the default port or any free port."""
-    import socket
-
-    from edoras_tools.io.foxglove.server import HERE
-    from edoras_tools.model import Endpoint
-
-    if port is None:
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            try:
-                probe.bind((HERE.address, HERE.port))
-            except OSError:
-                port = 0
-            else:
-                port = HERE.port
-    return Endpoint(HERE.address, port)
+        app, page = running.foxglove.addresses
+        say(f"Foxglove: {app}\nor in a browser: {page}")

@@ -11,10 +11,10 @@ from math import atan2, dist
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools import doors
 from edoras_tools.addons.lab.emulator.bridges import GroundOperator
 from edoras_tools.addons.lab.emulator.robots import Arm, Robot, Rover
 from edoras_tools.errors import WireError
-from edoras_tools.io.foxglove.requests import Publisher
 from edoras_tools.middleware import Graph, Qos
 from edoras_tools.units import SECOND
 
@@ -303,10 +303,16 @@ def make_robot(lane: Lane, index: int) -> Robot:
     return Rover(now=now, y=float(index)) if "Twist" in lane.command.type else Arm(now=now, name=lane.robot)
 
 
-def commands(lanes: Sequence[Lane], types: TypeStore, graph: Graph) -> Publisher:
-    """Return a publisher that accepts the robots' commands and publishes them in the graph."""
+def commands(lanes: Sequence[Lane], types: TypeStore, graph: Graph) -> Any:
+    """Return what lets a Foxglove server's clients publish the robots' commands, which go to the graph.
+
+    Raises:
+        ConfigError: this installation has no such server.
+    """
     topics = ", ".join(lane.command.topic for lane in lanes)
-    publisher = Publisher(types, lambda topic: f"{topic} is not a command topic; there are {topics}")
+    publisher = doors.part("foxglove").Publisher(
+        types, lambda topic: f"{topic} is not a command topic; there are {topics}"
+    )
     for lane in lanes:
         topic, type_name = lane.command.topic, lane.command.type
         publisher.accept(topic, type_name, graph.advertise(topic, type_name, Qos()))

@@ -12,6 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools import doors
 from edoras_tools.addons.lab.demo.nodes import (
     AppRobot,
     CallScheduler,
@@ -38,7 +39,6 @@ from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
 from edoras_tools.pipelines.bridge.run import Bridges
 from edoras_tools.pipelines.capture.record import Target, check_output
-from edoras_tools.pipelines.live.run import attach
 from edoras_tools.pipelines.recorder import RelayRecorder
 from edoras_tools.pipelines.workbench import Settings, Workbench
 from edoras_tools.ros.store import USUAL_DISTRO
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from edoras_tools.io.foxglove.sink import FoxgloveSink
+    from edoras_tools.io import DisplaySink
     from edoras_tools.render.terminal.text import Watcher
 
 
@@ -173,7 +173,7 @@ class Demo:
         target = Target(plan.output, replace=plan.replace, transforms=True)
         check_output(target, ())
         self.plan = plan
-        self.foxglove: FoxgloveSink | None = None
+        self.foxglove: DisplaySink | None = None
         self.events: deque[str] = deque(maxlen=_LAST_EVENTS)
         self.event_counts: Counter[str] = Counter()
         self.layout = plan.output.with_name(f"{plan.output.stem}_layout.json")
@@ -354,8 +354,10 @@ class Demo:
         """Serve everything to Foxglove, and accept commands from there."""
         publisher = commands(self.lanes, self._types, self._node(stack, "foxglove"))
         info = SourceInfo(f"emulated {self.plan.scenario}", "demo")
-        self.foxglove = attach(bench, info, listen=where, publisher=publisher)
-        stack.callback(self.foxglove.close, SourceStatistics())
+        attach = doors.part("foxglove").attach
+        shown: DisplaySink = attach(bench, info, listen=where, publisher=publisher)
+        self.foxglove = shown
+        stack.callback(shown.close, SourceStatistics())
 
     def _add_note(self, text: str) -> None:
         """Forward a note; start the nodes once cFS is connected."""

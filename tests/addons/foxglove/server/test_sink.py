@@ -16,10 +16,12 @@ from others import IDL, TOPICS, read_bag, studio_message, write_bag, write_studi
 from places import ROOT, SAMPLES
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from edoras_tools.addons.foxglove.player import PlaybackOptions, RecordingPlayer, open_recording
+from edoras_tools.addons.foxglove.server.server import ServerOptions
+from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, LinkState
+from edoras_tools.addons.foxglove.serving import attach, attach_player
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.split import RecordingOptions
-from edoras_tools.io.foxglove.server import ServerOptions
-from edoras_tools.io.foxglove.sink import FoxgloveSink, LinkState
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Streams
 from edoras_tools.links.ci import CI
@@ -27,8 +29,6 @@ from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint, Finding, SourceStatistics
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.scope import Scope
-from edoras_tools.pipelines.live.player import PlaybackOptions, RecordingPlayer, open_recording
-from edoras_tools.pipelines.live.run import attach, attach_player
 from edoras_tools.pipelines.reading import selected_rows
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
@@ -103,7 +103,7 @@ def test_what_is_silent_has_no_rate(capture, types, monkeypatch):
 
 
 def test_any_number_of_msg_ids_has_a_limit(capture, types, monkeypatch):
-    monkeypatch.setattr("edoras_tools.io.foxglove.sink._MOST_ROUTES", 3)
+    monkeypatch.setattr("edoras_tools.addons.foxglove.server.sink._MOST_ROUTES", 3)
     rover = capture("a_rover", "rover_ground")
     limited = told(rover, types).summary()
     monkeypatch.undo()

@@ -10,14 +10,14 @@ import foxglove_client as peer
 import pytest
 from places import ROOT
 
+from edoras_tools.addons.foxglove.publish import CommandPublisher
+from edoras_tools.addons.foxglove.serving import LEVELS, attach, live
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import RealTimeSource, start_simulation
 from edoras_tools.addons.racs2.link import RACS2
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.model import Endpoint, Finding, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.record import Target, record
-from edoras_tools.pipelines.live.publish import CommandPublisher
-from edoras_tools.pipelines.live.run import LEVELS, attach, live
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.sending.options import Receiver

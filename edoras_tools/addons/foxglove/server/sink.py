@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.cfs.names import message_name
 from edoras_tools.io import Sink
-from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.cfe import fault_messages
 from edoras_tools.io.topics.recorded import RecordedStreams
 from edoras_tools.io.topics.rows import Messages, bodies_of, lay_out
@@ -286,6 +286,11 @@ class ServedSink(Sink):
     def show_time(self, time_ns: int) -> None:
         """Send a time for the clients' clocks, ns since 1970."""
         self.server.tell_time(time_ns)
+
+    @property
+    def addresses(self) -> tuple[str, str]:
+        """See ``DisplaySink``."""
+        return self.server.app_url, self.server.page_url
 
     def restart(self) -> None:
         """Reset the statistics, if there are any, because the following messages have other times."""

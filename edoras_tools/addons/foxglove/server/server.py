@@ -25,16 +25,16 @@ from urllib.parse import urlencode
 
 import numpy as np
 
+from edoras_tools.addons.foxglove.server import page, protocol
+from edoras_tools.addons.foxglove.server.origins import OriginCheck
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.io.foxglove import page, protocol
-from edoras_tools.io.foxglove.origins import OriginCheck
 from edoras_tools.model import Endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from edoras_tools.io.foxglove.client import FoxgloveClient
-    from edoras_tools.io.foxglove.requests import PlaybackState, Player, Publisher
+    from edoras_tools.addons.foxglove.server.client import FoxgloveClient
+    from edoras_tools.addons.foxglove.server.requests import PlaybackState, Player, Publisher
     from edoras_tools.io.topics.rows import Records
     from edoras_tools.io.topics.streams import Topic
 
@@ -303,7 +303,9 @@ class FoxgloveServer:
                 self._remove(oldest)
 
     def _accept(self) -> _Connection:
-        from edoras_tools.io.foxglove.client import FoxgloveClient  # websockets takes 30 ms to import
+        from edoras_tools.addons.foxglove.server.client import (
+            FoxgloveClient,  # websockets takes 30 ms to import
+        )
 
         accepted, address = self._listener.accept()
         accepted.setblocking(False)

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.addons.foxglove.server.requests import PlaybackRequest, PlaybackState
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.open import kept_recording
 from edoras_tools.io.formats.stream import SettledFile
-from edoras_tools.io.foxglove.requests import PlaybackRequest, PlaybackState
 from edoras_tools.links.table import LinkStates
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
     from pathlib import Path
 
+    from edoras_tools.addons.foxglove.server.sink import ServedSink
     from edoras_tools.io import Source
-    from edoras_tools.io.foxglove.sink import ServedSink
     from edoras_tools.links.doors import OwnRows
     from edoras_tools.model import Columns, PacketBatch, SourceInfo
     from edoras_tools.render.terminal.text import Progress

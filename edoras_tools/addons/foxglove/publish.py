@@ -9,8 +9,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol
 
+from edoras_tools.addons.foxglove.server.requests import Publisher
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.io.foxglove.requests import Publisher
 from edoras_tools.io.net.address import is_loopback
 from edoras_tools.io.net.transmit import Transmitter
 from edoras_tools.io.net.wire import UdpWire

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.addons.foxglove.server.origins import OriginCheck
+from edoras_tools.addons.foxglove.server.requests import Publisher
+from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.io.foxglove.origins import OriginCheck
-from edoras_tools.io.foxglove.requests import Publisher
-from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.net.address import reach_note
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Topic

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 import waiting
 
-from edoras_tools.io.foxglove import page
-from edoras_tools.io.foxglove.origins import OriginCheck
-from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
+from edoras_tools.addons.foxglove.server import page
+from edoras_tools.addons.foxglove.server.origins import OriginCheck
+from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Topic
 from edoras_tools.model import Endpoint

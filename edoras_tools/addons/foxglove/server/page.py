@@ -56,7 +56,7 @@ def _answer(status: int, kind: str, text: str, headers: Mapping[str, str]) -> Ht
 @cache
 def _page() -> tuple[str, str]:
     """Return the page, and the policy that lets a browser load nothing but what is in it and its JSON."""
-    text = files("edoras_tools.io.foxglove").joinpath("page.html").read_text("utf-8")
+    text = files("edoras_tools.addons.foxglove.server").joinpath("page.html").read_text("utf-8")
     hashes = []
     for name in ("style", "script"):
         match = re.search(_BLOCK.format(name), text, re.DOTALL)

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.addons.foxglove.server.requests import MESSAGE_ENCODINGS, PlaybackRequest, PlaybackState
 from edoras_tools.errors import WireError
-from edoras_tools.io.foxglove.requests import MESSAGE_ENCODINGS, PlaybackRequest, PlaybackState
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.window import copy_rows, put_rows
 

@@ -16,10 +16,10 @@ from websockets.frames import Opcode
 from websockets.protocol import State
 from websockets.uri import parse_uri
 
+from edoras_tools.addons.foxglove.server import protocol
+from edoras_tools.addons.foxglove.server.requests import PlaybackRequest, PlaybackState
+from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import WireError
-from edoras_tools.io.foxglove import protocol
-from edoras_tools.io.foxglove.requests import PlaybackRequest, PlaybackState
-from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Topic
 from edoras_tools.model import Endpoint

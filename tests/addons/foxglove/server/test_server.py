@@ -14,12 +14,12 @@ import waiting
 from waiting import PATIENCE_S
 from websockets.exceptions import InvalidStatus
 
+from edoras_tools.addons.foxglove.server import client as foxglove_client
+from edoras_tools.addons.foxglove.server import server as foxglove_server
+from edoras_tools.addons.foxglove.server.origins import OriginCheck
+from edoras_tools.addons.foxglove.server.requests import PlaybackRequest, PlaybackState, Publisher
+from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.io.foxglove import client as foxglove_client
-from edoras_tools.io.foxglove import server as foxglove_server
-from edoras_tools.io.foxglove.origins import OriginCheck
-from edoras_tools.io.foxglove.requests import PlaybackRequest, PlaybackState, Publisher
-from edoras_tools.io.foxglove.server import FoxgloveServer, ServerOptions
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.io.topics.streams import Topic
 from edoras_tools.model import Endpoint

@@ -30,8 +30,8 @@ from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
+from edoras_tools.addons.foxglove.server import protocol
 from edoras_tools.errors import WireError
-from edoras_tools.io.foxglove import protocol
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from websockets.typing import Subprotocol
 
-    from edoras_tools.io.foxglove.page import HttpAnswer
+    from edoras_tools.addons.foxglove.server.page import HttpAnswer
     from edoras_tools.io.topics.rows import Records
     from edoras_tools.model import Endpoint
 

@@ -17,19 +17,19 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from places import ROOT
 
-from edoras_tools.errors import CaptureError, RouteError
-from edoras_tools.io.foxglove.requests import PlaybackRequest, PlaybackState
-from edoras_tools.model import Endpoint
-from edoras_tools.pipelines.capture.record import Target, record
-from edoras_tools.pipelines.doctor.scope import Scope
-from edoras_tools.pipelines.live.player import (
+from edoras_tools.addons.foxglove.player import (
     PlaybackOptions,
     RecordingPlayer,
     open_recording,
     request_of,
     split_keys,
 )
-from edoras_tools.pipelines.live.run import attach
+from edoras_tools.addons.foxglove.server.requests import PlaybackRequest, PlaybackState
+from edoras_tools.addons.foxglove.serving import attach
+from edoras_tools.errors import CaptureError, RouteError
+from edoras_tools.model import Endpoint
+from edoras_tools.pipelines.capture.record import Target, record
+from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 

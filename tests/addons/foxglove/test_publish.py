@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from places import MISSIONS
 from waiting import PATIENCE_S
 
+from edoras_tools.addons.foxglove import publish as live_publish
+from edoras_tools.addons.foxglove.publish import CommandPublisher
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.model import Endpoint, Peer
-from edoras_tools.pipelines.live import publish as live_publish
-from edoras_tools.pipelines.live.publish import CommandPublisher
 from edoras_tools.pipelines.sending.options import Receiver, SendOptions
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.wire import sbn

@@ -8,26 +8,45 @@ Two lines attach it to any pipeline::
 
 from __future__ import annotations
 
+import socket
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.io.foxglove.origins import OriginCheck
-from edoras_tools.io.foxglove.server import HERE, ServerOptions
-from edoras_tools.io.foxglove.sink import FoxgloveSink, RecordedSink, ServedSink
+from edoras_tools.addons.foxglove.server.origins import OriginCheck
+from edoras_tools.addons.foxglove.server.requests import Publisher
+from edoras_tools.addons.foxglove.server.server import HERE, ServerOptions
+from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, RecordedSink, ServedSink
 from edoras_tools.io.net.address import is_loopback
 from edoras_tools.pipelines.capture.record import CaptureReport, Target, pour, record
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.render.severity import EXPLANATIONS, Level
 
 if TYPE_CHECKING:
+    from edoras_tools.addons.foxglove.server.requests import Player
     from edoras_tools.io import Source
-    from edoras_tools.io.foxglove.requests import Player, Publisher
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
 
+__all__ = ["Publisher", "attach", "attach_player", "live", "usual_address"]
+
 LEVELS: Final = {finding: max(item.severity - Level.NOTE, 0) for finding, item in EXPLANATIONS.items()}
 """The level of each finding in ``diagnostic_msgs/msg/DiagnosticStatus``; notes are OK."""
+
+
+def usual_address(port: int | None = None) -> Endpoint:
+    """Return the address for Foxglove: the port that was named, else the usual port or any free port."""
+    if port is None:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((HERE.address, HERE.port))
+            except OSError:
+                port = 0
+            else:
+                port = HERE.port
+    return replace(HERE, port=port)
 
 
 def attach(

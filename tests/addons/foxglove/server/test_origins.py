@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edoras_tools.addons.foxglove.server.origins import OriginCheck
 from edoras_tools.errors import ConfigError
-from edoras_tools.io.foxglove.origins import OriginCheck
 
 FRIENDS = [
     "https://app.foxglove.dev",

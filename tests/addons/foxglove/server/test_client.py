@@ -11,9 +11,9 @@ from websockets.frames import Opcode
 from websockets.protocol import State
 from websockets.uri import parse_uri
 
-from edoras_tools.io.foxglove import client as foxglove_client
-from edoras_tools.io.foxglove import protocol
-from edoras_tools.io.foxglove.client import FoxgloveClient
+from edoras_tools.addons.foxglove.server import client as foxglove_client
+from edoras_tools.addons.foxglove.server import protocol
+from edoras_tools.addons.foxglove.server.client import FoxgloveClient
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.model import Endpoint
 

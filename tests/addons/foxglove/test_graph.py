@@ -6,9 +6,9 @@ import foxglove_client as peer
 import pytest
 from websockets.exceptions import InvalidStatus
 
+from edoras_tools.addons.foxglove.graph import open_graph
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import Qos
-from edoras_tools.middleware.foxglove import open_graph
 from edoras_tools.middleware.opening import open_graph as open_any
 from edoras_tools.ros import TypeStore
 

@@ -13,7 +13,7 @@ from shutil import get_terminal_size
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from typer import BadParameter, Option
+from typer import Option
 
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings, sending
@@ -21,91 +21,23 @@ from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import finish, say, tell, tell_reach
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json
+from edoras_tools.cli.relays import Origins, Token, place
 from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.words import plural
 
 if TYPE_CHECKING:
+    from edoras_tools.addons.foxglove.player import RecordingPlayer
+    from edoras_tools.addons.foxglove.publish import CommandPublisher, Send
+    from edoras_tools.addons.foxglove.server.origins import OriginCheck
+    from edoras_tools.addons.foxglove.server.requests import PlaybackState
+    from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, ServedSink
     from edoras_tools.io import Source
-    from edoras_tools.io.foxglove.origins import OriginCheck
-    from edoras_tools.io.foxglove.requests import PlaybackState
-    from edoras_tools.io.foxglove.sink import FoxgloveSink, ServedSink
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.capture.record import CaptureReport, Target
-    from edoras_tools.pipelines.live.player import RecordingPlayer
-    from edoras_tools.pipelines.live.publish import CommandPublisher, Send
     from edoras_tools.pipelines.reading import Limits
-    from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.sending.options import Receiver
     from edoras_tools.pipelines.workbench import Settings, Workbench
-
-_SHORTEST_TOKEN = 8
-
-
-def place(text: str) -> Endpoint:
-    """Read ``[HOST:]PORT``; the default host is 127.0.0.1."""
-    return sending.address(text if ":" in text else f"127.0.0.1:{text}")
-
-
-Origins = Annotated[
-    list[str] | None,
-    Option("--allow-origin", metavar="ORIGIN", help="Foxglove: also allow pages of this origin."),
-]
-
-
-def token(text: str) -> str:
-    """Read a token; a short one could be guessed."""
-    if len(text) < _SHORTEST_TOKEN:
-        raise BadParameter(
-            f"a token needs at least {_SHORTEST_TOKEN} characters; a shorter one is easy to guess"
-        )
-    return text
-
-
-Token = Annotated[
-    Any,
-    Option(envvar="EDORAS_TOKEN", parser=token, help="Foxglove: clients need it: ws://HOST:PORT/?token=..."),
-]
-
-
-@headed("Outputs")
-class RelayOutputOptions(NamedTuple):
-    """Where a command that relays traffic also writes it: to a recording, and to Foxglove."""
-
-    output: recordings.Output = None
-    force: recordings.Force = False
-    live: Annotated[Any, Option(parser=place, metavar="[HOST:]PORT", help="For Foxglove, e.g. 8765.")] = None
-    allow_origin: Origins = None
-    token: Token = None
-
-    def recorder(
-        self, workbench: Callable[[], Workbench], name: str, **how: Any
-    ) -> Callable[[], RelayRecorder] | None:
-        """Return what starts the recorder, its target already checked; None if nothing is recorded or shown.
-
-        Args:
-            workbench: gives what the recorder decodes with.
-            how: see ``RelayRecorder``.
-        """
-        if self.output is None and self.live is None:
-            return None
-        from edoras_tools.pipelines.recorder import RelayRecorder
-
-        goal, bench = recordings.recording_target(self.output, force=self.force), workbench()
-        show = (
-            partial(self._serve, bench, _origin_check(self.allow_origin)) if self.live is not None else None
-        )
-        return lambda: RelayRecorder(goal, bench, name, show=show, **how)
-
-    def _serve(
-        self, bench: Workbench, origins: OriginCheck, info: SourceInfo, statistics: SourceStatistics
-    ) -> FoxgloveSink:
-        """Start a Foxglove server, and print its address."""
-        from edoras_tools.pipelines.live.run import attach
-
-        word = self.token or ""
-        sink = attach(bench, info, listen=self.live, statistics=statistics, origins=origins, token=word)
-        _say(info.name, sink)
-        return sink
 
 
 class SourceOptions(NamedTuple):
@@ -156,7 +88,7 @@ class PublishingOptions(NamedTuple):
         """Return what sends Foxglove's messages, once the user confirmed the target; None if not allowed."""
         if not self.allow:
             return None
-        from edoras_tools.pipelines.live.publish import CommandPublisher
+        from edoras_tools.addons.foxglove.publish import CommandPublisher
         from edoras_tools.pipelines.sending.options import SendOptions
 
         where = SendOptions(target=self.target, sender=self.sender)
@@ -189,8 +121,7 @@ def live(
 
     For example: edoras live -i lo -c rover.yaml; or edoras live --sim two-rovers
     """
-    from edoras_tools.pipelines.live.run import attach, attach_player
-    from edoras_tools.render.bridge import served
+    from edoras_tools.addons.foxglove.serving import attach, attach_player
 
     (_, given), sim = source
     files = source.given.paths
@@ -253,9 +184,9 @@ def _play(
     quiet: bool,
 ) -> tuple[dict[str, Any], EdorasError | None]:
     """Play a recording; return a summary, and the error if the recording is cut off."""
+    from edoras_tools.addons.foxglove import player as playing
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.pipelines.live import player as playing
     from edoras_tools.render import units
 
     info, bench, reopen = playing.open_recording(files, settings)
@@ -288,9 +219,8 @@ def _keyboard(
     if quiet or not here or os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp():  # not a job in the background
         yield str, lambda _: None
         return
+    from edoras_tools.addons.foxglove.player import HELP
     from edoras_tools.pipelines.interrupt import Keys
-    from edoras_tools.pipelines.live.player import HELP
-    from edoras_tools.render.bridge import playback_line
 
     def show(state: PlaybackState) -> None:
         line = playback_line(state, player.range_ns, len(sink.server.clients), waiting=player.waiting)
@@ -318,8 +248,8 @@ def _show(
     quiet: bool,
 ) -> tuple[dict[str, Any], CaptureReport]:
     """Show live traffic; return a summary and the report of its capture."""
+    from edoras_tools.addons.foxglove.serving import live as run
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.pipelines.live.run import live as run
     from edoras_tools.render.capture.watch import watcher
 
     sink = serve(bench, source.info, statistics=source.statistics, publisher=commands)
@@ -353,8 +283,28 @@ def _traffic(
     return source, bench, {}
 
 
+def server(
+    bench: Workbench, listen: Endpoint, origins: Sequence[str] | None, token: str | None
+) -> Callable[[SourceInfo, SourceStatistics], FoxgloveSink]:
+    """Return what starts a server for a command that relays traffic, and prints its address.
+
+    Raises:
+        ConfigError: an origin is none.
+    """
+    from edoras_tools.addons.foxglove.serving import attach
+
+    check, word = _origin_check(origins), token or ""
+
+    def start(info: SourceInfo, statistics: SourceStatistics) -> FoxgloveSink:
+        sink = attach(bench, info, listen=listen, statistics=statistics, origins=check, token=word)
+        _say(info.name, sink)
+        return sink
+
+    return start
+
+
 def _origin_check(origins: Sequence[str] | None) -> OriginCheck:
-    from edoras_tools.io.foxglove.origins import OriginCheck
+    from edoras_tools.addons.foxglove.server.origins import OriginCheck
 
     return OriginCheck(tuple(origins or ()), tell)
 
@@ -372,3 +322,43 @@ def _say(name: str, sink: ServedSink, publishes: Sequence[str] = ()) -> None:
         say(f"{name} in Foxglove: {server.app_url}")
         say(f"or in a browser: {server.page_url}")
         tell_reach(server.endpoint, may, instead="with --token, clients must give a token")
+
+
+def served(summary: Mapping[str, Any]) -> Iterator[str]:
+    """Yield one line for all clients, and one for each client that was too slow.
+
+    Args:
+        summary: as ``FoxgloveServer.summary`` gives it.
+    """
+    clients = summary["clients"]
+    words = [
+        f"Foxglove: {plural(summary['connections'], 'client')}",
+        f"{plural(summary['sent'], 'message')} sent",
+    ]
+    if summary["published"] or summary["refused"]:
+        words.append(f"{summary['published']:,} taken from them, {summary['refused']:,} refused")
+    yield ", ".join(words)
+    for client in clients:
+        if client["dropped"]:
+            of = client["dropped"] + client["sent"] + client["waiting"]
+            yield f"{client['address']} was too slow for {client['dropped']:,} of {of:,} messages"
+
+
+def playback_line(state: PlaybackState, range_ns: tuple[int, int], clients: int, *, waiting: bool) -> str:
+    """Return a line such as ``playing 0:12.3 of 1:40.0, 2x, 1 client``.
+
+    Args:
+        range_ns: start and end of the recording, ns since 1970.
+        waiting: whether it waits for the first client.
+    """
+    start, end = range_ns
+    status = "waits for a client at" if waiting else state.status.lower()
+    return (
+        f"{status} {_clock(state.time_ns - start)} of {_clock(end - start)}, {state.speed:g}x, "
+        f"{plural(clients, 'client')}"
+    )
+
+
+def _clock(time_ns: int) -> str:
+    tenths = time_ns // 100_000_000
+    return f"{tenths // 600}:{tenths % 600 / 10:04.1f}"

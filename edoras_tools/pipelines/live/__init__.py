@@ -1,1 +1,0 @@
-"""A link or a recording, live in Foxglove."""
