@@ -214,7 +214,7 @@ def test_figures_keep_to_their_limits(figures):
 
 
 def test_a_limit_is_kept_and_follows():
-    limits = {"files": Limit(557, 10, 50)}
+    limits = {"files": Limit(100, 10, 50)}
     assert list(judged({"files": 100}, limits)) == []
     assert list(judged({"files": 90}, limits)) == []
     assert list(judged({"files": 101}, limits)) == ["files: 101 is over the limit of 100"]
