@@ -46,8 +46,8 @@ class TaskOptions(NamedTuple):
     bag: Annotated[
         list[Path] | None,
         Option(
-            help="Only report how a rosbag2 folder or MCAP of the ROS side differs from the capture, or from "
-            "the first of several bags."
+            help="Also report how a rosbag2 folder or MCAP of the ROS side differs from the capture; without "
+            "one, from the first of several bags."
         ),
     ] = None
     predict: Annotated[bool, Option("--predict", help="Only say how much each route can carry.")] = False
@@ -90,7 +90,7 @@ def doctor(
     elif task.list_lost is not None:
         _list_lost(settings, profile, scope, given, task.list_lost, printing, jobs or 0)
     elif task.bag:
-        _compare_bags(settings, scope, given, task.bag, printing)
+        _compare_bags(settings, scope, given, task.bag, printing, verbose=verbose)
     elif task.against is not None:
         _compare(settings, scope, given.paths, task.against, printing)
     else:
@@ -271,14 +271,19 @@ def _compare(
 
 
 def _compare_bags(
-    settings: Settings, scope: Scope, given: InputOptions, bags: list[Path], printing: options.PrintOptions
+    settings: Settings,
+    scope: Scope,
+    given: InputOptions,
+    bags: list[Path],
+    printing: options.PrintOptions,
+    *,
+    verbose: bool,
 ) -> None:
-    from edoras_tools.diagnosis.balance import Chain, chains
+    from edoras_tools.diagnosis.balance import chains
     from edoras_tools.pipelines.doctor.against import against_bag, against_capture, bridge_counts
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
 
-    files = given.paths
-    ways: list[Chain] = []
+    files, judged = given.paths, None
     if not files and len(bags) < 2:
         raise ConfigError("--bag needs a capture, or a second bag: edoras doctor CAPTURE --bag BAG")
     if files:
@@ -288,17 +293,23 @@ def _compare_bags(
             found = against_capture(source, bags, bench, scope, bar)
             if all(path.is_file() or path.is_dir() for path in files):  # a pipe is read only once
                 source, bench = open_input(given, settings, aligned=True, progress=bar)
-                judged = examine(source, bench, scope=scope, pace=Pace(monotonic_ns), progress=bar).diagnosis
-                ways = chains(judged.balance, judged.topics, bridge_counts(found))
+                judged = examine(source, bench, scope=scope, pace=Pace(monotonic_ns), progress=bar)
     elif scope.selection or scope.period:
         raise ConfigError("--start, --end and what selects packets have no effect on bags alone")
     else:
         found = against_bag(bags[0], bags[1:], settings.workbench().types)
     lost = sum(item.comparison.lost for item in found)
+    all_ = judged.diagnosis if judged else None
+    ways = chains(all_.balance, all_.topics, bridge_counts(found)) if all_ else []
     if printing.json:
         told = [item.as_json() for item in found]
-        print_json({"lost": lost, "bags": told, "chains": [item.as_json() for item in ways]})
+        summary = judged.summary() if judged else None
+        print_json(
+            {"lost": lost, "bags": told, "chains": [item.as_json() for item in ways], "diagnosis": summary}
+        )
     else:
+        if all_:
+            _print(all_, ", ".join(map(str, files)), quiet=printing.quiet, verbose=verbose)
         from edoras_tools.render.doctor.balance import chain_table
         from edoras_tools.render.doctor.doctor import comparison_table
 
@@ -311,5 +322,7 @@ def _compare_bags(
     for item in found:
         if item.left_out:
             tell(f"{item.bag}: {item.left_out:,} messages do not fit their type and are not compared")
-    if lost:
+    for warning in judged.warnings if judged else ():
+        tell(warning)
+    if lost or (all_ and all_.bad):
         raise Exit(LOST)

@@ -259,13 +259,16 @@ def test_a_bag_is_held_against_the_capture_it_was_made_of(call, captures, missio
     bag, mission = tmp_path / "bag.mcap", missions("rover_ground")
     assert call("record", "-r", captures("a_rover"), *mission, "-o", bag, "-q").code == 0
     done = call("doctor", captures("a_rover"), *mission, "--bag", bag, "--json")
-    (found,) = done.json()["bags"]
+    (found,), judged = done.json()["bags"], done.json()["diagnosis"]
+    assert (done.json()["lost"], judged["lost"], judged["schema"]) == (0, 92, 2)
     assert [(row["topic"], row["same"], row["lost"]) for row in found["routes"]] == [
         ("/cmd_vel", 600, 0),
         ("/telemetry_pose", 63, 0),
     ]
     table = call("doctor", captures("a_rover"), *mission, "--bag", bag, "--topic", "cmd_vel")
-    assert (done.code, table.code) == (0, 0)
+    # The bag lacks nothing, and the capture without it shows 92 lost: a bag adds, it never replaces.
+    assert (done.code, table.code) == (3, 3)
+    assert "92 of 600 /cmd_vel were lost" in table.out
     assert "Nothing lost between the two." in table.out
     assert "/telemetry_pose" not in table.out
     alone = call("doctor", "--bag", bag, "--bag", bag, "--json").json()

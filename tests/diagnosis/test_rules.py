@@ -725,6 +725,12 @@ def transfer(lab, *payloads):
 
 
 SENT = metadata(100), piece(0, CONTENT), eof(CONTENT)
+PIECES = (
+    lambda acknowledged: metadata(100, acknowledged=acknowledged),
+    lambda acknowledged: piece(0, CONTENT[:40], acknowledged=acknowledged),
+    lambda acknowledged: eof(CONTENT, acknowledged=acknowledged),
+)
+"""Class 1 or 2, without the last 60 bytes."""
 
 
 @case
@@ -744,6 +750,14 @@ def file_not_finished(lab, tmp_path, msg_id):
     cancelled = transfer(lab, *SENT[:2], finished(15)).verdicts
     assert [item.severity for item in cancelled] == [Severity.WARNING]
     assert [item.severity for item in transfer(lab, *SENT).verdicts] == [Severity.NOTE], "it may go on"
+    repairs = transfer(lab, SENT[0], piece(0, CONTENT[:40]), SENT[2], nak((40, 100)))
+    once = transfer(lab, *(make(False) for make in PIECES))
+    for found in (repairs, once):
+        assert [(item.rule, item.severity) for item in found.verdicts] == [
+            ("file_not_finished", Severity.ERROR)
+        ]
+        assert found.bad
+    assert "which class 1 does not send again: 40 of 100 bytes" in once.verdicts[0].reason
     return transfer(lab, SENT[0], piece(0, CONTENT[:40]), SENT[2], 60, pdu(Directive.PROMPT, number=8))
 
 

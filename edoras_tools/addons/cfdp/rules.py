@@ -73,8 +73,11 @@ def file_not_finished(case: Case) -> Iterator[Verdict]:
             severity, how = Severity.WARNING, "was cancelled"
         elif not item.condition:
             going_on = end_ns - item.last_ns < _GOING_ON_NS
-            severity = Severity.NOTE if going_on else Severity.ERROR
+            lacks = item.eof is not None and item.holes  # all was sent, and some of it is not there
+            severity = Severity.NOTE if going_on and not lacks else Severity.ERROR
             how = "was not finished when the capture ended" if going_on else "was never finished"
+            if lacks and not item.acknowledged:
+                how = "lost pieces, which class 1 does not send again"
         size = "?" if item.file_size is None else f"{item.file_size:,}"
         ends = {"EOF": item.eof, **({"Finished": item.finished} if item.acknowledged else {})}
         seen = [f"{name} was {'not ' * (told is None)}captured" for name, told in ends.items()]
