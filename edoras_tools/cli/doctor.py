@@ -24,7 +24,9 @@ from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.diagnosis.balance import Chain
     from edoras_tools.diagnosis.examination import Diagnosis
+    from edoras_tools.pipelines.doctor.against import BagComparison
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.workbench import Settings
 
@@ -299,30 +301,31 @@ def _compare_bags(
     else:
         found = against_bag(bags[0], bags[1:], settings.workbench().types)
     lost = sum(item.comparison.lost for item in found)
-    all_ = judged.diagnosis if judged else None
-    ways = chains(all_.balance, all_.topics, bridge_counts(found)) if all_ else []
+    ways: list[Chain] = []
+    if judged:
+        of = judged.diagnosis
+        ways = chains(of.balance, of.topics, bridge_counts(found))
+        if not printing.json:
+            _print(of, source.info.name, quiet=printing.quiet, verbose=verbose)
     if printing.json:
-        told = [item.as_json() for item in found]
-        summary = judged.summary() if judged else None
-        print_json(
-            {"lost": lost, "bags": told, "chains": [item.as_json() for item in ways], "diagnosis": summary}
-        )
+        told, way = ([item.as_json() for item in those] for those in (found, ways))
+        print_json({"lost": lost, "bags": told, "chains": way, "diagnosis": judged and judged.summary()})
     else:
-        if all_:
-            _print(all_, ", ".join(map(str, files)), quiet=printing.quiet, verbose=verbose)
-        from edoras_tools.render.doctor.balance import chain_table
-        from edoras_tools.render.doctor.doctor import comparison_table
-
-        first = ", ".join(map(str, files or bags[:1]))
-        for item in found:
-            print_view(f"first: {first}, second: {item.bag}")
-            print_view(partial(comparison_table, item.comparison))
-        if ways:
-            print_view(lambda width: chain_table(ways, width))
-    for item in found:
-        if item.left_out:
-            tell(f"{item.bag}: {item.left_out:,} messages do not fit their type and are not compared")
+        _print_bags(found, ways, ", ".join(map(str, files or bags[:1])))
     for warning in judged.warnings if judged else ():
         tell(warning)
-    if lost or (all_ and all_.bad):
+    if lost or (judged and judged.diagnosis.bad):
         raise Exit(LOST)
+
+
+def _print_bags(found: list[BagComparison], ways: list[Chain], first: str) -> None:
+    from edoras_tools.render.doctor.balance import chain_table
+    from edoras_tools.render.doctor.doctor import comparison_table
+
+    for item in found:
+        print_view(f"first: {first}, second: {item.bag}")
+        print_view(partial(comparison_table, item.comparison))
+        if item.left_out:
+            tell(f"{item.bag}: {item.left_out:,} messages do not fit their type and are not compared")
+    if ways:
+        print_view(lambda width: chain_table(ways, width))

@@ -44,23 +44,8 @@ _WAITS: Final = 0.7, 1.3
 _ALIKE: Final = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class Round:
-    """How often something is done, as the capture shows it.
-
-    Attributes:
-        period_ns: usual time from one to the next.
-        low_ns: shortest, of most of them.
-        high_ns: longest, of most of them.
-    """
-
-    period_ns: int
-    low_ns: int
-    high_ns: int
-
-
-def find_round(times: NDArray[np.int64]) -> Round | None:
-    """Return the round in which bursts come; None where they show none.
+def find_round(times: NDArray[np.int64]) -> int | None:
+    """Return the period of the rounds in which bursts come, ns; None where they show none.
 
     Args:
         times: ns, in order.
@@ -83,8 +68,7 @@ def find_round(times: NDArray[np.int64]) -> Round | None:
     fits = np.abs(ratio - np.round(ratio)) < 2 * _NEAR
     if len(own) < _OFTEN * len(steps) or fits.mean() < _NEARLY_ALL:
         return None
-    low, high = np.quantile(own, (0.1, 0.9)).astype(np.int64).tolist()
-    return Round(int(period), low, high)
+    return int(period)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +77,12 @@ class Constants:
 
     Attributes:
         profile: all of them: learned, else assumed.
-        rounds: name of a constant to the round that the capture shows.
+        rounds: name of a constant to the period that the capture shows, ns.
         learned: names of those that the capture shows, and MsgIds whose limits it shows.
     """
 
     profile: SimProfile
-    rounds: Mapping[str, Round]
+    rounds: Mapping[str, int]
     learned: frozenset[str | int]
 
 
@@ -118,7 +102,7 @@ def learn_constants(
         losses: what events name as lost.
         overflows: whether a pipe was full.
     """
-    rounds: dict[str, Round] = {}
+    rounds: dict[str, int] = {}
     down = among(rows.link, lambda link: link.only_from_cfs)
     sent = [rows.time_ns[down & (rows.source == source)] for source in np.unique(rows.source[down]).tolist()]
     output = max(sent, key=len, default=rows.time_ns[:0])
@@ -128,10 +112,8 @@ def learn_constants(
         rounds["ci_wake_ns"] = found
     profile = assumed
     for name, item in rounds.items():
-        if _usual(assumed, name) and abs(item.period_ns - getattr(assumed, name)) > _ALIKE * getattr(
-            assumed, name
-        ):
-            profile = replace(profile, **{name: item.period_ns})  # type: ignore[arg-type]
+        if _usual(assumed, name) and abs(item / getattr(assumed, name) - 1) > _ALIKE:
+            profile = replace(profile, **{name: item})  # type: ignore[arg-type]
     limits = _limits(assumed, rows, streams, losses) if "to_wake_ns" in rounds else {}
     names: set[str | int] = {*rounds, *limits}
     profile = replace(profile, to_limits={**assumed.to_limits, **limits})
@@ -175,13 +157,13 @@ def _last(hops: Sequence[Hop]) -> list[Hop]:
     return [hop for hop in hops if hop.into.link.only_to_cfs and hop.out.link.last_hop]
 
 
-def _ingest(rows: Rows, hops: Sequence[Hop]) -> Round | None:
+def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
     out = [rows.time_ns[hop.out_rows] for hop in _last(hops)]
     found = find_round(np.sort(np.concatenate(out))) if out else None
     if found is None:
         return None
     delays = np.concatenate([hop.delays_ns for hop in _last(hops)])
-    longest = float(np.quantile(delays, 0.9)) / found.period_ns if len(delays) else 0.0
+    longest = float(np.quantile(delays, 0.9)) / found if len(delays) else 0.0
     low, high = _WAITS
     return found if low < longest < high else None
 

@@ -28,8 +28,6 @@ from edoras_tools.diagnosis.ledger import APPLICATION
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
@@ -188,7 +186,9 @@ def rounds_into(case: Case, stream: Stream) -> Rounds:
             out[hop.in_rows] = True
             if hop.out.link.last_hop:
                 left_ns[hop.in_rows] = case.rows.time_ns[hop.out.rows[hop.out_rows]]
-    bursts = [case.rows.time_ns[hop.out.rows[hop.out_rows]] for hop in alike]
+    bursts = np.sort(
+        np.concatenate([times[:0], *(case.rows.time_ns[hop.out.rows[hop.out_rows]] for hop in alike)])
+    )
     wakes = _wakes(bursts, profile.ci_wake_ns) if not over_network else times[:0]
     pipe = queues.application_pipe(profile, over_network=over_network)
     wake = np.searchsorted(wakes, times)
@@ -219,7 +219,7 @@ def rounds_out(case: Case, stream: Stream) -> Rounds:
     if not output:
         alike &= rows.destination == stream.receiver
     captured = rows.time_ns[stream.rows]
-    wakes = _wakes([rows.time_ns[alike]], queue.round_ns)
+    wakes = _wakes(np.sort(rows.time_ns[alike]), queue.round_ns)
     counts = stream.counts
     row = np.repeat(np.arange(len(stream)), counts)
     behind = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -248,9 +248,8 @@ def rounds_out(case: Case, stream: Stream) -> Rounds:
     )
 
 
-def _wakes(bursts: Sequence[NDArray[np.int64]], round_ns: int) -> NDArray[np.int64]:
+def _wakes(times: NDArray[np.int64], round_ns: int) -> NDArray[np.int64]:
     """Return when bursts begin that come in such rounds; none where they do not."""
-    times = np.sort(np.concatenate([np.zeros(0, np.int64), *bursts]))
     begins = times[np.diff(times, prepend=times[:1] - round_ns) > round_ns // 4]
     steps = np.diff(begins) / round_ns
     fits = np.abs(steps - np.round(steps)) < _NEAR

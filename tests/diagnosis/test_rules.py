@@ -757,7 +757,7 @@ def file_not_finished(lab, tmp_path, msg_id):
             ("file_not_finished", Severity.ERROR)
         ]
         assert found.bad
-    assert "which class 1 does not send again: 40 of 100 bytes" in once.verdicts[0].reason
+    assert "was never finished: 40 of 100 bytes" in once.verdicts[0].reason
     return transfer(lab, SENT[0], piece(0, CONTENT[:40]), SENT[2], 60, pdu(Directive.PROMPT, number=8))
 
 

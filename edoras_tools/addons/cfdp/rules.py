@@ -68,16 +68,14 @@ def file_not_finished(case: Case) -> Iterator[Verdict]:
     for item in _followed(case).transactions:
         if item.state == "finished" or item.condition == ConditionCode.FILE_CHECKSUM_FAILURE:
             continue
-        severity, how = Severity.ERROR, f"ended with {item.state}"
-        if item.condition == ConditionCode.CANCEL_REQUEST_RECEIVED:
-            severity, how = Severity.WARNING, "was cancelled"
-        elif not item.condition:
-            going_on = end_ns - item.last_ns < _GOING_ON_NS
-            lacks = item.eof is not None and item.holes  # all was sent, and some of it is not there
-            severity = Severity.NOTE if going_on and not lacks else Severity.ERROR
+        cancelled = item.condition == ConditionCode.CANCEL_REQUEST_RECEIVED
+        severity = Severity.WARNING if cancelled else Severity.ERROR
+        how = "was cancelled" if cancelled else f"ended with {item.state}"
+        if not item.condition:
+            # What lacks pieces when all was sent is not only going on.
+            going_on = end_ns - item.last_ns < _GOING_ON_NS and not (item.eof is not None and item.holes)
+            severity = Severity.NOTE if going_on else Severity.ERROR
             how = "was not finished when the capture ended" if going_on else "was never finished"
-            if lacks and not item.acknowledged:
-                how = "lost pieces, which class 1 does not send again"
         size = "?" if item.file_size is None else f"{item.file_size:,}"
         ends = {"EOF": item.eof, **({"Finished": item.finished} if item.acknowledged else {})}
         seen = [f"{name} was {'not ' * (told is None)}captured" for name, told in ends.items()]

@@ -69,7 +69,7 @@ class Counts:
         """Lay out a track of a cFS that began at a time."""
         return cls(
             np.array(track.times, np.int64),
-            {kind: _steps(track.totals[name]) for kind, name in COUNTERS.items()},
+            {kind: np.asarray(np.diff(track.totals[name]), np.int64) for kind, name in COUNTERS.items()},
             {kind: track.older.get(name, 0) for kind, name in COUNTERS.items()},
             boot_ns,
         )
@@ -135,11 +135,6 @@ class Claim:
         for (instance, kind, _), number in self.taken.items():
             found[instance, kind] = found.get((instance, kind), 0) + number
         return found
-
-
-def _steps(totals: list[int]) -> NDArray[np.int64]:
-    values = np.array(totals, np.int64)
-    return np.asarray(values[1:] - values[:-1])
 
 
 def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0) -> None:
@@ -310,19 +305,14 @@ class _Table:
         """Give the counts of a second to some claims, or reserve them for these; return how many."""
         turn = second % max(1, len(held))  # what does not divide goes to another one each time
         held = [*held[turn:], *held[:turn]]
-        before = int(self.left[second])
-        for at, share in zip(held, self._shares(before, held), strict=True):
+        before, most = int(self.left[second]), [self._claims[at].open for at in held]
+        for at, share in zip(held, shares(before, most, most), strict=True):
             if share and reserve:
                 self._claims[at].reserved += share
             elif share:
                 self._claims[at].give((self.instance, self.kind, second), share)
             self.left[second] -= share
         return before - int(self.left[second])
-
-    def _shares(self, number: int, same: Sequence[int]) -> list[int]:
-        """Divide counts among claims, by how much of each is open."""
-        most = [self._claims[at].open for at in same]
-        return most if sum(most) <= number else shares(number, most, most)
 
 
 def _improve(tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim]) -> None:
