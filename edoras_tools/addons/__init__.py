@@ -137,7 +137,11 @@ ADDONS: Final = (
     ),
     Addon("tui", adds={"parts": {"panes": "cli"}}, extra="tui"),
     Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),
-    Addon("dds", adds={"middleware": {"dds": ":DDS"}}, extra="dds"),
+    Addon(
+        "dds",
+        adds={"middleware": {"dds": ":DDS"}, "parts": {"dds_graph": "graph:open_graph"}},
+        extra="dds",
+    ),
     Addon(
         "foxglove",
         commands={

@@ -147,7 +147,7 @@ def replay(
 
         quiet = ending.printing.quiet or ending.printing.json
         with closing(Followed(open_files([source.file]), quiet=quiet)) as recording:
-            bench = settings.workbench(recording.info)
+            bench = settings.workbench(recording.info, [source.file])
             send_options = _towards(send_options, source.to, bench)
             loaded = pipeline.load_datagrams(recording, bench, send_options, choice)
     headers = pipeline.headers_named(change.write_headers) if change.write_headers else None

@@ -7,7 +7,7 @@ what of them must be new (counts, checksums, transaction ids), what is said befo
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.framing import Framing
-    from edoras_tools.model import Columns, Link, PacketBatch
+    from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
 
 _NEVER: Final = 2**63 - 1
 
@@ -46,6 +46,10 @@ class SendingSession:
         """Note that messages were sent."""
         del now
 
+    def absence(self) -> str:
+        """Return why it is not connected, for the user; empty: nothing answered."""
+        return ""
+
     def goodbye(self) -> Iterable[bytes]:
         """Return what ends the session."""
         return ()
@@ -67,6 +71,7 @@ class LinkSending:
         framing: cuts what the receiver answers; the messages then go over one TCP connection, else over UDP.
         renews: whether ``renew`` makes others of the recorded messages.
         packets: whether the messages are the space packets of the rows, without what is in front of them.
+        own_transport: whether ``transmitter`` gives what carries the messages.
         session: what is said besides the messages; None: nothing.
         refusals: what is not sent, and why, a line each; known once all rows were asked for.
     """
@@ -75,6 +80,7 @@ class LinkSending:
     framing: Framing | None = None
     renews: ClassVar[bool] = False
     packets: ClassVar[bool] = False
+    own_transport: ClassVar[bool] = False
     session: SendingSession | None = None
 
     def __init__(self, link: Link) -> None:
@@ -85,6 +91,14 @@ class LinkSending:
         """Tell which rows go to the receiver, bool (n,)."""
         del batch
         return np.asarray(columns.link == self.link)
+
+    def transmitter(self, target: Endpoint) -> Any:
+        """Return what carries the messages in place of a socket, with what ``io``'s ``Transmitter`` has.
+
+        Raises:
+            EdorasError: it cannot be opened.
+        """
+        raise NotImplementedError(self.link.label)
 
     def renew(
         self, messages: Sequence[bytes], time_ns: NDArray[np.int64]

@@ -212,6 +212,17 @@ class DdsGraph:
 
         return publish
 
+    def subscribers(self, topic: str) -> int:
+        """Return how many readers of other participants a topic has that is published on here."""
+        return max(
+            (len(writer.get_matched_subscriptions()) for name, writer in self._writers if name == topic),
+            default=0,
+        )
+
+    def acknowledged(self) -> bool:
+        """Tell whether reliable subscribers have acknowledged everything that was published."""
+        return all(writer.wait_for_acks(0) for _, writer in self._writers)
+
     def notes(self) -> list[str]:
         """Return a line for each topic with an incompatible peer, once, with the reason; see ``Graph``.
 

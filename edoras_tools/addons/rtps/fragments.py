@@ -133,7 +133,7 @@ class FragmentedSamples:
                 last = int(members[place])
                 body = self._finished(key)
                 key_only = bool(own.flags[last] & SubmessageFlag.FRAGMENT_KEY)
-                raw = _message(key, body, int(own.time_ns[last]), key_only=key_only)
+                raw = sample_message(key, body, int(own.time_ns[last]), key_only=key_only)
                 rebuilt.append((int(rows[own.row[last]]), raw))
         if not rebuilt:
             return batch, columns
@@ -199,7 +199,7 @@ class FragmentedSamples:
         return sample.data.tobytes()
 
 
-def _message(key: tuple[bytes, int], body: bytes, time_ns: int, *, key_only: bool) -> bytes:
+def sample_message(key: tuple[bytes, int], body: bytes, time_ns: int, *, key_only: bool) -> bytes:
     """Return the message that holds a sample in one piece; its length stands for: up to the end."""
     guid, sequence = key
     little = int(SubmessageFlag.LITTLE_ENDIAN)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.doors import Follower, LinkEvidence, OwnRows, OwnTopics, SampleReader, TopicSpace
     from edoras_tools.links.reading import Reading
+    from edoras_tools.links.sending import LinkSending
     from edoras_tools.links.site import Site
     from edoras_tools.wire.layout import Layout
 
@@ -35,6 +36,7 @@ class PublishSubscribeLink(LinkProtocol):
     magic = RTPS_MAGIC
     several = True
     samples = True
+    sends = True
     wireshark = "rtps"
 
     @property
@@ -54,21 +56,18 @@ class PublishSubscribeLink(LinkProtocol):
 
     def locate(self, batch: PacketBatch, rows: NDArray[np.intp], site: Site) -> Located:
         """Judge messages, and learn which endpoints they announce; see :meth:`LinkProtocol.locate`."""
-        reader = self.part("reader")
-        return reader.locate_samples(batch, rows, site)
+        return self.part("reader:locate_samples")(batch, rows, site)
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read one message."""
-        reader = self.part("reader")
-        reader.dissect_message(reading, site)
+        self.part("reader:dissect_message")(reading, site)
 
     def places(
         self, layout: Layout, rows: BatchRows, field: str = ""
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """Find the message header, or every submessage of one kind and byte order."""
-        reader = self.part("reader")
         del field
-        return reader.submessage_places(layout, rows, self)
+        return self.part("reader:submessage_places")(layout, rows, self)
 
     def rows(self, site: Site) -> OwnRows:
         """Return what puts samples together that came in fragments."""
@@ -91,14 +90,17 @@ class PublishSubscribeLink(LinkProtocol):
         """Return the fields that hold what submessages are about."""
         return self.part("fields:sample_fields")()
 
+    def send(self, site: Site, *, up: bool) -> LinkSending | None:
+        """Return how samples go to subscribers; neither side of them is up."""
+        return None if up else self.part("sending:SampleSending")(self, site)
+
     def sample_reader(self) -> SampleReader:
         """Return what reads samples."""
         return self.part("samples:READER")
 
     def summary(self, decoded: Decoded) -> str:
         """Return what the submessages are, and of which topics."""
-        reader = self.part("reader")
-        return reader.rtps_summary(decoded)
+        return self.part("reader:rtps_summary")(decoded)
 
 
 RTPS: Final = PublishSubscribeLink()

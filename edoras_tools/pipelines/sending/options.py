@@ -286,7 +286,7 @@ class SendOptions:
             ConfigError: there are some.
         """
         own = {
-            "--listen": self.listen if self.to.sending and self.to.sending.framing else None,
+            "--listen": self.listen if self.over_tcp else None,
             "--expect": self.expect,
             "--max-loss": self.max_loss is not None,
             "--as": self.sender,
@@ -299,8 +299,8 @@ class SendOptions:
 
     @property
     def over_tcp(self) -> bool:
-        """Whether all goes over one TCP connection."""
-        return self.tcp or bool(self.to.sending and self.to.sending.framing)
+        """Whether all goes over one TCP connection, or as the link itself carries it: not as datagrams."""
+        return self.tcp or bool((to := self.to.sending) and (to.framing or to.own_transport))
 
     @property
     def follows_ci(self) -> bool:

@@ -266,14 +266,16 @@ class Transmission:
         return SbnConnection(self.options.identity(self.mission), self.subscriptions, habits=habits, now=now)
 
 
-def _transmitter(options: SendOptions) -> Transmitter | StreamTransmitter:
-    """Open the socket to send from.
+def _transmitter(options: SendOptions) -> Any:
+    """Open the socket to send from, a ``Transmitter`` or what does as one.
 
     Raises:
         CaptureError: the target cannot be reached.
     """
     assert options.target is not None
     sending = options.to.sending
+    if sending and sending.own_transport:
+        return sending.transmitter(options.target)
     framing = sending.framing if sending else protocol(options.to.link).framing if options.tcp else None
     if framing is not None:
         return StreamTransmitter(options.target, framing)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -77,7 +77,9 @@ def conditions(
     """
     for item in options.wait_for:
         if item == "peer" and session is not None and options.to.sending:
-            yield Condition("peer", lambda: session.connected, lambda seconds: _silent(options, seconds))
+            yield Condition(
+                "peer", lambda: session.connected, lambda seconds: _silent(options, session, seconds)
+            )
         elif item == "peer" and isinstance(session, SbnConnection):
             yield _peer(out, options, mission, responses, session=session, wire=wire, local=local)
         elif item == "to-enabled":
@@ -86,7 +88,9 @@ def conditions(
             yield _event(item.removeprefix("event:"), responses, local)
 
 
-def _silent(options: SendOptions, seconds: float) -> str:
+def _silent(options: SendOptions, session: Any, seconds: float) -> str:
+    if why := session.absence():
+        return f"{why}, within {seconds:.1f} s"
     return (
         f"{options.target} did not answer as a receiver of {options.to.link.name} within {seconds:.1f} s; "
         "name it with --target"

@@ -31,9 +31,12 @@ class ParameterId(IntEnum):
     TOPIC_NAME = 0x0005
     TYPE_NAME = 0x0007
     VENDOR_ID = 0x0016
+    RELIABILITY = 0x001A
+    DURABILITY = 0x001D
     USER_DATA = 0x002C
     UNICAST_LOCATOR = 0x002F
     DEFAULT_UNICAST_LOCATOR = 0x0031
+    HISTORY = 0x0040
     PARTICIPANT_GUID = 0x0050
     ENDPOINT_GUID = 0x005A
     ENTITY_NAME = 0x0062
@@ -43,6 +46,8 @@ class ParameterId(IntEnum):
 _LOCATORS: Final = (ParameterId.UNICAST_LOCATOR, ParameterId.DEFAULT_UNICAST_LOCATOR)
 _SHARED_MEMORY: Final = 16
 """Kind of a locator of Fast DDS that is no address of a network (its ``LOCATOR_KIND_SHM``)."""
+_RELIABLE: Final = 2
+"""Kind of reliability (9.3.2)."""
 STATUS_NAMES: Final = {1: "disposed", 2: "unregistered"}
 
 
@@ -56,6 +61,9 @@ class Announcement:
         type: as DDS has it: ``geometry_msgs::msg::dds_::Twist_``.
         name: of the participant.
         shared_memory: whether it can be reached through the memory of its host, past any network.
+        reliable: of a writer, whether it sends lost samples again; DDS's default for writers.
+        transient_local: whether late subscribers get its last samples.
+        depth: samples that it keeps; 0 where it does not say, or keeps all.
     """
 
     guid: bytes
@@ -63,6 +71,9 @@ class Announcement:
     type: str = ""
     name: str = ""
     shared_memory: bool = False
+    reliable: bool = True
+    transient_local: bool = False
+    depth: int = 0
 
     @property
     def is_participant(self) -> bool:
@@ -132,6 +143,7 @@ def read_announcement(data: bytes) -> Announcement | None:
         data: from the encapsulation on.
     """
     guid, participant, topic, kind, name, shared_memory = b"", b"", "", "", "", False
+    numbers = {ParameterId.RELIABILITY: _RELIABLE, ParameterId.DURABILITY: 0, ParameterId.HISTORY: 0}
     for number, value, order in read_parameters(data):
         parameter = number & _MUST_UNDERSTAND
         if parameter == ParameterId.ENDPOINT_GUID and len(value) >= GUID_BYTES:
@@ -144,10 +156,16 @@ def read_announcement(data: bytes) -> Announcement | None:
             kind = _text(value, order)
         elif parameter == ParameterId.ENTITY_NAME:
             name = _text(value, order)
+        elif parameter in numbers:
+            # Behind the kind keep_last, 0, the depth follows; behind keep_all it means nothing.
+            at = 4 + 4 * any(value[:4]) if parameter == ParameterId.HISTORY else 0
+            numbers[ParameterId(parameter)] = int.from_bytes(value[at : at + 4], order)
         elif parameter in _LOCATORS:
             shared_memory |= int.from_bytes(value[:4], order) == _SHARED_MEMORY
     owner = guid or participant
-    return Announcement(owner, topic, kind, name, shared_memory) if owner else None
+    reliability, durability, depth = numbers.values()
+    qos = reliability >= _RELIABLE, durability > 0, depth
+    return Announcement(owner, topic, kind, name, shared_memory, *qos) if owner else None
 
 
 def _text(value: bytes, order: Literal["big", "little"]) -> str:
