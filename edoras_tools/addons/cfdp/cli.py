@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from typer import Exit, Option
 
@@ -13,6 +13,15 @@ from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, lost, no_datagrams
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json
+from edoras_tools.render.terminal.text import clean
+from edoras_tools.render.units import count
+from edoras_tools.wire.cfdp import Checksum
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+_HEAD: Final = ("from", "to", "file", "bytes", "captured", "pieces", "resent", "filled", "NAKs", "end")
 
 
 @grouped
@@ -41,11 +50,57 @@ def files(
     if printing.json:
         print_json(report.summary())
     elif not printing.quiet:
-        from edoras_tools.render.capture.info import files_lines
-
-        sys.stdout.writelines(f"{line}\n" for line in files_lines(report.summary()))
+        sys.stdout.writelines(f"{line}\n" for line in _lines(report.summary()))
     if report.failure is not None:
         raise report.failure
     if not all(item.good for item in report.files):
         raise Exit(LOST)
     lost(source)
+
+
+def _lines(report: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a line for each transaction, then where its file is if its name was refused.
+
+    Args:
+        report: as ``files --json`` prints it.
+    """
+    rows = [_HEAD, *map(_row, report["transactions"])]
+    if len(rows) == 1:
+        yield "no CFDP transaction"
+        yield from _not_taken(report)
+        return
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    left_aligned = {0, 1, 2, len(_HEAD) - 1}
+    for row in rows:
+        cells = (
+            text.ljust(width) if index in left_aligned else text.rjust(width)
+            for index, (text, width) in enumerate(zip(row, widths, strict=True))
+        )
+        yield clean("  ".join(cells).rstrip())
+    for item in report["transactions"]:
+        if item["refused"] and item["path"]:
+            name = item["destination_file_name"] or item["source_file_name"]
+            yield clean(f"the name {name!r} is refused: written to {item['path']}")
+    yield from _not_taken(report)
+
+
+def _not_taken(report: Mapping[str, Any]) -> Iterator[str]:
+    if report["corrupt"]:
+        yield f"{plural(report['corrupt'], 'PDU')} with a wrong CRC not taken"
+    if report["left_out"]:
+        yield f"{count(report['left_out'])} PDUs of further transactions are left out"
+
+
+def _row(item: Mapping[str, Any]) -> tuple[str, ...]:
+    name = item["destination_file_name"] or item["source_file_name"]
+    end = item["state"] + (", wrong checksum" if item["checksum_right"] is False else "")
+    kind = item["checksum_type"]
+    end += "" if kind is None or kind in set(Checksum) else f", checksum of unknown type {kind}"
+    counts = (item["file_size"], *(item[key] for key in ("received", "segments", "resent", "filled", "naks")))
+    return (
+        f"{item['source_entity_id']}:{item['transaction_sequence_number']}",
+        str(item["destination_entity_id"]),
+        "-" if name is None else name,
+        *("-" if value is None else count(value) for value in counts),
+        end,
+    )
