@@ -88,7 +88,7 @@ class _Target(NamedTuple):
 
 
 class BridgeTopics:
-    """Makes messages of what the bridges send; see :class:`~edoras_tools.links.protocol.OwnTopics`."""
+    """Makes messages of what the bridges send; see :class:`~edoras_tools.links.doors.OwnTopics`."""
 
     def __init__(self, space: TopicSpace) -> None:
         self._space, self._other_topics = space, space.used_names()
