@@ -6,7 +6,7 @@ from bisect import bisect_left, bisect_right
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
@@ -92,6 +92,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import CutDatagram
 
 _MOST: Final = 0.5
+Kind = TypeVar("Kind")
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +121,11 @@ class Capture:
     evidence: Mapping[Link, LinkEvidence] = field(default_factory=dict)
     unwrappers: Mapping[Link, Unwrapper] = field(default_factory=dict)
     lacking: tuple[CutDatagram, ...] = ()
+
+    def evidence_of(self, link: Link, kind: type[Kind]) -> Kind | None:
+        """Return what a link saw in it, or took packets out with; None where that is of no such kind."""
+        state = self.evidence.get(link, self.unwrappers.get(link))
+        return state if isinstance(state, kind) else None
 
     def samples(self) -> list[SampleStream]:
         """Return the samples of each writer that announces its topic."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.cfdp.link import CFDP
 from edoras_tools.addons.cfdp.transactions import FileEvidence
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict, warning
 from edoras_tools.units import SECOND
 from edoras_tools.wire.cfdp import ConditionCode
 from edoras_tools.words import plural
@@ -14,13 +14,18 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from edoras_tools.addons.cfdp.transactions import Transaction
     from edoras_tools.diagnosis.case import Case
 
 
 def _followed(case: Case) -> FileEvidence:
-    """Return what followed the transactions in the capture."""
-    follower = case.capture.evidence.get(CFDP)
-    return follower if isinstance(follower, FileEvidence) else FileEvidence()
+    return case.capture.evidence_of(CFDP, FileEvidence) or FileEvidence()
+
+
+def _verdict(severity: Severity, item: Transaction, reason: str, *evidence: str, remedy: str) -> Verdict:
+    """Return a verdict on one transaction."""
+    span = item.first_ns, item.last_ns
+    return verdict(severity, reason, *evidence, link=CFDP.label, hop=item.hop, span=span, remedy=remedy)
 
 
 def file_checksum(case: Case) -> Iterator[Verdict]:
@@ -34,23 +39,20 @@ def file_checksum(case: Case) -> Iterator[Verdict]:
         told = item.condition == ConditionCode.FILE_CHECKSUM_FAILURE
         if told or item.checksum_right is False:
             who = "Finished says so" if told else "calculated from the captured bytes, against that of EOF"
-            yield Verdict(
+            yield _verdict(
                 Severity.ERROR,
+                item,
                 f"{item.title} arrived with a wrong checksum",
-                link=CFDP.label,
-                hop=item.hop,
-                span=(item.first_ns, item.last_ns),
-                evidence=(who,),
+                who,
                 remedy="send it again; if it happens again, both entities may use different checksum types",
             )
     if count := _followed(case).corrupt:
-        yield Verdict(
-            Severity.WARNING,
+        yield warning(
             f"{plural(count, 'CFDP PDU')} came with a wrong CRC",
+            "calculated from the captured bytes; the receiver drops such a PDU",
             link=CFDP.label,
             hop="between CFDP entities",
             span=_followed(case).corrupt_ns,
-            evidence=("calculated from the captured bytes; the receiver drops such a PDU",),
             remedy="look for what changes bytes on the way; what is missing is sent again in class 2 only",
         )
 
@@ -79,16 +81,12 @@ def file_not_finished(case: Case) -> Iterator[Verdict]:
         size = "?" if item.file_size is None else f"{item.file_size:,}"
         ends = {"EOF": item.eof, **({"Finished": item.finished} if item.acknowledged else {})}
         seen = [f"{name} was {'not ' * (told is None)}captured" for name, told in ends.items()]
-        yield Verdict(
+        yield _verdict(
             severity,
+            item,
             f"the transfer of {item.title} {how}: {item.received.size:,} of {size} bytes were captured",
-            link=CFDP.label,
-            hop=item.hop,
-            span=(item.first_ns, item.last_ns),
-            evidence=(
-                ", ".join(seen),
-                f"{plural(len(item.holes), 'hole')}, {plural(item.naks, 'NAK')} that ask for something",
-            ),
+            ", ".join(seen),
+            f"{plural(len(item.holes), 'hole')}, {plural(item.naks, 'NAK')} that ask for something",
             remedy="look at both entities, and at what lies between; edoras files takes out what there is",
         )
 
@@ -104,13 +102,11 @@ def file_stalled(case: Case) -> Iterator[Verdict]:
     """
     for item in _followed(case).transactions:
         if item.silence_ns > _LONG_NS:
-            yield Verdict(
+            yield _verdict(
                 Severity.WARNING,
+                item,
                 f"the transfer of {item.title} stood still for {item.silence_ns / SECOND:.1f} s, and went on",
-                link=CFDP.label,
-                hop=item.hop,
-                span=(item.first_ns, item.last_ns),
-                evidence=("the longest time between two of its PDUs",),
+                "the longest time between two of its PDUs",
                 remedy="look for an outage of the link, or a suspended entity",
             )
 
@@ -123,16 +119,12 @@ def file_pieces_resent(case: Case) -> Iterator[Verdict]:
     for item in _followed(case).transactions:
         again = item.resent + item.filled
         if again:
-            yield Verdict(
+            yield _verdict(
                 Severity.NOTE,
+                item,
                 f"{plural(again, 'piece')} of {item.title} came again or late, of {item.segments:,}",
-                link=CFDP.label,
-                hop=item.hop,
-                span=(item.first_ns, item.last_ns),
-                evidence=(
-                    f"{item.resent:,} had been captured before: lost behind the capture, or sent twice",
-                    f"{item.filled:,} filled a hole: lost in front of the capture, or overtaken",
-                    f"{plural(item.naks, 'NAK')} asked for something",
-                ),
+                f"{item.resent:,} had been captured before: lost behind the capture, or sent twice",
+                f"{item.filled:,} filled a hole: lost in front of the capture, or overtaken",
+                f"{plural(item.naks, 'NAK')} asked for something",
                 remedy="nothing, if this is rare; else send more slowly, or look for what loses datagrams",
             )

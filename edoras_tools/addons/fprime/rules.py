@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.addons.fprime.counts import GroundCounts
 from edoras_tools.addons.fprime.link import FPRIME
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Verdict, error
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -20,8 +20,8 @@ def fprime_packets_lost(case: Case) -> Iterator[Verdict]:
 
     Name each APID of each sender whose counts have gaps.
     """
-    counts = case.capture.evidence.get(FPRIME)
-    for item in counts.streams if isinstance(counts, GroundCounts) else ():
+    counts = case.capture.evidence_of(FPRIME, GroundCounts)
+    for item in counts.streams if counts else ():
         lost = item.counts.gaps
         if not lost:
             continue
@@ -30,14 +30,13 @@ def fprime_packets_lost(case: Case) -> Iterator[Verdict]:
         evidence = [f"sequence counts: {lost:,} missing of {of:,}"]
         if item.counts.restarts:
             evidence.append(f"the count began anew {plural(item.counts.restarts, 'time')}")
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             f"{item.name} {way} F Prime: {plural(lost, 'packet')} lost of {of:,}",
+            *evidence,
             link=FPRIME.label,
             hop=f"{item.source} to {item.destination}",
             lost=lost,
             of=of,
             span=(item.first_ns, item.last_ns),
-            evidence=tuple(evidence),
             remedy="look for the loss between the two ends: radio, network, or a receiver's buffer",
         )

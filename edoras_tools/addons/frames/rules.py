@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.addons.frames.link import FRAMES
 from edoras_tools.addons.frames.unframer import Unframer
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Verdict, error
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -20,8 +20,8 @@ def frames_lost(case: Case) -> Iterator[Verdict]:
 
     Name each virtual channel whose frame counts have gaps, or at whose borders packets are cut.
     """
-    frames = case.capture.unwrappers.get(FRAMES)
-    if not isinstance(frames, Unframer):
+    frames = case.capture.evidence_of(FRAMES, Unframer)
+    if frames is None:
         return
     for item in frames.channels:
         if not (item.lost or item.cut):
@@ -38,12 +38,11 @@ def frames_lost(case: Case) -> Iterator[Verdict]:
         ]
         if frames.damaged:
             evidence.append(f"{plural(frames.damaged, 'frame')} of all came damaged, and count as lost")
-        yield Verdict(
-            Severity.ERROR,
+        yield error(
             f"{item.name}: {plural(item.lost, 'frame')} lost of {item.frames + item.lost:,}, packets cut at "
             f"{plural(item.cut, 'place')}",
+            *evidence,
             link=FRAMES.label,
             hop=f"{item.source} to {item.destination}",
-            evidence=tuple(evidence),
             remedy="look for the loss between the two ends: radio, modem, network, or a receiver's buffer",
         )

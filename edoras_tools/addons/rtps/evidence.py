@@ -8,7 +8,7 @@ from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.writers import SampleFollower
 from edoras_tools.diagnosis.ledger import Row
 from edoras_tools.diagnosis.missing import Missing
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.wire.rtps.messages import guid_text
 
@@ -23,19 +23,13 @@ _CAUSES: Final = {
 _COUNTED: Final = {"in": "sequence numbers and HEARTBEATs", "out": "samples in the capture"}
 
 
-def sample_verdict(severity: Severity, item: TopicWriter, reason: str, remedy: str, **about: Any) -> Verdict:
+def sample_verdict(
+    severity: Severity, item: TopicWriter, reason: str, *evidence: str, **about: Any
+) -> Verdict:
     """Return a verdict on the samples of one writer; ``about`` has more of its attributes."""
-    writer = item.writer
-    return Verdict(
-        severity,
-        reason,
-        topic=item.topic,
-        link=RTPS.label,
-        hop=SAMPLE_HOP,
-        span=(writer.first_ns, writer.last_ns),
-        remedy=remedy,
-        **about,
-    )
+    span = item.writer.first_ns, item.writer.last_ns
+    of_writer: Any = {"topic": item.topic, "link": RTPS.label, "hop": SAMPLE_HOP, "span": span}
+    return verdict(severity, reason, *evidence, **of_writer, **about)
 
 
 class SampleEvidence(SampleFollower):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.addons.rtps.evidence import SAMPLE_HOP, sample_verdict
 from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.writers import SampleFollower
-from edoras_tools.diagnosis.verdict import Severity, Verdict
+from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
 from edoras_tools.wire.rtps.headers import PREFIX_BYTES
 from edoras_tools.wire.rtps.messages import guid_text
 from edoras_tools.words import listed, plural
@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
 
 def _writers(case: Case) -> tuple[TopicWriter, ...]:
-    """Return the writers of which samples are in the capture."""
-    follower = case.capture.evidence.get(RTPS)
-    return follower.topic_writers() if isinstance(follower, SampleFollower) else ()
+    follower = case.capture.evidence_of(RTPS, SampleFollower)
+    return follower.topic_writers() if follower else ()
 
 
 def dds_lost(case: Case) -> Iterator[Verdict]:
@@ -46,12 +45,10 @@ def dds_lost(case: Case) -> Iterator[Verdict]:
             item,
             f"{unseen + given_up:,} of {plural(writer.written, 'sample')} of {item.topic} lost: "
             f"{'; '.join(ways)}",
+            f"writer {guid_text(writer.guid)}, sequence numbers {writer.first} to {writer.last}",
+            f"{writer.captured:,} captured, {writer.copies:,} copies of them left out",
             lost=unseen + given_up,
             of=writer.written,
-            evidence=(
-                f"writer {guid_text(writer.guid)}, sequence numbers {writer.first} to {writer.last}",
-                f"{writer.captured:,} captured, {writer.copies:,} copies of them left out",
-            ),
             remedy="reliable endpoints send again what is lost; a deeper history keeps it for longer",
         )
 
@@ -62,8 +59,8 @@ def dds_no_samples(case: Case) -> Iterator[Verdict]:
     Say whether they can reach each other through shared memory, which no capture sees. A note where the
     capture has traffic of cFS: it may have been made for that.
     """
-    follower = case.capture.evidence.get(RTPS)
-    if not isinstance(follower, SampleFollower) or follower.topic_writers():
+    follower = case.capture.evidence_of(RTPS, SampleFollower)
+    if follower is None or follower.topic_writers():
         return
     announced = follower.announcements()
     participants = {item.guid[:PREFIX_BYTES] for item in announced}
@@ -73,18 +70,16 @@ def dds_no_samples(case: Case) -> Iterator[Verdict]:
         return
     shared = bool(topics) and all(item.shared_memory for item in writers)
     why = "; they share memory, which no capture sees" if shared else ""
-    yield Verdict(
+    yield verdict(
         Severity.NOTE if len(case.rows) else Severity.ERROR,
         f"no sample of DDS is in the capture: {plural(len(participants), 'participant')}, "
         f"{plural(len(topics), 'topic')} announced{why}",
+        f"{plural(follower.datagrams, 'datagram')} of discovery and acknowledgement",
+        *([f"writers announced on {listed(topics, 8)}"] if topics else ()),
+        *(["each of them announces a locator of shared memory"] if shared else ()),
         link=RTPS.label,
         hop=SAMPLE_HOP,
         span=(follower.first_ns, follower.last_ns),
-        evidence=(
-            f"{plural(follower.datagrams, 'datagram')} of discovery and acknowledgement",
-            *([f"writers announced on {listed(topics, 8)}"] if topics else ()),
-            *(["each of them announces a locator of shared memory"] if shared else ()),
-        ),
         remedy="set FASTDDS_BUILTIN_TRANSPORTS=UDPv4 where the nodes start, and capture again"
         if shared
         else "capture while something is published, where it passes",
@@ -106,11 +101,9 @@ def dds_not_captured(case: Case) -> Iterator[Verdict]:
             item,
             f"{missing:,} of {plural(writer.written, 'sample')} of {item.topic} are not in the capture: they "
             "are not known to be lost",
-            evidence=(
-                f"writer {guid_text(writer.guid)}",
-                f"{fates['not_captured']:,} were acknowledged by a reader",
-                *case.drops_text(),
-            ),
+            f"writer {guid_text(writer.guid)}",
+            f"{fates['not_captured']:,} were acknowledged by a reader",
+            *case.drops_text(),
             remedy="capture where they pass: at the reader's host, on its interface, or on lo for one host",
         )
 
@@ -130,9 +123,7 @@ def dds_resent(case: Case) -> Iterator[Verdict]:
             item,
             f"{writer.resent:,} of {plural(writer.written, 'sample')} of {item.topic} were asked for again, "
             "and came or were acknowledged then",
-            evidence=(
-                f"writer {guid_text(writer.guid)}, ACKNACKs of its readers",
-                f"{writer.behind:,} had been captured by then: lost or late behind that; {before:,} had not",
-            ),
+            f"writer {guid_text(writer.guid)}, ACKNACKs of its readers",
+            f"{writer.behind:,} had been captured by then: lost or late behind that; {before:,} had not",
             remedy="nothing is lost; look at the network if it delays what a robot needs at once",
         )
