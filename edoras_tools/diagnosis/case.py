@@ -92,7 +92,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import CutDatagram
 
 _MOST: Final = 0.5
-Kind = TypeVar("Kind")
+OfLink = TypeVar("OfLink")
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ class Capture:
     unwrappers: Mapping[Link, Unwrapper] = field(default_factory=dict)
     lacking: tuple[CutDatagram, ...] = ()
 
-    def evidence_of(self, link: Link, kind: type[Kind]) -> Kind | None:
+    def evidence_of(self, link: Link, kind: type[OfLink]) -> OfLink | None:
         """Return what a link saw in it, or took packets out with; None where that is of no such kind."""
         state = self.evidence.get(link, self.unwrappers.get(link))
         return state if isinstance(state, kind) else None

@@ -15,7 +15,6 @@ from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.render.units import count
-from edoras_tools.wire.cfdp import Checksum
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -92,6 +91,8 @@ def _not_taken(report: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _row(item: Mapping[str, Any]) -> tuple[str, ...]:
+    from edoras_tools.wire.cfdp import Checksum
+
     name = item["destination_file_name"] or item["source_file_name"]
     end = item["state"] + (", wrong checksum" if item["checksum_right"] is False else "")
     kind = item["checksum_type"]
