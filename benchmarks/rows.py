@@ -80,6 +80,33 @@ def doctor(folder: Path, packets: int) -> dict[str, object]:
     return {"packets": packets, **found}
 
 
+WINDOW = """
+import sys
+from mcap.reader import make_reader
+with open(sys.argv[1], "rb") as file:
+    reader = make_reader(file)
+    start = reader.get_summary().statistics.message_start_time + int(sys.argv[2]) * 10**9
+    second = {"start_time": start, "end_time": start + 10**9}
+    print(sum(1 for _ in reader.iter_messages(["/edoras/datagrams"], **second)))
+"""
+"""Counts the datagrams of a second by the library."""
+
+
+def window(folder: Path, packets: int) -> dict[str, object]:
+    """One second out of a recording, beside the same by the mcap library and all of it; 10,000 a second."""
+    capture, target, second = captured(folder, packets), folder / "window.mcap", str(packets // 12_000)
+    subprocess.run([EDORAS, "record", "-q", "--force", capture, *TWO_ROVERS, "-o", target], check=False)
+    part = ["--start", second, "--end", str(int(second) + 1)]
+    ways = {
+        "info": [EDORAS, "info", "--json", target, *TWO_ROVERS, *part],
+        "ten packets": [EDORAS, "sniff", "--json", target, *TWO_ROVERS, *part[:2], "-n", "10"],
+        "mcap library": [sys.executable, "-W", "ignore", "-c", WINDOW, target, second],
+        "all": [EDORAS, "info", "--json", target, *TWO_ROVERS],
+    }
+    found = alternated({name: partial(command, arguments) for name, arguments in ways.items()})
+    return {"packets": packets, **found}
+
+
 def files(folder: Path) -> dict[str, object]:
     """Record with 30 % CFDP, whose files are messages, beside the same traffic without: CPU a packet."""
     packets = 300_000
@@ -267,6 +294,7 @@ def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, obje
         "texts": partial(texts, folder),
         "tcp": partial(tcp, folder, packets),
         "doctor": partial(doctor, folder, packets),
+        "window": partial(window, folder, 3 * packets),
         "files": partial(files, folder),
         "messages": messages,
         "inject": partial(inject, folder),

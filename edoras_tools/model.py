@@ -642,6 +642,7 @@ class SourceStatistics:
         position: bytes of the input consumed so far, on the scale of ``total_bytes``.
         warnings: one line each, for people.
         outages: when an interface was away, in order of time; the last may still go on.
+        passed_over: datagrams of a recording that were not read, because nothing asks for their time.
         cut: datagrams that never became whole, at most 16,384 and those that still wait; filled at the end.
     """
 
@@ -649,6 +650,7 @@ class SourceStatistics:
     datagrams: int = 0
     skipped: int = 0
     bytes: int = 0
+    passed_over: int = 0
     kernel_drops: int | None = None
     total_bytes: int = 0
     position: int = 0
@@ -675,6 +677,7 @@ class SourceInfo:
         definitions: message definitions that it carries, complete ``ros2msg`` texts by type.
         read_with: how its datagrams are read, as ``decode.Options.described``; a recording keeps it.
         damage: why not all of its topics are known, of a damaged recording of messages.
+        links: labels of the links that a whole recording has; None where it does not say.
     """
 
     name: str
@@ -685,6 +688,7 @@ class SourceInfo:
     definitions: Mapping[str, str] = field(default_factory=dict)
     read_with: Mapping[str, str] = field(default_factory=dict)
     damage: str = ""
+    links: frozenset[str] | None = None
 
 
 def concatenate(batches: Sequence[PacketBatch]) -> PacketBatch:

@@ -68,6 +68,18 @@ class SourceDefaults(Protocol):
         """
         del framings
 
+    def narrow(self, period: Callable[[int], tuple[int, int]]) -> None:
+        """Take note that only datagrams of a time are asked for: a source with an index may pass over others.
+
+        All of that time come, in their order; the first datagram of all, and the last, too. Call it before
+        the first batch.
+
+        Args:
+            period: takes the time of the first datagram, ns since 1970; returns the first time that is asked
+                for, and the one after the last.
+        """
+        del period
+
     def borrow(self, room: Room) -> None:
         """Read into memory from ``room(size)``, if that saves copying it.
 

@@ -20,7 +20,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.cfe_file import RESET_LOG
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -53,6 +53,9 @@ class Aligned(SourceOver):
         faults = super().faults()
         times = self._set_back(np.array([fault.time_ns for fault in faults], np.int64))
         return [fault._replace(time_ns=at) for fault, at in zip(faults, times.tolist(), strict=True)]
+
+    def narrow(self, period: Callable[[int], tuple[int, int]]) -> None:
+        """Pass nothing over: what is asked for is in the corrected time."""
 
     def batches(self) -> Iterator[PacketBatch]:
         """Yield the remaining datagrams, with corrected times."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Final
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from edoras_tools.decode.conversations import Conversations
 from edoras_tools.decode.filters.rows import ColumnRows
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.links.table import LinkStates
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.pipelines.interrupt import interrupted, interruptible
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 _ENDING_NS: Final = SECOND // 4
 """After Ctrl-C, what has arrived is shown for so long; the rest is counted."""
+_NEVER_NS: Final = 1 << 63
 _NO_CLOCK_NS: Final = 946_684_800 * SECOND
 """The year 2000: a machine whose clock shows less has not set it."""
 
@@ -239,11 +241,34 @@ def reading(
     with closing(source):
         ready = (selection or Selection()).over(bench)
         source.follow(bench.columns.context.framings)
+        if (period := examined or limits.period) and _stands_alone(source, bench):
+            source.narrow(partial(_span, period))
         with interruptible(source, patient=patient) as (batches, interrupt):
             spoken = Conversations(bench.columns.context)
             yield ReadLoop(
                 source, bench, ready, limits, examined, keeps_failure, spoken, conversing, batches, interrupt
             )
+
+
+def _stands_alone(source: Source, bench: Workbench) -> bool:
+    """Return whether a period needs nothing of before: no link of the recording remembers anything."""
+    labels, context = source.info.links, bench.columns.context
+    if labels is None or bench.unwrappers:
+        return False
+    links = [link for link in context.links if link.label in labels]
+    return all(door(context) is None for link in links for door in (link.rows, link.unwrapper, link.follow))
+
+
+def _span(period: Period, begin_ns: int) -> tuple[int, int]:
+    """Return the first time of a period, and the one after its last; all of the time if it has none."""
+    try:
+        chosen = period.since(begin_ns)
+    except ConfigError:  # raised again, where the first batch is looked at
+        return begin_ns, begin_ns
+    return (
+        begin_ns + chosen.start_ns if chosen.start_ns else 0,
+        begin_ns + chosen.end_ns if chosen.end_ns else _NEVER_NS,
+    )
 
 
 def selected_rows(

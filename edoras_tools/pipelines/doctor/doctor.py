@@ -263,7 +263,7 @@ def examine(
             statistics.kernel_drops,
             warnings,
             examination.zero_ns,
-            loop.outside,
+            loop.outside + statistics.passed_over,
             tuple(statistics.outages),
             host,
             unwrappers=bench.unwrappers,

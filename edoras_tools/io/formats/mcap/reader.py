@@ -9,10 +9,11 @@ from __future__ import annotations
 import json
 import os
 import struct
+from bisect import bisect_left
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -25,8 +26,10 @@ from edoras_tools.errors import CaptureError, NoDatagramsError, WireError, os_er
 from edoras_tools.io import SourceDefaults
 from edoras_tools.io.formats.mcap.index import (
     CHUNK_HEAD_BYTES,
+    CHUNK_INDEX_HEAD,
     INDEX_ENTRY,
     INDEX_HEAD,
+    INDEX_PLACE,
     MAX_CHUNK_BYTES,
     RECORD_HEAD,
 )
@@ -41,10 +44,11 @@ from edoras_tools.io.topics.rows import CDR_LE_WORD, DATAGRAMS_TOPIC, MAGIC, OUT
 from edoras_tools.io.topics.statistics import HOST_TOPIC, host_counters_of
 from edoras_tools.model import HostCounters, InterfaceOutage, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.ros import TypeStore
+from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -56,8 +60,12 @@ T = TypeVar("T")
 METADATA_NAMES = ("edoras_opening", "edoras")
 """The later one has more values; it is missing if a recording was cut off."""
 
+_LEAD_NS = 10 * SECOND
+"""So much before a period is read too: a packet may have begun there, or its first copy come."""
 _BATCH_BYTES = 4 << 20
 """Chunks are small; several are joined to a batch of this size."""
+_MOST_INDEX_BYTES = 1 << 20
+"""A larger record of the summary is no index."""
 _KIND = 0xFFFF
 """The bits of a CDR encapsulation that contain the byte order; the rest are options."""
 
@@ -87,6 +95,8 @@ class McapSource(SourceDefaults):
         self._metadata: dict[str, dict[str, str]] = {}
         self._attachments: dict[str, bytes] = {}
         self._definitions: dict[str, str] = {}
+        self._chunks: list[bytes] = []
+        self._period: Callable[[int], tuple[int, int]] | None = None
         self.statistics = SourceStatistics(total_bytes=self._size)
         self._demux = Demux()
         try:
@@ -105,6 +115,7 @@ class McapSource(SourceDefaults):
             attachments=self._attachments,
             definitions=self._definitions,
             read_with=_words(values.get("read_with", "")),
+            links=_labels(values.get("links", "")),
         )
 
     def batches(self) -> Iterator[PacketBatch]:
@@ -119,8 +130,14 @@ class McapSource(SourceDefaults):
         parts: list[FrameBatch] = []
         position = len(MAGIC)
         ended = False
+        needed: list[int] | None = None
         while not ended and (record := self._prefix(position)) is not None:
             opcode, start, end = record
+            if needed and opcode == Opcode.CHUNK and position < needed[-1]:
+                later = needed[bisect_left(needed, position)]
+                if later > position:
+                    position = later
+                    continue
             position = end
             try:
                 if opcode == Opcode.CHUNK:
@@ -137,7 +154,10 @@ class McapSource(SourceDefaults):
                 failure = failure or error
             if sum(len(part.data) for part in parts) >= _BATCH_BYTES:
                 self.statistics.position = position
-                yield from self._batch(parts)
+                for batch in self._batch(parts):
+                    if self._period is not None and needed is None and len(batch):
+                        needed = self._needed(position, *self._period(int(batch.time_ns[0])))
+                    yield batch
                 parts = []
             ended = opcode == Opcode.DATA_END
         if stray:
@@ -164,6 +184,31 @@ class McapSource(SourceDefaults):
     def follow(self, framings: Mapping[int, Framing]) -> None:
         """Read the TCP streams of these ports, and no others; call it before the first batch."""
         self._demux.framings = framings
+
+    def narrow(self, period: Callable[[int], tuple[int, int]]) -> None:
+        """See ``SourceDefaults``; only a recording whose summary lists its chunks passes over any."""
+        self._period = period if self._chunks else None
+
+    def _needed(self, position: int, start_ns: int, end_ns: int) -> list[int]:
+        """Return where the chunks after a position are that may hold a datagram of a time, and the last one.
+
+        Those of the others are counted. All are needed if the summary is damaged.
+        """
+        datagrams = {key for key, topic in self._topics.items() if topic == DATAGRAMS_TOPIC}
+        needed: list[int] = []
+        try:
+            chunks = sorted(_indexed(content) for content in self._chunks)
+        except (struct.error, ValueError):
+            return needed
+        for item in chunks[bisect_left(chunks, (position,)) :]:
+            if item is chunks[-1] or (item.end_ns >= start_ns - _LEAD_NS and item.start_ns < end_ns):
+                needed.append(item.position)
+                continue
+            for channel_id, place in item.indexes:
+                if channel_id in datagrams and (record := self._prefix(place)) is not None:
+                    entries = record[2] - record[1] - (INDEX_HEAD.itemsize - RECORD_HEAD.size)
+                    self.statistics.passed_over += entries // INDEX_ENTRY.itemsize
+        return needed
 
     def faults(self) -> list[Fault]:
         """Return the faults that a proxy or a replay injected, as far as the recording is readable."""
@@ -329,17 +374,30 @@ class McapSource(SourceDefaults):
         summary = int.from_bytes(self._read(tail + RECORD_HEAD.size, tail + RECORD_HEAD.size + 8), "little")
         if not 0 < summary <= tail:
             return False
-        while summary < tail and (record := self._prefix(summary)) is not None:
-            opcode, start, end = record
-            if opcode in {Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX}:
-                place = int.from_bytes(self._read(start, start + 8), "little")
-                prefix = self._prefix(place)
+        for opcode, start, end, content in self._summary(summary, tail):
+            if opcode == Opcode.CHUNK_INDEX:
+                self._chunks.append(content)
+            elif opcode in {Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX}:
+                prefix = self._prefix(int.from_bytes(content[:8], "little"))
                 if prefix is not None:
                     self._remember(*prefix)
             else:
                 self._remember(opcode, start, end)
-            summary = end
         return True
+
+    def _summary(self, position: int, until: int) -> Iterator[tuple[int, int, int, bytes]]:
+        """Yield opcode, start, end and content of records, read in one go; without that of a large one."""
+        with os_errors(f"{self._name}: cannot be read"), self._path.open("rb") as file:
+            file.seek(position)
+            while len(head := file.read(RECORD_HEAD.size)) == RECORD_HEAD.size:
+                opcode, length = RECORD_HEAD.unpack(head)
+                start = position + RECORD_HEAD.size
+                position = start + length
+                if position > until:
+                    return
+                content = file.read(length) if length <= _MOST_INDEX_BYTES else b""
+                file.seek(position)
+                yield opcode, start, position, content
 
     def _remember(self, opcode: int, start: int, end: int) -> None:
         described = opcode in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT}
@@ -404,6 +462,28 @@ class McapSource(SourceDefaults):
         )
 
 
+class _Indexed(NamedTuple):
+    """A chunk, as the summary lists it.
+
+    Attributes:
+        position: of its record in the file.
+        start_ns: smallest log time.
+        end_ns: largest log time.
+        indexes: of each channel in it, the position of its MessageIndex record.
+    """
+
+    position: int
+    start_ns: int
+    end_ns: int
+    indexes: Sequence[tuple[int, int]]
+
+
+def _indexed(content: bytes) -> _Indexed:
+    start_ns, end_ns, position, _, size = CHUNK_INDEX_HEAD.unpack_from(content)
+    places = np.frombuffer(content, INDEX_PLACE, size // INDEX_PLACE.itemsize, CHUNK_INDEX_HEAD.size)
+    return _Indexed(position, start_ns, end_ns, places.tolist())
+
+
 def _array(data: bytes | bytearray | memoryview) -> NDArray[np.uint8]:
     return np.frombuffer(data, dtype=np.uint8)
 
@@ -415,6 +495,15 @@ def _words(text: str) -> dict[str, str]:
     except ValueError:
         return {}
     return {str(name): str(value) for name, value in table.items()} if isinstance(table, dict) else {}
+
+
+def _labels(text: str) -> frozenset[str] | None:
+    """Return a JSON list of texts; None if it is not one."""
+    try:
+        labels = json.loads(text or "null")
+    except ValueError:
+        return None
+    return frozenset(map(str, labels)) if isinstance(labels, list) else None
 
 
 def _positive(values: dict[str, str], name: str, default: int) -> int:

@@ -27,6 +27,7 @@ from edoras_tools.io.topics.streams import (
     Streams,
     Topic,
 )
+from edoras_tools.links import table
 from edoras_tools.model import Finding, InterfaceOutage
 
 if TYPE_CHECKING:
@@ -233,6 +234,7 @@ class McapSink(Sink):
         if not self._count and len(latched := self._streams.latched(int(batch.time_ns[0]))):
             self._chunks.append([latched], 1)
         prepared = self._streams.prepare(batch, columns)
+        self._links.update(np.flatnonzero(np.bincount(columns.link)).tolist())
         if int(batch.frame_length.sum()) >= _LARGE:
             last = self._live is not None and self._live.ended
             self._chunks.append_batch(batch, columns, prepared, last=last)
@@ -295,6 +297,7 @@ class McapSink(Sink):
         """Write what precedes the messages."""
         self._count = self._captured = 0
         self._extras = {}
+        self._links: set[int] = set()
         streams = self._streams
         schemas: dict[object, int] = {}
         if isinstance(streams, Streams):
@@ -335,7 +338,12 @@ class McapSink(Sink):
         if isinstance(self._streams, RecordedStreams):
             return {"datagrams": "0", "messages": str(self._captured)}
         offsets = json.dumps(self._streams.clock.offsets())
-        return {"datagrams": str(self._captured), "clock_offset_ns": offsets}
+        labels = sorted(table.link(code).label for code in self._links)
+        return {
+            "datagrams": str(self._captured),
+            "clock_offset_ns": offsets,
+            "links": json.dumps(labels),
+        }
 
     def _note_outages(self) -> None:
         """Write outages of the source's interface since the last call: as messages and as metadata."""
