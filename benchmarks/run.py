@@ -243,18 +243,8 @@ def main() -> None:
         "--only",
         choices=[
             *("record", "jobs", "memory", "live", "limits", "startup", "pacing"),
-            *(
-                "texts",
-                "tcp",
-                "doctor",
-                "window",
-                "files",
-                "messages",
-                "inject",
-                "relays",
-                "shares",
-                "highest",
-            ),
+            *("texts", "tcp", "doctor", "window", "files", "messages", "inject", "relays", "shares"),
+            "highest",
             *("proxy", "bridge", "foxglove", "where", "lua", "codegen", "tui", "export"),
         ],
     )
