@@ -28,7 +28,9 @@ class MessageOptions(NamedTuple):
 
     what: Annotated[str, Argument(metavar="[WHAT]", help="A topic, or a command: to-enable, noop ...")] = ""
     values: Annotated[str, Argument(metavar="[MESSAGE]", help="YAML, @FILE or random; or an argument.")] = ""
-    to: Annotated[str, Option(metavar="LINK", help="ci, sbn or ground; default: the route's link.")] = ""
+    to: Annotated[
+        str, Option(metavar="LINK", help="ci, sbn, ground, LINK or LINK:up; default: the route's.")
+    ] = ""
     command: Annotated[tuple[str, str] | None, Option(metavar="MSGID CODE", help="Send a command.")] = None
     payload: Annotated[
         Any,
@@ -89,18 +91,18 @@ def inject(
     For example: edoras inject /cmd_vel '{linear: {x: 0.5}}' -c rover.yaml --rate 10 -n 50
     """
     from edoras_tools.pipelines.sending.inject import injection_receiver, make
-    from edoras_tools.pipelines.sending.options import Receiver
+    from edoras_tools.pipelines.sending.options import receiver
     from edoras_tools.pipelines.sending.run import Transmission
     from edoras_tools.sessions.outgoing import Changes
 
     send_options, faults = how.send_options(), how.faults.plan()
     injection = message.injection(faults.seed)
     bench = decoding.settings().workbench()
+    to, target = receiver(message.to or injection_receiver(injection, bench.mission), bench.columns.context)
     send_options = replace(
         send_options,
-        to=sending.one_of(Receiver, message.to, "--to")
-        if message.to
-        else injection_receiver(injection, bench.mission),
+        to=to,
+        target=send_options.target or target,
         rates=(("*", message.rate or 1.0),),
         headers=bench.columns.context.options.headers or send_options.headers,
     ).placed(bench.mission)

@@ -318,24 +318,6 @@ class Scenario(StrEnum):
     TWO_ARMS = "two-arms"
 
 
-class LinkName(StrEnum):
-    """A link of this project that bridges use."""
-
-    CI = "ci"
-    TO = "to"
-    SBN = "sbn"
-
-
-class RelayName(StrEnum):
-    """A link that can be relayed."""
-
-    CI = "ci"
-    TO = "to"
-    SBN = "sbn"
-    CFDP = "cfdp"
-    RACS2 = "racs2"
-
-
 DISTRO: Final = "jazzy"
 """``ros.store.USUAL_DISTRO``, said again: importing that would import numpy."""
 

@@ -29,7 +29,7 @@ _NEVER_NS = 1 << 62
 class RelayOptions(NamedTuple):
     """What is relayed, from where to where, and at which rates."""
 
-    link: Annotated[options.RelayName, Argument(help="The link to relay.")]
+    link: Annotated[str, Argument(metavar="LINK", help="The link to relay: ci, to, sbn, fprime ...")]
     listen: Annotated[
         Any,
         Option(
@@ -93,7 +93,8 @@ def proxy(
 
     Programs send to the proxy instead of the target. Keys 1 to 9 switch faults on and off, q quits.
     """
-    from edoras_tools.links.table import link_of_label
+    from edoras_tools.links.table import link_of_label, protocol
+    from edoras_tools.model import OTHER
     from edoras_tools.pipelines.faults import compiler
     from edoras_tools.pipelines.proxy.plan import ProxyPlan, as_relayed, limit_rule
     from edoras_tools.pipelines.proxy.run import Proxy
@@ -102,7 +103,9 @@ def proxy(
 
     settings, injected = decoding.settings(), faults.plan()
     (json, quiet), output = printing, outputs.output
-    link, target = link_of_label(relayed.link.value), relayed.target
+    link, target = link_of_label(relayed.link), relayed.target
+    if link == OTHER or not protocol(link).relayed:
+        raise ConfigError(f"{link.label} cannot be relayed: its ends do not send to a port that is agreed on")
     bench = as_relayed(settings, link, target).workbench()
     limits = tuple(limit_rule(text, bench.mission) for text in relayed.limit or ())
     plan = ProxyPlan(

@@ -189,6 +189,11 @@ class LinkProtocol(Link):
         """Whether its port is enough where no other link claims that port."""
         return not self.forms and not self.constants
 
+    @property
+    def relayed(self) -> bool:
+        """Whether a relay can stand between its ends: they send to ports that are agreed on."""
+        return all(self.transport.ports) and not self.magic
+
     def recognise(self, facts: Seen) -> Any:
         """Return how sure it is that a datagram to one of its ports is its own: a sum of the constants above.
 

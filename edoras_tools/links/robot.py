@@ -42,8 +42,8 @@ class RobotLink(LinkProtocol):
         """Return how commands go to the robot, or its states to the flight app."""
         del site
         port = CFS_PORT if up else ROBOT_PORT
-        lengths = [layout.size for layout, to in SENT_TO.items() if to == port]
-        sending: LinkSending = self.part("sending:FormSending")(self, port, lengths)
+        layouts = [layout for layout, to in SENT_TO.items() if to == port]
+        sending: LinkSending = self.part("sending:FormSending")(self, port, layouts)
         return sending
 
     def recognise(self, facts: Seen) -> Any:

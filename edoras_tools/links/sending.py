@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
+from edoras_tools.errors import ConfigError
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.framing import Framing
     from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
+    from edoras_tools.wire.layout import Layout
 
 _NEVER: Final = 2**63 - 1
 
@@ -72,6 +75,7 @@ class LinkSending:
         renews: whether ``renew`` makes others of the recorded messages.
         packets: whether the messages are the space packets of the rows, without what is in front of them.
         own_transport: whether ``transmitter`` gives what carries the messages.
+        instead: of a link without ``compose``, what can be done.
         session: what is said besides the messages; None: nothing.
         refusals: what is not sent, and why, a line each; known once all rows were asked for.
     """
@@ -81,6 +85,7 @@ class LinkSending:
     renews: ClassVar[bool] = False
     packets: ClassVar[bool] = False
     own_transport: ClassVar[bool] = False
+    instead: ClassVar[str] = "edoras replay sends what was recorded"
     session: SendingSession | None = None
 
     def __init__(self, link: Link) -> None:
@@ -91,6 +96,22 @@ class LinkSending:
         """Tell which rows go to the receiver, bool (n,)."""
         del batch
         return np.asarray(columns.link == self.link)
+
+    def compose(self, name: str, values: Any, count: int, context: Any) -> list[bytes]:
+        """Return messages that are made up, for ``inject``; a link of ``packets`` is given those of routes.
+
+        Args:
+            name: of the message, as the link's users call it.
+            values: plain values: by name, or in their order.
+            count: how many, for links that number their messages.
+            context: a ``decode.Context``: the mission, and what layouts and dictionaries say.
+
+        Raises:
+            ConfigError: there is no such message, or nothing makes messages of the link.
+            FieldError: a value does not fit.
+        """
+        del name, values, count, context
+        raise ConfigError(f"no message of {self.link.label} is made up: {self.instead}")
 
     def transmitter(self, target: Endpoint) -> Any:
         """Return what carries the messages in place of a socket, with what ``io``'s ``Transmitter`` has.
@@ -112,12 +133,24 @@ class LinkSending:
 
 
 class FormSending(LinkSending):
-    """Messages of some lengths, as they are: those that are sent to one port."""
+    """Messages of one header and nothing else, as they are: those that are sent to one port."""
 
-    def __init__(self, link: Link, port: int, lengths: Sequence[int]) -> None:
+    def __init__(self, link: Link, port: int, layouts: Sequence[Layout]) -> None:
         super().__init__(link)
-        self.port, self._lengths = port, lengths
+        self.port, self._layouts = port, {item.name: item for item in layouts}
 
     def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
-        """Tell which rows have one of the lengths."""
-        return super().outgoing_rows(batch, columns) & np.isin(batch.length, self._lengths)
+        """Tell which rows are as long as one of them."""
+        lengths = [item.size for item in self._layouts.values()]
+        return super().outgoing_rows(batch, columns) & np.isin(batch.length, lengths)
+
+    def compose(self, name: str, values: Any, count: int, context: Any) -> list[bytes]:
+        """Return a message; what is not named is 0."""
+        del context
+        layout = self._layouts.get(name.lower())
+        if layout is None:
+            raise ConfigError(f"{name!r} does not go this way; there are {', '.join(self._layouts)}")
+        numbers = isinstance(values, dict) and all(isinstance(item, (int, float)) for item in values.values())
+        if not numbers:
+            raise ConfigError(f"{name} takes numbers: {{{layout.slots[0].field.name}: 0.5}}")
+        return [layout.emit(values)] * count

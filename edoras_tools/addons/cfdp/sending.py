@@ -145,6 +145,7 @@ class FileSending(LinkSending):
     """What senders of files sent, in new transactions."""
 
     renews = True
+    instead = "edoras replay --to cfdp sends recorded files; a new file is sent by a CFDP entity"
     port = 5222
 
     def __init__(self, link: Link) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.addons.fprime.commands import CommandWriter, command_frame
+from edoras_tools.errors import ConfigError
 from edoras_tools.links.sending import LinkSending
 from edoras_tools.wire import fprime
 
@@ -48,3 +50,13 @@ class GroundDataSending(LinkSending):
         going = np.zeros(len(batch), bool)
         going[rows[(up == self._up) & ~bare]] = True
         return going
+
+    def compose(self, name: str, values: Any, count: int, context: Any) -> list[bytes]:
+        """Return the frames of a command, which an F Prime dictionary names."""
+        if not self._up:
+            raise ConfigError(f"commands go to flight software: --to {self.link.label}:up")
+        entries = context.structs.dictionary
+        if entries is None:
+            raise ConfigError("commands have their names from a dictionary: --set structs=FILE.json")
+        packet = CommandWriter(entries).packet(name, values)
+        return [command_frame(packet, number) for number in range(count)]

@@ -82,6 +82,7 @@ class BridgeSending(LinkSending):
     port = racs2.BRIDGE_WEBSOCKET_PORT
     framing = WebSocketFraming(_LARGEST)
     renews = True
+    instead = "edoras replay --to racs2 sends recorded messages; a new one comes from a node of cFS or ROS"
 
     def __init__(self, link: Link) -> None:
         super().__init__(link)

@@ -228,6 +228,7 @@ class SampleSending(LinkSending):
     """
 
     renews = True
+    instead = "edoras replay --to rtps sends recorded samples; a new one is sent by ros2 topic pub"
     own_transport = True
 
     def __init__(self, link: Link, site: Site) -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs.commands import ENABLE_OUTPUT, NAMED, Argument
 from edoras_tools.cfs.telemetry_output import USUAL_LIMIT
@@ -18,6 +20,7 @@ from edoras_tools.pipelines.sending.topics import Encoder, routes_towards, sende
 from edoras_tools.pipelines.sending.wait_for import enable_output
 from edoras_tools.ros.arbitrary import arbitrary
 from edoras_tools.sessions.outgoing import Outgoing, Packet
+from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
@@ -74,20 +77,51 @@ def make(injection: Injection, bench: Workbench, options: SendOptions) -> tuple[
         FieldError: a value does not fit its field; says which field, and what it accepts.
         RouteError: there is no topic or command of that name, or it does not go to this receiver.
     """
-    passes = injection.count
-    if injection.command is not None:
-        packets = [Packet(_command(*injection.command, injection.payload, options.headers))]
-    elif (command := _named_command(injection, bench.mission, options)) is not None:
-        packets = [Packet(command)]
-    else:
-        packets = list(_messages(injection, bench, options))
-        passes = passes // len(packets)
+    if isinstance(options.to, LinkReceiver):
+        return _on_link(injection, bench, options, options.to)
+    packets, passes = _packets(injection, bench, options)
     sender = sender_of(options, bench.mission)
     out = Outgoing.packets(options.to.link, packets, sender=sender, headers=options.headers)
     return Loaded(out), replace(options, passes=passes)
 
 
-def injection_receiver(injection: Injection, mission: Mission) -> Receiver:
+def _on_link(
+    injection: Injection, bench: Workbench, options: SendOptions, to: LinkReceiver
+) -> tuple[Loaded, SendOptions]:
+    """Make messages of another link: each has counts of its own, so one pass holds them all."""
+    sending, count = to.sending, _in_one_pass(injection.count)
+    if sending.packets:
+        packets, _ = _packets(injection, bench, replace(options, to=to.carried))
+        messages = [item.packet for item in packets] * (count // len(packets))
+    elif injection.command or injection.every_field_random:
+        raise ConfigError(f"--command and random are for {', '.join(Receiver)}; not for --to {to}")
+    else:
+        values = _values(injection.values, (dict, list))
+        messages = sending.compose(injection.subject, values, count, bench.columns.context)
+    every_ns = int(SECOND / options.rates[0][1])
+    times = np.arange(len(messages)) * every_ns
+    if sending.renews:
+        messages, times = sending.renew(messages, times)
+    passes = injection.count // count
+    return Loaded(Outgoing.bare(to.link, messages, times)), replace(options, passes=passes, rates=())
+
+
+def _in_one_pass(number: int) -> int:
+    """Return how many messages are made: a divisor of the number, so that whole passes give it; 0: no end."""
+    number = number or _MOST
+    return number if number <= _MOST else next(n for n in range(_MOST, 0, -1) if number % n == 0)
+
+
+def _packets(injection: Injection, bench: Workbench, options: SendOptions) -> tuple[list[Packet], int]:
+    """Return the packets of one pass, and the passes that give the count."""
+    if injection.command is not None:
+        return [Packet(_command(*injection.command, injection.payload, options.headers))], injection.count
+    command = _named_command(injection, bench.mission, options)
+    packets = list(_messages(injection, bench, options)) if command is None else [Packet(command)]
+    return packets, injection.count // len(packets)
+
+
+def injection_receiver(injection: Injection, mission: Mission) -> str:
     """Return the receiver of an injection by its route; commands and unknown names go to Command Ingest."""
     if injection.command is None:
         for to in Receiver:
@@ -159,10 +193,7 @@ def _messages(injection: Injection, bench: Workbench, options: SendOptions) -> I
     if injection.values:
         raise ConfigError("--every-field-random sets all values; leave the message out")
     dice = Random(injection.seed)  # noqa: S311  for tests, and reproducible
-    number = injection.count or _MOST
-    # A divisor of the count, so that whole passes give exactly that count.
-    count = number if number <= _MOST else next(n for n in range(_MOST, 0, -1) if number % n == 0)
-    for _ in range(count):
+    for _ in range(_in_one_pass(injection.count)):
         values = arbitrary(bench.types, route.type, dice)
         yield encoder.packet(bench.types.encode(route.type, values), 0)
 
@@ -195,7 +226,7 @@ def _all_names(routes: Sequence[Route]) -> Sequence[tuple[str, ...]]:
     ]
 
 
-def _values(text: str) -> dict[str, Any]:
+def _values(text: str, kinds: tuple[type, ...] = (dict,)) -> Any:
     """Read a message from YAML (or JSON), or from ``@FILE``; an empty text gives all defaults."""
     where = "the message"
     if text.startswith("@"):
@@ -218,6 +249,6 @@ def _values(text: str) -> dict[str, Any]:
         place = f" line {mark.line + 1}, column {mark.column + 1}:" if mark else ""
         why = getattr(error, "problem", None) or str(error).partition("\n")[0]
         raise ConfigError(f"{where}: is not YAML:{place} {why}; write '{{linear: {{x: 0.5}}}}'") from None
-    if not isinstance(values, dict):
+    if not isinstance(values, kinds):
         raise ConfigError(f"{where}: needs fields and values, e.g. '{{linear: {{x: 0.5}}}}', not {values!r}")
     return values

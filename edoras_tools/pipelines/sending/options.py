@@ -138,6 +138,11 @@ class LinkReceiver:
         """The link to this receiver."""
         return self.sending.link
 
+    @property
+    def carried(self) -> Receiver:
+        """Whose packets go this way, of a link that carries packets."""
+        return Receiver.CI if self.value.endswith(":up") else Receiver.GROUND
+
 
 def receiver(text: str, site: Site) -> tuple[Receiver | LinkReceiver, Endpoint | None]:
     """Read ``--to``; return who receives, and where, if it says so.

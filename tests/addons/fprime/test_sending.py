@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from fprime_session import CAPTURE, DICTIONARY, HOME, SESSION, SUPPORT, ask, own, why_not
 from rewriting import datagrams, write
-from waiting import HOST, Program, free_ports
+from waiting import HOST, Ear, Program, free_ports, until
 
 UP = [item.payload for item in datagrams(CAPTURE) if item.payload[0] >> 4 == 2]
 
@@ -78,3 +78,22 @@ def test_space_packets_without_a_frame_are_refused_with_the_reason(call, tmp_pat
     path = write(tmp_path / "bare.pcap", [*datagrams(CAPTURE), alone])
     notes = call("replay", path, "--to", "fprime", "--dry-run", "--json").json()["notes"]
     assert notes == ["1 are space packets without a frame: neither side takes these over TCP"]
+
+
+def test_a_relay_drops_and_records_frames(command, tmp_path):
+    frames = [item.payload for item in datagrams(CAPTURE)]
+    near, record = free_ports(1)[0], tmp_path / "relayed.pcap"
+    with Ear() as ear:
+        ways = ("--listen", f"{HOST}:{near}", "--target", f"{HOST}:{ear.port}", "-o", record, "--json")
+        with Program(command, "proxy", "fprime", *ways, "--fault", "drop:1,every=3") as proxy:
+            assert proxy.line(proxy.err).startswith("relaying fprime")
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+                for item in frames:
+                    sender.sendto(item, (HOST, near))
+            left = len(frames) - len(frames) // 3
+            got = []
+            until(lambda: len(got.extend(ear.take()) or got) >= left)
+            report = json.loads(proxy.end()[0])
+    assert got == [item for place, item in enumerate(frames, 1) if place % 3]
+    assert report["faults"][0]["struck"] == len(frames) // 3
+    assert {item.payload for item in datagrams(record)} >= {*got}

@@ -93,3 +93,19 @@ def test_without_a_mission_it_is_said(call):
     done = call("replay", ROVER, "--to", "frames")
     assert (done.code, len(done.err)) == (2, 1)
     assert "no mission file says where TM or AOS frames go" in done.err[0]
+
+
+def test_a_made_up_command_is_framed_with_the_channels_own_counts(call, tmp_path):
+    """The packets are those that ``inject`` sends to Command Ingest."""
+    mission = yaml.safe_load((SAMPLES / "missions/rover_ground.yaml").read_text())
+    path = tmp_path / "frames.yaml"
+    with Ear() as ear, Ear() as plain:
+        next(iter(mission.values()))["ros__parameters"]["frames"] = {"up": {"port": ear.port, "kind": "tc"}}
+        path.write_text(yaml.safe_dump(mission))
+        words = ("inject", "/cmd_vel", "{linear: {x: 0.5}}", "-c", path, "-n", "3", "--rate", "50", "-q")
+        for to, target in (("frames:up", ear), ("ci", plain)):
+            done = call(*words, "--to", to, "--target", f"127.0.0.1:{target.port}", "--no-listen")
+            assert done.code == 0, done.err
+        frames, packets = ear.take(), plain.take()
+    assert [item[5:-2] for item in frames] == packets
+    assert [item[4] for item in frames] == [0, 1, 2]

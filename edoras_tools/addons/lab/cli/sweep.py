@@ -163,9 +163,7 @@ class ChartOptions(NamedTuple):
 def sweep(
     *,
     route: Annotated[str, Argument(metavar="ROUTE", help="A topic or a key of the mission, or a MsgId.")],
-    to: Annotated[
-        options.LinkName | None, Option(metavar="LINK", help="Commands by ci, telemetry by to, both by sbn.")
-    ] = None,
+    to: Annotated[str, Option(metavar="LINK", help="Commands by ci, telemetry by to, both by sbn.")] = "",
     steps: StepOptions,
     how: SendingOptions,
     charts: ChartOptions,
@@ -183,7 +181,7 @@ def sweep(
     from edoras_tools.addons.lab.sweep.run import sweep as carry_out
     from edoras_tools.addons.lab.views import sweep as view
     from edoras_tools.io.outputs import check_new
-    from edoras_tools.links.table import link_of_label
+    from edoras_tools.links.table import links
     from edoras_tools.render import svg
 
     json, quiet = printing
@@ -195,7 +193,13 @@ def sweep(
     if charts.png is not None:
         svg.need_png()
     bench = decoding.settings().workbench()
-    route_ = route_of(route, link_of_label(to.value) if to else None, bench.mission)
+    link = next((item for item in links() if item.label == to.lower()), None)
+    if to and not (link and link.packets and link.bridge):
+        raise ConfigError(
+            f"--to {to}: a sweep counts with cFS's own counters: ci, to, sbn; edoras inject --rate and "
+            "edoras replay --speed send others at a rate"
+        )
+    route_ = route_of(route, link, bench.mission)
     headers = bench.columns.context.options.headers
     send_options = how.send_options(route_.link, headers).placed(bench.mission)
     plan = steps.plan(route_, send_options)

@@ -1,0 +1,120 @@
+"""Commands of F Prime that are made up: the frames that its ground system makes of the same command."""
+
+from __future__ import annotations
+
+from struct import error, pack
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.errors import ConfigError
+from edoras_tools.structs.shapes import BasicKind
+from edoras_tools.wire import ccsds, fprime
+from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
+from edoras_tools.wire.transfer_frames import TC_LENGTH_BIAS
+from edoras_tools.words import did_you_mean, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from edoras_tools.structs.fprime.table import EntryTable
+    from edoras_tools.structs.shapes import Member, Struct, StructLayout
+
+_SPACECRAFT: Final = 0x44
+_CHANNEL: Final = 1
+"""F Prime's defaults."""
+_COUNTS: Final = 1 << 14
+
+
+class CommandWriter:
+    """Makes the frames of commands, as F Prime's ground system does: CCSDS, the default since version 4.
+
+    Args:
+        entries: of a dictionary.
+    """
+
+    def __init__(self, entries: EntryTable) -> None:
+        self._commands = {
+            item.name: item for item in entries.bounds if item.entry.kind is fprime.PacketType.COMMAND
+        }
+
+    def packet(self, name: str, values: Any) -> bytes:
+        """Return the packet of a command.
+
+        Args:
+            values: all arguments, by name or in their order.
+
+        Raises:
+            ConfigError: there is no such command, or an argument is not there or does not fit.
+        """
+        item = self._commands.get(name)
+        if item is None:
+            near = did_you_mean(name, self._commands) or f"there are {listed(sorted(self._commands), 5)}"
+            raise ConfigError(f"{name!r} is no command of the dictionary; {near}")
+        head = fprime.PACKET.emit({"packet_type": fprime.PacketType.COMMAND})
+        head += fprime.ENTRY_HEADERS[fprime.PacketType.COMMAND].emit({"opcode": item.entry.id})
+        return head + _struct(item.layout, item.struct, values, name)
+
+
+def command_frame(packet: bytes, count: int) -> bytes:
+    """Return a Type-B TC frame with one space packet; its own count stays 0, as that of the ground system."""
+    space = {"packet_type": 1, "sequence_flags": 3, "packet_sequence_count": count % _COUNTS}
+    length = fprime.SPACE_PACKET.size + len(packet) - ccsds.LENGTH_BIAS
+    data = fprime.SPACE_PACKET.emit({**space, "packet_data_length": length}) + packet
+    size = fprime.COMMAND_FRAME.size + len(data) + CRC16_BYTES
+    head = {"bypass_flag": 1, "spacecraft_id": _SPACECRAFT, "virtual_channel_id": _CHANNEL}
+    frame = fprime.COMMAND_FRAME.emit({**head, "frame_length": size - TC_LENGTH_BIAS}) + data
+    return frame + crc16(frame).to_bytes(CRC16_BYTES, "big")
+
+
+def _struct(layout: StructLayout, form: Struct, values: Any, where: str) -> bytes:
+    """Return the bytes of the members, in order."""
+    names = [item.name for item in form.members]
+    if isinstance(values, list) and len(values) == len(names):
+        values = dict(zip(names, values, strict=True))
+    takes = f"takes {', '.join(names)}" if names else "takes no argument"
+    if not isinstance(values, dict):
+        raise ConfigError(f"{where} {takes}; not {values!r}")
+    if odd := [*(values.keys() - names), *(item for item in names if item not in values)]:
+        raise ConfigError(
+            f"{where} {takes}: {odd[0]} is {'not there' if odd[0] in names else 'none of them'}"
+        )
+    parts = (
+        _member(layout, item, item.array, values[item.name], f"{where}.{item.name}") for item in form.members
+    )
+    return b"".join(parts)
+
+
+def _member(layout: StructLayout, member: Member, dims: Sequence[int], value: Any, where: str) -> bytes:
+    """Return the bytes of a member, or of one element of it."""
+    if dims:
+        if not isinstance(value, list) or len(value) != dims[0]:
+            raise ConfigError(f"{where} takes a list of {dims[0]}, not {value!r}")
+        return b"".join(_member(layout, member, dims[1:], item, where) for item in value)
+    kind: Any = member.type
+    if member.text:
+        data = value.encode() if isinstance(value, str) else None
+        if data is None or len(data) > member.dims[-1]:
+            raise ConfigError(f"{where} takes a text of at most {member.dims[-1]} bytes, not {value!r}")
+        return len(data).to_bytes(2, "big") + data
+    if kind in layout.structs:
+        return _struct(layout, layout.structs[kind], value, where)
+    if kind in layout.enums:
+        enum = layout.enums[kind]
+        by_name = {name: number for number, name in enum.names.items()}
+        if not isinstance(value, (str, int)) or (value not in by_name and value not in enum.names):
+            raise ConfigError(f"{where} takes {', '.join(by_name)}; not {value!r}")
+        kind, value = enum.basic, by_name[value] if isinstance(value, str) else value
+    if kind.kind is BasicKind.BOOL:
+        if not isinstance(value, bool):
+            raise ConfigError(f"{where} takes true or false, not {value!r}")
+        return b"\xff" if value else b"\0"
+    if kind.kind is BasicKind.FLOAT:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ConfigError(f"{where} takes a number, not {value!r}")
+        try:
+            return pack(">f" if kind.size == 4 else ">d", value)
+        except (OverflowError, error):
+            raise ConfigError(f"{where}: {value!r} does not fit {kind}") from None
+    if isinstance(value, bool) or not isinstance(value, int) or not kind.holds(value):
+        raise ConfigError(f"{where} takes a whole number that fits {kind}, not {value!r}")
+    size: int = kind.size
+    return (value % (1 << 8 * size)).to_bytes(size, "big")
