@@ -39,10 +39,10 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(62_418, 150, 58_000),
-    "lines with code, all": Limit(82_145, 150, 84_000),  # with what is still to come
-    "files": Limit(559, 10, 450),
-    "files below 170 lines, of 1,000": Limit(429, 10, 500),  # a median of 170 lines or more
+    "lines with code, core": Limit(61_635, 150, 58_000),
+    "lines with code, all": Limit(82_148, 150, 84_000),  # with what is still to come
+    "files": Limit(558, 10, 450),
+    "files below 170 lines, of 1,000": Limit(428, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
     "files that record runs through": Limit(118, 2, 80),
     "files that sniff --where runs through": Limit(111, 2, 80),

@@ -66,7 +66,7 @@ PUT_OFF = {
     "ros/types/library.py": ("rosbags", "15 ms, and only for .idl files"),
     "ros/types/standard.py": ("rosbags", "15 ms, and only to make the table of standard messages anew"),
     "sessions/faults/chance.py": ("hashlib", "20 ms, and only where there are faults"),
-    "structs/debug_info/dwarf.py": ("elftools", "an extra"),
+    "addons/debug_info/dwarf.py": ("elftools", "an extra"),
     "structs/files.py": (
         "ruamel edoras_tools.structs.fprime",
         "14 ms, and only for layouts that are files; 2 ms, and only for dictionaries of F Prime",

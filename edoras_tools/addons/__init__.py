@@ -88,6 +88,16 @@ ADDONS: Final = (
         },
     ),
     Addon(
+        "debug_info",
+        commands={
+            "structs": ListedCommand(
+                "Connect",
+                "Turn C structs of flight software into ROS messages.",
+                "cli:structs",
+            )
+        },
+    ),
+    Addon(
         "codegen",
         commands={
             "codegen": ListedCommand(

@@ -45,7 +45,7 @@ _OF_THE_CORE: Final = {
     "Record": ("record", "recover", "export"),
     "Explain": ("doctor", "report", "compare"),
     "Send": ("replay", "inject", "proxy"),
-    "Connect": ("bridge", "mission", "structs"),
+    "Connect": ("bridge", "mission"),
     "Try": ("samples", "help"),
 }
 """Each is a function, or a group of commands, in a module of the same name."""

@@ -117,7 +117,7 @@ def test_nobody_writes_files_in_another_way():
         "ros/types/standard.py": "makes a file of this package, by hand",
         "cli/main.py": "the null device",
         "addons/wireshark/extcap.py": "a pipe of Wireshark's",
-        "structs/debug_info/dwarf.py": "in a temporary folder of its own",
+        "addons/debug_info/dwarf.py": "in a temporary folder of its own",
     }
     found = {
         path.relative_to(PACKAGE).as_posix()

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from c_structs import HEAD, draw, program
 
+from edoras_tools.addons.debug_info.dwarf import DebugInfo
 from edoras_tools.structs import Structs
-from edoras_tools.structs.debug_info.dwarf import DebugInfo
 from edoras_tools.structs.files import dumps, parse_layout
 from edoras_tools.structs.shapes import Key
 from edoras_tools.structs.transcode import HEAD as HEAD_BYTES

@@ -5,10 +5,10 @@ import subprocess
 
 import pytest
 
+from edoras_tools.addons.debug_info.dwarf import DebugInfo
 from edoras_tools.decode import Context
 from edoras_tools.decode.filters.messages import MessageFieldFinder
 from edoras_tools.structs import shipped_structs
-from edoras_tools.structs.debug_info.dwarf import DebugInfo
 from edoras_tools.structs.messages import parts
 from edoras_tools.structs.names import aliased, field_name, shown_name
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
-from edoras_tools.errors import ConfigError
-from edoras_tools.structs.debug_info.entries import (
+from edoras_tools.addons.debug_info.entries import (
     BYTE_ORDERS,
     DEEPEST,
     DWARF_ENCODINGS,
@@ -21,6 +20,7 @@ from edoras_tools.structs.debug_info.entries import (
     type_of,
     underlying_type,
 )
+from edoras_tools.errors import ConfigError
 from edoras_tools.structs.messages import unique
 from edoras_tools.structs.shapes import BASIC, OPEN, Basic, BasicKind, ByteOrder, Enumeration, Member, Struct
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from edoras_tools.structs.debug_info.entries import Die
+    from edoras_tools.addons.debug_info.entries import Die
 
 _Kept = TypeVar("_Kept", Struct, Enumeration)
 

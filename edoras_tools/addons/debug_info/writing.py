@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.addons.debug_info.dwarf import SOURCE_SUFFIXES, DebugInfo, Listed, compiled
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.outputs import write_files
 from edoras_tools.structs import cfe
 from edoras_tools.structs.bindings import Bindings
-from edoras_tools.structs.debug_info.dwarf import SOURCE_SUFFIXES, DebugInfo, Listed, compiled
 from edoras_tools.structs.files import LAYOUT_FILE, dumps, load_layout
 from edoras_tools.structs.shapes import FPRIME_KEY, Key, StructLayout
 from edoras_tools.words import did_you_mean

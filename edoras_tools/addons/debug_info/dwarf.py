@@ -15,8 +15,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.errors import ConfigError
-from edoras_tools.structs.debug_info.entries import (
+from edoras_tools.addons.debug_info.entries import (
     DEEPEST,
     PLAIN,
     STRUCTS,
@@ -29,14 +28,15 @@ from edoras_tools.structs.debug_info.entries import (
     types_in,
     underlying_type,
 )
-from edoras_tools.structs.debug_info.types import Maker
+from edoras_tools.addons.debug_info.types import Maker
+from edoras_tools.errors import ConfigError
 from edoras_tools.structs.shapes import ByteOrder, Key, StructLayout
 from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from edoras_tools.structs.debug_info.entries import Die
+    from edoras_tools.addons.debug_info.entries import Die
 
 
 _CLASSES: Final = frozenset({".hh", ".hpp", ".hxx", ".cc", ".cpp", ".cxx"})

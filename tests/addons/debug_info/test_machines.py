@@ -7,8 +7,8 @@ from io import BytesIO
 
 import pytest
 
+from edoras_tools.addons.debug_info.dwarf import DebugInfo
 from edoras_tools.structs import Structs
-from edoras_tools.structs.debug_info.dwarf import DebugInfo
 from edoras_tools.structs.files import dumps, parse_layout
 from edoras_tools.structs.shapes import Key
 

@@ -8,9 +8,9 @@ from io import BytesIO
 import pytest
 from effort import LONG, examples
 
+from edoras_tools.addons.debug_info.dwarf import DebugInfo
+from edoras_tools.addons.debug_info.writing import take
 from edoras_tools.errors import ConfigError
-from edoras_tools.pipelines.structs import take
-from edoras_tools.structs.debug_info.dwarf import DebugInfo
 from edoras_tools.structs.files import dumps, parse_layout
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")

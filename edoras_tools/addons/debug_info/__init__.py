@@ -1,0 +1,1 @@
+"""``edoras structs``: C structs from debug information (DWARF in ELF files) and headers."""

@@ -1,1 +1,0 @@
-"""Structs from debug information: DWARF in ELF files."""
