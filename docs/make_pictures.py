@@ -8,9 +8,12 @@
 from __future__ import annotations
 
 import asyncio
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from rich.console import Console, RenderableType
+from rich.text import Text
 from textual.widgets import Input
 
 from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
@@ -30,11 +33,11 @@ from edoras_tools.render.doctor.doctor import screen
 from edoras_tools.render.doctor.report.pictures import standalone
 from edoras_tools.render.doctor.report.sankey import sankey
 from edoras_tools.render.plot.svg import plot_svg
-from edoras_tools.render.svg import terminal_picture, without_fonts
+from edoras_tools.render.svg import without_fonts
 from edoras_tools.render.terminal import palette
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
 SAMPLES: Final = Path(__file__).resolve().parents[1] / "samples"
 FOLDER: Final = Path(__file__).parent / "pictures"
@@ -42,6 +45,25 @@ _ROVERS: Final = ("two_rovers_ground", "two_rovers_flight")
 _CONFIGS: Final = " ".join(f"-c {name}.yaml" for name in _ROVERS)
 _SHOWN: Final = (range(186, 196), range(1196, 1205), range(1345, 1351))
 """A link at work; a SUB that SBN refuses; a cut message that the app passes on."""
+
+
+def terminal_picture(views: Iterable[str | RenderableType], *, width: int, title: str) -> str:
+    """Return an SVG of a terminal that shows views one below the other.
+
+    It loads nothing from elsewhere and is the same for the same views.
+
+    Args:
+        views: lines with ANSI styles, or rich renderables.
+        width: columns of the terminal; longer lines are cut.
+        title: in the window's bar.
+    """
+    console = Console(
+        record=True, width=width, file=io.StringIO(), force_terminal=True, color_system="standard"
+    )
+    for view in views:
+        text = Text.from_ansi(view) if isinstance(view, str) else view
+        console.print(text, no_wrap=isinstance(view, str), crop=True, highlight=False)
+    return without_fonts(console.export_svg(title=title, unique_id="edoras"))
 
 
 def _bench(capture: str, missions: Sequence[str]) -> tuple[Settings, Path]:

@@ -102,14 +102,11 @@ def learn_constants(
         losses: what events name as lost.
         overflows: whether a pipe was full.
     """
-    rounds: dict[str, int] = {}
     down = among(rows.link, lambda link: link.only_from_cfs)
     sent = [rows.time_ns[down & (rows.source == source)] for source in np.unique(rows.source[down]).tolist()]
     output = max(sent, key=len, default=rows.time_ns[:0])
-    if found := find_round(output):
-        rounds["to_wake_ns"] = found
-    if found := _ingest(rows, hops):
-        rounds["ci_wake_ns"] = found
+    every = {"to_wake_ns": find_round(output), "ci_wake_ns": _ingest(rows, hops)}
+    rounds = {name: period for name, period in every.items() if period}
     profile = assumed
     for name, item in rounds.items():
         if _usual(assumed, name) and abs(item / getattr(assumed, name) - 1) > _ALIKE:

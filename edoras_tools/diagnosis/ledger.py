@@ -490,7 +490,7 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
             _refuse(way, item, number, among)
     way.end("shared", min(fate.ends["shared"], way.left))
     if not (fate.seen or fate.reached is not None or fate.commanded is not None):
-        way.end("uncertain", min(fate.ends["unaccounted"], way.left))
+        way.end("uncertain", min(fate.ends["earlier"] + fate.ends["unaccounted"], way.left))
     if fate.commanded is not None and fate.ends["unaccounted"]:
         way.hop(telemetry_output.NAME, {"in": _NOT_LOST, "out": "0x880: commands that it took or refused"})
         way.end("unaccounted", fate.ends["unaccounted"])
@@ -513,6 +513,7 @@ def _taken_in(case: Case, fate: Fate, way: LedgerWay, all_out: Mapping[str, str]
         way.hop(CI_HOP, {"in": _SEEN, **({"out": by} if accounts else all_out or {"lost": _NO_INGEST})})
         way.lose(losses, _BEFORE_CI)
         way.end("waiting", fate.ends["queued"])
+        way.end("uncertain", fate.ends["crowded"])
         way.end("unaccounted", fate.ends["uncounted"])
         way.end("not_captured", min(fate.ends["late"] + fate.ends["unsure"], way.left))
     elif any(loss.kind in _NOT_READ for loss in losses):

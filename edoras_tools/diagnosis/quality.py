@@ -8,7 +8,8 @@ datagrams are checked of which something else in the capture says that they pass
    millisecond, the packet between them passed too. Only even numbers are checked, by odd ones, so no packet
    is both evidence and checked.
 2. *Inputs*. What an application sends was made of a command that it got. Values that occur once tell which.
-3. *Counts of CI*. Between two times of rest, CI counted so many datagrams that the tap saw before.
+3. *Counts of CI*. Between two times of rest, CI counted so many datagrams that the tap saw before; or as
+   many until one as the tap saw in all.
 4. *Sequence counts*. A message that cFS counted left it, while the bus counted no loss.
 
 Whether a datagram is checked never depends on whether it was captured, so those that are missing are a fair
@@ -70,6 +71,7 @@ _MOSTLY_ONCE: Final = 0.9
 _START_NS: Final = 2 * SECOND
 _REST_NS: Final = 1500 * MILLISECOND
 """CI has read what was sent so long ago, unless its socket is full."""
+_LEAST_COUNTED: Final = 20
 _LATE_NS: Final = 100 * MILLISECOND
 _ROUNDS_NS: Final = 2 * SECOND
 """A message is lost on the bus, or leaves, within so long."""
@@ -320,6 +322,10 @@ def _rests(
     """Return what CI counted, and what was captured, between two samples at which it had read everything."""
     before = np.searchsorted(sent_ns, made_ns - _REST_NS)
     rest = np.flatnonzero(before == np.searchsorted(sent_ns, made_ns + _LATE_NS))
+    # A count of just as many as were captured in all began with the first of them.
+    begun = rest[(total[rest] == before[rest]) & (before[rest] >= _LEAST_COUNTED)][-1:]
+    if len(begun):
+        return total[begun], before[begun]
     counted, seen = np.diff(total[rest]), np.diff(before[rest])
     usable = (counted >= 0) & (np.diff(made_ns[rest]) > 0)
     usable &= ~overlapping(made_ns[rest][:-1] - _REST_NS, made_ns[rest][1:], holes)

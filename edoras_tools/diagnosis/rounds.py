@@ -285,10 +285,6 @@ class HopRate:
     greatest_s: float | None = None
     deviation_s: float | None = None
 
-    def rate_or(self, other: float) -> float:
-        """Return the rate, or another one where there is none."""
-        return other if self.rate_hz is None else self.rate_hz
-
 
 @dataclass(frozen=True, slots=True)
 class TopicRates:
@@ -335,9 +331,8 @@ def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRat
     hops += _inner(way, first, len(times), base)
     if fate is not None and not rounds.visible:
         rate = _by_counters(case, stream, way, times)
-        hops.append(
-            HopRate(APPLICATION, None if rate is None else hops[-1].rate_or(base) - rate, None, False)
-        )
+        into = base if hops[-1].rate_hz is None else hops[-1].rate_hz
+        hops.append(HopRate(APPLICATION, None if rate is None else into - rate, None, False))
     elif fate is not None:
         # What may yet come out says nothing of the rate.
         waits = np.flatnonzero(fate.waits[first:])

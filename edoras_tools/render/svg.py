@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import re
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
-from rich.console import Console, RenderableType
-from rich.text import Text
-
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
 
 _DEJAVU: Final = {
@@ -24,25 +20,6 @@ _DEJAVU: Final = {
 }
 """Where fontconfig is not installed, as in a small container, resvg finds no font by ``sans-serif`` alone."""
 _FONTS: Final = re.compile(r"\s*@font-face \{.*?\}", re.DOTALL)
-
-
-def terminal_picture(views: Iterable[str | RenderableType], *, width: int, title: str) -> str:
-    """Return an SVG of a terminal that shows views one below the other.
-
-    It loads nothing from elsewhere and is the same for the same views.
-
-    Args:
-        views: lines with ANSI styles, or rich renderables.
-        width: columns of the terminal; longer lines are cut.
-        title: in the window's bar.
-    """
-    console = Console(
-        record=True, width=width, file=io.StringIO(), force_terminal=True, color_system="standard"
-    )
-    for view in views:
-        text = Text.from_ansi(view) if isinstance(view, str) else view
-        console.print(text, no_wrap=isinstance(view, str), crop=True, highlight=False)
-    return without_fonts(console.export_svg(title=title, unique_id="edoras"))
 
 
 def without_fonts(svg: str) -> str:

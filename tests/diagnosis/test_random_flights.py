@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import pytest
 from effort import examples
 from hypothesis import given, settings
-from scenarios import examined, flights, fly, replayed, truth
+from scenarios import START_NS, Flight, examined, flights, fly, replayed, truth
 from truth import bounds, sums
 
 from edoras_tools.addons.lab.emulator.account import LOST, socket
+from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.cfs.queues import QueueEnd
+from edoras_tools.units import MILLISECOND, SECOND
 
 CAUSES = {"limit", "socket"}
 HOPS = {edoras_app.PIPE, socket(SimProfile().ci_port)}
@@ -46,3 +51,90 @@ def test_what_a_replay_records_tells_what_was_lost(hertz, enabled):
     assert more <= 6
     assert bool(proven) == bool(losses) == (hertz > 8)
     assert {name for row in result["balance"] for name, lost in row["lost_by"].items() if lost} <= CAUSES
+
+
+def steady(hertz, seconds, quiet, **constants):
+    """Return a rover flight with commands at one rate, all of it captured from the first command on."""
+    return Flight("rover", SimProfile(**constants), hertz, 0.0, seconds, quiet, ())
+
+
+def lost_by(result):
+    found = Counter()
+    for row in result["balance"]:
+        found.update({cause: number for cause, number in (row["lost_by"] or {}).items() if number})
+    return found
+
+
+@pytest.mark.quick("3-80")
+@pytest.mark.parametrize(("quiet", "hertz"), [(20, 60), (20, 80), (3, 80)])
+def test_what_a_full_socket_drops_is_told_once_ci_has_read_it(quiet, hertz):
+    simulation, sent = fly(steady(hertz, 20, quiet))
+    result, ends = examined(sent), simulation.cfs.account.losses()
+    dropped = ends[socket(1234), 0, QueueEnd.SOCKET_FULL] + ends[socket(1234), 0, QueueEnd.PIPE_OVERFLOW]
+    proven, more = bounds(result)
+    assert dropped > 400
+    if quiet > 10:
+        assert lost_by(result)["socket"] == dropped
+        assert more <= 16
+        return
+    # What it has not read at the end waits only as far as a socket has room; the rest is not told to wait.
+    (row,) = (row for row in result["balance"] if row["hop"] == "CI" and row["msg_id"] == "0x1827")
+    assert row["waiting"] <= simulation.cfs.profile.socket_queue
+    assert proven < dropped <= proven + more
+
+
+@pytest.mark.parametrize("seed", [3, 7])
+def test_a_backlog_that_began_in_the_capture_is_no_older_one(seed):
+    simulation, sent = fly(steady(45, 20, 6, seed=seed))
+    result = examined(sent)
+    assert set(lost_by(result)) == {"limit"}
+    most = simulation.cfs.account.losses()[edoras_app.PIPE, 0x1827, QueueEnd.MSG_LIMIT]
+    proven, _ = bounds(result)
+    assert 0.8 * most < proven <= most
+
+
+def test_what_the_first_count_may_have_had_is_a_range():
+    first, cut = START_NS + 8 * SECOND, START_NS + 9 * SECOND
+    simulation, sent = fly(steady(12, 20, 6))
+    late = [item for item in sent if item.payload[:1] == b"\x18" or item.time_ns > cut]
+    late = [item for item in late if item.time_ns > first or item.payload[:1] == b"\x18"]
+    result = examined(late)
+    proven, more = bounds(result)
+    assert proven <= simulation.cfs.account.losses()[edoras_app.PIPE, 0x1827, QueueEnd.MSG_LIMIT]
+    assert simulation.cfs.account.losses()[edoras_app.PIPE, 0x1827, QueueEnd.MSG_LIMIT] <= proven + more
+
+
+def test_full_pipes_explain_what_only_they_count():
+    other = {"to_wake_ns": 100 * MILLISECOND, "ci_wake_ns": 250 * MILLISECOND, "app_msg_limit": 2}
+    limits = {**SimProfile().to_limits, 0x827: 20}
+    profile = SimProfile(**other, msg_max=20, to_limits=limits)
+    set_ = generator.COMMAND_MSG_ID, generator.SET
+    commands = tuple((at, *set_, generator.set_command(0x827, hertz)) for at, hertz in ((8, 300), (18, 0)))
+    simulation, sent = fly(Flight("rover", profile, 20.0, 0.0, 24, 6, commands))
+    found, ends = lost_by(examined(sent)), simulation.cfs.account.losses()
+    assert set(found) == {"limit", "overflow"}
+    full = sum(number for (_, _, end), number in ends.items() if end is QueueEnd.PIPE_OVERFLOW)
+    assert found["overflow"] == full > 100
+
+
+def test_a_slow_link_is_no_outage():
+    """What is under way for long is counted late, not lost before cFS was up."""
+    _, sent = fly(steady(4, 20, 8))
+    late = [
+        item._replace(time_ns=item.time_ns - (item.payload[:1] == b"\x18") * 6 * SECOND // 10)
+        for item in sent
+        if item.payload[:1] != b"\x18" or item.time_ns - 6 * SECOND // 10 > sent[0].time_ns - SECOND
+    ]
+    result = examined(sorted(late, key=lambda item: item.time_ns))
+    assert bounds(result)[0] == 0
+
+
+def test_a_capture_whose_commands_are_all_counted_proves_what_the_link_down_lost():
+    _, sent = fly(steady(5, 40, 6))
+    chosen = [at for at, item in enumerate(sent) if item.payload[:1] == b"\x08"]
+    lost = set(chosen[10:-10:7])
+    result = examined([item for at, item in enumerate(sent) if at not in lost])
+    proven, more = bounds(result)
+    assert proven == len(lost)
+    assert more == 0
+    assert lost_by(result) == {"after": len(lost)}

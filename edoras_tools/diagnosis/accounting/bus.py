@@ -369,14 +369,14 @@ class Telemetry:
         kinds: list[tuple[bool, PipeKind]] = []
         for kind in COUNTERS:
             events = self._naming(part, kind)
-            names_it = bool(events and events.within(*window))
+            named = bool(events and events.within(*window))
             if events:
                 part.evidence.append(
                     f"event CFE_SB {PIPE_EVENTS[kind]} x{events.count}: {events.records[0].message}"
                 )
             # Without its counter a full pipe proves nothing.
-            if names_it or (self._grown(part, COUNTERS[kind]) and pressed(case, stream, span, kind, gaps)):
-                kinds.append((not names_it, kind))
+            if named or (self._grown(part, COUNTERS[kind]) and pressed(case, stream, span, kind, gaps)):
+                kinds.append((not named, kind))
         return tuple(kind for _, kind in sorted(kinds, key=lambda item: item[0]))
 
     def _naming(self, part: Part, kind: PipeKind) -> LossEvents | None:

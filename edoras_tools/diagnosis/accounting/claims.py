@@ -183,8 +183,12 @@ class Shared:
     end_ns: int
 
 
-def settle_known(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:
-    """Give counts to what surely is missing, then to what may be; see ``settle_possible``."""
+def settle_known(counts: Mapping[int, Counts], claims: Sequence[Claim], gaps: list[Claim]) -> list[Shared]:
+    """Give counts to what surely is missing, then to what may be; see ``settle_possible``.
+
+    Args:
+        gaps: those of the claims that are of telemetry.
+    """
     for ranks, slack_ns in (
         ((PRESSED, ABSENT, CLOSED), _APART_NS),
         ((PRESSED, ABSENT, CLOSED, OWN_PACKETS), _APART_NS),
@@ -192,8 +196,24 @@ def settle_known(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[
     ):
         sure = [claim for claim in claims if claim.rank in ranks]
         settle(counts, sure)
+        _move(counts, [claim for claim in gaps if claim.rank in ranks])
         settle(counts, sure, slack_ns)
     return settle_possible(counts, claims)
+
+
+def _move(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
+    """Give what a full pipe counted and nothing explains in exchange for counts that may be others'."""
+    for instance, own in counts.items():
+        table = _Table(instance, "overflow", own, claims, 0)
+        for second in np.flatnonzero(table.left).tolist():
+            held = [claims[at] for at in table.within(second)]
+            limits = [(claim, place) for claim in held for place in claim.taken if "limit" in place]
+            for claim, place in limits:
+                number = min(claim.taken[place], int(table.left[second]))
+                claim.give(place, -number)
+                claim.give((instance, "overflow", second), number)
+                table.left[second] -= number
+                counts[place[0]].left["limit"][place[2]] += number
 
 
 def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: dict[int, int]) -> None:

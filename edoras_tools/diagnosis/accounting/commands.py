@@ -103,7 +103,7 @@ class Commands:
             pipes.claim(fate)
         hold_back(case, telemetry.claims)
         counts, claims = case.loss_counts, [*telemetry.claims, *pipes.claims]
-        shared = settle_known(counts, claims)
+        shared = settle_known(counts, claims, telemetry.claims)
         settle_first(counts, claims, may_be_missed(case, claims))
         tails = {claim.flow: sum(claim.taken.values()) for claim in claims if claim.rank == POSSIBLE}
         pipes.tell()
@@ -222,7 +222,9 @@ class Commands:
     def _untold(self, fate: Fate) -> int:
         """Return of how many messages nothing has told what became of them."""
         lost = sum(loss.lost for loss in self.losses if loss.stream is fate.stream)
-        taken = fate.refused.total() + sum(fate.ends[how] for how in ("queued", "late", "uncounted"))
+        taken = fate.refused.total() + sum(
+            fate.ends[how] for how in ("queued", "crowded", "late", "uncounted")
+        )
         return max(0, len(fate.stream) - lost - taken)
 
     def _number(self, fates: Sequence[Fate]) -> None:
@@ -383,11 +385,14 @@ def may_be_missed(case: Case, claims: Sequence[Claim]) -> dict[int, int]:
     open_ = Counter[int]()
     for claim in claims:
         open_[claim.flow] += claim.open
-    sizes, quality = {id(stream): len(stream) for stream in case.streams}, case.quality
-    excluded = {flow for flow, number in open_.items() if quality.excludes(number / sizes[flow])}
-    return {
-        flow: 0 if flow in excluded else quality.may_have_missed(sizes[flow], _sure(case)) for flow in open_
-    }
+    sizes = {id(stream): len(stream) for stream in case.streams}
+    return {flow: _allowance(case, sizes[flow], number) for flow, number in open_.items()}
+
+
+def _allowance(case: Case, size: int, number: int) -> int:
+    """Return how many of so many that a stream of a size lacks the capture may have missed."""
+    excluded = case.quality.excludes(number / size)
+    return 0 if excluded else min(number, case.quality.may_have_missed(size, _sure(case)))
 
 
 def _sure(case: Case) -> float:
@@ -424,9 +429,7 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate]) -> None:
             _take_back(telemetry, loss, share)
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
     for fate in unseen:
-        number, of = fate.ends["unaccounted"], len(fate.stream)
-        if not quality.excludes(number / of):
-            fate.ends["missed"] = min(number, quality.may_have_missed(of, _sure(case)))
+        fate.ends["missed"] = _allowance(case, len(fate.stream), fate.ends["unaccounted"])
         fate.ends["unaccounted"] -= fate.ends["missed"]
 
 

@@ -156,7 +156,7 @@ def ingests(case: Case) -> list[Ingest]:
         if endpoint is not None and taken[endpoint] == 1 and len(own) > 1:
             counted = _Counted(case, endpoint, system, _to(case, to_ci, endpoint), own)
             account = counted.account()
-            if account.lost_on_network:
+            if account.lost_on_network or (account.lost and account.not_captured):
                 late = counted.account(_UNDER_WAY_NS)
                 # What a slow network explains altogether is no loss: rule 8.
                 account = account if late.lost_on_network else late
@@ -290,7 +290,9 @@ class _Counted:
                     low[0] = -_MODULUS  # how much it had read before the first sample, nothing tells
                     idle = np.flatnonzero(np.diff(count[part]) < most)
                     behind = int(self._seen[idle[0] + 1 if len(idle) else -1])
-                    if count[end - 1] != sent[end - 1]:  # else it read what was sent here, and nothing older
+                    # Else it read what was sent here, and nothing older; or less than it always can.
+                    wakes = (own[0].made_ns - self._case.start_ns) // self._profile.ci_wake_ns
+                    if count[end - 1] != sent[end - 1] and count[0] >= most * (wakes - 1):
                         account.older_until_ns = min(behind, own[0].seen_ns + DRAINS_NS)
             drained = np.diff(count[part], prepend=count[first]) < most
             unread = 0 if first else self._unseen()
@@ -364,10 +366,9 @@ class _Counted:
 
     def _surely_sent(self, time_ns: int) -> int:
         """Return how many were sent until a time; before the capture as after its start, negative."""
-        start_ns = int(self._case.rows.time_ns[0])
-        if time_ns >= start_ns:
-            return int(self._sent_until(time_ns))
-        return -int(self._sent_until(2 * start_ns - time_ns))
+        start_ns = self._case.start_ns
+        sent = int(self._sent_until(start_ns + abs(time_ns - start_ns)))
+        return sent if time_ns >= start_ns else -sent
 
     def _emptied(self, part: slice) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return until when each sample's CI surely had read all there was, and where it read all it can.
@@ -655,7 +656,10 @@ class BeforeCi:
                 fate.ends["late"] = int(behind.sum())
                 fate.open &= ~behind
             chosen = np.isin(fate.stream.rows, late)
-            fate.ends["queued"] += int(chosen.sum())
+            # More than a socket holds do not wait, as long as nobody gave it more room.
+            beyond = int(np.isin(fate.stream.rows, late[: -self._case.profile.socket_queue]).sum())
+            fate.ends["queued"] += int(chosen.sum()) - beyond
+            fate.ends["crowded"] += beyond
             fate.open &= ~chosen
             fate.waits &= ~chosen
 

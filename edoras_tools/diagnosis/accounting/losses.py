@@ -27,26 +27,9 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import Confidence
 
 PipeKind = Literal["limit", "overflow"]
-LossKind = (
-    PipeKind
-    | Literal[
-        "after",
-        "unknown",
-        "network",
-        "socket",
-        "down",
-        "restart",
-        "ci_stopped",
-        "stopped",
-        "restart_failed",
-        "away",
-        "unsubscribed",
-        "disabled",
-        "sbn_socket",
-        "fragments",
-        "port_closed",
-    ]
-)
+IngestKind = Literal["network", "socket", "down", "restart", "ci_stopped", "port_closed"]
+AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled", "sbn_socket"]
+LossKind = PipeKind | IngestKind | AppKind | Literal["after", "unknown", "fragments"]
 """Over a limit or out of a full pipe; behind cFS; on the way to CI; in CI's socket; while cFS or CI was down;
 while the application was, or after it was started again and passed nothing on; while an SBN peer was away, or
 had not subscribed to it; while Telemetry Output was not to send it; unknown: nothing tells where, or of which
@@ -142,12 +125,14 @@ WAITS_NS: Final = SECOND
 
 End = Literal[
     "queued",
+    "crowded",
     "late",
     "unsure",
     "uncounted",
     "passed_on",
     "superseded",
     "unaccounted",
+    "earlier",
     "shared",
     "elsewhere",
     "uncertain",
@@ -156,11 +141,13 @@ End = Literal[
 ]
 """How messages into cFS end that are in no loss.
 
-At CI: ``queued`` may wait in its socket; ``late`` were sent after its last count; of ``unsure`` its first
-counts do not tell whether it read them; ``uncounted`` are not in its first count, and nothing tells why.
+At CI: ``queued`` may wait in its socket, ``crowded`` only if that holds more than usual; ``late`` were sent
+after its last count; of ``unsure`` its first counts do not tell whether it read them; ``uncounted`` are not
+in its first count, and nothing tells why.
 
-On the bus: ``shared`` is the most that may be among those that a counter has of several traffics together,
-and ``elsewhere`` those that did not come out and may be among these.
+On the bus: ``earlier`` may be some that its first count had already; ``shared`` is the most that may be among
+those that a counter has of several traffics together, and ``elsewhere`` those that did not come out and may
+be among these.
 
 At the application: ``passed_on`` came out, and were lost behind that; ``superseded`` gave way to a newer
 one; of ``unaccounted`` nothing tells what became; ``uncertain`` may yet come out, and their pipe lost others

@@ -404,7 +404,7 @@ class Leftover:
                 if number := int(left[away].sum()):
                     self.uncaptured[instance] += number
                     left[away] = 0
-                if left.any():
+                if left.any() or counts.first.get(kind, 0):
                     self._leftover(instance, counts, kind)
 
     def tell(self, gaps: Sequence[Loss]) -> None:
@@ -453,8 +453,12 @@ class Leftover:
         return placed
 
     def _leftover(self, instance: int, counts: Counts, kind: PipeKind) -> None:
-        candidates = self._candidates(instance, kind)
-        left = counts.left[kind]
+        candidates, left = self._candidates(instance, kind), counts.left[kind]
+        for item in candidates:
+            fate = self._fates.get(id(item.stream))
+            if fate is not None and not fate.seen:
+                sent = self._case.captured(fate.stream)[fate.open]
+                fate.ends["earlier"] += min(counts.first.get(kind, 0), int((sent < counts.times[0]).sum()))
         groups: dict[tuple[tuple[int, int], ...], list[int]] = {}
         for second in np.flatnonzero(left).tolist():
             times = counts.span([second])

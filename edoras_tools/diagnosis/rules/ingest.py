@@ -150,6 +150,7 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
                 f"{plural(account.waiting, 'datagram')} wait in CI's socket at its last count, or were "
                 f"dropped: {reads}",
                 f"0x884: CI took {account.taken:,}",
+                f"a socket holds about {case.profile.socket_queue:,}, unless it was given more room",
                 link="ci",
                 hop=CI_SOCKET,
                 of=account.taken + account.lost + account.waiting,

@@ -76,11 +76,6 @@ class Announcement:
     depth: int = 0
 
     @property
-    def is_participant(self) -> bool:
-        """Whether it is of a participant itself, by the kind of its entity (table 9.2)."""
-        return self.guid[-1:] == b"\xc1"
-
-    @property
     def is_writer(self) -> bool:
         """Whether it is of a writer (table 9.1)."""
         return self.guid[-1:] in {b"\x02", b"\x03"}
