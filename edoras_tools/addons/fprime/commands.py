@@ -16,12 +16,18 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from edoras_tools.structs.fprime.table import EntryTable
-    from edoras_tools.structs.shapes import Member, Struct, StructLayout
+    from edoras_tools.structs.shapes import Enumeration, Member, Struct, StructLayout
 
 _SPACECRAFT: Final = 0x44
 _CHANNEL: Final = 1
 """F Prime's defaults."""
 _COUNTS: Final = 1 << 14
+_CODES: Final = {"float32": "f", "float64": "d"} | {
+    f"{kind}{8 << place}": letter
+    for kind, letters in (("int", "bhiq"), ("uint", "BHIQ"))
+    for place, letter in enumerate(letters)
+}
+"""Of ``struct``, by type."""
 
 
 class CommandWriter:
@@ -97,8 +103,12 @@ def _member(layout: StructLayout, member: Member, dims: Sequence[int], value: An
         return len(data).to_bytes(2, "big") + data
     if kind in layout.structs:
         return _struct(layout, layout.structs[kind], value, where)
-    if kind in layout.enums:
-        enum = layout.enums[kind]
+    return _number(kind, layout.enums.get(kind), value, where)
+
+
+def _number(kind: Any, enum: Enumeration | None, value: Any, where: str) -> bytes:
+    """Return the bytes of a value without parts; of an enumeration also by its name."""
+    if enum is not None:
         by_name = {name: number for number, name in enum.names.items()}
         if not isinstance(value, (str, int)) or (value not in by_name and value not in enum.names):
             raise ConfigError(f"{where} takes {', '.join(by_name)}; not {value!r}")
@@ -107,14 +117,9 @@ def _member(layout: StructLayout, member: Member, dims: Sequence[int], value: An
         if not isinstance(value, bool):
             raise ConfigError(f"{where} takes true or false, not {value!r}")
         return b"\xff" if value else b"\0"
-    if kind.kind is BasicKind.FLOAT:
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ConfigError(f"{where} takes a number, not {value!r}")
-        try:
-            return pack(">f" if kind.size == 4 else ">d", value)
-        except (OverflowError, error):
-            raise ConfigError(f"{where}: {value!r} does not fit {kind}") from None
-    if isinstance(value, bool) or not isinstance(value, int) or not kind.holds(value):
-        raise ConfigError(f"{where} takes a whole number that fits {kind}, not {value!r}")
-    size: int = kind.size
-    return (value % (1 << 8 * size)).to_bytes(size, "big")
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ConfigError(f"{where} takes a number, not {value!r}")
+    try:
+        return pack(f">{_CODES[str(kind)]}", value)
+    except (OverflowError, error):
+        raise ConfigError(f"{where}: {value!r} does not fit {kind}") from None

@@ -67,7 +67,7 @@ def test_the_sample_has_the_same_frame(call):
         (
             "Rover.drive.FOLLOW",
             [[LEG, LEG | {"speeds": [1, 2, -1]}], "a", 1],
-            "whole number that fits uint16",
+            "speeds: -1 does not fit uint16",
         ),
     ],
 )
