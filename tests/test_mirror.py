@@ -14,7 +14,6 @@ NO_BEHAVIOUR = (
         "units.py",
         "__main__.py",
         "cfs/command_ingest.py",
-        "cfs/core.py",
         "cfs/edoras_app.py",
         "cfs/executive_services.py",
     ),

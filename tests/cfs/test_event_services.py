@@ -7,14 +7,12 @@ from string import Formatter
 import pytest
 
 from edoras_tools.cfs import command_ingest, edoras_app, event_services, sbn, software_bus, telemetry_output
-from edoras_tools.cfs.core import CORE
 from edoras_tools.cfs.event_services import EventText
 
 MODULES = (command_ingest, edoras_app, event_services, sbn, telemetry_output)
 EVENTS = [
     *(item for module in MODULES for item in vars(module).values() if isinstance(item, EventText)),
     *software_bus.EVENTS.values(),
-    *(event for app in CORE for event in (app.initialized, app.no_op, app.bad_length) if event),
 ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.lab.emulator.cfs import EMULATOR_VERSION
+from edoras_tools.addons.lab.emulator.core_apps import CORE
 from edoras_tools.addons.lab.emulator.messages import command_length
 from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
 from edoras_tools.cfs import (
@@ -16,7 +17,6 @@ from edoras_tools.cfs import (
     time_services,
 )
 from edoras_tools.cfs.arguments import ARGUMENTS, TBL_MSG_ID
-from edoras_tools.cfs.core import CORE
 from edoras_tools.cfs.event_services import EventType
 from edoras_tools.cfs.executive_services import ENDING_COMMANDS
 from edoras_tools.cfs.names import COMMANDS
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from edoras_tools.addons.lab.emulator.cfs import Cfs
+    from edoras_tools.addons.lab.emulator.core_apps import CoreApp
     from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.addons.lab.emulator.services.software_bus import Pipe
-    from edoras_tools.cfs.core import CoreApp
 
 _APPLICATIONS: Final = frozenset({executive_services.RESTART, executive_services.START_APP, *ENDING_COMMANDS})
 _BUILD: Final = {"date": "000000000000", "user": "edoras-tools", "host": "emulator", "config": "emulated"}

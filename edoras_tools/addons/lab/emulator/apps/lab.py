@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.lab.emulator.account import socket
+from edoras_tools.addons.lab.emulator.core_apps import CORE
 from edoras_tools.addons.lab.emulator.messages import to_link
 from edoras_tools.addons.lab.emulator.scheduler import Receive, Sleep, SleepUntil, Work
 from edoras_tools.addons.lab.emulator.services.command_ingest import CommandIngest
 from edoras_tools.addons.lab.emulator.services.telemetry_output import TelemetryOutput
 from edoras_tools.cfs import command_ingest, software_bus, telemetry_output
-from edoras_tools.cfs.core import CORE
 from edoras_tools.model import Endpoint
 from edoras_tools.units import MICROSECOND, MILLISECOND
 from edoras_tools.wire import cfe

@@ -14,8 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from edoras_tools.addons.lab.emulator.core_apps import CORE
 from edoras_tools.cfs import executive_services as facts
-from edoras_tools.cfs.core import CORE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
