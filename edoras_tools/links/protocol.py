@@ -182,7 +182,7 @@ class LinkProtocol(Link):
         Args:
             place: ``module:name``, in the folder of the link.
         """
-        return doors.imported(f"{cls.__module__.rpartition('.')[0]}.{place}")
+        return doors.imported(f"{cls.__module__.rpartition('.')[0]}.{place}".removeprefix("."))
 
     @property
     def port_decides(self) -> bool:

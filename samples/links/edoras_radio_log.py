@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 import typer
-from edoras_radio_link import HEADER, RADIO
+from edoras_radio_state import RadioFrames
 
 from edoras_tools.io.formats.capture_file import CaptureFileSink
 from edoras_tools.io.formats.open import open_file
@@ -113,17 +113,13 @@ class RadioLogSink(CaptureFileSink):
 
 def radio(file: Annotated[Path, typer.Argument(metavar="FILE", help="A capture or a recording.")]) -> None:
     """Show which ground stations heard the modem, and how well."""
-    stations: dict[int, list[NDArray[np.int64]]] = {}
+    follower = RadioFrames()
     source, decoder = open_file(file), Settings().workbench().columns
     for batch in source.batches():
-        rows = np.flatnonzero(decoder.decode(batch).link == RADIO)
-        headers = gather(batch.data, batch.offset[rows], HEADER.size)
-        station, signal = (HEADER.column(name, headers) for name in ("station", "signal_dbm"))
-        for number in np.unique(station).tolist():
-            stations.setdefault(number, []).append(signal[station == number].astype(np.int64))
-    for number, parts in sorted(stations.items()):
-        signals = np.concatenate(parts)
-        typer.echo(f"station {number}  {len(signals):,} datagrams  {signals.min()} to {signals.max()} dBm")
+        follower.add(batch, decoder.decode(batch))
+    for number, item in sorted(follower.stations.items()):
+        signal, lost = f"{item.weakest} to {item.strongest} dBm", f"{item.lost:,} lost"
+        typer.echo(f"station {number}  {item.frames:,} datagrams  {signal}  {lost}")
 
 
 def _heads(data: NDArray[np.uint8], positions: NDArray[np.int64]) -> NDArray[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib
 import json
 import os
@@ -17,8 +18,10 @@ import pytest
 import warm
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 from places import SAMPLES
 from toml_files import TOML
+from waiting import HOST, Ear, Program, free_ports, until
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.errors import CaptureError, ConfigError, WireError
@@ -153,7 +156,7 @@ def test_it_is_recorded_and_read_back(edoras, capture, tmp_path):
 
 def test_its_command_counts_who_heard_the_modem(edoras, started, capture):
     assert started(EDORAS, "radio", capture) == (
-        "station 7  2 datagrams  -90 to -90 dBm\nstation 9  1 datagrams  -90 to -90 dBm\n"
+        "station 7  2 datagrams  -90 to -90 dBm  0 lost\nstation 9  1 datagrams  -90 to -90 dBm  0 lost\n"
     )
     listed = " ".join(edoras("--help").split())
     assert "Show which ground stations heard the modem, and how well." in listed
@@ -214,6 +217,61 @@ def test_a_log_cut_anywhere_is_read_as_far_as_it_goes(installed, tmp_path_factor
     assert found == [(time_ns, payload) for time_ns, _, payload in entries[:complete]]
 
 
+@pytest.fixture(scope="module")
+def losses(tmp_path_factory):
+    """Station 3 heard 8 of 10 frames, station 4 three, of a modem that was started in between."""
+    packet = cfe.emit_telemetry(0x0800, bytes(8))
+    three = [MAGIC + struct.pack(">BbH", 3, -80 - count, count) for count in range(10) if count not in {4, 5}]
+    four = [MAGIC + struct.pack(">BbH", 4, -60, count) for count in (65535, 0, 40000)]
+    return write(tmp_path_factory.mktemp("lost") / "lost.pcap", [head + packet for head in three + four])
+
+
+def test_its_signals_are_messages_that_are_recorded_and_exported(edoras, losses, tmp_path):
+    edoras("record", "-r", losses, "-o", tmp_path / "run.mcap", "-q")
+    found: dict[str, list[bytes]] = {}
+    with (tmp_path / "run.mcap").open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            if channel.topic.startswith("/radio/"):
+                assert (schema.name, channel.message_encoding) == ("std_msgs/msg/Int8", "cdr")
+                found.setdefault(channel.topic, []).append(message.data)
+    strengths = [-80 - count for count in range(10) if count not in {4, 5}]
+    assert found == {
+        "/radio/station_3/signal_dbm": [b"\0\1\0\0" + struct.pack("b", item) for item in strengths],
+        "/radio/station_4/signal_dbm": [b"\0\1\0\0" + struct.pack("b", -60)] * 3,
+    }
+    edoras("export", tmp_path / "run.mcap", "-o", tmp_path / "csv", "--format", "csv", "-q")
+    (table_,) = (tmp_path / "csv").rglob("*station_3*.csv")
+    rows = list(csv.DictReader(table_.read_text().splitlines()))
+    assert [int(row["data"]) for row in rows] == strengths
+
+
+def test_the_doctor_says_what_its_counts_show(losses, site):
+    done = warm.run("doctor", losses, "--json", packages=site, text=True)
+    (verdict,) = [item for item in json.loads(done.stdout)["verdicts"] if item["rule"] == "radio_frames_lost"]
+    assert (done.returncode, verdict["severity"], verdict["hop"]) == (3, "error", "radio")
+    assert verdict["reason"] == "station 3 did not hear 2 of 10 frames"
+    assert verdict["evidence"] == ["frame counts; signal -89 to -80 dBm"]
+
+
+def test_it_is_replayed_with_counts_of_its_own_and_relayed(site, edoras, losses, tmp_path):
+    near = free_ports(1)[0]
+    with Ear() as ear:
+        words = ("--listen", f"{HOST}:{near}", "--target", f"{HOST}:{ear.port}", "-o", tmp_path / "x.mcap")
+        environ = {**os.environ, "PYTHONPATH": str(site)}
+        with Program(EDORAS, "proxy", "radio", *words, "--json", env=environ) as proxy:
+            assert proxy.line(proxy.err).startswith("relaying radio")
+            edoras("replay", losses, "--to", "radio", "--target", f"{HOST}:{near}", "--speed", "max", "-q")
+            got: list[bytes] = []
+            until(lambda: got.extend(ear.take()) or len(got) >= 11)
+            proxy.end()
+    assert [struct.unpack(">BbH", item[2:6])[::2] for item in got] == [
+        *((3, count) for count in range(8)),
+        *((4, count) for count in range(3)),
+    ]
+    back = edoras("sniff", "-r", tmp_path / "x.mcap", "--json", "--link", "radio").splitlines()
+    assert len(back) == 11
+
+
 @pytest.mark.long
 def test_it_is_counted(edoras, capture):
     routes = json.loads(edoras("info", capture, "--json"))["routes"]
@@ -265,7 +323,7 @@ def installed(site):
         cached.cache_clear()
     yield table.link_of_label("radio")
     sys.path.remove(str(site))
-    for name in ("edoras_radio_link", "edoras_radio_log"):
+    for name in ("edoras_radio_link", "edoras_radio_log", "edoras_radio_state"):
         sys.modules.pop(name, None)
     for cached in caches:
         cached.cache_clear()
