@@ -26,7 +26,7 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, PacketBatch
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from edoras_tools.decode import Context
     from edoras_tools.links.doors import LinkEvidence
@@ -470,37 +470,30 @@ def _sorted(verdicts: Any) -> tuple[Verdict, ...]:
     )
 
 
-def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
-    """Put chapters together: sums of what counts, every verdict of each."""
-    verdicts = [item for part in parts for item in part.verdicts]
+def _verdicts(parts: list[Diagnosis]) -> Iterator[Verdict]:
+    """Yield the verdicts of every chapter; what is said of all chapters once."""
     silent = [{item.topic for item in part.verdicts if item.rule == "topic_never_seen"} for part in parts]
     never = set.intersection(*silent)
-    first = {id(item) for item in parts[0].verdicts}
+    for part in parts:
+        for item in part.verdicts:
+            # Conversations are counted from the beginning: what the last chapter says of them is all.
+            if item.rule in {"not_examined", "not_cfs"}:
+                if part is parts[-1]:
+                    yield item
+            elif (part is parts[0] or item.rule not in {"older_losses", "topic_never_seen"}) and (
+                item.rule != "topic_never_seen" or item.topic in never
+            ):
+                yield item
+
+
+def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
+    """Put chapters together: sums of what counts, every verdict of each."""
     last = parts[-1]
-    # Conversations are counted from the beginning: what the last chapter says of them is all.
-    whole = {id(item) for item in last.verdicts}
-    kept = [
-        item
-        for item in verdicts
-        if (item.rule != "older_losses" or id(item) in first)
-        and (item.rule != "topic_never_seen" or (item.topic in never and id(item) in first))
-        and (item.rule not in {"not_examined", "not_cfs"} or id(item) in whole)
-    ]
-    routes: dict[tuple[Any, ...], dict[str, Any]] = {}
-    for row in (row for part in parts for row in part.routes):
-        key = row["link"], row["msg_id"], row["sender"], row["receiver"], row["instance"]
-        known = routes.setdefault(key, {**row, **dict.fromkeys(_SUMS, 0), "bytes_max": 0, "crossings": []})
-        for name in _SUMS:
-            known[name] += row[name]
-        known["bytes_max"] = max(known["bytes_max"], row["bytes_max"])
-        for name in ("delay", "to_robot"):
-            known[name] = _slower(known[name], row[name])
-        known["crossings"] = _crossings([*known["crossings"], *row["crossings"]])
     habits = {(item.rule, item.msg_id, item.hop): item for part in parts for item in part.habits}
     return Diagnosis(
-        verdicts=_sorted(kept),
+        verdicts=_sorted(_verdicts(parts)),
         habits=tuple(habits.values()),
-        routes=list(routes.values()),
+        routes=_routes(row for part in parts for row in part.routes),
         peers=[row for part in parts for row in part.peers],
         datagrams=sum(part.datagrams for part in parts),
         start_ns=min(part.start_ns for part in parts),
@@ -513,6 +506,21 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
         topics=last.topics,
         missing=tuple(sorted(chain(*(part.missing for part in parts)), key=attrgetter("time_ns"))),
     )
+
+
+def _routes(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Add up the rows of each route."""
+    routes: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for row in rows:
+        key = row["link"], row["msg_id"], row["sender"], row["receiver"], row["instance"]
+        known = routes.setdefault(key, {**row, **dict.fromkeys(_SUMS, 0), "bytes_max": 0, "crossings": []})
+        for name in _SUMS:
+            known[name] += row[name]
+        known["bytes_max"] = max(known["bytes_max"], row["bytes_max"])
+        for name in ("delay", "to_robot"):
+            known[name] = _slower(known[name], row[name])
+        known["crossings"] = _crossings([*known["crossings"], *row["crossings"]])
+    return list(routes.values())
 
 
 def _crossings(items: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -238,19 +238,10 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
     unsure = kind.finding is Finding.COMMAND_LENGTH and (unheard or not case.has_telemetry)
     lost = None if accepted or unsure or not (kind.refused or refused) else len(members)
     done = "accepted" if accepted else "CI drops it" if refused else kind.done
-    size = f"{rows.length[first]:,} bytes to CI at {case.at(start_ns)}"
-    if not many and rows.function_code[first] >= 0:
-        size += f", function code {rows.function_code[first]}"
-    evidence = [size if not many else f"{size} is the first"]
-    evidence += [f"cFS said: {record}" for record in events]
-    if kind.event and unheard:
-        evidence.append("the capture cut the events of that time: what cFS said about it is not there")
-    elif kind.event and not events and case.has_telemetry:
-        evidence.append("no event about it in the capture: suppressed, filtered, or not asked for")
     return verdict(
         Severity.ERROR if lost else Severity.NOTE if kind.finding in _HARMLESS else Severity.WARNING,
         f"{which}{kind.what}; {done}",
-        *evidence,
+        *_evidence(case, members, kind, events, unheard=unheard),
         msg_id=msg_id,
         link="ci",
         hop="CI_LAB_APP" if kind.finding is Finding.TRUNCATED or refused else None,
@@ -261,6 +252,24 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
         confidence="high" if events or not kind.event else "medium",
         by_type=kind.finding is Finding.CDR_INVALID,
     )
+
+
+def _evidence(
+    case: Case, members: list[int], kind: BadCommandKind, events: list[EventRecord], *, unheard: bool
+) -> Iterator[str]:
+    """Yield what the capture has of some commands: the first one, and what cFS said."""
+    rows, first = case.rows, members[0]
+    size = f"{rows.length[first]:,} bytes to CI at {case.at(int(rows.time_ns[first]))}"
+    if len(members) > 1:
+        size += " is the first"
+    elif rows.function_code[first] >= 0:
+        size += f", function code {rows.function_code[first]}"
+    yield size
+    yield from (f"cFS said: {record}" for record in events)
+    if kind.event and unheard:
+        yield "the capture cut the events of that time: what cFS said about it is not there"
+    elif kind.event and not events and case.has_telemetry:
+        yield "no event about it in the capture: suppressed, filtered, or not asked for"
 
 
 def _events_cut(case: Case, start_ns: int) -> bool:
