@@ -168,6 +168,5 @@ def _write(tracing: Tracing, zero_ns: int, name: str, output: Path) -> None:
     elif output.suffix.lower() == ".svg":
         text = trace_svg(subject, zero_ns, name)
     else:
-        origin = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
-        text = trace_page(subject, zero_ns, name, origin)
+        text = trace_page(subject, zero_ns, name, Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns()))
     recordings.write_page(text, output)

@@ -306,11 +306,7 @@ class TopicRates:
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``hz --json``."""
-        hops = [asdict(hop) for hop in self.hops]
-        return {"topic": self.topic, "link": self.link, "msg_id": f"0x{self.msg_id:04x}"} | {
-            "window": self.window,
-            "hops": hops,
-        }
+        return asdict(self) | {"msg_id": f"0x{self.msg_id:04x}"}
 
 
 def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRates:

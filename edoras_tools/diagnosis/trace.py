@@ -19,7 +19,7 @@ import numpy as np
 
 from edoras_tools.diagnosis.accounting.losses import Among
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.ledger import APPLICATION, LedgerEntry, LedgerWay
+from edoras_tools.diagnosis.ledger import APPLICATION, CAPTURE, LedgerEntry, LedgerWay
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.diagnosis.matching.streams import find_robots
 from edoras_tools.diagnosis.rounds import Rounds, rounds_into, rounds_out
@@ -108,6 +108,7 @@ class MessageTrace:
         ended: how it ended.
         delay_ns: from the first to the last time that is known; None where there is one only.
         usual: of all messages that went this way, as ``doctor -v`` has it; None where none did.
+        also: its ways from where it came out more than once, but for the first.
     """
 
     topic: str | None
@@ -119,6 +120,14 @@ class MessageTrace:
     ended: MessageEnd
     delay_ns: int | None
     usual: Latency | None
+    also: tuple[MessageTrace, ...] = ()
+
+    @property
+    def delay_witness(self) -> Witness:
+        """How ``delay_ns`` is known: the model has it where others had its values, or a queue ended it."""
+        timed = [step.witness for step in self.steps if step.time_ns is not None]
+        is_guess = any(step.hop == APPLICATION and step.witness == "by model" for step in self.steps)
+        return "by model" if is_guess or timed[-1] == "by model" else "measured"
 
     @property
     def after_ns(self) -> list[int | None]:
@@ -132,19 +141,15 @@ class MessageTrace:
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``trace --json``."""
-        return {
-            "topic": self.topic,
-            "link": self.link,
+        return asdict(self) | {
             "msg_id": None if self.msg_id == NO_MSG_ID else f"0x{self.msg_id:04x}",
-            "nth": self.nth,
-            "of": self.of,
             "steps": [
                 {**asdict(step), "after_ns": after_ns}
                 for step, after_ns in zip(self.steps, self.after_ns, strict=True)
             ],
-            "ended": asdict(self.ended),
-            "delay_ns": self.delay_ns,
+            "delay_witness": None if self.delay_ns is None else self.delay_witness,
             "usual": self.usual.as_json() if self.usual else None,
+            "also": [item.as_json() for item in self.also],
         }
 
 
@@ -175,15 +180,10 @@ class Tracer:
         Args:
             number: its place in the capture, from 1.
         """
-        row = int(np.searchsorted(self._case.rows.number, number))
-        if not (self._case.rows.number[row : row + 1] == number).all() or row >= len(self._case.rows):
-            rows = np.flatnonzero(self._case.rows.number == number)  # times of which some were put in order
-            if not len(rows):
-                return None
-            row = int(rows[0])
-        for stream in (*self._case.streams, *self._robots):
-            place = int(np.searchsorted(stream.rows, row))
-            if place < len(stream) and stream.rows[place] == row:
+        rows = np.flatnonzero(self._case.rows.number == number)
+        for stream in (*self._case.streams, *self._robots) if len(rows) else ():
+            place = int(np.searchsorted(stream.rows, rows[0]))
+            if place < len(stream) and stream.rows[place] == rows[0]:
                 return self.follow(_Leg(stream, place))
         return None
 
@@ -211,8 +211,14 @@ class Tracer:
         return self.follow(_Leg(stream, row, place - (int(counts[row - 1]) if row else 0)))
 
     def follow(self, leg: _Leg) -> MessageTrace:
-        """Return the way of a message."""
-        legs = [*reversed(list(self._before(leg))), leg, *self._behind(leg)]
+        """Return the way of a message, and where it came out more than once, the others."""
+        before = [*reversed(list(self._before(leg)))]
+        every = [self._along([*before, *way]) for way in self._behind(leg)]
+        every.sort(key=lambda item: item.ended.ending != "delivered")
+        return replace(every[0], also=tuple(every[1:]))
+
+    def _along(self, legs: Sequence[_Leg]) -> MessageTrace:
+        """Return one way of a message."""
         head, last, case = legs[0], legs[-1], self._case
         steps = [*self._origin(head)]
         for place, item in enumerate(legs):
@@ -221,6 +227,9 @@ class Tracer:
             if id(item.stream) in case.commands.fates:
                 steps += self._inside(item, legs[place + 1] if place + 1 < len(legs) else None)
         ended = self._ended(last, steps)
+        if len(legs) > 1 and any(step.hop == APPLICATION and step.witness == "by model" for step in steps):
+            # Which of several with its values came so far is the model's word, not the counters'.
+            ended = ended if ended.witness == "unknown" else replace(ended, witness="by model")
         times = [step.time_ns for step in steps if step.time_ns is not None]
         counts = head.stream.counts
         return MessageTrace(
@@ -248,16 +257,17 @@ class Tracer:
                 return _Leg(hop.into, int(hop.origin[place]))
         return None
 
-    def _behind(self, leg: _Leg) -> Iterator[_Leg]:
-        """Yield the messages that one became."""
-        streams = {id(leg.stream)}
-        while not leg.behind:
-            onward = next(self._ways_out(leg), None)
-            if onward is None or id(onward[1].stream) in streams:
-                return
-            leg = onward[1]
-            streams.add(id(leg.stream))
-            yield leg
+    def _behind(self, leg: _Leg) -> Iterator[list[_Leg]]:
+        """Yield each way of a message to its end: itself, and what it became."""
+        queue = [[leg]]
+        while queue:
+            way = queue.pop()
+            streams = {id(item.stream) for item in way}
+            every = self._ways_out(way[-1]) if not way[-1].behind else ()
+            onward = [there for _, there in every if id(there.stream) not in streams]
+            queue += [[*way, there] for there in reversed(onward)]
+            if not onward:
+                yield way
 
     def _ways_out(self, leg: _Leg) -> Iterator[tuple[Hop, _Leg]]:
         for hop in self._case.hops:
@@ -270,17 +280,14 @@ class Tracer:
 
     def _origin(self, leg: _Leg) -> Iterator[TraceStep]:
         """Yield where a message comes from: a bridge, or an application of cFS."""
-        stream, rows = leg.stream, self._case.rows
+        stream = leg.stream
         if stream.link.only_from_cfs or (stream.link.peers and stream.instance != NOBODY):
             yield from self._published(leg)
-            return
-        who, whom = (self._case.endpoints[int(end[leg.at])] for end in (rows.source, rows.destination))
-        if stream.link.last_hop:
+        elif stream.link.last_hop:
             yield self._captured(leg, "sender")
-            return
-        yield TraceStep("publisher", _NOT_SEEN, "unknown")
-        text = f"{who} to {whom}"
-        yield TraceStep("bridge", text, "measured", self._time(leg), int(rows.number[leg.at]))
+        else:
+            yield TraceStep("publisher", _NOT_SEEN, "unknown")
+            yield self._captured(leg, "bridge")
 
     def _published(self, leg: _Leg) -> Iterator[TraceStep]:
         """Yield when an application published a message, what waited in the pipe, and when it left."""
@@ -317,12 +324,12 @@ class Tracer:
         if 0 <= wake < len(rounds.wakes_ns):
             when = int(np.clip(rounds.wakes_ns[wake], since_ns or 0, self._time(leg)))
             yield TraceStep(rounds.queue, _woke(rounds, place), "measured", when)
-        yield self._captured(leg, "capture")
+        yield self._captured(leg, CAPTURE)
 
     def _captured(self, leg: _Leg, hop: str) -> TraceStep:
         rows, row = self._case.rows, leg.at
         who, whom = (self._case.endpoints[int(end[row])] for end in (rows.source, rows.destination))
-        name = "" if leg.stream.link.last_hop else f"0x{leg.stream.msg_id:04x} "
+        name = f"0x{leg.stream.msg_id:04x} " if hop == CAPTURE else ""
         text = f"{name}{who} to {whom}"
         return TraceStep(hop, text, "measured", int(rows.time_ns[row]), int(rows.number[row]))
 
@@ -373,34 +380,24 @@ class Tracer:
     def _ended(self, leg: _Leg, steps: list[TraceStep]) -> MessageEnd:
         """Return how the way of a message ended, by the ledger."""
         stream = leg.stream
-        guessed = any(step.hop == APPLICATION and step.witness == "by model" for step in steps)
-        witness: Witness = "by model" if guessed and not leg.behind else "measured"
         if stream.link.last_hop:
-            return MessageEnd("delivered", "robot", "came out to the robot", witness)
+            return MessageEnd("delivered", "robot", "came out to the robot", "measured")
         way, fate = self._case.ledger.way(stream), self._case.commands.fates.get(id(stream))
         full = any(step.witness == "by model" and (step.waiting or 0) >= (step.limit or 1) for step in steps)
-        if fate is not None and not fate.seen:
-            return self._unfollowed(way, leg)
-        absent = ~fate.arrived if fate is not None else np.zeros(len(stream), bool)
-        ending = _decided(way, leg, absent, full=full, case=self._case)
+        is_seen, nobody = fate is None or fate.seen, np.zeros(len(stream), bool)
+        absent = nobody if fate is None else ~fate.arrived if is_seen else ~nobody
+        ending = _decided(way, leg, absent, full=full and is_seen, case=self._case)
         if ending is not None:
             return ending
+        if not is_seen:
+            rows, text = way.rows(), "handed to the software bus; nothing here shows what the application did"
+            witness: Witness = "proven" if all(row.observed for row in rows) else "unknown"
+            return MessageEnd("sent_out", rows[-1].hop, text, witness)
         if leg.behind or absent[leg.row]:
-            return MessageEnd(
-                "open", way_end(way), "never came, and nothing shows what became of it", "unknown"
-            )
+            text = "never came, and nothing shows what became of it"
+            return MessageEnd("open", way.rows()[-1].hop, text, "unknown")
         where = "SBN peer" if stream.link.peers else "bridge"
-        return MessageEnd("sent_out", where, f"left for the {where}; nothing shows who took it", witness)
-
-    def _unfollowed(self, way: LedgerWay, leg: _Leg) -> MessageEnd:
-        """Return the end of a message whose way out nothing shows: as far as counters go."""
-        ending = _decided(way, leg, np.ones(len(leg.stream), bool), full=False, case=self._case)
-        if ending is not None:
-            return ending
-        rows = way.rows()
-        text = "handed to the software bus; nothing here shows what the application did"
-        observed = all(row.observed for row in rows)
-        return MessageEnd("sent_out", rows[-1].hop, text, "proven" if observed else "unknown")
+        return MessageEnd("sent_out", where, f"left for the {where}; nothing shows who took it", "measured")
 
     def _usual(self, legs: Sequence[_Leg]) -> Latency | None:
         """Return the delay of all messages that went the same way, from the first to the last step."""
@@ -418,11 +415,6 @@ class Tracer:
 def messages_in(stream: Stream) -> int:
     """Return how many messages a stream has, those included that never came."""
     return int(stream.counts.sum())
-
-
-def way_end(way: LedgerWay) -> str:
-    """Return the last hop of a way."""
-    return way.rows()[-1].hop
 
 
 def _woke(rounds: Rounds, place: int) -> str:
@@ -464,7 +456,7 @@ def _open(way: LedgerWay, may_be: Sequence[LedgerEntry], pool: int, case: Case) 
     number = sum(entry.number for entry in may_be)
     if len({(entry.ending, entry.hop, entry.cause) for entry in may_be}) == 1 and number >= pool > 0:
         return _ending(may_be[0], "proven", case)
-    where = may_be[0].hop if len({entry.hop for entry in may_be}) == 1 else way_end(way)
+    where = may_be[0].hop if len({entry.hop for entry in may_be}) == 1 else way.rows()[-1].hop
     text = f"may be one of {_texts(may_be, case, ', ', '{number:,} ({text})')}"
     return MessageEnd("open", where, text, "unknown", one_of=max(pool, number))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.addons.archive.views import short
 from edoras_tools.older import UTC
 from edoras_tools.render import units
-from edoras_tools.render.doctor.report.charts import Frame
+from edoras_tools.render.doctor.report.charts import Frame, TimeSpan
 from edoras_tools.render.doctor.report.parts import (
     chart_card,
     colour_key,
@@ -83,12 +83,12 @@ def bin_ns(totals: dict[str, Any]) -> int:
     return next((step * SECOND for step in _ROUND_S if step * SECOND >= least), least)
 
 
-class _Calendar:
-    """How long a chart is, in s, and when it begins, as ``Frame`` takes it."""
+class _Calendar(TimeSpan):
+    """How long a chart is, in s, and when it begins."""
 
     def __init__(self, trends: ArchiveTrends) -> None:
-        self.begin = trends.totals["start_ns"] / 1e9
-        self.seconds = max(1.0, (trends.totals["end_ns"] - trends.totals["start_ns"]) / 1e9)
+        start_ns, end_ns = trends.totals["start_ns"], trends.totals["end_ns"]
+        super().__init__(start_ns / 1e9, max(1.0, (end_ns - start_ns) / 1e9))
 
     def at(self, time_ns: int) -> float:
         """Return a time as s since the begin."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from rich.text import Text
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.diagnosis.rounds import HopRate, Rounds, Timing, TopicRates
-    from edoras_tools.diagnosis.trace import MessageTrace
+    from edoras_tools.diagnosis.trace import MessageTrace, TraceStep
 
 _WIDEST: Final = 100
 _TIME, _AFTER, _WITNESS = 13, 13, 8
@@ -44,11 +44,12 @@ def usual_text(trace: MessageTrace) -> str:
         return ""
     took = "took" if trace.ended.ending in {"delivered", "sent_out"} else "followed for"
     text = f"{took} {_milliseconds(trace.delay_ns)}"
+    text += "" if trace.delay_witness == "measured" else f" ({trace.delay_witness})"
     if trace.usual is None:
         return text
-    own = (trace.usual.p50, trace.usual.p99, trace.usual.most)
-    p50, p99, most = (units.milliseconds(item) for item in own)
-    return f"{text}; the {trace.usual.count:,} of which that is measured: p50 {p50}, p99 {p99}, max {most}"
+    usual = trace.usual
+    p50, p99, most = map(units.milliseconds, (usual.p50, usual.p99, usual.most))
+    return f"{text}; the {usual.count:,} of which that is measured: p50 {p50}, p99 {p99}, max {most}"
 
 
 def ended_text(trace: MessageTrace) -> str:
@@ -63,6 +64,38 @@ def is_lost(trace: MessageTrace) -> bool:
     return trace.ended.ending in {"lost", "unaccounted"}
 
 
+class Way(NamedTuple):
+    """One way of a message, as it is drawn.
+
+    Attributes:
+        trace: the way.
+        heading: what stands above it.
+        shared: places that it has in common with the first way; they are drawn there.
+        rungs: of each of the others what happened there, its time, that since the one before, and the place.
+    """
+
+    trace: MessageTrace
+    heading: str
+    shared: int
+    rungs: list[tuple[str, str, str, TraceStep]]
+
+
+def ways(trace: MessageTrace, zero_ns: int) -> Iterator[Way]:
+    """Yield the ways of a message; times count from ``zero_ns``."""
+    for way in (trace, *trace.also):
+        rungs = []
+        for step, after_ns in zip(way.steps, way.after_ns, strict=True):
+            text = clean(step.text if step.packet is None else f"packet {step.packet:,}: {step.text}")
+            when = "" if step.time_ns is None else f"{(step.time_ns - zero_ns) / 1e9:.6f} s"
+            rungs.append((text, when, "" if after_ns is None else f"+{_milliseconds(after_ns)}", step))
+        if way is trace:
+            yield Way(way, title(trace), 0, rungs)
+            continue
+        own = zip(trace.steps, way.steps, strict=False)
+        shared = next(at for at, (one, other) in enumerate(own) if one != other)
+        yield Way(way, "It also came out another way:", shared, rungs[shared:])
+
+
 def ladder(trace: MessageTrace, zero_ns: int, width: int) -> list[Text]:
     """Return the way of a message, a rung for each place.
 
@@ -72,22 +105,22 @@ def ladder(trace: MessageTrace, zero_ns: int, width: int) -> list[Text]:
     """
     width = min(width, _WIDEST)
     room = width - 2 - _TIME - _AFTER - 2 - _WITNESS
-    lines = [Text(clip(title(trace), width), palette.STRONG)]
-    head = f"  {fit('where', room)}{fit_right('time', _TIME)}{fit_right('after', _AFTER)}  known"
-    lines.append(Text(head, palette.DIM))
-    for step, after_ns in zip(trace.steps, trace.after_ns, strict=True):
-        when = "" if step.time_ns is None else f"{(step.time_ns - zero_ns) / 1e9:.6f} s"
-        after = "" if after_ns is None else f"+{_milliseconds(after_ns)}"
-        line = Text(f"● {fit(clean(step.hop), room)}{fit_right(when, _TIME)}{fit_right(after, _AFTER)}  ")
-        lines.append(line.append(step.witness, palette.DIM if step.witness == "unknown" else ""))
-        text = f"packet {step.packet:,}: {step.text}" if step.packet is not None else step.text
-        lines += [Text(f"│   {part}", palette.DIM) for part in wrap(clean(text), width - 4)]
-    style = Level.ERROR.style if is_lost(trace) else palette.GOOD if trace.ended.ending != "open" else ""
-    mark = "✗" if is_lost(trace) else "?" if trace.ended.ending == "open" else "✓"
-    for place, part in enumerate(wrap(clean(ended_text(trace)), width - 2)):
-        lines.append(Text(f"{'  ' if place else f'{mark} '}{part}", style))
-    if took := usual_text(trace):
-        lines += [Text(f"  {part}") for part in wrap(clean(took), width - 2)]
+    lines: list[Text] = []
+    for way in ways(trace, zero_ns):
+        lines.append(Text(clip(way.heading, width), palette.STRONG))
+        if way.trace is trace:
+            head = f"  {fit('where', room)}{fit_right('time', _TIME)}{fit_right('after', _AFTER)}  known"
+            lines.append(Text(head, palette.DIM))
+        for text, when, after, step in way.rungs:
+            line = Text(f"● {fit(clean(step.hop), room)}{fit_right(when, _TIME)}{fit_right(after, _AFTER)}  ")
+            lines.append(line.append(step.witness, palette.DIM if step.witness == "unknown" else ""))
+            lines += [Text(f"│   {part}", palette.DIM) for part in wrap(text, width - 4)]
+        is_open, lost = way.trace.ended.ending == "open", is_lost(way.trace)
+        style, mark = (Level.ERROR.style, "✗") if lost else ("", "?") if is_open else (palette.GOOD, "✓")
+        for place, part in enumerate(wrap(clean(ended_text(way.trace)), width - 2)):
+            lines.append(Text(f"{'  ' if place else f'{mark} '}{part}", style))
+        if took := usual_text(way.trace):
+            lines += [Text(f"  {part}") for part in wrap(clean(took), width - 2)]
     return lines
 
 
@@ -99,17 +132,19 @@ def _milliseconds(value_ns: int) -> str:
 def trace_mermaid(trace: MessageTrace, zero_ns: int) -> Iterator[str]:
     """Yield the lines of a Mermaid sequence diagram."""
     yield "sequenceDiagram"
-    for place, step in enumerate(trace.steps):
-        yield f"    participant P{place} as {mermaid_text(step.hop)}"
-    for place, (step, after_ns) in enumerate(zip(trace.steps, trace.after_ns, strict=True)):
-        if place:
-            after = "" if after_ns is None else f"+{_milliseconds(after_ns)} "
-            yield f"    P{place - 1}->>P{place}: {mermaid_text(f'{after}({step.witness})')}"
-        when = "" if step.time_ns is None else f"{(step.time_ns - zero_ns) / 1e9:.6f} s, "
-        yield f"    Note over P{place}: {mermaid_text(f'{when}{step.text}')}"
-    last = len(trace.steps) - 1
-    arrow = "-x" if is_lost(trace) else "->>"
-    yield f"    P{last}{arrow}P{last}: {mermaid_text(ended_text(trace))}"
+    for which, way in enumerate(ways(trace, zero_ns)):
+        names = [f"W{which}P" if which and at >= way.shared else "P" for at in range(len(way.trace.steps))]
+        names = [f"{name}{at}" for at, name in enumerate(names)]
+        for name, (*_, step) in zip(names[way.shared :], way.rungs, strict=True):
+            yield f"    participant {name} as {mermaid_text(step.hop)}"
+        for place, (_, when, after, step) in enumerate(way.rungs, way.shared):
+            if place:
+                label = mermaid_text(f"{after} ({step.witness})".strip())
+                yield f"    {names[place - 1]}->>{names[place]}: {label}"
+            text = mermaid_text(", ".join(filter(None, (when, step.text))))
+            yield f"    Note over {names[place]}: {text}"
+        arrow = "-x" if is_lost(way.trace) else "->>"
+        yield f"    {names[-1]}{arrow}{names[-1]}: {mermaid_text(ended_text(way.trace))}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from html import escape
 from math import ceil, floor
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.render.plot.figure import ticks
 
@@ -21,7 +22,8 @@ _COUNTED: Final = ("messages", "runs")
 """Units of which there are no halves. The margins hold the large letters that a phone is given."""
 
 
-class TimeSpan(Protocol):
+@dataclass(slots=True)
+class TimeSpan:
     """What a time axis shows.
 
     Attributes:
@@ -68,12 +70,10 @@ class Frame:
         if value > self.y_most:
             return
         y = self.y(value)
-        self.parts.append(
-            f'<line class="{style}" x1="{_LEFT}" x2="{CHART_WIDTH - _RIGHT}" y1="{y}" y2="{y}"/>'
-        )
-        self.parts.append(
-            f'<text class="end label" x="{CHART_WIDTH - _RIGHT - 4}" y="{y - 4}">{escape(text)}</text>'
-        )
+        self.parts += [
+            f'<line class="{style}" x1="{_LEFT}" x2="{CHART_WIDTH - _RIGHT}" y1="{y}" y2="{y}"/>',
+            f'<text class="end label" x="{CHART_WIDTH - _RIGHT - 4}" y="{y - 4}">{escape(text)}</text>',
+        ]
 
     def bars(self, values: Sequence[float], base: Sequence[float], width: float, style: str) -> None:
         """Draw bars of ``width`` s on top of others."""
@@ -129,9 +129,8 @@ def rate_chart(row: Mapping[str, Any], drawn: Plots) -> str:
     total = [a + b for a, b in zip(row["seen"], row["missing"], strict=True)]
     peak = max(total, default=1.0)
     clean = row["limit"] or 0.0
-    frame = Frame(
-        drawn, max(peak, clean if clean < 4 * peak else 0.0), "per second", f"rate of {row['label']}"
-    )
+    most = max(peak, clean if clean < 4 * peak else 0.0)
+    frame = Frame(drawn, most, "per second", f"rate of {row['label']}")
     frame.bars(row["seen"], [0.0] * len(total), drawn.bin_s, f"seen {row['link']}")
     frame.bars(row["missing"], row["seen"], drawn.bin_s, "missing")
     if clean:
@@ -166,9 +165,8 @@ def timeline(drawn: Plots) -> str:
         parts.append(f'<text x="{_LEFT}" y="{top + 12}">{escape(row["label"])}</text>')
         for state in row["states"]:
             begin, right = frame.x(state["from"]), frame.x(min(state["to"], drawn.seconds))
-            label = escape(
-                f"{state['state'].replace('_', ' ')} at {drawn.begin + state['from']:.1f} s: {state['why']}"
-            )
+            when = f"{drawn.begin + state['from']:.1f} s: {state['why']}"
+            label = escape(f"{state['state'].replace('_', ' ')} at {when}")
             parts.append(
                 f'<rect class="{state["state"]}" x="{begin}" y="{top + 17}" height="11" '
                 f'width="{max(right - begin, 1.5):.1f}"><title>{label}</title></rect>'

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, Final
@@ -32,43 +31,35 @@ def standalone(svg: str) -> str:
 
 def trace_picture(trace: MessageTrace, zero_ns: int) -> str:
     """Draw the way of a message as a ladder."""
-    rungs, x, right = [], 20, charts.CHART_WIDTH - 10
-    for place, (step, after_ns) in enumerate(zip(trace.steps, trace.after_ns, strict=True)):
-        y = 44 + place * _RUNG
-        when = "" if step.time_ns is None else f"{(step.time_ns - zero_ns) / 1e9:.6f} s"
-        after = "" if after_ns is None else f"+{after_ns / 1e6:,.3f} ms  "
-        packet = "" if step.packet is None else f"packet {step.packet:,}: "
-        rungs += [
-            f'<line class="rung" x1="{x}" x2="{x}" y1="{y}" y2="{y + _RUNG}"/>',
-            f'<circle class="{step.witness.replace(" ", "-")}" cx="{x}" cy="{y}" r="6"/>',
-            f'<text class="label" x="{x + 18}" y="{y + 4}">{escape(clean(step.hop))}</text>',
-            f'<text x="{x + 18}" y="{y + 20}">{escape(clip(clean(packet + step.text), 100))}</text>',
-            f'<text class="end" x="{right}" y="{y + 4}">{after}{when}  {step.witness}</text>',
+    shapes, x, y, right = [], 20, 20, charts.CHART_WIDTH - 10
+    for way in texts.ways(trace, zero_ns):
+        shapes.append(f'<text class="label" x="10" y="{y}">{escape(way.heading)}</text>')
+        y += 24
+        for text, when, after, step in way.rungs:
+            shapes += [
+                f'<line class="rung" x1="{x}" x2="{x}" y1="{y}" y2="{y + _RUNG}"/>',
+                f'<circle class="{step.witness.replace(" ", "-")}" cx="{x}" cy="{y}" r="6"/>',
+                f'<text class="label" x="{x + 18}" y="{y + 4}">{escape(clean(step.hop))}</text>',
+                f'<text x="{x + 18}" y="{y + 20}">{escape(clip(text, 100))}</text>',
+                f'<text class="end" x="{right}" y="{y + 4}">{after}  {when}  {step.witness}</text>',
+            ]
+            y += _RUNG
+        ended, is_open = clean(texts.ended_text(way.trace)), way.trace.ended.ending == "open"
+        style = "lossy" if texts.is_lost(way.trace) else "open" if is_open else "good"
+        shapes += [
+            f'<circle class="ended {style}" cx="{x}" cy="{y}" r="8"/>',
+            f'<text class="label" x="{x + 18}" y="{y + 4}">{escape(ended)}</text>',
+            f'<text x="{x + 18}" y="{y + 20}">{escape(texts.usual_text(way.trace))}</text>',
         ]
-    y = 44 + len(trace.steps) * _RUNG
-    style = "lossy" if texts.is_lost(trace) else "open" if trace.ended.ending == "open" else "good"
-    rungs += [
-        f'<text class="label" x="10" y="20">{escape(texts.title(trace))}</text>',
-        f'<circle class="ended {style}" cx="{x}" cy="{y}" r="8"/>',
-        f'<text class="label" x="{x + 18}" y="{y + 4}">{escape(clean(texts.ended_text(trace)))}</text>',
-        f'<text x="{x + 18}" y="{y + 20}">{escape(texts.usual_text(trace))}</text>',
-    ]
-    return charts.svg_box("".join(rungs), y + 34, f"{texts.title(trace)}: {texts.ended_text(trace)}")
-
-
-@dataclass(slots=True)
-class _Span:
-    """The time axis of a diagram, in s."""
-
-    begin: float
-    seconds: float
+        y += _RUNG
+    return charts.svg_box("".join(shapes), y - 12, f"{texts.title(trace)}: {texts.ended_text(trace)}")
 
 
 def timing_picture(timing: Timing, zero_ns: int) -> str:
     """Draw a topic's wake-ups, what waits, and what does not come out."""
     rounds = timing.rounds
     window = texts.TimingWindow.worst(rounds, _ROUNDS)
-    span = _Span((window.start_ns - zero_ns) / 1e9, (window.end_ns - window.start_ns) / 1e9)
+    span = charts.TimeSpan((window.start_ns - zero_ns) / 1e9, (window.end_ns - window.start_ns) / 1e9)
     depth, mine = rounds.depth(), window.messages
     seconds = (rounds.time_ns[mine] - window.start_ns) / 1e9
     inside = depth[mine] if len(rounds.wakes_ns) else depth[mine] * 0 + 1
