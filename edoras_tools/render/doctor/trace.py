@@ -64,7 +64,7 @@ def is_lost(trace: MessageTrace) -> bool:
     return trace.ended.ending in {"lost", "unaccounted"}
 
 
-class Way(NamedTuple):
+class LadderPart(NamedTuple):
     """One way of a message, as it is drawn.
 
     Attributes:
@@ -80,7 +80,7 @@ class Way(NamedTuple):
     rungs: list[tuple[str, str, str, TraceStep]]
 
 
-def ways(trace: MessageTrace, zero_ns: int) -> Iterator[Way]:
+def ladder_parts(trace: MessageTrace, zero_ns: int) -> Iterator[LadderPart]:
     """Yield the ways of a message; times count from ``zero_ns``."""
     for way in (trace, *trace.also):
         rungs = []
@@ -89,11 +89,11 @@ def ways(trace: MessageTrace, zero_ns: int) -> Iterator[Way]:
             when = "" if step.time_ns is None else f"{(step.time_ns - zero_ns) / 1e9:.6f} s"
             rungs.append((text, when, "" if after_ns is None else f"+{_milliseconds(after_ns)}", step))
         if way is trace:
-            yield Way(way, title(trace), 0, rungs)
+            yield LadderPart(way, title(trace), 0, rungs)
             continue
         own = zip(trace.steps, way.steps, strict=False)
         shared = next(at for at, (one, other) in enumerate(own) if one != other)
-        yield Way(way, "It also came out another way:", shared, rungs[shared:])
+        yield LadderPart(way, "It also came out another way:", shared, rungs[shared:])
 
 
 def ladder(trace: MessageTrace, zero_ns: int, width: int) -> list[Text]:
@@ -106,7 +106,7 @@ def ladder(trace: MessageTrace, zero_ns: int, width: int) -> list[Text]:
     width = min(width, _WIDEST)
     room = width - 2 - _TIME - _AFTER - 2 - _WITNESS
     lines: list[Text] = []
-    for way in ways(trace, zero_ns):
+    for way in ladder_parts(trace, zero_ns):
         lines.append(Text(clip(way.heading, width), palette.STRONG))
         if way.trace is trace:
             head = f"  {fit('where', room)}{fit_right('time', _TIME)}{fit_right('after', _AFTER)}  known"
@@ -132,7 +132,7 @@ def _milliseconds(value_ns: int) -> str:
 def trace_mermaid(trace: MessageTrace, zero_ns: int) -> Iterator[str]:
     """Yield the lines of a Mermaid sequence diagram."""
     yield "sequenceDiagram"
-    for which, way in enumerate(ways(trace, zero_ns)):
+    for which, way in enumerate(ladder_parts(trace, zero_ns)):
         names = [f"W{which}P" if which and at >= way.shared else "P" for at in range(len(way.trace.steps))]
         names = [f"{name}{at}" for at, name in enumerate(names)]
         for name, (*_, step) in zip(names[way.shared :], way.rungs, strict=True):

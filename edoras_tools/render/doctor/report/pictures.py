@@ -32,7 +32,7 @@ def standalone(svg: str) -> str:
 def trace_picture(trace: MessageTrace, zero_ns: int) -> str:
     """Draw the way of a message as a ladder."""
     shapes, x, y, right = [], 20, 20, charts.CHART_WIDTH - 10
-    for way in texts.ways(trace, zero_ns):
+    for way in texts.ladder_parts(trace, zero_ns):
         shapes.append(f'<text class="label" x="10" y="{y}">{escape(way.heading)}</text>')
         y += 24
         for text, when, after, step in way.rungs:
