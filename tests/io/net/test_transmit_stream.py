@@ -1,5 +1,6 @@
 """SBN over TCP to a listener that behaves as SBN's TCP module: it answers the first message, and reads on."""
 
+import gzip
 import json
 import socket
 import struct
@@ -9,6 +10,7 @@ from threading import Thread
 import numpy as np
 import pytest
 import warm
+from places import SAMPLES
 from streams import Segment, packet, sbn_message, write_segments
 
 from edoras_tools.errors import CaptureError
@@ -49,6 +51,7 @@ class CfsSide:
                     if len(self.got) == 1 and self._answers:
                         wanted = struct.pack(">HIBB", 1, 0x1827, 0, 0)
                         answer = sbn_message(PROTO, b"\x0b", 1) + sbn_message(SUB, IDENT + wanted, 1)
+                        answer = self._answers if isinstance(self._answers, bytes) else answer
                         connection.sendall(answer[:17])
                         time.sleep(0.02)
                         connection.sendall(answer[17:])
@@ -189,3 +192,35 @@ def test_another_protocol_is_one_error():
                 connection.sendall(b"\xff" * 40)
                 with pytest.raises(CaptureError, match="sends another protocol"):
                     list(forever(transmitter.receive))
+
+
+def recorded_streams():
+    """Return what each end of the run with a real cFS sent, by (source port, destination port)."""
+    from scapy.layers.inet import TCP
+    from scapy.utils import PcapReader
+
+    by_ends = {}
+    with gzip.open(SAMPLES / "cfs_files/sbn_tcp.pcap.gz") as file, PcapReader(file) as reader:
+        for frame in reader:
+            if TCP in frame and (
+                data := bytes(frame[TCP].payload)[: frame["IP"].len - 20 - 4 * frame[TCP].dataofs]
+            ):
+                by_ends.setdefault((frame[TCP].sport, frame[TCP].dport), {})[frame[TCP].seq] = data
+    return {ends: b"".join(data for _, data in sorted(parts.items())) for ends, parts in by_ends.items()}
+
+
+def test_what_a_real_cfs_answers_is_understood_and_it_gets_the_same_packets_again():
+    """The listener says what cFS said in the recorded run; packets come in the recorded order, unchanged."""
+    streams = recorded_streams()
+    ours, theirs = streams[60784, 2234], streams[2234, 60784]
+    cfs = CfsSide(answers=theirs)
+    done = replayed(SAMPLES / "cfs_files/sbn_tcp.pcap.gz", cfs.port, "--tcp", "--speed", "20")
+    cfs.close()
+    assert done.returncode == 0, done.stderr
+    packets, at = [], 0
+    while at < len(ours):
+        size, kind = struct.unpack(">hB", ours[at : at + 3])
+        packets += [ours[at + 11 : at + 11 + size]] * (kind == APP)
+        at += 11 + size
+    assert [payload for _, kind, payload in cfs.got if kind == APP] == packets
+    assert len(packets) == 60
