@@ -150,7 +150,7 @@ class TransferFramesLink(LinkProtocol):
         """Return how packets go in frames of the mission's first port with TC frames, or with others.
 
         Raises:
-            ConfigError: it has none, or some that cannot be made.
+            ConfigError: it has none.
         """
         kinds = "TC" if up else "TM or AOS"
         port, form = next(
@@ -158,8 +158,6 @@ class TransferFramesLink(LinkProtocol):
         )
         if form is None:
             raise ConfigError(f"no mission file says where {kinds} frames go: name one with 'frames' by -c")
-        if form.header_error_control:
-            raise ConfigError("AOS frames with a header error control, a Reed-Solomon code, cannot be made")
         sending: LinkSending = self.part("sending:FrameSending")(self, port, form)
         return sending
 

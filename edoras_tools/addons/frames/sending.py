@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _TOGETHER_NS: Final = 50 * MILLISECOND
 """A packet waits so long for others in its TM or AOS frame; then the rest of the frame is idle."""
 _LARGEST_TC: Final = 1024
+_GENERATOR: Final = (3, 1, 3, 0)
+"""The code's generator x^4 + a^3 x^3 + a x^2 + a^3 x + 1, as powers of a."""
 _SPACECRAFT: Final = 0x42
 
 
@@ -134,8 +136,31 @@ class FrameSending(LinkSending):
         values[name] = self._count % count_modulus(kind)
         values["transfer_frame_version_number"] = FRAME_VERSIONS[kind]
         self._count += 1
-        frame = layout.emit(ids | values) + data
+        head = layout.emit(ids | values)
+        if self.form.header_error_control:
+            head += header_check(head)
+        frame = head + data
         return frame + crc16(frame).to_bytes(CRC16_BYTES, "big") if self.form.fecf else frame
+
+
+def header_check(head: bytes) -> bytes:
+    """Return the error control of an AOS header: a Reed-Solomon code (10,6) over 4 bits (732.0-B 4.1.2.6).
+
+    It is of the identifications, bytes 0 and 1, and of the signaling field, byte 5.
+    """
+    symbols = [part for octet in (head[0], head[1], head[5]) for part in (octet >> 4, octet & 15)]
+    rest = [0, 0, 0, 0]
+    for symbol in symbols:
+        factor = symbol ^ rest[0]
+        rest = [item ^ _times(power, factor) for item, power in zip([*rest[1:], 0], _GENERATOR, strict=True)]
+    return bytes([rest[0] << 4 | rest[1], rest[2] << 4 | rest[3]])
+
+
+def _times(power: int, symbol: int) -> int:
+    """Return a symbol times a power of a root of x^4 + x + 1."""
+    for _ in range(power):
+        symbol = symbol << 1 ^ (symbol >> 3) * 0b10011
+    return symbol
 
 
 def _idle(size: int) -> bytes:

@@ -9,6 +9,8 @@ from rewriting import datagrams
 from spacepackets.ccsds.tm_frame import TmTransferFrame
 from waiting import Ear
 
+from edoras_tools.addons.frames.sending import header_check
+
 ROVER = SAMPLES / "captures/a_rover.pcap"
 FORMS = {
     "tm": {"kind": "tm", "length": 128},
@@ -109,3 +111,40 @@ def test_a_made_up_command_is_framed_with_the_channels_own_counts(call, tmp_path
         frames, packets = ear.take(), plain.take()
     assert [item[5:-2] for item in frames] == packets
     assert [item[4] for item in frames] == [0, 1, 2]
+
+
+def powers():
+    """The powers of a root of x^4 + x + 1, as CCSDS 732.0-B lists them."""
+    item = 1
+    for _ in range(15):
+        yield item
+        item = item << 1 ^ (0b10011 if item & 8 else 0)
+
+
+def test_the_header_of_an_aos_frame_has_its_error_control(sent):
+    """Each header is a word of the code: it is zero at the roots a^6 to a^9 of the generator."""
+    power = [*powers()]
+    assert power[6:10] == [0b1100, 0b1011, 0b0101, 0b1010]
+
+    def product(one, other):
+        return one and other and power[(power.index(one) + power.index(other)) % 15]
+
+    form = FORMS["aos"] | {"header_error_control": True}
+    frames = sent(form)
+    assert {len(item) for item in frames} == {200}
+    for frame in frames:
+        octets = frame[0], frame[1], frame[5], frame[6], frame[7]
+        word = [part for octet in octets for part in (octet >> 4, octet & 15)]
+        for root in power[6:10]:
+            value = 0
+            for symbol in word:
+                value = product(value, root) ^ symbol
+            assert value == 0
+    zones = [(item[14:-6], int.from_bytes(item[12:14], "big") & 0x7FF) for item in frames]
+    assert packets_in(zones) == packets_to(1235)
+
+
+def test_an_error_in_a_header_shows():
+    head = bytes.fromhex("450100000100")
+    words = {header_check(bytes([*head[:at], head[at] ^ 1, *head[at + 1 :]])) for at in (0, 1, 5)}
+    assert len(words | {header_check(head)}) == 4
