@@ -41,7 +41,7 @@ def trace_picture(trace: MessageTrace, zero_ns: int) -> str:
                 f'<circle class="{step.witness.replace(" ", "-")}" cx="{x}" cy="{y}" r="6"/>',
                 f'<text class="label" x="{x + 18}" y="{y + 4}">{escape(clean(step.hop))}</text>',
                 f'<text x="{x + 18}" y="{y + 20}">{escape(clip(text, 100))}</text>',
-                f'<text class="end" x="{right}" y="{y + 4}">{after}  {when}  {step.witness}</text>',
+                f'<text class="end" x="{right}" y="{y + 4}">{after}&#8195;{when}&#8195;{step.witness}</text>',
             ]
             y += _RUNG
         ended, is_open = clean(texts.ended_text(way.trace)), way.trace.ended.ending == "open"
@@ -65,12 +65,12 @@ def timing_picture(timing: Timing, zero_ns: int) -> str:
     inside = depth[mine] if len(rounds.wakes_ns) else depth[mine] * 0 + 1
     points = list(zip(seconds.tolist(), inside.tolist(), rounds.out[mine].tolist(), strict=True))
     most = max([rounds.limit, *inside.tolist()]) + 1
-    title = f"{timing.topic}: {'; '.join(texts.facts(timing))}"
-    frame = charts.Frame(span, most, "messages", title)
+    frame = charts.Frame(span, most, "messages", f"{timing.topic}: {'; '.join(texts.facts(timing))}")
     for when in window.wakes_ns:
         frame.line([((when - window.start_ns) / 1e9, 0.0), ((when - window.start_ns) / 1e9, most)], "wake")
     if len(rounds.wakes_ns):
-        frame.level(rounds.limit, "limit", f"{rounds.limit} may wait, {rounds.limit_from}")
+        frame.level(rounds.limit, "limit", "")
+        frame.level(frame.y_most, "", f"{rounds.limit} may wait, {rounds.limit_from}")  # no dot is there
     shift = 0.4 if len(rounds.wakes_ns) else 0.0
     frame.dots([(at, level) for at, level, out in points if out or not rounds.visible], "run")
     frame.dots([(at, level + shift) for at, level, out in points if not out and rounds.visible], "run lossy")
