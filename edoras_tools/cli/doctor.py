@@ -303,10 +303,9 @@ def _compare_bags(
     lost = sum(item.comparison.lost for item in found)
     ways: list[Chain] = []
     if judged:
-        of = judged.diagnosis
-        ways = chains(of.balance, of.topics, bridge_counts(found))
+        ways = chains(judged.diagnosis.balance, judged.diagnosis.topics, bridge_counts(found))
         if not printing.json:
-            _print(of, source.info.name, quiet=printing.quiet, verbose=verbose)
+            _print(judged.diagnosis, source.info.name, quiet=printing.quiet, verbose=verbose)
     if printing.json:
         told, way = ([item.as_json() for item in those] for those in (found, ways))
         print_json({"lost": lost, "bags": told, "chains": way, "diagnosis": judged and judged.summary()})

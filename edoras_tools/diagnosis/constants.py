@@ -161,8 +161,7 @@ def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
         return None
     delays = np.concatenate([hop.delays_ns for hop in _last(hops)])
     longest = float(np.quantile(delays, 0.9)) / found if len(delays) else 0.0
-    low, high = _WAITS
-    return found if low < longest < high else None
+    return found if _WAITS[0] < longest < _WAITS[1] else None
 
 
 def _kept(times: NDArray[np.int64]) -> int:

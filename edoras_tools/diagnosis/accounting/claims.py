@@ -206,9 +206,8 @@ def _move(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
     for instance, own in counts.items():
         table = _Table(instance, "overflow", own, claims, 0)
         for second in np.flatnonzero(table.left).tolist():
-            held = [claims[at] for at in table.within(second)]
-            limits = [(claim, place) for claim in held for place in claim.taken if "limit" in place]
-            for claim, place in limits:
+            every = [(claims[at], place) for at in table.within(second) for place in claims[at].taken]
+            for claim, place in (item for item in every if "limit" in item[1]):
                 number = min(claim.taken[place], int(table.left[second]))
                 claim.give(place, -number)
                 claim.give((instance, "overflow", second), number)

@@ -286,6 +286,7 @@ class _Counted:
                 begin = self._first_count()
                 older = 0 if begin[0] == "down" else min(_older(low, high), self._most_older(end))
                 before = older
+                low[0] = min(low[0], max(before, high.min()))  # what CI counts later was not lost before
                 if busy[1:2].any():
                     low[0] = -_MODULUS  # how much it had read before the first sample, nothing tells
                     idle = np.flatnonzero(np.diff(count[part]) < most)
@@ -680,12 +681,11 @@ class BeforeCi:
 def _evidence(account: Ingest, before: Before) -> list[str]:
     if before.said:
         return [before.said]
-    taken = account.taken
     if account.by_kernel:
         of = f"{before.lost:,} of {len(account.rows):,} datagrams"
         return [f"/edoras/host: {of} dropped in its socket (the kernel's counter)"]
-    text = f"0x884: CI took {taken:,} of {taken + account.lost + account.waiting:,} datagrams sent to it"
-    evidence = [text, f"{before.lost:,} of them lost between two of its counts"]
+    of = f"{account.taken:,} of {account.taken + account.lost + account.waiting:,} datagrams sent to it"
+    evidence = [f"0x884: CI took {of}", f"{before.lost:,} of them lost between two of its counts"]
     if account.unsure:
         evidence.append(
             "the capture begins amid commands, of which its first counts may have some or not: up to "

@@ -209,7 +209,11 @@ def _counted(case: Case) -> dict[tuple[int, int], list[int]]:
     taken = {hop.into.msg_id for hop in case.hops} | {
         item.msg_id for item in case.reported_losses if item.kind != "no_subscriber"
     }
-    arriving = arriving[~np.isin(rows.msg_id[arriving], [*MSG_ID_NAMES, *taken])]
+    # A cFS sends its peer what that has subscribed to: a counter alone does not say otherwise.
+    names = [item.name for item in case.instances.items]
+    senders = [place for place, name in case.network.identity_of.items() if name in names]
+    of_cfs = np.isin(rows.source[arriving], senders)
+    arriving = arriving[~np.isin(rows.msg_id[arriving], [*MSG_ID_NAMES, *taken]) & ~of_cfs]
     found: dict[tuple[int, int], list[int]] = {}
     for instance, track in case.tracks.items():
         counts = np.array(track.totals["no_subscribers"]) - track.totals["no_subscribers"][0]
