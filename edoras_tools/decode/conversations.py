@@ -129,9 +129,9 @@ class Conversations:
         default_factory=lambda: (np.zeros(0, np.intp), np.zeros(0, np.intp), [])
     )
 
-    def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Count a batch's datagrams."""
-        rows = np.flatnonzero(batch.length > 0)
+    def add(self, batch: PacketBatch, columns: Columns, mask: NDArray[np.bool_] | None = None) -> None:
+        """Count those datagrams of a batch that a mask chooses; all without one."""
+        rows = np.flatnonzero(batch.length > 0 if mask is None else (batch.length > 0) & mask)
         link = columns.link
         marks = _marks(batch, columns, rows, self.context.known)
         source = batch.source_address[rows].astype(np.uint64)

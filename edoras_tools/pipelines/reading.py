@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     import threading
     from collections.abc import Callable, Iterator
 
+    from numpy.typing import NDArray
+
     from edoras_tools.io import Source
     from edoras_tools.links.doors import OwnRows
     from edoras_tools.pipelines.workbench import Workbench
@@ -159,11 +161,11 @@ class ReadLoop:
             columns = self.source.decoded(batch, bench.columns.decode)
             for own in self._own_rows.of(columns):
                 batch, columns = own.take(batch, columns, bench.columns.decode)
-            self._follow(batch, columns)
+            shown = visible.holds(batch.time_ns - begin_ns) if visible else None
+            self._follow(batch, columns, shown)
             rows = self.selection.rows(batch, columns)
-            inside = inside or (len(batch) > 0 and bool(visible.holds(batch.time_ns - begin_ns).any()))
-            if visible:
-                rows = rows[visible.holds(batch.time_ns[rows] - begin_ns)]
+            inside = inside or bool(len(batch) if shown is None else shown.any())
+            rows = rows if shown is None else rows[shown[rows]]
             if limits.count:
                 rows = rows[:remaining]
                 remaining -= len(rows)
@@ -184,13 +186,16 @@ class ReadLoop:
         if self.begin_ns is not None and not (inside or self.interrupted or self.source.live):
             raise outside(self.source.info.name, self.begin_ns, self.last_ns)
 
-    def _follow(self, batch: PacketBatch, columns: Columns) -> None:
+    def _follow(self, batch: PacketBatch, columns: Columns, shown: NDArray[np.bool_] | None) -> None:
+        """Follow the conversations of the time that is asked for."""
         if batch.recorded is not None:
             return
         if self._conversing:
-            self.conversations.add(batch, columns)
-        elif len(others := np.flatnonzero(columns.link == OTHER)):
-            self.conversations.add(batch.take(others), columns.take(others))
+            self.conversations.add(batch, columns, shown)
+            return
+        others = columns.link == OTHER
+        if others.any():
+            self.conversations.add(batch, columns, others if shown is None else others & shown)
 
     def _until_failure(self) -> Iterator[PacketBatch]:
         try:
