@@ -84,7 +84,7 @@ ELSEWHERE = {
     "ros/types/schema.py": "ros/types/test_grammar.py",
     "sessions/faults/*": "sessions/faults/test_machine.py",
     "sessions/sbn/*": "sessions/sbn/test_connection.py",
-    "structs/*": "structs/test_compiled.py",
+    "structs/*": "structs/test_cfe.py",
     "addons/debug_info/*": "addons/debug_info/test_dwarf.py",
     "structs/fprime/*": "addons/fprime/test_link.py",
     "wire/*": "wire/test_headers.py",
