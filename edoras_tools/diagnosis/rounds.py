@@ -260,6 +260,8 @@ USUAL_WINDOW: Final = 10_000
 """Messages that a rate is of, as in ``ros2 topic hz``."""
 _LEAST: Final = 3
 """Readings of a counter that make a rate."""
+_BACKLOG_S: Final = 2.0
+"""What waits is no backlog if it is of so short a time: counters are read once a second."""
 _GONE: Final = frozenset({"lost", "unaccounted"})
 
 
@@ -323,8 +325,7 @@ def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRat
     seconds = float(times[-1] - times[0]) / SECOND
     base = (len(times) - 1) / seconds if seconds > 0 else 0.0
     hops = [HopRate(APPLICATION if fate is None else "publisher", base, len(times), True, *_steps(times))]
-    way = case.ledger.way(stream)
-    hops += _inner(way, first, len(times), base)
+    hops += _inner(way := case.ledger.way(stream), first, len(times), base)
     if fate is not None and not rounds.visible:
         rate = _by_counters(case, stream, way, times)
         into = base if hops[-1].rate_hz is None else hops[-1].rate_hz
@@ -337,8 +338,7 @@ def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRat
         hops.append(HopRate(APPLICATION, rate, count, True, *_steps(_outs(case, stream, first))))
     else:
         captured = case.rows.time_ns[stream.rows[rounds.row[first:][out]]]
-        rate = base * int(out.sum()) / len(out)
-        hops.append(HopRate("capture", rate, int(out.sum()), True, *_steps(captured)))
+        hops.append(HopRate("capture", base * float(out.mean()), int(out.sum()), True, *_steps(captured)))
     return TopicRates(topic, stream.link.label, stream.msg_id, len(times), tuple(hops))
 
 
@@ -356,12 +356,14 @@ def _inner(way: LedgerWay, first: int, size: int, base: float) -> list[HopRate]:
             break  # what the bus and the application lose is told by what comes out
         entries = [item for item in way.entries() if item.hop == row.hop and item.ending in _GONE]
         number, sure = (row.proven, True) if not first else _within(entries, first, size / row.came)
-        # What no count has yet says nothing of the rate.
-        counted = (row.came if not first else size) - (row.waiting + row.not_captured + row.uncertain)
-        share, exact = share * (1 - number / max(counted, number, 1)), exact and sure
-        hops.append(HopRate(row.hop, base * share, round(size * share), exact))
-        if not row.observed:
-            hops[-1] = HopRate(row.hop, None, None)
+        late = row.waiting + row.uncertain
+        if is_behind := late > _BACKLOG_S * base:
+            number, late = number + round(late * size / row.came), 0
+        # What no count has yet says nothing of the rate, but where ever more of it waits.
+        counted = (row.came if not first else size) - late - row.not_captured
+        share, exact = share * (1 - number / max(counted, number, 1)), exact and sure and not is_behind
+        figures = (base * share, round(size * share), exact) if row.observed else (None, None)
+        hops.append(HopRate(row.hop, *figures))
     return hops
 
 
@@ -376,8 +378,7 @@ def _by_counters(case: Case, stream: Stream, way: LedgerWay, times: NDArray[np.i
     inside = np.flatnonzero((read >= times[0] + SECOND) & (read <= times[-1] + SECOND))
     if len(inside) < _LEAST or row.all_lost != totals[-1] - totals[0]:
         return None
-    first, last = inside[0], inside[-1]
-    return float((totals[last] - totals[first]) / (read[last] - read[first]) * SECOND)
+    return float((totals[inside[-1]] - totals[inside[0]]) / (read[inside[-1]] - read[inside[0]]) * SECOND)
 
 
 def _within(entries: list[LedgerEntry], first: int, share: float) -> tuple[int, bool]:

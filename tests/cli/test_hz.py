@@ -34,6 +34,20 @@ def test_twenty_hertz_of_an_emulated_run():
     assert 7.9 < last[-1].rate_hz < 9
 
 
+@pytest.mark.parametrize("rate_hz", [25, 60])
+def test_what_ci_cannot_read_waits_and_does_not_arrive(rate_hz):
+    """CI reads 22 a second: the rest waits in its socket; 0x803 has what the pipe loses of what was read."""
+    simulation = Simulation(command_rate_hz=rate_hz, start_ns=1_800_000_000 * SECOND)
+    source = SimulatedSource(simulation, 30 * SECOND)
+    case = examine(source, Settings().workbench()).diagnosis.case
+    stream = next(item for item in case.streams if item.msg_id == 0x1827)
+    sent, ci, application = topic_rates(case, stream, "/cmd_vel", 10_000).hops
+    assert round(sent.rate_hz) == rate_hz
+    assert 21 < ci.rate_hz < 23
+    assert not ci.exact
+    assert 8 <= application.rate_hz < 10
+
+
 def test_of_a_file(call, rover):
     """600 were sent at 10 Hz, and 508 came to the robot."""
     path, mission = rover
