@@ -226,7 +226,7 @@ def app_outage(case: Case) -> Iterator[Verdict]:
                 loss,
                 f"{lost_at(case, loss, noun)}: {loss.hop} was {_KINDS[loss.kind]}",
                 link="ci" if loss.stream is None else loss.stream.link.label,
-                remedy=_REVIVE if loss.kind == "restart_failed" else _remedy(case, case.called(loss.hop)),
+                remedy=START_AGAIN if loss.kind == "restart_failed" else revival(case, case.called(loss.hop)),
             )
     for item in case.outages:
         start_ns = max(item.start_ns, case.start_ns)
@@ -244,17 +244,17 @@ def app_outage(case: Case) -> Iterator[Verdict]:
             item.witness,
             hop=item.app,
             span=(start_ns, end_ns),
-            remedy=_remedy(case, item.app, restarts=item.restarted),
+            remedy=revival(case, item.app, restarts=item.restarted),
         )
 
 
-_REVIVE: Final = (
+START_AGAIN: Final = (
     "start cFS again, not that application alone: its console says what failed, often a socket that is still "
     "in use"
 )
 
 
-def _remedy(case: Case, app: str, *, restarts: bool = False) -> str:
+def revival(case: Case, app: str, *, restarts: bool = False) -> str:
     """Return what helps: to start it again where it still does not run."""
     last = next((item for item in reversed(case.outages) if item.app == app), None)
     stands = app in STARTS and last is not None and last.end_ns is None and not restarts

@@ -13,6 +13,7 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reasons_for
 from edoras_tools.diagnosis.matching.streams import Span, steady_rate
+from edoras_tools.diagnosis.rules.ingest import START_AGAIN, revival
 from edoras_tools.diagnosis.rules.messages import struct_overrun
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, verdict
 from edoras_tools.links.table import among
@@ -405,7 +406,8 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
         for name, item in zip(names, members, strict=True)
         if item.rate
     ]
-    evidence += [item.witness for item in case.outages if any(line.startswith(item.app) for line in causes)]
+    outages = [item for item in case.outages if any(line.startswith(item.app) for line in causes)]
+    evidence += [item.witness for item in outages]
     evidence += _sent_before(case, first.start_ns)
     return verdict(
         Severity.NOTE if all(item.rate is None for item in members) else Severity.WARNING,
@@ -415,10 +417,21 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
         link=first.stream.link.label,
         hop="source",
         span=(first.start_ns, max(item.end_ns for item in members)),
-        remedy="look at the application's console and events; capture its SBN link or its input to see "
-        "whether it still gets what it needs",
+        remedy=_remedy(case, outages, first),
         confidence="medium" if causes else "low",
     )
+
+
+def _remedy(case: Case, outages: Sequence[Outage], silence: Silence) -> str:
+    """Return what helps: what helps the application, where one was stopped or started again."""
+    if not outages:
+        return (
+            "look at the application's console and events; capture its SBN link or its input to see whether "
+            "it still gets what it needs"
+        )
+    last = outages[-1]
+    runs = last.restarted or last.end_ns is not None
+    return START_AGAIN if runs and not silence.until_ns else revival(case, last.app)
 
 
 def _sent_before(case: Case, start_ns: int) -> Iterator[str]:
