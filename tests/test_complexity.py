@@ -149,7 +149,7 @@ COMMANDS = {
     many.fragments: ["info"],
     many.errors: ["info"],
     many.robots: ["info"],
-    many.peers: ["info"],
+    many.peers: ["info", "doctor"],
     many.subscriptions: ["info", "doctor"],
     many.holes: ["info"],
     many.connections: ["info"],

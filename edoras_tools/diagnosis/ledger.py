@@ -484,10 +484,8 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     if not fate.seen:
         way.lose(losses, _BEHIND_BUS)
     way.lose(losses, _ON_BUS)
-    for item in case.refused:
-        number, among = case.commands.placed.get(id(item), (0, None))
-        if among is not None and among.stream is stream:
-            _refuse(way, item, number, among)
+    for item, number, among in case.commands.refused_of.get(id(stream), ()):
+        _refuse(way, item, number, among)
     way.end("shared", min(fate.ends["shared"], way.left))
     if not (fate.seen or fate.reached is not None or fate.commanded is not None):
         way.end("uncertain", min(fate.ends["earlier"] + fate.ends["unaccounted"], way.left))

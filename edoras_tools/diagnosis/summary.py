@@ -12,6 +12,7 @@ Rules:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.accounting.closed import UDP_PORT
@@ -34,6 +35,9 @@ _NAMES: Final = 2
 _MOMENT_S: Final = 0.1
 _SHARES: Final = ((1.0, "All"), (0.5, "Over half of the"), (0.4, "Nearly half of the"))
 _RARE: Final = 0.01
+
+_OF_ONE_HOP: Final = "SBN", UDP_PORT
+"""How the hops begin of which a verdict names one peer's or one port's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,26 +143,30 @@ def _useful(remedy: str) -> str:
 def _losses(found: Diagnosis) -> tuple[list[Problem], set[int]]:
     """Return what was lost, the worst first; and the ids of the verdicts that tell of it."""
     groups: dict[tuple[Any, ...], list[tuple[Row, int]]] = {}
-    verdicts: dict[tuple[Any, ...], list[Verdict]] = {}
+    verdicts: dict[tuple[Any, ...], dict[tuple[Any, ...], list[Verdict]]] = {}
+    explained: dict[tuple[Any, ...], list[Verdict]] = {}
     for row in found.balance:
         parts = {**row.lost, "unaccounted": row.unaccounted}
         for cause, number in parts.items():
             if not number:
                 continue
-            own = _explaining(found.verdicts, cause, row)
+            place = cause, row.msg_id, row.hop if row.hop.startswith(_OF_ONE_HOP) else ""
+            if place not in explained:
+                explained[place] = _explaining(found.verdicts, cause, row)
+            own = explained[place]
             by_msg_id = cause == "limit" and any(item.msg_id is not None for item in own)
             key = cause, row.hop, row.instance, found.topics.get(row.route, row.msg_id) if by_msg_id else None
             groups.setdefault(key, []).append((row, number))
-            verdicts.setdefault(key, []).extend(own)
+            verdicts.setdefault(key, {})[place] = own
     alone = len({(row.route, row.link, row.msg_id) for members in groups.values() for row, _ in members}) == 1
     problems = []
     for key, members in groups.items():
-        own = list({id(item): item for item in verdicts[key]}.values())
+        own = list({id(item): item for item in chain(*verdicts[key].values())}.values())
         own.sort(key=lambda item: (item.msg_id is None, -(item.lost or 0)))
         rows = [row for row, _ in members]
         problems.append((_problem(found, key[0], members, own, alone=alone), rows))
     problems.sort(key=lambda item: -(item[0].lost or 0))
-    return list(_promising(found, problems)), {id(item) for members in verdicts.values() for item in members}
+    return list(_promising(found, problems)), {id(item) for own in explained.values() for item in own}
 
 
 def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdict]:
@@ -171,7 +179,7 @@ def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdi
         if (item.cause == cause if item.cause else item.rule in rules)
         and item.msg_id in {None, row.msg_id}
         and (item.lost is None) == (cause == "unaccounted")
-        and (row.hop == item.hop or not row.hop.startswith(("SBN", UDP_PORT)))
+        and (row.hop == item.hop or not row.hop.startswith(_OF_ONE_HOP))
     ]
     return [item for item in own if item.msg_id is not None] or own
 

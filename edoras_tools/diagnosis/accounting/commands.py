@@ -16,6 +16,7 @@ Rules:
 from __future__ import annotations
 
 from collections import Counter
+from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -49,7 +50,7 @@ from edoras_tools.model import NO_ROUTE, Finding
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -75,6 +76,7 @@ class Commands:
         losses: what was lost.
         unplaced: id of a refusal to how many of its messages no stream here has.
         placed: id of a refusal to how many of its messages are of a stream, and of which of that.
+        refused_of: id of a stream to the refusals of its messages, each with what ``placed`` has.
         uncaptured: instance to what it counted lost while the capturing interface was away, and is told of
             nothing that was captured.
     """
@@ -90,6 +92,11 @@ class Commands:
             if stream.link.only_to_cfs or (stream.link.peers and not stream.counted)
         }
         fates = list(self.fates.values())
+        self._by_packet: dict[tuple[str | None, int | None], list[Fate]] = {}
+        for fate in fates:
+            key = fate.stream.link.label, fate.stream.msg_id
+            self._by_packet.setdefault(key, []).append(fate)
+        self._spans = {key: _spans(case, own) for key, own in self._by_packet.items()}
         before_ci, pipes = BeforeCi(case, fates, self.losses), Pipes(case, self.losses)
         for account in case.ingests:
             before_ci.share(account)
@@ -120,6 +127,11 @@ class Commands:
         doubt(case, telemetry, fates)
         leftover.tell(telemetry.losses)
         self.uncaptured = leftover.uncaptured
+        self.refused_of: dict[int, list[tuple[Verdict, int, Among]]] = {}
+        for item in case.refused:
+            number, among = self.placed.get(id(item), (0, None))
+            if among is not None:
+                self.refused_of.setdefault(id(among.stream), []).append((item, number, among))
         for fate in fates:
             if fate.unfollowed is not None:
                 open_ = int((fate.open & fate.unfollowed).sum())
@@ -157,13 +169,18 @@ class Commands:
         """Return how many messages of a refusal were lost by it, and by nothing else."""
         return self.unplaced[id(item)] + self.placed.get(id(item), (0, None))[0]
 
-    def _sent_within(self, item: Verdict, fate: Fate) -> NDArray[np.bool_] | None:
-        """Tell which messages of a stream a refusal can be of; None where none can."""
-        if (item.link, item.msg_id) != (fate.stream.link.label, fate.stream.msg_id):
-            return None
-        times = self._case.captured(fate.stream)
-        within = (times >= item.start_ns) & (times <= item.end_ns)
-        return within if within.any() else None
+    def _alike(self, item: Verdict) -> Iterator[tuple[Fate, NDArray[np.bool_]]]:
+        """Yield the streams that a refusal can be of, each with which of its messages."""
+        key = item.link, item.msg_id
+        if key not in self._spans:
+            return
+        first_ns, last_ns = self._spans[key]
+        for place in np.flatnonzero((first_ns <= item.end_ns) & (last_ns >= item.start_ns)).tolist():
+            fate = self._by_packet[key][place]
+            times = self._case.captured(fate.stream)
+            within = (times >= item.start_ns) & (times <= item.end_ns)
+            if within.any():
+                yield fate, within
 
     def _place(self, item: Verdict, fate: Fate, inside: NDArray[np.intp], most: int) -> int:
         """Give a refusal messages of a stream, some of those that may be it; return how many."""
@@ -176,12 +193,9 @@ class Commands:
         # One datagram that is named is that one; what many of a span may be comes after.
         for item in sorted(refused, key=lambda item: item.end_ns - item.start_ns):
             left = item.lost or 0
-            for fate in self.fates.values() if left else ():
-                within = self._sent_within(item, fate)
-                if within is not None:  # else another sender's of the same MsgId
-                    self._place(item, fate, np.flatnonzero((fate.open | fate.blind) & within), left)
-                    left = 0  # what is not open arrived, or is told of by another verdict
-                    break
+            for fate, within in islice(self._alike(item), 1) if left else ():
+                self._place(item, fate, np.flatnonzero((fate.open | fate.blind) & within), left)
+                left = 0  # what is not open arrived, or is told of by another verdict
             self.unplaced[id(item)] = left
 
     def _name(self, refused: Sequence[Verdict]) -> None:
@@ -190,9 +204,12 @@ class Commands:
         They are wrong where a message arrived that they refuse.
         """
         self.unplaced |= dict.fromkeys(map(id, refused), 0)
-        for fate in self.fates.values() if refused else ():
-            every = ((item, self._sent_within(item, fate)) for item in refused if fate.seen)
-            own = [(item, within) for item, within in every if within is not None]
+        found: dict[int, list[tuple[Verdict, NDArray[np.bool_]]]] = {}
+        for item in refused:
+            for fate, within in self._alike(item):
+                found.setdefault(id(fate), []).append((item, within))
+        for fate in self.fates.values():
+            own = found.get(id(fate), []) if fate.seen else []
             if any((item.lost or 0) > (within & ~fate.arrived).sum() for item, within in own):
                 continue
             for item, within in own:
@@ -378,6 +395,12 @@ def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
     of = len(stream) + int(stream.missing.sum())
     most = case.quality.may_have_missed(of, _sure(case)) if numbers else 0
     return shares(min(sum(numbers), most), numbers, numbers)
+
+
+def _spans(case: Case, fates: Sequence[Fate]) -> NDArray[np.int64]:
+    """Return when each stream began, and when it ended: i64 (2, n), ns since 1970."""
+    times = [case.captured(fate.stream) for fate in fates]
+    return np.array([[item.min() for item in times], [item.max() for item in times]])
 
 
 def may_be_missed(case: Case, claims: Sequence[Claim]) -> dict[int, int]:

@@ -300,7 +300,8 @@ def _publishers(
     label = np.concatenate((who, len(peers) + port))
     label[len(who) :][from_ >= 0] = who[from_[from_ >= 0]]
     rows_of = np.concatenate((network, output))
-    of_name = np.array([sorted(set(names)).index(name) for name in names])[label]
+    order = {name: at for at, name in enumerate(sorted(set(names)))}
+    of_name = np.array([order[name] for name in names])[label]
     return [np.sort(rows_of[of_name == index]) for index in np.unique(of_name).tolist()]
 
 
