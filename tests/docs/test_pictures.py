@@ -40,3 +40,11 @@ def test_a_picture_loads_nothing(name):
     text = (FOLDER / f"{name}.svg").read_text()
     assert "@font-face" not in text
     assert "href" not in text
+
+
+def test_long_lines_are_cut(make_pictures):
+    svg = make_pictures.terminal_picture(["x" * 100, "[red]y"], width=20, title="t")
+    text = "".join(ET.fromstring(svg).itertext())
+    assert "x" * 20 in text
+    assert "x" * 21 not in text
+    assert "[red]y" in text
