@@ -1,5 +1,7 @@
 """What is sent of other links than cFS's own, and what is said of what is not."""
 
+import struct
+
 import pytest
 from places import SAMPLES
 from rewriting import Udp, datagrams, write
@@ -72,3 +74,14 @@ def test_mistakes_are_one_line(words, said, call):
     done = call("replay", ROVER, *words, "--dry-run")
     assert (done.code, len(done.err)) == (2, 1)
     assert said in done.err[0]
+
+
+def test_a_command_that_is_made_up_is_its_doubles(call):
+    with Ear() as ear:
+        words = ("--to", "robot", "--target", f"127.0.0.1:{ear.port}", "-q")
+        done = call("inject", "robot_command", "{linear_x: 0.5, angular_z: -2}", *words)
+        assert (done.code, ear.take()) == (0, [struct.pack("<6d", 0.5, 0, 0, 0, 0, -2)])
+        wrong = call("inject", "robot_state", "{}", *words)
+        text = call("inject", "robot_command", "{linear_x: fast}", *words)
+    assert wrong.err == ["edoras: 'robot_state' does not go this way; there are robot_command, robot_pose"]
+    assert text.err == ["edoras: robot_command takes numbers: {linear_x: 0.5}"]

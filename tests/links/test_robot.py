@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from waiting import Ear
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.decode.filters.filter import Where
@@ -186,14 +185,3 @@ def test_a_struct_with_a_header_is_no_datagram():
     layout = parse_layout(LAYOUT.replace(b"{members:", b"{header: 4, members:"), "rover")
     with pytest.raises(ConfigError, match=r"^rover: udp:9100: rover_command begins with a cFE header"):
         _ = Structs([layout]).all
-
-
-def test_a_command_that_is_made_up_is_its_doubles(call):
-    with Ear() as ear:
-        words = ("--to", "robot", "--target", f"127.0.0.1:{ear.port}", "-q")
-        done = call("inject", "robot_command", "{linear_x: 0.5, angular_z: -2}", *words)
-        assert (done.code, ear.take()) == (0, [struct.pack("<6d", 0.5, 0, 0, 0, 0, -2)])
-        wrong = call("inject", "robot_state", "{}", *words)
-        text = call("inject", "robot_command", "{linear_x: fast}", *words)
-    assert wrong.err == ["edoras: 'robot_state' does not go this way; there are robot_command, robot_pose"]
-    assert text.err == ["edoras: robot_command takes numbers: {linear_x: 0.5}"]

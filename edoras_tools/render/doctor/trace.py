@@ -92,7 +92,7 @@ def ladder_parts(trace: MessageTrace, zero_ns: int) -> Iterator[LadderPart]:
             yield LadderPart(way, title(trace), 0, rungs)
             continue
         own = zip(trace.steps, way.steps, strict=False)
-        shared = next(at for at, (one, other) in enumerate(own) if one != other)
+        shared = next((at for at, (one, other) in enumerate(own) if one != other), len(way.steps))
         yield LadderPart(way, "It also came out another way:", shared, rungs[shared:])
 
 
