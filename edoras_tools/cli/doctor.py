@@ -307,8 +307,14 @@ def _compare_bags(
         if not printing.json:
             _print(judged.diagnosis, source.info.name, quiet=printing.quiet, verbose=verbose)
     if printing.json:
-        told, way = ([item.as_json() for item in those] for those in (found, ways))
-        print_json({"lost": lost, "bags": told, "chains": way, "diagnosis": judged and judged.summary()})
+        print_json(
+            {
+                "lost": lost,
+                "bags": [item.as_json() for item in found],
+                "chains": [item.as_json() for item in ways],
+                "diagnosis": judged.summary() if judged else None,
+            }
+        )
     else:
         _print_bags(found, ways, ", ".join(map(str, files or bags[:1])))
     for warning in judged.warnings if judged else ():

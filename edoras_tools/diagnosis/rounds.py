@@ -325,7 +325,8 @@ def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRat
     seconds = float(times[-1] - times[0]) / SECOND
     base = (len(times) - 1) / seconds if seconds > 0 else 0.0
     hops = [HopRate(APPLICATION if fate is None else "publisher", base, len(times), True, *_steps(times))]
-    hops += _inner(way := case.ledger.way(stream), first, len(times), base)
+    way = case.ledger.way(stream)
+    hops += _inner(way, first, len(times), base)
     if fate is not None and not rounds.visible:
         rate = _by_counters(case, stream, way, times)
         into = base if hops[-1].rate_hz is None else hops[-1].rate_hz
@@ -378,7 +379,8 @@ def _by_counters(case: Case, stream: Stream, way: LedgerWay, times: NDArray[np.i
     inside = np.flatnonzero((read >= times[0] + SECOND) & (read <= times[-1] + SECOND))
     if len(inside) < _LEAST or row.all_lost != totals[-1] - totals[0]:
         return None
-    return float((totals[inside[-1]] - totals[inside[0]]) / (read[inside[-1]] - read[inside[0]]) * SECOND)
+    first, last = inside[0], inside[-1]
+    return float((totals[last] - totals[first]) / (read[last] - read[first]) * SECOND)
 
 
 def _within(entries: list[LedgerEntry], first: int, share: float) -> tuple[int, bool]:

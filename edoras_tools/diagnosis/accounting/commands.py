@@ -16,7 +16,6 @@ Rules:
 from __future__ import annotations
 
 from collections import Counter
-from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -193,7 +192,9 @@ class Commands:
         # One datagram that is named is that one; what many of a span may be comes after.
         for item in sorted(refused, key=lambda item: item.end_ns - item.start_ns):
             left = item.lost or 0
-            for fate, within in islice(self._alike(item), 1) if left else ():
+            first = next(self._alike(item), None) if left else None
+            if first is not None:
+                fate, within = first
                 self._place(item, fate, np.flatnonzero((fate.open | fate.blind) & within), left)
                 left = 0  # what is not open arrived, or is told of by another verdict
             self.unplaced[id(item)] = left
