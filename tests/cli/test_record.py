@@ -232,7 +232,8 @@ def test_split_by_size(call, captures, recording, tmp_path):
     assert done.code == 0
     parts = sorted(tmp_path.glob("x_*.mcap"))
     assert len(parts) > 1
-    assert all(part.stat().st_size < 52_000 for part in parts)  # each has the definitions of its topics
+    # Each also has its summary and the definitions of its topics; the name of what it was made from counts, too.
+    assert all(part.stat().st_size < 56_000 for part in parts)
     assert sum(recording(part).counts["/edoras/datagrams"] for part in parts) == 1827
 
 
