@@ -16,6 +16,7 @@ from rich.console import Console, RenderableType
 from rich.text import Text
 from textual.widgets import Input
 
+from edoras_tools.addons.trace.pictures import standalone
 from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.info import inspect
@@ -30,7 +31,6 @@ from edoras_tools.render.capture import packet
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.doctor.doctor import screen
-from edoras_tools.render.doctor.report.pictures import standalone
 from edoras_tools.render.doctor.report.sankey import sankey
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.svg import without_fonts

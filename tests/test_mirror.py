@@ -46,6 +46,7 @@ ELSEWHERE = {
     "addons/racs2/*": "addons/racs2/test_link.py",
     "addons/rtps/*": "addons/rtps/test_reader.py",
     "addons/codegen/*": "addons/codegen/test_library.py",
+    "addons/trace/*": "addons/trace/test_cli.py",
     "addons/wireshark/*": "dissectors/test_lua.py",
     "addons/wireshark/cli/*": "addons/wireshark/test_program.py",
     "addons/codegen/ground/*": "addons/codegen/ground/test_xtce.py",

@@ -145,6 +145,16 @@ ADDONS: Final = (
             "rules": _rules("dds_no_samples", "dds_lost", "dds_not_captured", "dds_resent"),
         },
     ),
+    Addon(
+        "trace",
+        commands={
+            "trace": ListedCommand(
+                "Look", "Follow one message hop by hop, or a topic's rounds.", "cli:trace", before="host"
+            ),
+            "hz": ListedCommand("Look", "Show the rate of a topic, hop by hop.", "cli:hz", before="host"),
+        },
+        adds={"parts": {"trace": "texts:packet_ladder"}},
+    ),
     Addon("tui", adds={"parts": {"panes": "cli"}}, extra="tui"),
     Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),
     Addon(

@@ -41,7 +41,7 @@ _NO_MEMORY: Final = (
 """Texts of errors other than ``MemoryError`` that mean that memory is exhausted."""
 
 _OF_THE_CORE: Final = {
-    "Look": ("sniff", "info", "decode", "plot", "trace", "hz", "host"),
+    "Look": ("sniff", "info", "decode", "plot", "host"),
     "Record": ("record", "recover", "export"),
     "Explain": ("doctor", "report", "compare"),
     "Send": ("replay", "inject", "proxy"),

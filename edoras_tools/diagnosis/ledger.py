@@ -47,6 +47,15 @@ if TYPE_CHECKING:
 HowEnded = Literal["lost", "superseded", "waiting", "not_captured", "unaccounted", "uncertain", "shared"]
 """How an arrival can end at a hop."""
 ENDINGS: Final[tuple[HowEnded, ...]] = get_args(HowEnded)
+ENDING_TEXTS: Final[Mapping[str, str]] = {
+    "superseded": "gave way to a newer one",
+    "waiting": "may be on its way still",
+    "not_captured": "could not be followed: the capture may lack it",
+    "unaccounted": "missing, and nothing shows why",
+    "uncertain": "may be lost, or only not seen",
+    "shared": "may be among losses that a counter has of several MsgIds",
+}
+"""Endings of the ledger that are no losses, for people."""
 _SUMMED: Final = ("came", "out", "duplicated", "copies", *ENDINGS[1:])
 CI_HOP: Final = "CI"
 APPLICATION: Final = "application"

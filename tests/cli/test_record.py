@@ -232,7 +232,7 @@ def test_split_by_size(call, captures, recording, tmp_path):
     assert done.code == 0
     parts = sorted(tmp_path.glob("x_*.mcap"))
     assert len(parts) > 1
-    # Each also has its summary and the definitions of its topics; the name of what it was made from counts, too.
+    # Each also has its summary, the definitions of its topics, and the name of what it was made from.
     assert all(part.stat().st_size < 56_000 for part in parts)
     assert sum(recording(part).counts["/edoras/datagrams"] for part in parts) == 1827
 

@@ -24,14 +24,11 @@ from edoras_tools.addons.tui.lists.lines import Lines
 from edoras_tools.addons.tui.navigation import Navigation, filter_of
 from edoras_tools.addons.tui.panes import ViewOptions
 from edoras_tools.addons.tui.prompts import FilterLine
-from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import EdorasError
 from edoras_tools.io.outputs import ENDING
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.capture.conversation import Conversation
-from edoras_tools.pipelines.doctor.trace import TraceRequest, Tracing
-from edoras_tools.render.doctor.trace import ladder
 from edoras_tools.render.severity import Level
 
 if TYPE_CHECKING:
@@ -376,25 +373,20 @@ class Viewer(Navigation):
     @work(thread=True, exclusive=True, group="trace")
     def _follow(self, number: int) -> None:
         worker = get_current_worker()
-        tracing = Tracing(self._decoding, SimProfile(), TraceRequest(number))
-        for block in [*self.store.blocks]:
-            if worker.is_cancelled:
-                return
-            tracing.add(block.batch, block.columns)
-        tracing.diagnose()
+        blocks = [(block.batch, block.columns) for block in self.store.blocks]
+        zero_ns = self.store.begin_ns or 0
         try:
-            tracing.check()
+            ladder = doors.part("trace")(self._decoding, blocks, number, zero_ns, lambda: worker.is_cancelled)
         except EdorasError as error:
-            self._post(messages.TraceReady(str(error), 0))
+            self._post(messages.TraceReady(str(error)))
         else:
-            assert tracing.trace is not None
-            self._post(messages.TraceReady(tracing.trace, self.store.begin_ns or 0))
+            if ladder is not None:
+                self._post(messages.TraceReady(ladder))
 
     @on(messages.TraceReady)
     def _show_trace(self, event: messages.TraceReady) -> None:
-        trace, zero_ns = event.trace, event.zero_ns
-        self.trace.empty = trace if isinstance(trace, str) else ""
-        self.trace.show(None if isinstance(trace, str) else lambda width: ladder(trace, zero_ns, width))
+        self.trace.empty = event.ladder if isinstance(event.ladder, str) else ""
+        self.trace.show(None if isinstance(event.ladder, str) else event.ladder)
 
     @work(thread=True, exclusive=True, group="sequence")
     def _build_conversation(self, every: bool) -> None:

@@ -9,12 +9,14 @@ from textual.message import Message
 from edoras_tools.render.severity import Level
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
     from numpy.typing import NDArray
+    from rich.text import Text
 
     from edoras_tools.addons.tui.data.store import PacketBlock
     from edoras_tools.decode.filters.filter import Where
-    from edoras_tools.diagnosis.trace import MessageTrace
     from edoras_tools.render.capture.sequence import SequenceMessage as Run
     from edoras_tools.render.plot.figure import Figure
 
@@ -82,12 +84,11 @@ class RatesReady(Message):
 
 
 class TraceReady(Message):
-    """The way of a packet's message; why there is none, as a text."""
+    """The way of a packet's message, drawn for a width; why there is none, as a text."""
 
-    def __init__(self, trace: MessageTrace | str, zero_ns: int) -> None:
+    def __init__(self, ladder: Callable[[int], list[Text]] | str) -> None:
         super().__init__()
-        self.trace = trace
-        self.zero_ns = zero_ns
+        self.ladder = ladder
 
 
 class Notice(Message):

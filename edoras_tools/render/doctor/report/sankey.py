@@ -7,8 +7,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.balance import ways
-from edoras_tools.diagnosis.ledger import ENDINGS, Row, cause_text, summed
-from edoras_tools.diagnosis.trace import ENDING_TEXTS
+from edoras_tools.diagnosis.ledger import ENDING_TEXTS, ENDINGS, Row, cause_text, summed
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.render.doctor.report import charts
 from edoras_tools.render.terminal.text import clean, clip

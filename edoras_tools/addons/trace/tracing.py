@@ -5,13 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from edoras_tools.diagnosis.case import Case
-from edoras_tools.diagnosis.evidence.relays import proxied
-from edoras_tools.diagnosis.examination import Chapter, Diagnosis, Examination, judge_single
-from edoras_tools.diagnosis.missing import Missing, missing
-from edoras_tools.diagnosis.rounds import Timing, TopicRates, rounds_into, rounds_out, topic_rates
-from edoras_tools.diagnosis.trace import (
-    ENDING_TEXTS,
+from edoras_tools.addons.trace.rounds import Timing, TopicRates, rounds_into, rounds_out, topic_rates
+from edoras_tools.addons.trace.tracer import (
     PASSED_ON,
     MessageEnd,
     MessageTrace,
@@ -20,6 +15,11 @@ from edoras_tools.diagnosis.trace import (
     messages_in,
     with_ending,
 )
+from edoras_tools.diagnosis.case import Case
+from edoras_tools.diagnosis.evidence.relays import proxied
+from edoras_tools.diagnosis.examination import Chapter, Diagnosis, Examination, judge_single
+from edoras_tools.diagnosis.ledger import ENDING_TEXTS
+from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.errors import RouteError
 from edoras_tools.words import did_you_mean, plural
 

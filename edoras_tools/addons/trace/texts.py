@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from rich.text import Text
 
+from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
+from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.render import units
 from edoras_tools.render.capture.sequence import mermaid_text
 from edoras_tools.render.severity import Level
@@ -17,10 +20,12 @@ from edoras_tools.render.units import NONE
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
-    from edoras_tools.diagnosis.rounds import HopRate, Rounds, Timing, TopicRates
-    from edoras_tools.diagnosis.trace import MessageTrace, TraceStep
+    from edoras_tools.addons.trace.rounds import HopRate, Rounds, Timing, TopicRates
+    from edoras_tools.addons.trace.tracer import MessageTrace, TraceStep
+    from edoras_tools.decode import Context
+    from edoras_tools.model import Columns, PacketBatch
 
 _WIDEST: Final = 100
 _TIME, _AFTER, _WITNESS = 13, 13, 8
@@ -266,3 +271,32 @@ def rate_lines(rates: TopicRates) -> list[str]:
 
 def _hertz(hop: HopRate) -> str:
     return "not seen" if hop.rate_hz is None else f"{hop.rate_hz:.1f}"
+
+
+def packet_ladder(
+    context: Context,
+    batches: Iterable[tuple[PacketBatch, Columns]],
+    number: int,
+    zero_ns: int,
+    cancelled: Callable[[], bool],
+) -> Callable[[int], list[Text]] | None:
+    """Return what draws the way of a packet's message in a width; None where that was cancelled.
+
+    Args:
+        batches: the whole capture.
+        number: place of the packet in it, from 1.
+        zero_ns: what times count from.
+        cancelled: asked before each batch.
+
+    Raises:
+        RouteError: the packet is no message of a link.
+    """
+    tracing = Tracing(context, SimProfile(), TraceRequest(number))
+    for batch, columns in batches:
+        if cancelled():
+            return None
+        tracing.add(batch, columns)
+    tracing.diagnose()
+    tracing.check()
+    assert tracing.trace is not None
+    return partial(ladder, tracing.trace, zero_ns)

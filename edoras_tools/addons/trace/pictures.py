@@ -6,13 +6,13 @@ from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.diagnosis.trace import MessageTrace
-from edoras_tools.render.doctor import trace as texts
+from edoras_tools.addons.trace import texts
+from edoras_tools.addons.trace.tracer import MessageTrace
 from edoras_tools.render.doctor.report import charts, parts
 from edoras_tools.render.terminal.text import clean, clip
 
 if TYPE_CHECKING:
-    from edoras_tools.diagnosis.rounds import Timing
+    from edoras_tools.addons.trace.rounds import Timing
     from edoras_tools.render.doctor.report.parts import Made
 
 _RUNG: Final = 46

@@ -17,18 +17,18 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
+from edoras_tools.addons.trace.rounds import Rounds, rounds_into, rounds_out
 from edoras_tools.diagnosis.accounting.losses import Among
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.ledger import APPLICATION, CAPTURE, LedgerEntry, LedgerWay
+from edoras_tools.diagnosis.ledger import APPLICATION, CAPTURE, ENDING_TEXTS, LedgerEntry, LedgerWay
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.diagnosis.matching.streams import find_robots
-from edoras_tools.diagnosis.rounds import Rounds, rounds_into, rounds_out
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
@@ -38,15 +38,6 @@ Witness = Literal["proven", "measured", "by model", "unknown"]
 """Proven: counters, counts or values show it. Measured: a datagram's time. By model: queues explain it."""
 _NOT_SEEN: Final = "not seen in a capture: give doctor the --bag of its side"
 PASSED_ON: Final = "passed on by the application, and lost behind it"
-ENDING_TEXTS: Final[Mapping[str, str]] = {
-    "superseded": "gave way to a newer one",
-    "waiting": "may be on its way still",
-    "not_captured": "could not be followed: the capture may lack it",
-    "unaccounted": "missing, and nothing shows why",
-    "uncertain": "may be lost, or only not seen",
-    "shared": "may be among losses that a counter has of several MsgIds",
-}
-"""Endings of the ledger that are no losses, for people."""
 
 
 @dataclass(frozen=True, slots=True)
