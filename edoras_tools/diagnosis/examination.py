@@ -130,10 +130,16 @@ class Diagnosis:
         return max((item.severity for item in self.verdicts), default=Severity.HABIT)
 
     @property
+    def without_evidence(self) -> bool:
+        """Whether messages were sent, and nothing shows of any of them whether it arrived."""
+        sent_rows = [row for row in self.balance if row.came]
+        return bool(sent_rows) and not any(row.observed for row in sent_rows)
+
+    @property
     def bad(self) -> bool:
-        """Whether exit code 3 is due: loss, something not accounted for, an error, or nothing examined."""
+        """Whether exit code 3 is due: loss, something not accounted for, an error, nothing examined or shown."""
         found = self.lost or self.unaccounted or self.capture.drops or not self.datagrams
-        return bool(found) or self.worst is Severity.ERROR
+        return bool(found) or self.without_evidence or self.worst is Severity.ERROR
 
     def beyond(self, share: float, *, strict: bool = False) -> list[str]:
         """Return why exit code 3 is due, a line each, if so much of any route, and of all, may be missing.

@@ -123,7 +123,7 @@ def summarize(found: Diagnosis) -> DoctorSummary:
     ]
     problems = [*first, *losses, *(item for item in apart if item not in first)]
     notes = sum(item.severity < Severity.WARNING for item in found.verdicts)
-    headline, fine = _headline(found, problems), _fine(found)
+    headline, fine = _headline(found, problems), "" if found.without_evidence else _fine(found)
     if fine and not (problems or found.uncertain):
         headline, fine = f"{headline.removesuffix('.')}: {fine[0].lower()}{fine[1:]}", ""
     return DoctorSummary(headline, tuple(problems), fine, notes)
@@ -290,6 +290,10 @@ def _total(found: Diagnosis, problems: Sequence[Problem]) -> str:
         return f"{_lost(found, proven)}{_copies(found, proven)}{doubt}"
     counts = _counts(item for item in problems if item.verdicts[0].rule != "not_examined")
     but = f", but {' and '.join(counts)}:" if counts else "."
+    if found.without_evidence:
+        what = f"{sent(found.balance):,} {_names(found, found.balance)}"
+        warnings = f" {' and '.join(counts)}:" if counts else ""
+        return f"No evidence: nothing here counts what arrived of {what}.{doubt}{warnings}"
     of = " with what is shown" if found.choice else ""
     return f"No loss found{of}{but}{doubt}"
 

@@ -36,6 +36,16 @@ def test_json_holds_to_its_schema_and_loss_to_its_exit_code(name, configured, ca
     assert bool(done.json()["lost"]) == (code == 3)
 
 
+def test_commands_alone_are_no_evidence_of_their_arrival(call, captures, missions, tmp_path):
+    commands = tmp_path / "commands.pcap"
+    write(commands, [item for item in datagrams(captures("a_rover")) if item.destination[1] == 1234])
+    done = call("doctor", commands, *missions("rover_ground"))
+    assert done.code == 3
+    assert done.out.startswith("No evidence: nothing here counts what arrived of 601 /cmd_vel and TO_CMD.")
+    assert "No loss" not in done.out
+    assert "Nothing here counts" not in done.out
+
+
 @pytest.mark.long("d3_cpu1_cpu2", "c1_tlm_rate_limit4")
 @pytest.mark.parametrize("name", CAPTURES)
 def test_people_read_verdicts_first(name, call, captures, monkeypatch):
