@@ -137,7 +137,7 @@ class Diagnosis:
 
     @property
     def bad(self) -> bool:
-        """Whether exit code 3 is due: loss, something not accounted for, an error, nothing examined or shown."""
+        """Whether exit code 3 is due: loss, something not accounted for, an error, or no evidence."""
         found = self.lost or self.unaccounted or self.capture.drops or not self.datagrams
         return bool(found) or self.without_evidence or self.worst is Severity.ERROR
 
