@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "ba8cf590737f40e0"
+local DIGEST = "73e70059ba656a30"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -2002,26 +2002,6 @@ D.sbn = {
 	ident = "$Id: dccf6239093d99c4c9351e140c15b61a95d8fc37 $",
 	ident_bytes = 48,
 }
-D.racs2 = {
-	subprotocol = "example-protocol",
-	largest = 128,
-	values = {
-		[1] = {name = "bool_data", kind = "bool"},
-		[2] = {name = "float_data", kind = "float"},
-		[3] = {name = "double_data", kind = "double"},
-		[4] = {name = "int32_data", kind = "int64"},
-		[5] = {name = "int64_data", kind = "int64"},
-		[6] = {name = "string_data", kind = "string"},
-		[7] = {name = "uint32_data", kind = "uint64"},
-		[8] = {name = "uint64_data", kind = "uint64"},
-		[9] = {name = "float32_array_data", kind = "float", array = true},
-		[10] = {name = "float64_array_data", kind = "double", array = true},
-		[11] = {name = "int32_array_data", kind = "int64", array = true},
-		[12] = {name = "int64_array_data", kind = "int64", array = true},
-		[13] = {name = "uint32_array_data", kind = "uint64", array = true},
-		[14] = {name = "uint64_array_data", kind = "uint64", array = true},
-	},
-}
 D.pdu_name = "CFDP_PDU"
 D.pdu_msg_ids = {}
 D.msg_id = {event = 2056, software_bus = 2051}
@@ -2530,17 +2510,45 @@ D.frame_limits = {
 	tc_bias = 1,
 	late = 32,
 }
-D.fprime = {
-	start_word = 3735928559,
-	keep_alive = "sitting well",
-	tm_bytes = 1024,
-	time_bytes = 11,
-	entry_headers = {
-		[0] = "fprime_command",
-		[1] = "fprime_channel",
-		[2] = "fprime_event",
-		[3] = "fprime_file",
-		[4] = "fprime_telemetry",
+D.dictionary = nil
+D.of_links = {
+	ci = {},
+	to = {},
+	sbn = {},
+	robot = {},
+	frames = {},
+	fprime = {
+		start_word = 3735928559,
+		keep_alive = "sitting well",
+		tm_bytes = 1024,
+		time_bytes = 11,
+		entry_headers = {
+			[0] = "fprime_command",
+			[1] = "fprime_channel",
+			[2] = "fprime_event",
+			[3] = "fprime_file",
+			[4] = "fprime_telemetry",
+		},
+	},
+	racs2 = {
+		subprotocol = "example-protocol",
+		largest = 128,
+		values = {
+			[1] = {name = "bool_data", kind = "bool"},
+			[2] = {name = "float_data", kind = "float"},
+			[3] = {name = "double_data", kind = "double"},
+			[4] = {name = "int32_data", kind = "int64"},
+			[5] = {name = "int64_data", kind = "int64"},
+			[6] = {name = "string_data", kind = "string"},
+			[7] = {name = "uint32_data", kind = "uint64"},
+			[8] = {name = "uint64_data", kind = "uint64"},
+			[9] = {name = "float32_array_data", kind = "float", array = true},
+			[10] = {name = "float64_array_data", kind = "double", array = true},
+			[11] = {name = "int32_array_data", kind = "int64", array = true},
+			[12] = {name = "int64_array_data", kind = "int64", array = true},
+			[13] = {name = "uint32_array_data", kind = "uint64", array = true},
+			[14] = {name = "uint64_array_data", kind = "uint64", array = true},
+		},
 	},
 }
 D.bridge_ports = {2236}
@@ -4729,7 +4737,7 @@ end
 
 local body_length = new_field("racs2", "racs2.body_length", "uint32", "body_length", base.DEC)
 local VALUES = {}  -- by field number
-for number, item in pairs(D.racs2.values) do
+for number, item in pairs(D.of_links.racs2.values) do
 	local format_of = ({int64 = base.DEC, uint64 = base.DEC})[item.kind]
 	VALUES[number] = {
 		kind = item.kind, name = item.name, array = item.array, width = ({float = 4, double = 8})[item.kind],
@@ -4869,8 +4877,8 @@ local function racs2(s)
 			target = read.racs2_topic(s, 1)
 		end
 		W.summary = target .. ": " .. (values and body_text(values, s) or size .. " bytes")
-		if to_cfs and size > D.racs2.largest then
-			W.summary = W.summary .. format(", more than the %d that cFS has room for", D.racs2.largest)
+		if to_cfs and size > D.of_links.racs2.largest then
+			W.summary = W.summary .. format(", more than the %d that cFS has room for", D.of_links.racs2.largest)
 		end
 	end
 	W.inside[1] = function(node, tvb, visible)
@@ -5102,10 +5110,10 @@ end)()
 
 local fprime = (function()
 -- The ground link of F Prime: frames, the packets in them, and with a dictionary the values in those, as
--- edoras_tools.links.fprime reads them. Offsets count from the datagram's first byte, from 0.
+-- edoras_tools.addons.fprime reads them. Offsets count from the datagram's first byte, from 0.
 
-local PRIME = D.fprime
-local BOOK = PRIME.dictionary or {described = {}, entries = {}, structs = {}, enums = {}}
+local PRIME = D.of_links.fprime
+local BOOK = D.dictionary or {described = {}, entries = {}, structs = {}, enums = {}}
 local OWN, SPACE, TC_SHAPE, TM_SHAPE = 1, 2, 3, 4
 local SHAPES = {  -- the header in front, and the bytes of the check at the end
 	{L.fprime, "crc32", 4}, {L.fprime_space_packet, nil, 0}, {L.fprime_tc, "frame_error_control", 2},
@@ -5827,5 +5835,5 @@ for name, protocol in pairs(P) do
 end
 edoras.experts = experts
 register_ports()
-if P.racs2 then DissectorTable.get("ws.protocol"):add(D.racs2.subprotocol, P.racs2) end
+if P.racs2 then DissectorTable.get("ws.protocol"):add(D.of_links.racs2.subprotocol, P.racs2) end
 DissectorTable.get("udp.port"):add_for_decode_as(edoras)

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from edoras_tools.cfs import limits, names
 from edoras_tools.dissectors.lua_text import literal, quoted
 from edoras_tools.links.protocol import BY_ADDRESS, BY_CONTENT, LARGEST_DOUBLE, SMALLEST_DOUBLE
-from edoras_tools.wire import ccsds, cdr, cfe, fprime, racs2, sbn, transfer_frames
+from edoras_tools.wire import ccsds, cdr, cfe, sbn, transfer_frames
 from edoras_tools.wire.arrays.crc import CRC16_BYTES
-from edoras_tools.wire.cfdp import PDU_NAME
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 from edoras_tools.wire.transfer_frames import FIRST_PART, FRAME_VERSIONS, LATE, count_modulus
 
@@ -56,6 +55,8 @@ ENGINE: Final = (
     *("racs2", "frames", "fprime", "dissector"),
 )
 """The parts of the engine, in the order in which they need each other."""
+OF_LINKS: Final = ("racs2", "fprime")
+"""The parts that a link alone needs, by its label: without the link they are left out."""
 GUARD: Final = "EDORAS_LUA"
 """The environment variable that names the one digest that may load, where several copies are installed."""
 
@@ -139,7 +140,8 @@ class Knowledge:
 def generate(knowledge: Knowledge) -> str:
     """Return the Lua file."""
     parts = [_data(knowledge), _readers(knowledge)]
-    parts += [_part(name) for name in ENGINE]
+    absent = {*OF_LINKS} - {link.label for link in knowledge.links}
+    parts += [_part(name) for name in ENGINE if name not in absent]
     body = "\n".join(parts)
     return _head(knowledge.note, digest(body)) + body
 
@@ -205,15 +207,7 @@ def _data(knowledge: Knowledge) -> str:
             "ident": sbn.IDENT,
             "ident_bytes": sbn.IDENT_BYTES,
         },
-        "racs2": {
-            "subprotocol": racs2.SUBPROTOCOL,
-            "largest": racs2.LARGEST_BODY,
-            "values": {
-                number: {"name": name, "kind": kind, "array": array or None}
-                for name, (number, kind, array) in racs2.BODY_KINDS.items()
-            },
-        },
-        "pdu_name": PDU_NAME,
+        "pdu_name": next((f"{item.name}_PDU" for item in knowledge.links if item.in_packets), None),
         "pdu_msg_ids": dict.fromkeys(knowledge.pdu_msg_ids, True),
         "msg_id": {"event": cfe.EVENT_MSG_ID, "software_bus": cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID},
         "msg_id_names": names.MSG_ID_NAMES,
@@ -265,14 +259,8 @@ def _data(knowledge: Knowledge) -> str:
             "tc_bias": transfer_frames.TC_LENGTH_BIAS,
             "late": LATE,
         },
-        "fprime": {
-            "start_word": fprime.START_WORD,
-            "keep_alive": fprime.KEEP_ALIVE.decode(),
-            "tm_bytes": fprime.TM_FRAME_BYTES,
-            "time_bytes": fprime.TIME_BYTES,
-            "entry_headers": {int(kind): layout.name for kind, layout in fprime.ENTRY_HEADERS.items()},
-            "dictionary": dict(knowledge.dictionary) or None,
-        },
+        "dictionary": dict(knowledge.dictionary) or None,
+        "of_links": {item.label: dict(item.engine_values()) for item in _ours(knowledge)},
         "bridge_ports": list(knowledge.bridge_ports),
         "cfs_addresses": list(knowledge.cfs_addresses),
         "identities": [list(pair) for pair in knowledge.identities],

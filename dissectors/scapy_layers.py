@@ -24,15 +24,15 @@ from scapy.packet import Packet, Raw, bind_bottom_up, bind_top_down
 
 from edoras_tools.dissectors.scapy_fields import fields, put
 from edoras_tools.links import table
-from edoras_tools.wire import ccsds, cdr, cfe, racs2, sbn
+from edoras_tools.wire import ccsds, cdr, cfe, sbn
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, detect
+from edoras_tools.wire.layout import Layout
 from edoras_tools.wire.msg_id import MSG_ID_BYTES, VERSION_1, MsgIds
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from edoras_tools.links.protocol import LinkProtocol
-    from edoras_tools.wire.layout import Layout
 
 _LINKS: Final = tuple(
     link for link in table.links() if link.transport.udp and not (link.forms or link.wireshark)
@@ -404,11 +404,17 @@ class SBNProto(Packet):  # type: ignore[misc]
     fields_desc = fields(sbn.PROTO, protocol_version=sbn.PROTOCOL_VERSION)
 
 
+def _of_link(name: str, title: str) -> Layout:
+    """Return a header of a link that is an add-on; one without fields where that is not installed."""
+    layouts = (layout for link in table.links() if not link.wireshark for layout in link.layouts)
+    return next((layout for layout in layouts if layout.name == name), Layout(name, title))
+
+
 class RACS2(Packet):  # type: ignore[misc]
     """A message of RACS2 to ROS 2, as a WebSocket frame holds it, unmasked."""
 
-    name = racs2.TO_ROS.title
-    fields_desc = fields(racs2.TO_ROS)
+    name = "RACS2 to ROS 2"
+    fields_desc = fields(_of_link("racs2_topic", name))
 
     @classmethod
     def dispatch_hook(cls, raw: bytes | None = None, *_args: Any, **_values: Any) -> type[Packet]:
@@ -421,8 +427,8 @@ class RACS2(Packet):  # type: ignore[misc]
 class RACS2Message(RACS2):
     """A message of RACS2 to cFS."""
 
-    name = racs2.TO_CFS.title
-    fields_desc = fields(racs2.TO_CFS)
+    name = "RACS2 to cFS"
+    fields_desc = fields(_of_link("racs2_message", name))
 
 
 _MESSAGES: Final[Mapping[int, tuple[type[Packet], Layout]]] = {

@@ -189,6 +189,10 @@ def _sizes() -> str:
     return "\n".join(head + rows) + "\n"
 
 
+_CORE: Final = {"ccsds", "cfe", "envelope", "cdr", "sbn"}
+"""Modules of ``wire`` with a table on a page; those of other links are in their add-on."""
+
+
 def _layout(path: str) -> Callable[[], str]:
     """Return a function that writes the fields of a ``Layout`` as a table."""
 
@@ -196,7 +200,8 @@ def _layout(path: str) -> Callable[[], str]:
         from importlib import import_module
 
         module, _, name = path.rpartition(".")
-        layout = getattr(import_module(f"edoras_tools.wire.{module}"), name)
+        place = f"wire.{module}" if module in _CORE else f"addons.{module}.wire"
+        layout = getattr(import_module(f"edoras_tools.{place}"), name)
         if name == "DEFAULT":
             layout = layout.layout
         lines = ["| byte | bits | field | what |", "|---|---|---|---|"]

@@ -50,7 +50,7 @@ PUT_OFF = {
         "edoras_tools.addons.racs2.streams",
         "2 ms, and only where there are its datagrams",
     ),
-    "addons/rtps/link.py": ("edoras_tools.wire.rtps", "5 ms, and only where there are its datagrams"),
+    "addons/rtps/link.py": ("edoras_tools.addons.rtps.wire", "5 ms, and only where there are its datagrams"),
     "mission/tree.py": ("yaml", "9 ms, and only where there is a mission file"),
     "pipelines/capture/record.py": (
         "edoras_tools.pipelines.capture.host",

@@ -87,7 +87,6 @@ ELSEWHERE = {
     "sessions/sbn/*": "sessions/sbn/test_connection.py",
     "structs/*": "structs/test_cfe.py",
     "addons/debug_info/*": "addons/debug_info/test_dwarf.py",
-    "structs/fprime/*": "addons/fprime/test_link.py",
     "wire/*": "wire/test_headers.py",
 }
 """Files whose behaviour shows only together with others', and the test that asks them together."""

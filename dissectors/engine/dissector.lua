@@ -388,5 +388,5 @@ for name, protocol in pairs(P) do
 end
 edoras.experts = experts
 register_ports()
-if P.racs2 then DissectorTable.get("ws.protocol"):add(D.racs2.subprotocol, P.racs2) end
+if P.racs2 then DissectorTable.get("ws.protocol"):add(D.of_links.racs2.subprotocol, P.racs2) end
 DissectorTable.get("udp.port"):add_for_decode_as(edoras)

@@ -1,8 +1,8 @@
 -- The ground link of F Prime: frames, the packets in them, and with a dictionary the values in those, as
--- edoras_tools.links.fprime reads them. Offsets count from the datagram's first byte, from 0.
+-- edoras_tools.addons.fprime reads them. Offsets count from the datagram's first byte, from 0.
 
-local PRIME = D.fprime
-local BOOK = PRIME.dictionary or {described = {}, entries = {}, structs = {}, enums = {}}
+local PRIME = D.of_links.fprime
+local BOOK = D.dictionary or {described = {}, entries = {}, structs = {}, enums = {}}
 local OWN, SPACE, TC_SHAPE, TM_SHAPE = 1, 2, 3, 4
 local SHAPES = {  -- the header in front, and the bytes of the check at the end
 	{L.fprime, "crc32", 4}, {L.fprime_space_packet, nil, 0}, {L.fprime_tc, "frame_error_control", 2},

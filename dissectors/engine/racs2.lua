@@ -3,7 +3,7 @@
 
 local body_length = new_field("racs2", "racs2.body_length", "uint32", "body_length", base.DEC)
 local VALUES = {}  -- by field number
-for number, item in pairs(D.racs2.values) do
+for number, item in pairs(D.of_links.racs2.values) do
 	local format_of = ({int64 = base.DEC, uint64 = base.DEC})[item.kind]
 	VALUES[number] = {
 		kind = item.kind, name = item.name, array = item.array, width = ({float = 4, double = 8})[item.kind],
@@ -143,8 +143,8 @@ local function racs2(s)
 			target = read.racs2_topic(s, 1)
 		end
 		W.summary = target .. ": " .. (values and body_text(values, s) or size .. " bytes")
-		if to_cfs and size > D.racs2.largest then
-			W.summary = W.summary .. format(", more than the %d that cFS has room for", D.racs2.largest)
+		if to_cfs and size > D.of_links.racs2.largest then
+			W.summary = W.summary .. format(", more than the %d that cFS has room for", D.of_links.racs2.largest)
 		end
 	end
 	W.inside[1] = function(node, tvb, visible)

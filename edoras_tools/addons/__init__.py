@@ -135,7 +135,14 @@ ADDONS: Final = (
         },
         adds={"parts": {"simulation": "emulator.source:start_simulation"}},
     ),
-    Addon("fprime", adds={"links": {"fprime": "link:FPRIME"}, "rules": _rules("fprime_packets_lost")}),
+    Addon(
+        "fprime",
+        adds={
+            "links": {"fprime": "link:FPRIME"},
+            "databases": {"fprime": "dictionary:DICTIONARIES"},
+            "rules": _rules("fprime_packets_lost"),
+        },
+    ),
     Addon("frames", adds={"links": {"frames": "link:FRAMES"}, "rules": _rules("frames_lost")}),
     Addon("racs2", adds={"links": {"racs2": "link:RACS2"}}),
     Addon(

@@ -35,11 +35,9 @@ from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE, ENCAPSULATION, ROUNDED
 from edoras_tools.wire.cfe import length_of
 from edoras_tools.wire.envelope import DEFAULT, detect
-from edoras_tools.wire.fprime import ENTRY_HEADERS, PacketType
 
 if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
-    from edoras_tools.structs.fprime.bound import BoundEntry
 
 
 class Dissector:
@@ -260,28 +258,9 @@ class _Dissection(Reading):
             self.layers.append(Layer("cfs", title, at, len(self.data), fields))
 
     def described(self, kind: int, at: int, end: int) -> bool:
-        """Read what a packet of F Prime holds; see :meth:`Reading.described`."""
+        """Read what a packet holds by a dictionary; see :meth:`Reading.described`."""
         table = self.context.structs.dictionary
-        if table is None or kind not in ENTRY_HEADERS:
-            return False
-        header = ENTRY_HEADERS[PacketType(kind)]
-        entries = table.in_packet(self.data, kind, at, end)
-        for key, start, length in zip(
-            entries.key.tolist(), entries.offset.tolist(), entries.length.tolist(), strict=True
-        ):
-            if key == table.odd:
-                self.findings |= Finding.LENGTH_MISMATCH
-                continue
-            first = start - header.slots[0].end
-            if first + header.size <= end:
-                self.read(header, first)
-            if key == table.unknown:
-                self.findings |= Finding.UNKNOWN_MSG_ID
-            elif length < 0:
-                self.findings |= Finding.STRUCT_LENGTH
-            else:
-                self._entry(table[key], start, start + length)
-        return bool(len(entries.key))
+        return table is not None and table.read(self, kind, at, end)
 
     def sample(self, topic: str, type_name: str, at: int, end: int) -> None:
         """Read a sample of DDS as a message; see :meth:`Reading.sample`."""
@@ -296,7 +275,7 @@ class _Dissection(Reading):
             self.findings |= Finding.CDR_INVALID
             return
         cdr = self.data[at : at + types.extent(type_name, self.data[at:end])]
-        self._add(RosMessage(type_name, topic, values, cdr))
+        self.add(RosMessage(type_name, topic, values, cdr))
         if self.detail:
             fields = tuple(
                 LayerField(path, value, at + low, at + high)
@@ -304,28 +283,13 @@ class _Dissection(Reading):
             )
             self.layers.append(Layer("ros", type_name, at + ENCAPSULATION.size, end, fields))
 
-    def _add(self, message: RosMessage) -> None:
-        """Add a message behind those that were read before."""
+    def add(self, message: RosMessage, *layers: Layer) -> None:
+        """Add a message behind those that were read before; see :meth:`Reading.add`."""
+        self.layers += layers
         if self.message is None:
             self.message = message
         else:
             self.more.append(message)
-
-    def _entry(self, bound: BoundEntry, at: int, end: int) -> None:
-        """Read the values of one entry of a dictionary, as a message."""
-        payload = self.data[at:end]
-        cdr = bound.message(payload)
-        values = self.context.structs.types.decode(bound.type, cdr)
-        self._add(RosMessage(bound.type, bound.topic, values, cdr))
-        fields: tuple[LayerField, ...] = ()
-        if self.detail:
-            spans = zip(bound.spans(values, 0), bound.wire_places(payload), strict=True)
-            fields = tuple(
-                LayerField(path, value, at + low, at + high, bound.text(member, value), member.doc)
-                for (path, value, _, _, member), (low, high) in spans
-                if not bound.is_time(path)
-            )
-        self.layers.append(Layer("cfs", bound.line(values), at + bound.time_bytes, end, fields))
 
     def _envelope(self, route: int, at: int) -> None:
         envelope = self.context.envelopes[route] or detect(self.data, at) or DEFAULT

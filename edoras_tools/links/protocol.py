@@ -338,6 +338,10 @@ class LinkProtocol(Link):
         """Return what filters may ask besides its layouts, each a ``decode.filters.field.FilterField``."""
         return ()
 
+    def engine_values(self) -> Mapping[str, Any]:
+        """Return what the engine of the Wireshark dissector reads of it besides layouts, as plain values."""
+        return {}
+
     def sample_reader(self) -> SampleReader:
         """Return what reads the samples in its datagrams, of a link with ``samples``."""
         raise NotImplementedError(self.label)

@@ -8,6 +8,7 @@ from edoras_tools.errors import TruncatedError
 from edoras_tools.model import Datagram, Finding, Layer, LayerField
 
 if TYPE_CHECKING:
+    from edoras_tools.model import RosMessage
     from edoras_tools.wire.layout import Layout
 
 
@@ -18,7 +19,10 @@ class Reading:
         data: its payload.
         layers: outermost first.
         findings: those of the capture among them.
+        detail: whether every value of a message gets its own bytes.
     """
+
+    detail = True
 
     def __init__(self, datagram: Datagram) -> None:
         self.datagram = datagram
@@ -60,15 +64,19 @@ class Reading:
         self.layers[-1] = Layer(layer.name, layer.title, layer.start, end, (*layer.fields, field))
 
     def described(self, kind: int, at: int, end: int) -> bool:
-        """Read what a packet of F Prime holds by its dictionary; tell whether there is one.
+        """Read what a packet holds by a dictionary of the link; tell whether there is one that does.
 
         Args:
-            kind: a ``PacketType``.
-            at: the first byte behind the packet type.
+            kind: what it is, by a number of the link.
+            at: the first byte behind that number.
             end: one past the packet.
         """
         del kind, at, end
         return False
+
+    def add(self, message: RosMessage, *layers: Layer) -> None:
+        """Take a message that was read, and the layers of its values."""
+        del message, layers
 
     def sample(self, topic: str, type_name: str, at: int, end: int) -> None:
         """Read a sample of DDS, if the reader knows its type.

@@ -51,6 +51,13 @@ def dds_name(type_name: str) -> str:
     return f"{package}::{kind}::dds_::{name}_"
 
 
+def ros_name(dds_type: str) -> str:
+    """Return the ROS name of a DDS type; the name itself where it is of no ROS type."""
+    parts = dds_type.split("::")
+    is_ros = len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_")
+    return f"{parts[0]}/{parts[1]}/{parts[3].removesuffix('_')}" if is_ros else dds_type
+
+
 def unknown_options(ros: str, options: Iterable[str], existing: Sequence[str]) -> list[str]:
     """Return a line for each option that a middleware does not have.
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.bound import Bound
-from edoras_tools.structs.fprime.bound import BoundEntry
 from edoras_tools.structs.messages import (
     HEADER_TYPE,
     definition,
@@ -18,7 +17,6 @@ from edoras_tools.structs.messages import (
     parts,
     unique,
 )
-from edoras_tools.structs.shapes import FPRIME_KEY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -65,8 +63,8 @@ class Bindings:
                 why = f"{struct.name} begins with a cFE header, which a robot's datagram has not"
                 raise ConfigError(f"{layout.origin}: {key}: {why}; bind what follows it")
             if layout.entries:
-                entry = layout.entries[key.msg_id - FPRIME_KEY]
-                bound.append(BoundEntry(entry, key, layout, struct, self.define(layout, struct, whole=True)))
+                type_name = self.define(layout, struct, whole=True)
+                bound.append(layout.entries.bind(key, layout, struct, type_name))
                 continue
             name = struct.name.removesuffix("_t")
             topic = f"/cfs/{name}/{key}".replace(":", "_") if often[name] > 1 else f"/cfs/{name}"

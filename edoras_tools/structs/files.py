@@ -53,7 +53,7 @@ _HIGHEST: Final = 0x1FFF
 
 @dataclass(frozen=True, slots=True)
 class Database:
-    """A kind of file with message layouts, which an installed package reads (``edoras.databases``).
+    """A kind of file with message layouts, which an add-on or a package reads (``edoras.databases``).
 
     What it reads can stand wherever a layout file can: ``--structs``, ``xtce``, ``wireshark``.
 
@@ -104,16 +104,17 @@ def parse_layout(data: bytes, name: str) -> StructLayout:
     """
     if len(data) > _LARGEST:
         raise ConfigError(f"{name}: larger than {_LARGEST >> 20} MiB; that is not a layout file")
-    return _of_package(data, name) or layout_of(_parsed(data, name), name)
+    return _of_database(data, name) or layout_of(plain_values(data, name), name)
 
 
-def _of_package(data: bytes, name: str) -> StructLayout | None:
-    """Return the layout in a file of a kind that a package reads; None if it is of none.
+def _of_database(data: bytes, name: str) -> StructLayout | None:
+    """Return the layout in a file of a kind that an add-on or a package reads; None if it is of none.
 
     Raises:
         ConfigError: the file holds mistakes, or the package cannot be loaded.
     """
-    for item in doors.installed("databases"):
+    ships = [item for item in doors.shipped("databases").values() if not item.absent]
+    for item in (*ships, *doors.installed("databases")):
         loaded = item.load()
         if not isinstance(loaded, Database):
             raise item.error(f"{item.place} is not an object of Database")
@@ -123,16 +124,16 @@ def _of_package(data: bytes, name: str) -> StructLayout | None:
 
 
 def layout_of(raw: Any, name: str) -> StructLayout:
-    """Read a layout from the plain values of a layout file, or a dictionary; see :func:`parse_layout`."""
-    if isinstance(raw, dict) and "typeDefinitions" in raw:
-        from edoras_tools.structs.fprime.dictionary import is_dictionary, read_dictionary
-
-        if is_dictionary(raw):
-            return read_dictionary(raw, name)
+    """Read a layout from the plain values of a layout file; see :func:`parse_layout`."""
     return _Reader(name).layout(raw)
 
 
-def _parsed(data: bytes, name: str) -> Any:
+def plain_values(data: bytes, name: str) -> Any:
+    """Return the values of a file of YAML or JSON.
+
+    Raises:
+        ConfigError: it is neither, or an object of JSON names a key twice.
+    """
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from edoras_tools.links.table import accepted, among
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.fprime import read_ground_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -85,8 +84,7 @@ def payloads(
     if structs.dictionary is not None:
         described = np.flatnonzero(among(columns("link"), lambda link: link.dictionary))
         offset, size = datagrams("offset")[described], datagrams("length")[described]
-        packets = read_ground_frames(data, offset, size, checked=False).packets
-        entries = structs.dictionary.payloads(data, packets)
+        entries = structs.dictionary.payloads(data, offset, size)
         samples = samples.join(entries._replace(row=described[entries.row]))
     described_rows = np.flatnonzero(bare)
     if not len(described_rows):

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from math import prod
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 from edoras_tools.wire import cfe, robot
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from edoras_tools.mission.fprime import Entry
     from edoras_tools.wire.msg_id import MsgIds
 
 
@@ -34,7 +33,7 @@ PACKETS: Final = {
 """Struct by MsgId of version 1; :mod:`edoras_tools.structs.cfe` describes them."""
 UDP_KEY: Final = 1 << 16
 """A key from here on is a UDP port, not a MsgId: of datagrams of the robot link, on any port if it is 0."""
-FPRIME_KEY: Final = 2 * UDP_KEY
+ENTRY_KEY: Final = 2 * UDP_KEY
 """A key from here on is a place in the table of a dictionary's entries."""
 DATAGRAMS: Final = {layout.size: layout for layout in robot.SENT_TO}
 """The header that a datagram on the robot link is, by its bytes."""
@@ -197,7 +196,7 @@ class Key:
 
     Attributes:
         msg_id: of the packet; of datagrams ``UDP_KEY`` and the port that they are sent to; of an entry
-            ``FPRIME_KEY`` and its place.
+            ``ENTRY_KEY`` and its place.
         function_code: of a command; None for all. Of datagrams their bytes.
     """
 
@@ -207,13 +206,47 @@ class Key:
     @property
     def port(self) -> int | None:
         """The port that datagrams are sent to, 0 for any of the robot link; None of packets."""
-        return self.msg_id - UDP_KEY if UDP_KEY <= self.msg_id < FPRIME_KEY else None
+        return self.msg_id - UDP_KEY if UDP_KEY <= self.msg_id < ENTRY_KEY else None
 
     def __str__(self) -> str:
-        if self.msg_id >= FPRIME_KEY:
-            return f"fprime:{self.msg_id - FPRIME_KEY}"
+        if self.msg_id >= ENTRY_KEY:
+            return f"entry:{self.msg_id - ENTRY_KEY}"
         text = f"0x{self.msg_id:04x}" if self.port is None else f"udp:{self.port or 'robot'}"
         return text + (f"/{self.function_code}" if self.function_code is not None else "")
+
+
+class Entry(Protocol):
+    """One entry of a dictionary; they sort as a table shows them."""
+
+    @property
+    def name(self) -> str:
+        """Qualified name."""
+
+    @property
+    def word(self) -> str:
+        """What it is, as ``event``."""
+
+    @property
+    def id_text(self) -> str:
+        """The ID as on the wire, in hex."""
+
+    def __hash__(self) -> int: ...
+
+    def __lt__(self, other: Any, /) -> bool: ...
+
+
+class Entries(Protocol):
+    """The entries of a dictionary, in the order of their keys; see ``structs.entries``."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, place: int, /) -> Entry: ...
+
+    def bind(self, key: Key, layout: StructLayout, struct: Struct, type_name: str) -> Any:
+        """Return the struct of an entry as its messages are made, a ``bound.Bound``."""
+
+    def table(self, structs: Any) -> Any:
+        """Return the ``entries.EntryTable`` of them, once bound; ``structs`` is the ``table.Structs``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +260,7 @@ class StructLayout:
         byte_order: of every number.
         package: ROS package of the messages.
         origin: the file it was read from, for messages.
-        entries: of an F Prime dictionary, in the order of their keys; these have no cFE header.
+        entries: of a dictionary, in the order of their keys; these have no cFE header. Else None.
     """
 
     structs: Mapping[str, Struct]
@@ -236,7 +269,7 @@ class StructLayout:
     byte_order: ByteOrder = "little"
     package: str = "cfs_msgs"
     origin: str = ""
-    entries: tuple[Entry, ...] = ()
+    entries: Entries | None = None
 
     def enumeration(self, member: Member) -> Enumeration | None:
         """Return the enumeration that a member is of, or None."""

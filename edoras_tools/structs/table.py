@@ -11,7 +11,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types.schema import Definition, complete_text
-from edoras_tools.structs.shapes import FPRIME_KEY, UDP_KEY, packets
+from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, packets
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.structs.bindings import Bindings
     from edoras_tools.structs.bound import Bound, Held
-    from edoras_tools.structs.fprime.table import EntryTable
+    from edoras_tools.structs.entries import EntryTable
     from edoras_tools.structs.payloads import StructPayloads
     from edoras_tools.structs.shapes import StructLayout
 
@@ -48,8 +48,8 @@ class Structs:
         self.msg_ids = msg_ids
         self._layouts = layouts
         self._whole = self
-        entries = sum(len(layout.entries) for layout in layouts or ())
-        self.has: NDArray[np.bool_] = np.zeros(FPRIME_KEY + entries + _NONE, np.bool_)
+        entries = sum(len(layout.entries or ()) for layout in layouts or ())
+        self.has: NDArray[np.bool_] = np.zeros(ENTRY_KEY + entries + _NONE, np.bool_)
         self.has[[*packets(msg_ids), UDP_KEY] if layouts is None else list(self._bindings.by_id)] = True
 
     @cached_property
@@ -73,20 +73,18 @@ class Structs:
 
     @property
     def dictionary(self) -> EntryTable | None:
-        """The entries of an F Prime dictionary, if one of the layouts is one."""
+        """The entries of a dictionary, if one of the layouts is one."""
         return self._whole._entries  # noqa: SLF001  of its own kind
 
     @cached_property
     def _entries(self) -> EntryTable | None:
-        origins = [layout.origin for layout in self._layouts or () if layout.entries]
-        if not origins:
-            return None
-        if len(origins) > 1:
-            raise ConfigError(f"{origins[1]}: a second dictionary of F Prime, beside {origins[0]}; name one")
-        from edoras_tools.structs.fprime.bound import BoundEntry
-        from edoras_tools.structs.fprime.table import EntryTable
-
-        return EntryTable([item for item in self._bindings.all if isinstance(item, BoundEntry)])
+        layouts = [layout for layout in self._layouts or () if layout.entries]
+        if len(layouts) > 1:
+            raise ConfigError(
+                f"{layouts[1].origin}: a second dictionary, beside {layouts[0].origin}; name one"
+            )
+        entries = layouts[0].entries if layouts else None
+        return entries.table(self) if entries else None
 
     @property
     def all(self) -> tuple[Bound, ...]:

@@ -19,7 +19,9 @@ from rtps import PREFIX, announced, data, made, message
 from streams import ACK, CLIENT, SERVER, Segment, sbn_message, sbn_messages, segments_of, write_segments
 from transfer_frames import Maker, space_packet
 
+from edoras_tools.addons.cfdp.wire import Directive
 from edoras_tools.addons.lab.emulator import messages
+from edoras_tools.addons.rtps.wire.headers import SubmessageKind
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
 from edoras_tools.diagnosis.rules import shipped_rules
 from edoras_tools.diagnosis.verdict import Severity
@@ -31,8 +33,6 @@ from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.wire import cfe, envelope, sbn
-from edoras_tools.wire.cfdp import Directive
-from edoras_tools.wire.rtps.headers import SubmessageKind
 
 IDS = list(shipped_rules())
 HABITS = {"checksum", "subscription_storm", "proto_storm", "superseded"}

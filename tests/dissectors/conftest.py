@@ -16,6 +16,7 @@ from edoras_tools.addons.fprime.link import FPRIME
 from edoras_tools.addons.frames.link import FRAMES
 from edoras_tools.addons.frames.unframer import Unframer
 from edoras_tools.addons.racs2.link import RACS2
+from edoras_tools.addons.racs2.wire import BODY_KINDS
 from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.io.formats.open import open_file
@@ -27,7 +28,6 @@ from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.ros import TypeStore
 from edoras_tools.structs import Structs
 from edoras_tools.structs.files import load_layout
-from edoras_tools.wire.racs2 import BODY_KINDS
 
 OURS = "ccsds_sp cfe sbn robot racs2 frames fprime edoras ros2cdr"
 PREFIXES = tuple(f"{name}." for name in (*OURS.split(), "ros2"))

@@ -22,6 +22,7 @@ from fuzz_targets import LINK_TYPES, MESSAGES, ROOMS, ROOT, SCENARIOS, TYPES
 from fuzz_traffic import write_seeds
 from mcap.writer import CompressionType, Writer
 
+from edoras_tools.addons.rtps.wire import RTPS_MAGIC
 from edoras_tools.decode import Context, Dissector
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
@@ -35,7 +36,6 @@ from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.envelope import EnvelopeFormat
-from edoras_tools.wire.rtps import RTPS_MAGIC
 
 SEEDS = Path(__file__).parent / "seeds"
 CAPTURES = ROOT / "samples/captures"

@@ -7,9 +7,9 @@ from contextlib import closing
 import numpy as np
 from places import ROOT
 
+from edoras_tools.addons.rtps.wire import RTPS_MAGIC
+from edoras_tools.addons.rtps.wire.headers import SUBMESSAGE_LAYOUTS, SubmessageKind
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.wire.rtps import RTPS_MAGIC
-from edoras_tools.wire.rtps.headers import SUBMESSAGE_LAYOUTS, SubmessageKind
 
 FOLDER = ROOT / "samples/rtps"
 CAPTURES = sorted(FOLDER.glob("*.pcap.gz"))

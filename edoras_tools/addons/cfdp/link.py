@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.addons.cfdp import wire as cfdp
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
-from edoras_tools.wire import ccsds, cfdp
+from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.crc import CRC16_BYTES
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.cfdp.link import CFDP
 from edoras_tools.addons.cfdp.transactions import FileEvidence
+from edoras_tools.addons.cfdp.wire import ConditionCode
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict, warning
 from edoras_tools.units import SECOND
-from edoras_tools.wire.cfdp import ConditionCode
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

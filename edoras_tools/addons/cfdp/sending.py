@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.addons.cfdp import wire as cfdp
+from edoras_tools.addons.cfdp.wire import Directive
 from edoras_tools.links.sending import LinkSending, SendingSession
 from edoras_tools.units import SECOND
-from edoras_tools.wire import cfdp
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
-from edoras_tools.wire.cfdp import Directive
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
+    from edoras_tools.addons.cfdp.wire import Pdus
     from edoras_tools.model import Columns, Link, PacketBatch
-    from edoras_tools.wire.cfdp import Pdus
 
 _AGAIN_NS: Final = SECOND
 """EOF is sent again after this time, until it is acknowledged."""

@@ -22,12 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from edoras_tools.addons.cfdp.link import CFDP, holds_pdu
-from edoras_tools.links.doors import LinkEvidence
-from edoras_tools.sessions.ranges import KnownRanges
-from edoras_tools.wire.arrays.crc import FileCrc
-from edoras_tools.wire.arrays.order import numbered
-from edoras_tools.wire.arrays.window import copy_rows
-from edoras_tools.wire.cfdp import (
+from edoras_tools.addons.cfdp.wire import (
     CONDITION_NAMES,
     UNREAD,
     Checksum,
@@ -38,6 +33,11 @@ from edoras_tools.wire.cfdp import (
     parameters,
     read_pdus,
 )
+from edoras_tools.links.doors import LinkEvidence
+from edoras_tools.sessions.ranges import KnownRanges
+from edoras_tools.wire.arrays.crc import FileCrc
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.window import copy_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator

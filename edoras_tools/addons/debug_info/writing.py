@@ -11,7 +11,7 @@ from edoras_tools.io.outputs import write_files
 from edoras_tools.structs import cfe
 from edoras_tools.structs.bindings import Bindings
 from edoras_tools.structs.files import LAYOUT_FILE, dumps, load_layout
-from edoras_tools.structs.shapes import FPRIME_KEY, Key, StructLayout
+from edoras_tools.structs.shapes import ENTRY_KEY, Key, StructLayout
 from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class LayoutFile:
         packets_of: dict[str, list[str]] = {}
         entries = self._layout.entries
         for key, name in self._layout.bindings.items():
-            entry = entries[key.msg_id - FPRIME_KEY] if entries else None
+            entry = entries[key.msg_id - ENTRY_KEY] if entries else None
             packets_of.setdefault(name, []).append(f"{entry.word} {entry.id_text}" if entry else str(key))
         return {name: ", ".join(keys) for name, keys in packets_of.items()}
 
@@ -169,7 +169,7 @@ def take(
 def write_definitions(definitions: Taken, folder: Path, *, force: bool = False) -> list[Path]:
     """Write the definitions, ``PACKAGE/msg/NAME.msg``, and the layout, ``structs.yaml``.
 
-    A dictionary of F Prime is a layout itself, so of one only the definitions are written. Nothing is written
+    A dictionary is a layout itself, so of one only the definitions are written. Nothing is written
     if a file exists with other contents.
 
     Raises:

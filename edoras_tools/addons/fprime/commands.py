@@ -5,9 +5,10 @@ from __future__ import annotations
 from struct import error, pack
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.addons.fprime import wire as fprime
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.shapes import BasicKind
-from edoras_tools.wire import ccsds, fprime
+from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16
 from edoras_tools.wire.transfer_frames import TC_LENGTH_BIAS
 from edoras_tools.words import did_you_mean, listed
@@ -15,7 +16,7 @@ from edoras_tools.words import did_you_mean, listed
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.structs.fprime.table import EntryTable
+    from edoras_tools.addons.fprime.table import EntryTable
     from edoras_tools.structs.shapes import Enumeration, Member, Struct, StructLayout
 
 _SPACECRAFT: Final = 0x44

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.addons.fprime.link import FPRIME
+from edoras_tools.addons.fprime.wire import SPACE_PACKET, read_ground_frames
 from edoras_tools.links.doors import LinkEvidence
 from edoras_tools.model import Columns, Datagram, Finding, PacketBatch
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.fprime import SPACE_PACKET, read_ground_frames
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.addons.fprime import wire as fprime
 from edoras_tools.links.framing import Framing, prefixed
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
 from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch, Transport
-from edoras_tools.wire import fprime
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import LinkEvidence
@@ -21,8 +23,6 @@ if TYPE_CHECKING:
     from edoras_tools.links.site import Site
     from edoras_tools.wire.layout import Layout
 
-_VALUES: Final = "cfs"
-"""The layer of values that a dictionary names."""
 _VERDICTS: Final = {
     "truncated": Finding.TRUNCATED,
     "longer": Finding.LENGTH_MISMATCH,
@@ -149,6 +149,16 @@ class GroundDataLink(LinkProtocol):
         """Return how TM frames are cut that carry its packets; its own frames stand beside them."""
         return GroundDataFraming(form.length) if carried is self and form.kind == "tm" else None
 
+    def engine_values(self) -> Mapping[str, Any]:
+        """Return what ``engine/fprime.lua`` reads."""
+        return {
+            "start_word": fprime.START_WORD,
+            "keep_alive": fprime.KEEP_ALIVE.decode(),
+            "tm_bytes": fprime.TM_FRAME_BYTES,
+            "time_bytes": fprime.TIME_BYTES,
+            "entry_headers": {int(kind): layout.name for kind, layout in fprime.ENTRY_HEADERS.items()},
+        }
+
     def evidence(self, site: Site) -> LinkEvidence:
         """Return what follows the counts of space packets."""
         del site
@@ -163,9 +173,9 @@ class GroundDataLink(LinkProtocol):
         for layer, after in pairwise((*decoded.layers, None)):
             assert layer is not None, "only the last one is"
             header = after is not None and after.name in ids
-            if layer.name == _VALUES or (layer.name == fprime.PACKET.name and not header):
-                texts.append(layer.title if layer.name == _VALUES else layer.fields[0].text)
-            elif layer.name in ids and not (after is not None and after.name == _VALUES):
+            if layer.name == fprime.VALUES_LAYER or (layer.name == fprime.PACKET.name and not header):
+                texts.append(layer.title if layer.name == fprime.VALUES_LAYER else layer.fields[0].text)
+            elif layer.name in ids and not (after is not None and after.name == fprime.VALUES_LAYER):
                 texts.append(f"{layer.title.removeprefix('F Prime ').lower()} {layer.fields[0].text}")
         return "; ".join(texts) or ("" if decoded.stop else "no packet")
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.addons.fprime import wire as fprime
 from edoras_tools.addons.fprime.commands import CommandWriter, command_frame
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.sending import LinkSending
-from edoras_tools.wire import fprime
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.addons.racs2 import wire as racs2
 from edoras_tools.links.framing import Framing, StreamState
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
 from edoras_tools.model import Decoded, LayerField, PacketBatch, Transport
-from edoras_tools.wire import cfe, racs2
+from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import OwnTopics, TopicSpace
@@ -136,6 +139,14 @@ class RacsBridgeLink(LinkProtocol):
         to_cfs = gather(rows.batch.data, offset, 1)[:, 0] <= cfe.HIGHEST_MSG_ID >> 8
         present = to_cfs == (layout is racs2.TO_CFS)
         return owner[present], offset[present]
+
+    def engine_values(self) -> Mapping[str, Any]:
+        """Return what ``engine/racs2.lua`` reads: the fields of a body by number."""
+        kinds = {
+            number: {"name": name, "kind": kind, "array": array or None}
+            for name, (number, kind, array) in racs2.BODY_KINDS.items()
+        }
+        return {"subprotocol": racs2.SUBPROTOCOL, "largest": racs2.LARGEST_BODY, "values": kinds}
 
     def topics(self, space: TopicSpace) -> OwnTopics:
         """Return what makes messages of it; loaded with the first."""

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.addons.racs2 import wire as racs2
 from edoras_tools.addons.racs2.streams import WebSocketFraming
+from edoras_tools.addons.racs2.websocket import Opcode
 from edoras_tools.links.sending import LinkSending, SendingSession
-from edoras_tools.wire import cfe, racs2
+from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.websocket import Opcode
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

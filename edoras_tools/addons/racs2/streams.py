@@ -16,10 +16,8 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
-from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, MessageContents
-from edoras_tools.wire import cfe, racs2
-from edoras_tools.wire.arrays.window import copy_rows, gather
-from edoras_tools.wire.websocket import (
+from edoras_tools.addons.racs2 import wire as racs2
+from edoras_tools.addons.racs2.websocket import (
     LARGEST_HEADER,
     FrameHeaders,
     Opcode,
@@ -27,6 +25,9 @@ from edoras_tools.wire.websocket import (
     read_headers,
     unmask,
 )
+from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET, Framing, MessageContents
+from edoras_tools.wire import cfe
+from edoras_tools.wire.arrays.window import copy_rows, gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

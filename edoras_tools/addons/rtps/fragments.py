@@ -23,15 +23,8 @@ import numpy as np
 from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.reader import distinct_guids, rtps_messages
 from edoras_tools.addons.rtps.samples import LeftSamples
-from edoras_tools.io.frames.build import order_behind, packets_behind
-from edoras_tools.links.site import MOST_ENDPOINTS
-from edoras_tools.model import Columns, PacketBatch
-from edoras_tools.sessions.ranges import KnownRanges
-from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import numbered
-from edoras_tools.wire.arrays.window import PADDING, copy_rows
-from edoras_tools.wire.rtps import RTPS_MAGIC
-from edoras_tools.wire.rtps.headers import (
+from edoras_tools.addons.rtps.wire import RTPS_MAGIC
+from edoras_tools.addons.rtps.wire.headers import (
     GUID_BYTES,
     PREFIX_BYTES,
     RTPS_HEADER,
@@ -39,7 +32,14 @@ from edoras_tools.wire.rtps.headers import (
     SubmessageFlag,
     SubmessageKind,
 )
-from edoras_tools.wire.rtps.messages import SubmessageFields, read_samples
+from edoras_tools.addons.rtps.wire.messages import SubmessageFields, read_samples
+from edoras_tools.io.frames.build import order_behind, packets_behind
+from edoras_tools.links.site import MOST_ENDPOINTS
+from edoras_tools.model import Columns, PacketBatch
+from edoras_tools.sessions.ranges import KnownRanges
+from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.window import PADDING, copy_rows
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.addons.rtps.wire import RTPS_MAGIC
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Located, Seen
 from edoras_tools.model import Decoded, PacketBatch, Transport
-from edoras_tools.wire.rtps import RTPS_MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -42,13 +42,13 @@ class PublishSubscribeLink(LinkProtocol):
     @property
     def layouts(self) -> tuple[Layout, ...]:  # type: ignore[override]
         """Its headers, of each submessage in both byte orders; made when they are asked for."""
-        from edoras_tools.wire.rtps.headers import EVERY_RTPS_LAYOUT
+        from edoras_tools.addons.rtps.wire.headers import EVERY_RTPS_LAYOUT
 
         return EVERY_RTPS_LAYOUT
 
     def recognise(self, facts: Seen) -> Any:
         """Recognise the four letters that begin every message."""
-        from edoras_tools.wire.rtps.headers import RTPS_HEADER
+        from edoras_tools.addons.rtps.wire.headers import RTPS_HEADER
 
         version = facts.field(RTPS_HEADER, "version_major")
         letters = facts.field(RTPS_HEADER, "magic") == int.from_bytes(RTPS_MAGIC, "big")

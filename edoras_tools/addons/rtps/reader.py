@@ -6,11 +6,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.links.protocol import BatchRows, Located
-from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch
-from edoras_tools.wire.arrays.order import numbered
-from edoras_tools.wire.cdr import CDR_BE, CDR_LE
-from edoras_tools.wire.rtps.headers import (
+from edoras_tools.addons.rtps.wire.headers import (
     BUILT_IN,
     BUILT_IN_KIND,
     ENTITY_BYTES,
@@ -28,7 +24,7 @@ from edoras_tools.wire.rtps.headers import (
     SubmessageFlag,
     SubmessageKind,
 )
-from edoras_tools.wire.rtps.messages import (
+from edoras_tools.addons.rtps.wire.messages import (
     LEAST_BYTES,
     RtpsMessages,
     SubmessageFields,
@@ -38,17 +34,21 @@ from edoras_tools.wire.rtps.messages import (
     read_samples,
     sequence_set,
 )
-from edoras_tools.wire.rtps.parameters import read_announcement, read_status
+from edoras_tools.addons.rtps.wire.parameters import read_announcement, read_status
+from edoras_tools.links.protocol import BatchRows, Located
+from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch
+from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.cdr import CDR_BE, CDR_LE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
+    from edoras_tools.addons.rtps.wire.messages import SampleData
     from edoras_tools.links.reading import Reading
     from edoras_tools.links.site import Endpoints, Site
     from edoras_tools.wire.layout import Layout
-    from edoras_tools.wire.rtps.messages import SampleData
 
 _ANNOUNCING: Final = (OF_PARTICIPANTS, OF_PUBLICATIONS, OF_SUBSCRIPTIONS)
 _PLAIN: Final = (CDR_BE, CDR_LE)

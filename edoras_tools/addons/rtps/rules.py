@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.addons.rtps.evidence import SAMPLE_HOP, sample_verdict
 from edoras_tools.addons.rtps.link import RTPS
+from edoras_tools.addons.rtps.wire.headers import PREFIX_BYTES
+from edoras_tools.addons.rtps.wire.messages import guid_text
 from edoras_tools.addons.rtps.writers import SampleFollower
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
-from edoras_tools.wire.rtps.headers import PREFIX_BYTES
-from edoras_tools.wire.rtps.messages import guid_text
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:

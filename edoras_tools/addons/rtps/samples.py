@@ -14,11 +14,11 @@ from edoras_tools.addons.rtps.reader import (
     rtps_messages,
     topic_samples,
 )
+from edoras_tools.addons.rtps.wire.messages import guid_text
 from edoras_tools.links.doors import KnownSamples
 from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cdr import CDR_LE, ENCAPSULATION
-from edoras_tools.wire.rtps.messages import guid_text
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:

@@ -16,6 +16,7 @@ import numpy as np
 from edoras_tools import doors
 from edoras_tools.addons.rtps.fragments import sample_message
 from edoras_tools.addons.rtps.reader import rtps_messages, topic_samples
+from edoras_tools.addons.rtps.wire.messages import read_messages
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.io.net.sockets import SendResult
 from edoras_tools.io.net.transmit import SendStatistics
@@ -26,7 +27,6 @@ from edoras_tools.middleware.opening import usual_domain
 from edoras_tools.model import Endpoint
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.units import SECOND
-from edoras_tools.wire.rtps.messages import read_messages
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
+    from edoras_tools.addons.rtps.wire.parameters import Announcement
     from edoras_tools.links.site import Site
     from edoras_tools.model import Columns, Link, PacketBatch
-    from edoras_tools.wire.rtps.parameters import Announcement
 
 _FIRST_PORT: Final = 7400
 _PORTS_OF_DOMAIN: Final = 250

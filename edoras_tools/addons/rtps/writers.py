@@ -32,12 +32,12 @@ import numpy as np
 from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.reader import UserSubmessages, user_submessages
 from edoras_tools.addons.rtps.samples import READER
+from edoras_tools.addons.rtps.wire.headers import SubmessageKind
+from edoras_tools.addons.rtps.wire.messages import guid_text
+from edoras_tools.addons.rtps.wire.parameters import Announcement
 from edoras_tools.links.doors import LinkEvidence, SampleStream
 from edoras_tools.links.site import MOST_ENDPOINTS, Endpoints
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
-from edoras_tools.wire.rtps.headers import SubmessageKind
-from edoras_tools.wire.rtps.messages import guid_text
-from edoras_tools.wire.rtps.parameters import Announcement
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -23,8 +23,6 @@ from edoras_tools.ros.cdr.plan import CdrPlan, PrimitiveRun, Repeat, Text
 from edoras_tools.ros.types.schema import PLACEHOLDER, full_name
 from edoras_tools.structs import Structs
 from edoras_tools.structs.files import load_layout
-from edoras_tools.structs.fprime.table import DESCRIBED, EntryTable
-from edoras_tools.structs.messages import parts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -32,7 +30,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.structs.shapes import Struct, StructLayout
 
 DEMOS: Final = (
     ("rover_ground",),
@@ -90,7 +87,7 @@ def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
         for link in contexts[0].links:
             _claim(exact[link.label], context.routes_on(link), first)
         _claim(any_link, context.any_route_of, first)
-    headers = contexts[0].headers
+    headers, table = contexts[0].headers, contexts[0].structs.dictionary
     return Knowledge(
         findings=[_finding(item) for item in Finding],
         links=contexts[0].links,
@@ -120,7 +117,7 @@ def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
             for context in contexts
             for item in context.mission.frames
         },
-        dictionary=_dictionary(contexts[0].structs.dictionary),
+        dictionary=table.engine_values() if table else {},
     )
 
 
@@ -128,64 +125,6 @@ def _claim(claims: dict[int, list[int]], route_of: Iterable[int], first: int) ->
     table = np.asarray(route_of)
     for msg_id in np.flatnonzero(table != NO_ROUTE).tolist():
         claims.setdefault(msg_id, []).append(first + int(table[msg_id]))
-
-
-def _dictionary(table: EntryTable | None) -> dict[str, Any]:
-    """Return what an F Prime dictionary says, as ``engine/fprime.lua`` reads it; empty for none."""
-    if table is None:
-        return {}
-    entries: dict[int, dict[int, Any]] = {}
-    structs: dict[str, Any] = {}
-    enums: dict[str, Any] = {}
-    for bound in table.bounds:
-        entry = bound.entry
-        entries.setdefault(int(entry.kind), {})[entry.id] = {
-            "name": entry.name,
-            "word": entry.word,
-            "topic": entry.topic,
-            "type": bound.type,
-            "severity": entry.severity.name if entry.severity else None,
-            "format": entry.format or None,
-            "timed": entry.timed or None,
-            "padded": entry.padded or None,
-            "members": _members(bound.layout, bound.struct, structs, enums)[int(entry.timed) :],
-        }
-    return {
-        "described": dict.fromkeys(sorted(DESCRIBED), True),
-        "entries": entries,
-        "structs": structs,
-        "enums": enums,
-    }
-
-
-def _members(
-    layout: StructLayout, struct: Struct, structs: dict[str, Any], enums: dict[str, Any]
-) -> list[dict[str, Any]]:
-    """Return the values of a struct of a dictionary; note the structs and enumerations in it."""
-    members = []
-    for name, member, _ in parts(layout, struct, whole=False):
-        inner, enum, basic = layout.structs.get(str(member.type)), layout.enumeration(member), None
-        if inner is not None:
-            structs[inner.name] = _members(layout, inner, structs, enums)
-        else:
-            basic = layout.basic(member)
-        if enum is not None:
-            enums[enum.name] = dict(enum.names)
-        kind = "string" if member.text else inner.name if inner else _KINDS.get(str(basic), str(basic))
-        members.append(
-            {
-                "name": name,
-                "kind": kind,
-                "size": basic.size if basic else None,
-                "count": member.count if member.array else None,
-                "most": member.dims[-1] if member.text else None,
-                "enum": enum.name if enum else None,
-            }
-        )
-    return members
-
-
-_KINDS: Final = {"float32": "float", "float64": "double"}
 
 
 def _finding(item: Finding) -> FindingText:

@@ -1,4 +1,4 @@
-"""Messages of the C structs in packets, one topic each; F Prime's events are log messages too."""
+"""Messages of the C structs in packets, one topic each; events of a dictionary are log messages too."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, Messages, bodies_of, whole_messages
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.cdr import ENCAPSULATION
 
 if TYPE_CHECKING:
@@ -68,10 +67,7 @@ def _messages(
 def log_messages(
     batch: PacketBatch, columns: Columns, structs: Structs, types: TypeStore, channel_id: int
 ) -> Messages:
-    """Return one ``rcl_interfaces/msg/Log`` for every event that a dictionary names.
-
-    ``name`` is the component, ``function`` the event, ``msg`` its text, ``line`` 0, ``file`` empty; the time
-    is that of the capture, because F Prime's clock may have any epoch.
+    """Return one ``rcl_interfaces/msg/Log`` for every event of a dictionary; its time is the capture's.
 
     Args:
         structs: has a dictionary.
@@ -80,29 +76,11 @@ def log_messages(
     table = structs.dictionary
     assert table is not None, "called with one"
     samples = payloads(structs, partial(getattr, columns), partial(getattr, batch), batch.data)
-    whole = table.whole(samples)
     logs: list[tuple[int, int, bytes]] = []
-    for key, members in by_value(whole.key):
-        bound = table[key]
-        if bound.entry.severity is None:
-            continue
-        component, _, name = bound.entry.name.rpartition(".")
-        events = whole.take(members)
-        for row, at, size in zip(
-            events.row.tolist(), events.offset.tolist(), events.length.tolist(), strict=True
-        ):
-            values = structs.types.decode(bound.type, bound.message(batch.data[at : at + size].tobytes()))
-            seconds, rest = divmod(int(batch.time_ns[row]), SECOND)
-            log = {
-                "stamp": {"sec": seconds, "nanosec": rest},
-                "level": bound.entry.severity.level,
-                "name": component,
-                "msg": bound.text_of(values),
-                "file": "",
-                "function": name,
-                "line": 0,
-            }
-            logs.append((row, at, types.encode("rcl_interfaces/msg/Log", log)[ENCAPSULATION.size :]))
+    for row, at, fields in table.logs(samples, batch.data):
+        seconds, rest = divmod(int(batch.time_ns[row]), SECOND)
+        log = {"stamp": {"sec": seconds, "nanosec": rest}, **fields}
+        logs.append((row, at, types.encode("rcl_interfaces/msg/Log", log)[ENCAPSULATION.size :]))
     logs.sort()
     rows = np.array([row for row, _, _ in logs], np.int64)
     bodies = [body for _, _, body in logs]

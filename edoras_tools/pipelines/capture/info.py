@@ -49,7 +49,7 @@ class Counting:
         if table is not None:
             entries = table.whole(payloads(self._structs, own.column, own.datagram, own.batch.data))
             for key, members in by_value(entries.key):
-                self.report.entries[table[key].entry] += len(members)
+                self.report.entries[table.entry(key)] += len(members)
         return own
 
     def end(self, loop: ReadLoop) -> CaptureReport:

@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Sink, Source
     from edoras_tools.io.formats.capture_file import CaptureFileSink
-    from edoras_tools.mission.fprime import Entry
     from edoras_tools.model import Columns, HostCounters, PacketBatch
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
+    from edoras_tools.structs.shapes import Entry
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class CaptureReport:
         unnamed: see ``Context``.
         losses: outputs that were removed while they were written.
         keep: how many of the oldest files were deleted because no more were to be kept.
-        entries: how often each entry of an F Prime dictionary was seen whole; ``info`` counts them.
+        entries: how often each entry of a dictionary was seen whole; ``info`` counts them.
     """
 
     ledger: Ledger
@@ -150,10 +150,9 @@ class CaptureReport:
 
     def _entries(self) -> list[dict[str, Any]]:
         """Return the entries of a dictionary, and how often each was seen."""
-        entries = sorted(self.entries.items(), key=lambda item: (item[0].kind, item[0].id))
         return [
-            {"entry": entry.name, "is": entry.word, "id": entry.id_text, "count": count}
-            for entry, count in entries
+            {"entry": entry.name, "is": entry.word, "id": entry.id_text, "count": self.entries[entry]}
+            for entry in sorted(self.entries)
         ]
 
 

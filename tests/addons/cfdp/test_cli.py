@@ -17,9 +17,9 @@ from rewriting import Udp, write
 from waiting import HOST, Program, free_ports, until
 
 from edoras_tools.addons.cfdp.taking import safe_path, take_out
+from edoras_tools.addons.cfdp.wire import Directive
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.wire import cfe
-from edoras_tools.wire.cfdp import Directive
 
 SIZES = (60_000, 59_999, 50_000, 40_001, 60_000, 1)
 ENDS = (HOST, 5111), (HOST, 5222)

@@ -43,6 +43,7 @@ from spacepackets.cfdp.pdu.prompt import ResponseRequired
 from spacepackets.util import ByteFieldGenerator
 from transfer_frames import batch_of
 
+from edoras_tools.addons.cfdp import wire as cfdp
 from edoras_tools.addons.cfdp.link import CFDP
 from edoras_tools.addons.cfdp.transactions import FileEvidence
 from edoras_tools.addons.wireshark.lua import dissector
@@ -53,7 +54,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_FINDINGS, Finding
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.sessions.faults.rules import parse_rule
-from edoras_tools.wire import cfdp, cfe
+from edoras_tools.wire import cfe
 
 
 def configuration(width=2, count=4, *, crc=False, large=False, toward_sender=False):

@@ -12,12 +12,12 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from pdus import eof, finished, metadata, nak, pdu, piece
 
 from edoras_tools.addons.cfdp import transactions as follower
+from edoras_tools.addons.cfdp import wire as cfdp
 from edoras_tools.addons.cfdp.transactions import FileEvidence
+from edoras_tools.addons.cfdp.wire import Checksum, Directive
 from edoras_tools.model import PacketBatch
 from edoras_tools.sessions import ranges as known_ranges
 from edoras_tools.sessions.ranges import KnownRanges
-from edoras_tools.wire import cfdp
-from edoras_tools.wire.cfdp import Checksum, Directive
 
 ENDS = 40000, 5222
 

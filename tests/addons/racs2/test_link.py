@@ -12,11 +12,11 @@ from racs2_peer import Talk, to_cfs, to_ros
 from streams import frames, segments_of
 from websockets.frames import Opcode
 
+from edoras_tools.addons.racs2 import wire as racs2
 from edoras_tools.addons.racs2.link import RACS2
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.model import OTHER, Finding
-from edoras_tools.wire import racs2
 
 TEXT = b"\x32\x05hello"  # string_data of RACS2Bridge_std_msgs, field 6
 PART = Finding.FRAGMENT
@@ -262,7 +262,7 @@ def test_a_header_is_recognised(payload, link):
 
 
 def test_opcodes_are_those_of_the_public_package():
-    from edoras_tools.wire.websocket import Opcode as Ours
+    from edoras_tools.addons.racs2.websocket import Opcode as Ours
 
     assert {item.name.removesuffix("INUATION"): int(item) for item in Opcode} == {
         item.name.removesuffix("INUATION"): int(item) for item in Ours

@@ -10,9 +10,9 @@ from rtps_batches import batch_of
 
 from edoras_tools.addons.rtps import fragments as fragmented
 from edoras_tools.addons.rtps.fragments import LARGEST_SAMPLE, FragmentedSamples
+from edoras_tools.addons.rtps.wire.headers import SubmessageKind
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.ros import TypeStore
-from edoras_tools.wire.rtps.headers import SubmessageKind
 
 
 def fragment(body, first, count, step, sequence=1, size=None, flags=1):

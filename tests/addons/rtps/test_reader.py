@@ -13,6 +13,8 @@ from rtps import CAPTURES, PREFIX, TRUTH, WRITER, announced, batches, data, mess
 from rtps_batches import batch_of
 
 from edoras_tools.addons.rtps.link import RTPS
+from edoras_tools.addons.rtps.wire.headers import EVERY_RTPS_LAYOUT
+from edoras_tools.addons.rtps.wire.parameters import STATUS_NAMES, Announcement
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.names import Names
@@ -22,8 +24,6 @@ from edoras_tools.links.table import protocol
 from edoras_tools.mission import load
 from edoras_tools.model import Finding
 from edoras_tools.ros import TypeStore
-from edoras_tools.wire.rtps.headers import EVERY_RTPS_LAYOUT
-from edoras_tools.wire.rtps.parameters import STATUS_NAMES, Announcement
 
 TYPES = TypeStore()
 FIELDS = {

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from places import ROOT, SUPPORT
 from waiting import until
 
-from edoras_tools.wire.rtps.parameters import read_announcement
+from edoras_tools.addons.rtps.wire.parameters import read_announcement
 
 CAPTURE = ROOT / "samples/rtps/cyclone_sender.pcap.gz"
 TOPICS = {"/cmd_vel": "Twist", "/chatter": "String", "/joint_states": "JointState"}

@@ -10,12 +10,12 @@ from rtps import CAPTURES, PREFIX, TRUTH, TWIST, WRITER, data, message
 from rtps_batches import batch_of
 
 from edoras_tools.addons.rtps.topics import SampleMessages
+from edoras_tools.addons.rtps.wire.parameters import Announcement
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.links.site import Endpoints
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.ros import TypeStore
-from edoras_tools.wire.rtps.parameters import Announcement
 
 
 def recorded(path, target, **options):

@@ -10,6 +10,7 @@ from rtps import CAPTURES, PREFIX, TRUTH, WRITER, data, made, message
 from rtps_batches import batch_of
 from schema import check, published
 
+from edoras_tools.addons.rtps.wire.headers import SubmessageKind
 from edoras_tools.addons.rtps.writers import MOST_ASKED, SampleFollower
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.links.site import Endpoints
@@ -18,7 +19,6 @@ from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.ranges import MOST_RANGES
-from edoras_tools.wire.rtps.headers import SubmessageKind
 
 OTHER = bytes(range(100, 112))
 

@@ -10,9 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rtps import PREFIX, TWIST, WRITER, announcement, parameter, text
 
-from edoras_tools.middleware.names import dds_name
-from edoras_tools.ros import TypeStore
-from edoras_tools.wire.rtps.parameters import (
+from edoras_tools.addons.rtps.wire.parameters import (
     LONGEST_TEXT,
     MOST_PARAMETERS_READ,
     Announcement,
@@ -22,6 +20,8 @@ from edoras_tools.wire.rtps.parameters import (
     ros_name,
     ros_topic,
 )
+from edoras_tools.middleware.names import dds_name
+from edoras_tools.ros import TypeStore
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

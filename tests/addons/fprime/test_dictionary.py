@@ -10,8 +10,8 @@ from fprime_session import DICTIONARY
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from edoras_tools.addons.fprime.entry import EventSeverity
 from edoras_tools.errors import ConfigError
-from edoras_tools.mission.fprime import EventSeverity
 from edoras_tools.structs import Structs
 from edoras_tools.structs.files import load_layout, parse_layout
 
@@ -165,7 +165,7 @@ def test_a_mistake_is_a_line_that_says_where(what):
 
 
 def test_a_second_dictionary_is_one_too_many():
-    with pytest.raises(ConfigError, match="a second dictionary of F Prime, beside"):
+    with pytest.raises(ConfigError, match="a second dictionary, beside"):
         assert Structs([load_layout(DICTIONARY), load_layout(DICTIONARY)]).dictionary
 
 

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rtps import PREFIX, READER, WRITER, buffer, data, made, message, parameter, submessage
 
-from edoras_tools.wire.rtps.headers import SubmessageKind
-from edoras_tools.wire.rtps.messages import (
+from edoras_tools.addons.rtps.wire.headers import SubmessageKind
+from edoras_tools.addons.rtps.wire.messages import (
     MOST_SUBMESSAGES,
     NO_TIME,
     NOWHERE,

@@ -87,7 +87,6 @@ PDU_HEADER: Final = Layout(
     Field("sequence_number_length", 3, "bytes of the transaction sequence number, less 1"),
 )
 """The part of the header that always has one length; the IDs and the sequence number follow."""
-PDU_NAME: Final = "CFDP_PDU"
 """What a packet that holds a PDU is called."""
 NEWEST_VERSION: Final = 1
 DIRECTIVE: Final = Layout(

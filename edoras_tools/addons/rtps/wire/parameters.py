@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, Literal
 
-from edoras_tools.wire.rtps.headers import GUID_BYTES
+from edoras_tools.addons.rtps.wire.headers import GUID_BYTES
+from edoras_tools.middleware.names import ros_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -179,10 +180,3 @@ def ros_topic(topic: str) -> str:
     https://design.ros2.org/articles/topic_and_service_names.html
     """
     return topic.removeprefix(_TOPIC[:-1]) if topic.startswith(_TOPIC) else topic
-
-
-def ros_name(dds_type: str) -> str:
-    """Return the ROS name of a DDS type; the name itself where it is of no ROS type."""
-    parts = dds_type.split("::")
-    is_ros = len(parts) == 4 and parts[2] == "dds_" and parts[3].endswith("_")
-    return f"{parts[0]}/{parts[1]}/{parts[3].removesuffix('_')}" if is_ros else dds_type

@@ -42,6 +42,8 @@ class PacketType(IntEnum):
     HANDSHAKE = 0xFE
 
 
+VALUES_LAYER: Final = "cfs"
+"""Name of the layer of values that a dictionary names."""
 START_WORD: Final = 0xDEADBEEF
 _NAMES: Final = {int(item): item.name.lower().replace("_", " ") for item in PacketType}
 TIME_BASES: Final = {0: "none", 1: "processor", 2: "workstation", 3: "spacecraft", 0xFFFF: "any"}

@@ -2,8 +2,8 @@
 
 import pytest
 
-from edoras_tools.mission.fprime import Entry, EventSeverity
-from edoras_tools.wire.fprime import PacketType
+from edoras_tools.addons.fprime.entry import Entry, EventSeverity
+from edoras_tools.addons.fprime.wire import PacketType
 
 TEXTS = {
     "none": ("Stuck", [], "Stuck"),

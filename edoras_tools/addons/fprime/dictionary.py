@@ -2,21 +2,26 @@
 
 Every command, channel, event and packet of channels becomes a struct, big-endian and without padding. A text
 is an array of characters, as long as it can be at the most; on the wire it is a length and as many characters
-as there are (:mod:`edoras_tools.structs.fprime.bound`).
+as there are (:mod:`edoras_tools.addons.fprime.entry`).
 """
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass, field, replace
 from math import prod
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.addons.fprime import wire as fprime
+from edoras_tools.addons.fprime.entry import BoundEntry, Entry, EventSeverity
+from edoras_tools.addons.fprime.table import EntryTable
+from edoras_tools.addons.fprime.wire import PacketType
 from edoras_tools.errors import ConfigError
-from edoras_tools.mission.fprime import Entry, EventSeverity
+from edoras_tools.structs.files import Database, plain_values
 from edoras_tools.structs.shapes import (
     BASIC,
-    FPRIME_KEY,
+    ENTRY_KEY,
     Basic,
     Enumeration,
     Key,
@@ -26,13 +31,14 @@ from edoras_tools.structs.shapes import (
     Wanted,
     arrange,
 )
-from edoras_tools.wire import fprime
-from edoras_tools.wire.fprime import PacketType
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from edoras_tools.structs import Structs
+
 PACKAGE: Final = "fprime_msgs"
+_TYPES: Final = "typeDefinitions"
 _SECTIONS: Final = ("commands", "telemetryChannels", "events")
 _PLAIN: Final = {
     **{
@@ -97,25 +103,49 @@ class _Type:
         return Wanted(Member(name, self.base, 0, dims, doc=doc), self.size, 1, placed=False)
 
 
-def is_dictionary(raw: Any) -> bool:
-    """Tell whether the values of a JSON file are a dictionary of F Prime."""
-    return isinstance(raw, dict) and "typeDefinitions" in raw and any(name in raw for name in _SECTIONS)
+class DictionaryEntries(tuple[Entry, ...]):
+    """The entries of a dictionary, as the core asks them; see ``structs.entries.Entries``."""
+
+    __slots__ = ()
+
+    def bind(self, key: Key, layout: StructLayout, struct: Struct, type_name: str) -> BoundEntry:
+        """Return the struct of an entry as its messages are made."""
+        return BoundEntry(self[key.msg_id - ENTRY_KEY], key, layout, struct, type_name)
+
+    def table(self, structs: Structs) -> EntryTable:
+        """Return the table of them, once bound."""
+        return EntryTable([item for item in structs.all if isinstance(item, BoundEntry)], structs)
 
 
-def read_dictionary(raw: Mapping[str, Any], name: str) -> StructLayout:
+def is_dictionary(data: bytes) -> bool:
+    """Tell whether the content of a file is a dictionary of F Prime."""
+    if _TYPES.encode() not in data or not data.lstrip().startswith(b"{"):
+        return False
+    try:
+        raw = json.loads(data)
+    except (ValueError, RecursionError):
+        return False
+    return _TYPES in raw and any(name in raw for name in _SECTIONS)
+
+
+def read_dictionary(data: bytes, name: str) -> StructLayout:
     """Read a dictionary.
 
     Args:
-        raw: the plain values of the file.
+        data: the content of the file.
+        name: what messages call it.
 
     Raises:
         ConfigError: it holds mistakes: all of them, a line each.
     """
-    reader = _DictionaryReader(raw, name)
+    reader = _DictionaryReader(plain_values(data, name), name)
     layout = reader.layout()
     if reader.mistakes:
         raise ConfigError(*dict.fromkeys(reader.mistakes))
     return layout
+
+
+DICTIONARIES: Final = Database(is_dictionary, read_dictionary)
 
 
 @dataclass
@@ -132,7 +162,7 @@ class _DictionaryReader:
         self.enums[_TIME_BASE.name], self.structs[TIME.name] = _TIME_BASE, TIME
         self.definitions = {
             item["qualifiedName"]: (where, item)
-            for where, item in self._items("typeDefinitions", self.raw.get("typeDefinitions"))
+            for where, item in self._items(_TYPES, self.raw.get(_TYPES))
             if self._text(where, item, "qualifiedName")
         }
         self._configuration()
@@ -149,7 +179,7 @@ class _DictionaryReader:
             for place, packet in self._items(f"{where}.members", item.get("members", [])):
                 self._packet(place, packet, channels)
         pairs = sorted(self.entries.items())
-        keys = [Key(FPRIME_KEY + rank, 0) for rank in range(len(pairs))]
+        keys = [Key(ENTRY_KEY + rank, 0) for rank in range(len(pairs))]
         self.structs |= {struct.name: struct for _, (_, struct) in pairs}
         return StructLayout(
             self.structs,
@@ -158,7 +188,7 @@ class _DictionaryReader:
             "big",
             PACKAGE,
             self.name,
-            tuple(entry for _, (entry, _) in pairs),
+            DictionaryEntries(entry for _, (entry, _) in pairs),
         )
 
     def _configuration(self) -> None:

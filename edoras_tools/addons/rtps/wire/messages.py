@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.window import gather
-from edoras_tools.wire.rtps.headers import (
+from edoras_tools.addons.rtps.wire.headers import (
     EMPTY_KINDS,
     ENTITY_BYTES,
     GUID_BYTES,
@@ -25,6 +23,8 @@ from edoras_tools.wire.rtps.headers import (
     SubmessageFlag,
     SubmessageKind,
 )
+from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -3,7 +3,7 @@
 import pytest
 from rtps import PREFIX, WRITER
 
-from edoras_tools.wire.rtps.headers import (
+from edoras_tools.addons.rtps.wire.headers import (
     BUILT_IN,
     EVERY_RTPS_LAYOUT,
     RTPS_HEADER,

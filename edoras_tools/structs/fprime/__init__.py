@@ -1,1 +1,0 @@
-"""F Prime's dictionaries: commands, channels and events as structs, and where packets hold them."""
