@@ -67,10 +67,7 @@ PUT_OFF = {
     "ros/types/standard.py": ("rosbags", "15 ms, and only to make the table of standard messages anew"),
     "sessions/faults/chance.py": ("hashlib", "20 ms, and only where there are faults"),
     "addons/debug_info/dwarf.py": ("elftools", "an extra"),
-    "structs/files.py": (
-        "ruamel edoras_tools.structs.fprime",
-        "14 ms, and only for layouts that are files; 2 ms, and only for dictionaries of F Prime",
-    ),
+    "structs/files.py": ("ruamel", "14 ms, and only for layouts that are files"),
     "structs/table.py": ("edoras_tools.structs", "20 ms, when the first packet that holds a struct is shown"),
     "wire/arrays/crc.py": ("isal zlib", "1 ms, and only where a CRC-32 is made"),
 }
