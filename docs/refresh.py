@@ -189,8 +189,8 @@ def _sizes() -> str:
     return "\n".join(head + rows) + "\n"
 
 
-_CORE: Final = {"ccsds", "cfe", "envelope", "cdr", "sbn"}
-"""Modules of ``wire`` with a table on a page; those of other links are in their add-on."""
+_OF_ADDONS: Final = {"cfdp", "fprime"}
+"""Links whose headers are in their add-on; those of the others are in ``wire``."""
 
 
 def _layout(path: str) -> Callable[[], str]:
@@ -200,7 +200,7 @@ def _layout(path: str) -> Callable[[], str]:
         from importlib import import_module
 
         module, _, name = path.rpartition(".")
-        place = f"wire.{module}" if module in _CORE else f"addons.{module}.wire"
+        place = f"addons.{module}.wire" if module in _OF_ADDONS else f"wire.{module}"
         layout = getattr(import_module(f"edoras_tools.{place}"), name)
         if name == "DEFAULT":
             layout = layout.layout

@@ -1,6 +1,6 @@
 """Dictionaries: layouts whose structs stand behind an ID of a link's own, not behind a cFE header.
 
-An add-on or a package that reads one (``structs.files.Database``) gives its layout ``shapes.Entries``; these
+An add-on or a package that reads one (``structs.files.Database``) gives its layout ``shapes.LayoutEntries``; these
 make the table that is asked here.
 """
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from edoras_tools.links.reading import Reading
     from edoras_tools.structs.bound import Bound
     from edoras_tools.structs.payloads import StructPayloads
-    from edoras_tools.structs.shapes import Entry
+    from edoras_tools.structs.shapes import LayoutEntry
 
 
-class EntryTable(Protocol):
+class LayoutEntryTable(Protocol):
     """The entries of a dictionary by their keys, and what finds them in the datagrams of a link.
 
     Attributes:
@@ -34,7 +34,7 @@ class EntryTable(Protocol):
     def __getitem__(self, key: int, /) -> Bound:
         """Return the struct of a key."""
 
-    def entry(self, key: int) -> Entry:
+    def entry(self, key: int) -> LayoutEntry:
         """Return the entry of a key."""
 
     def payloads(

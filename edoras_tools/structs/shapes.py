@@ -215,7 +215,7 @@ class Key:
         return text + (f"/{self.function_code}" if self.function_code is not None else "")
 
 
-class Entry(Protocol):
+class LayoutEntry(Protocol):
     """One entry of a dictionary; they sort as a table shows them."""
 
     @property
@@ -235,18 +235,18 @@ class Entry(Protocol):
     def __lt__(self, other: Any, /) -> bool: ...
 
 
-class Entries(Protocol):
+class LayoutEntries(Protocol):
     """The entries of a dictionary, in the order of their keys; see ``structs.entries``."""
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, place: int, /) -> Entry: ...
+    def __getitem__(self, place: int, /) -> LayoutEntry: ...
 
     def bind(self, key: Key, layout: StructLayout, struct: Struct, type_name: str) -> Any:
         """Return the struct of an entry as its messages are made, a ``bound.Bound``."""
 
     def table(self, structs: Any) -> Any:
-        """Return the ``entries.EntryTable`` of them, once bound; ``structs`` is the ``table.Structs``."""
+        """Return the ``entries.LayoutEntryTable`` of them, once bound; ``structs`` is the ``table.Structs``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +269,7 @@ class StructLayout:
     byte_order: ByteOrder = "little"
     package: str = "cfs_msgs"
     origin: str = ""
-    entries: Entries | None = None
+    entries: LayoutEntries | None = None
 
     def enumeration(self, member: Member) -> Enumeration | None:
         """Return the enumeration that a member is of, or None."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.structs.bindings import Bindings
     from edoras_tools.structs.bound import Bound, Held
-    from edoras_tools.structs.entries import EntryTable
+    from edoras_tools.structs.entries import LayoutEntryTable
     from edoras_tools.structs.payloads import StructPayloads
     from edoras_tools.structs.shapes import StructLayout
 
@@ -72,12 +72,12 @@ class Structs:
         return Bindings(self.layouts)
 
     @property
-    def dictionary(self) -> EntryTable | None:
+    def dictionary(self) -> LayoutEntryTable | None:
         """The entries of a dictionary, if one of the layouts is one."""
         return self._whole._entries  # noqa: SLF001  of its own kind
 
     @cached_property
-    def _entries(self) -> EntryTable | None:
+    def _entries(self) -> LayoutEntryTable | None:
         layouts = [layout for layout in self._layouts or () if layout.entries]
         if len(layouts) > 1:
             raise ConfigError(

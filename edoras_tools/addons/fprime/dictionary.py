@@ -104,7 +104,7 @@ class _Type:
 
 
 class DictionaryEntries(tuple[Entry, ...]):
-    """The entries of a dictionary, as the core asks them; see ``structs.entries.Entries``."""
+    """The entries of a dictionary, as the core asks them; see ``structs.shapes.LayoutEntries``."""
 
     __slots__ = ()
 

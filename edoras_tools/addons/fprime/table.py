@@ -87,7 +87,7 @@ class EntryTable:
     def payloads(
         self, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
     ) -> StructPayloads:
-        """Return all that datagrams hold; see ``structs.entries.EntryTable``."""
+        """Return all that datagrams hold; see ``structs.entries.LayoutEntryTable``."""
         return self.in_packets(data, fprime.read_ground_frames(data, offset, length, checked=False).packets)
 
     def in_packets(self, data: NDArray[np.uint8], packets: PacketPlaces) -> StructPayloads:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
-    from edoras_tools.structs.shapes import Entry
+    from edoras_tools.structs.shapes import LayoutEntry
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ class CaptureReport:
     unnamed: int = 0
     losses: list[OutputLoss] = field(default_factory=list)
     keep: Keep = field(default_factory=Keep)
-    entries: Counter[Entry] = field(default_factory=Counter)
+    entries: Counter[LayoutEntry] = field(default_factory=Counter)
 
     @property
     def lost(self) -> int:
