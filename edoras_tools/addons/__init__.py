@@ -112,6 +112,14 @@ ADDONS: Final = (
         },
     ),
     Addon(
+        "proxy",
+        commands={
+            "proxy": ListedCommand(
+                "Send", "Relay a link: recorded, at limited rates, or with faults.", "cli:proxy"
+            )
+        },
+    ),
+    Addon(
         "lab",
         commands={
             "sweep": ListedCommand(

@@ -44,7 +44,7 @@ _OF_THE_CORE: Final = {
     "Look": ("sniff", "info", "decode", "plot", "host"),
     "Record": ("record", "recover", "export"),
     "Explain": ("doctor", "report", "compare"),
-    "Send": ("replay", "inject", "proxy"),
+    "Send": ("replay", "inject"),
     "Connect": ("bridge", "mission"),
     "Try": ("samples", "help"),
 }

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.cli.options import PrintOptions
     from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.bridge.run import Bridges
-    from edoras_tools.pipelines.proxy.run import Proxy
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.pipelines.workbench import Workbench
 
@@ -103,6 +101,19 @@ class Relay(Protocol):
         """Close sockets and outputs."""
 
 
+class SummedRelay(Protocol):
+    """What passed traffic on, and counted it."""
+
+    @property
+    def recorder(self) -> RelayRecorder | None:
+        """What recorded it."""
+        ...
+
+    def summary(self) -> dict[str, Any]:
+        """Return what it passed on and lost, as JSON has it."""
+        ...
+
+
 def run_relay(
     relay: Relay,
     begin: Callable[[], None],
@@ -143,7 +154,7 @@ def run_relay(
 
 
 def finish_relay(
-    relay: Bridges | Proxy,
+    relay: SummedRelay,
     show: Callable[[Mapping[str, Any], int, Path | None], Group],
     notes: Callable[[Mapping[str, Any]], Iterable[str]],
     output: Path | None,

@@ -11,12 +11,12 @@ from children import children
 from mcap.reader import make_reader
 from waiting import HOST, arrived_at, receive, until
 
+from edoras_tools.addons.proxy.plan import as_relayed
 from edoras_tools.errors import CaptureError
 from edoras_tools.links.ci import CI
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines import recorder as relay_recorder
 from edoras_tools.pipelines.capture.record import Target
-from edoras_tools.pipelines.proxy.plan import as_relayed
 from edoras_tools.pipelines.recorder import Recorded, RelayRecorder
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.ros import TypeStore

@@ -12,13 +12,13 @@ import pytest
 from places import ROOT
 from waiting import HOST, PATIENCE_S
 
+from edoras_tools.addons.proxy import run as proxy
+from edoras_tools.addons.proxy.plan import ProxyPlan
+from edoras_tools.addons.proxy.run import Proxy
 from edoras_tools.io import SourceDefaults
 from edoras_tools.io.net.buffer import DatagramBuffer
 from edoras_tools.links.ci import CI
 from edoras_tools.model import Columns, Endpoint, PacketBatch, SourceInfo, SourceStatistics
-from edoras_tools.pipelines.proxy import run as proxy
-from edoras_tools.pipelines.proxy.plan import ProxyPlan
-from edoras_tools.pipelines.proxy.run import Proxy
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import parse_rule

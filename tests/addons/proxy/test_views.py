@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from edoras_tools.render.sending.proxy import live_table, notes, outcome, plan
+from edoras_tools.addons.proxy.views import live_table, notes, outcome, plan
 
 LATENCY = {"p50": 41.2, "p99": 1420.4, "max": None}
 WAY = {

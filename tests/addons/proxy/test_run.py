@@ -13,6 +13,8 @@ from effort import every
 from waiting import HOST, arrived_at, free_ports, receive, until
 
 from edoras_tools.addons.lab.emulator import Served, Simulation
+from edoras_tools.addons.proxy.plan import ProxyPlan, limit_rule
+from edoras_tools.addons.proxy.run import Proxy
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.errors import CaptureError, ConfigError
@@ -24,8 +26,6 @@ from edoras_tools.mission import Mission, Route
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.faults import compiler
 from edoras_tools.pipelines.interrupt import Keys
-from edoras_tools.pipelines.proxy.plan import ProxyPlan, limit_rule
-from edoras_tools.pipelines.proxy.run import Proxy
 from edoras_tools.pipelines.workbench import Workbench
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import MILLISECOND, SECOND

@@ -22,6 +22,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.addons.proxy.clients import Clients, ProxyClient, Routing
+from edoras_tools.addons.proxy.faults import FaultStage, Outbox
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.buffer import SLOTS, SPARE, make_buffer
@@ -29,8 +31,6 @@ from edoras_tools.io.net.forward import Direction
 from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
 from edoras_tools.io.processors import Precedence
 from edoras_tools.pipelines.interrupt import on_interrupt, threads_take_turns, watched
-from edoras_tools.pipelines.proxy.clients import Clients, ProxyClient, Routing
-from edoras_tools.pipelines.proxy.faults import FaultStage, Outbox
 from edoras_tools.units import MILLISECOND
 
 if TYPE_CHECKING:
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.addons.proxy.plan import ProxyPlan
     from edoras_tools.pipelines.interrupt import Keys
-    from edoras_tools.pipelines.proxy.plan import ProxyPlan
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.sessions.faults.fault import Fault

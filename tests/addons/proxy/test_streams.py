@@ -15,13 +15,13 @@ from racs2_peer import to_cfs, to_ros
 from streams import sbn_messages
 from waiting import PATIENCE_S, until
 
+from edoras_tools.addons.proxy import streams
+from edoras_tools.addons.proxy.plan import ProxyPlan
+from edoras_tools.addons.proxy.streams import StreamProxy
 from edoras_tools.addons.racs2.link import RACS2
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Endpoint
-from edoras_tools.pipelines.proxy import streams
-from edoras_tools.pipelines.proxy.plan import ProxyPlan
-from edoras_tools.pipelines.proxy.streams import StreamProxy
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import parse_rule
 

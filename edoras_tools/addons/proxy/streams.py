@@ -32,8 +32,8 @@ from edoras_tools.sessions.faults.streams import StreamFaults
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
+    from edoras_tools.addons.proxy.plan import ProxyPlan
     from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.proxy.plan import ProxyPlan
 
 _AT_ONCE: Final = 1 << 16
 _MOST_BYTES: Final = 1 << 20

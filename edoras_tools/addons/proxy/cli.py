@@ -18,9 +18,9 @@ from edoras_tools.cli.sending import DryRun, Yes, address, confirm_targets
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
-    from edoras_tools.pipelines.proxy.plan import ProxyPlan
-    from edoras_tools.pipelines.proxy.run import Proxy
-    from edoras_tools.pipelines.proxy.streams import StreamProxy
+    from edoras_tools.addons.proxy.plan import ProxyPlan
+    from edoras_tools.addons.proxy.run import Proxy
+    from edoras_tools.addons.proxy.streams import StreamProxy
 
 _IDLE_NS = 60_000_000_000
 _NEVER_NS = 1 << 62
@@ -93,12 +93,12 @@ def proxy(
 
     Programs send to the proxy instead of the target. Keys 1 to 9 switch faults on and off, q quits.
     """
+    from edoras_tools.addons.proxy import views
+    from edoras_tools.addons.proxy.plan import ProxyPlan, as_relayed, limit_rule
+    from edoras_tools.addons.proxy.run import Proxy
     from edoras_tools.links.table import link_of_label, protocol
     from edoras_tools.model import OTHER
     from edoras_tools.pipelines.faults import compiler
-    from edoras_tools.pipelines.proxy.plan import ProxyPlan, as_relayed, limit_rule
-    from edoras_tools.pipelines.proxy.run import Proxy
-    from edoras_tools.render.sending import proxy as view
     from edoras_tools.render.terminal.terminal import detect_terminal
 
     settings, injected = decoding.settings(), faults.plan()
@@ -128,7 +128,7 @@ def proxy(
         if json:
             print_json(plan.summary())
         else:
-            print_view(view.plan(plan.summary(), output))
+            print_view(views.plan(plan.summary(), output))
         return
     asks = confirm_targets(*plan.targets, confirmed=yes)
     name = f"{link.label} {plan.listen} to {target}"
@@ -138,9 +138,9 @@ def proxy(
     if relayed.bind:
         tell_reach(relayed.bind, "answer as the target")
     shows = not (quiet or json) and detect_terminal(sys.stderr).interactive
-    table = partial(view.live_table, output=output, keys=asks) if shows else None
+    table = partial(views.live_table, output=output, keys=asks) if shows else None
     failure = run_relay(relay, partial(_begin, relay), times.duration, table, keyboard=asks)
-    finish_relay(relay, view.outcome, view.notes, output, printing, failure)
+    finish_relay(relay, views.outcome, views.notes, output, printing, failure)
 
 
 def _relay_streams(
@@ -153,8 +153,8 @@ def _relay_streams(
     confirmed: bool,
 ) -> None:
     """Relay TCP connections until the end, and print what was relayed."""
-    from edoras_tools.pipelines.proxy.streams import StreamProxy
-    from edoras_tools.render.sending.proxy import stream_lines
+    from edoras_tools.addons.proxy.streams import StreamProxy
+    from edoras_tools.addons.proxy.views import stream_lines
 
     if not plan.link.transport.tcp:
         raise ConfigError(f"{plan.link.label} is not a link over TCP: leave --tcp out")
