@@ -41,6 +41,7 @@ ELSEWHERE = {
     "addons/archive/*": "addons/archive/test_update.py",
     "addons/cfdp/*": "addons/cfdp/test_cli.py",
     "addons/check/*": "addons/check/test_run.py",
+    "addons/compare/*": "addons/compare/test_cli.py",
     "addons/fprime/*": "diagnosis/test_rules.py",
     "addons/frames/*": "diagnosis/test_rules.py",
     "addons/proxy/*": "addons/proxy/test_run.py",

@@ -88,6 +88,17 @@ ADDONS: Final = (
         },
     ),
     Addon(
+        "compare",
+        commands={
+            "compare": ListedCommand(
+                "Explain",
+                "Compare two runs by route: is the second one worse?",
+                "cli:compare",
+                before="check",
+            )
+        },
+    ),
+    Addon(
         "debug_info",
         commands={
             "structs": ListedCommand(

@@ -206,7 +206,7 @@ def _list_lost(
         again, _ = open_input(given, settings, aligned=True, progress=bar)
         found = list_missing(findings.diagnosis, again, bench, bar)
     if listing is Listing.TABLE:
-        from edoras_tools.render.doctor.tables import missing_table
+        from edoras_tools.render.doctor.missing import missing_table
 
         print_view(lambda width: missing_table(found, findings.diagnosis.zero_ns, width))
     elif listing is Listing.JSON:

@@ -43,7 +43,7 @@ _NO_MEMORY: Final = (
 _OF_THE_CORE: Final = {
     "Look": ("sniff", "info", "decode", "plot", "host"),
     "Record": ("record", "recover", "export"),
-    "Explain": ("doctor", "report", "compare"),
+    "Explain": ("doctor", "report"),
     "Send": ("replay", "inject"),
     "Connect": ("bridge", "mission"),
     "Try": ("samples", "help"),

@@ -21,6 +21,9 @@ from mcap.reader import NonSeekingReader, make_reader
 from rich.console import Console as StringConsole
 from schema import check, published
 
+from edoras_tools.addons.compare.differences import Run, run_differences
+from edoras_tools.addons.compare.run import Runs
+from edoras_tools.addons.compare.views import runs_view
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.decode.lines import line_of
@@ -29,7 +32,6 @@ from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.diagnosis.matching.comparison import compare_captures
 from edoras_tools.diagnosis.missing import missing
-from edoras_tools.diagnosis.runs import Run, run_differences
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.errors import CaptureError, ConfigError, FieldError, WireError
 from edoras_tools.io.formats.mcap.recover import recover as run_recover
@@ -42,12 +44,10 @@ from edoras_tools.mission import Mission, load, loads
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.packet_json import as_json
-from edoras_tools.pipelines.doctor.runs import Runs
 from edoras_tools.render.capture import packet as packet_view
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.doctor.doctor import diagnosis as view
 from edoras_tools.render.doctor.report.page import Made, page
-from edoras_tools.render.doctor.tables import runs_view
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.arrays.window import PADDING
 

@@ -81,7 +81,7 @@ def check(
     if json:
         print_json(report.as_json())
     elif not quiet or report.failed:
-        from edoras_tools.render.doctor.tables import check_view
+        from edoras_tools.addons.check.views import check_view
 
         print_view(check_view(report.as_json()))
     _end(source, report.findings, live=live)

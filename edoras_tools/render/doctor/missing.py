@@ -1,4 +1,4 @@
-"""Beside a diagnosis: results of a check, differences of two runs, and lost messages."""
+"""Beside a diagnosis: the messages that were lost."""
 
 from __future__ import annotations
 
@@ -11,65 +11,14 @@ from rich.text import Text
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.render import units
 from edoras_tools.render.capture.tree import value_text
-from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import Column, build, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from edoras_tools.diagnosis.missing import Missing
-    from edoras_tools.diagnosis.runs import Run, RunDifference
-
-
-def check_view(report: Mapping[str, Any]) -> RenderableType:
-    """Return the view of a check.
-
-    Args:
-        report: the report, in the form of ``check --json``.
-    """
-    head = plain(report["source"], palette.STRONG)
-    head.append(f"  {units.duration(report['seconds'])}", palette.DIM)
-    parts: list[RenderableType] = [head, Text()]
-    for item in report["results"]:
-        mark, style = ("✓", "green") if item["passed"] else (Level.ERROR.mark, Level.ERROR.style)
-        expected = "" if item["expected"] is None else f" {item['expected']}"
-        line = Text.assemble((f"{mark} ", style), plain(f"{item['about']}  {item['expectation']}{expected}"))
-        line.append_text(plain(f"  {item['found']}", palette.DIM if item["passed"] else style))
-        parts.append(line)
-    of = plural(len(report["results"]), "expectation")
-    if report["failed"]:
-        end = Text(f"{report['failed']:,} of {of} not met.", Level.ERROR.style)
-    else:
-        end = Text(f"{of} met.", "green")
-    return Group(*parts, Text(), end)
-
-
-def runs_view(good: Run, bad: Run, changes: Sequence[RunDifference]) -> RenderableType:
-    """Return the view of a comparison."""
-    parts: list[RenderableType] = [_head("good", good), _head("bad", bad), Text()]
-    for item in changes:
-        severity = Level.ERROR if item.worse else Level.NOTE
-        parts.append(Text.assemble((f"{severity.mark} ", severity.style), plain(item.text)))
-    if changes:
-        parts.append(Text())
-    worse = sum(item.worse for item in changes)
-    if worse:
-        parts.append(Text(f"The second run is worse in {plural(worse, 'point')}.", Level.ERROR.style))
-    else:
-        parts.append(Text("The second run is no worse.", "green"))
-    return Group(*parts)
-
-
-def _head(label: str, run: Run) -> Text:
-    line = plain(f"{label:<5}{run.info['source']}", palette.STRONG)
-    line.append(
-        f"  {plural(run.info['datagrams'], 'datagram')} over {units.duration(run.seconds)}, "
-        f"{units.count(run.doctor['lost'])} lost",
-        palette.DIM,
-    )
-    return line
 
 
 _MOST_LINES: Final = 1000
