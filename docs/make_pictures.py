@@ -16,6 +16,8 @@ from rich.console import Console, RenderableType
 from rich.text import Text
 from textual.widgets import Input
 
+from edoras_tools.addons.plot.request import parse_request
+from edoras_tools.addons.plot.series import open_recordings, read_plot
 from edoras_tools.addons.trace.pictures import standalone
 from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 from edoras_tools.decode.lines import line_of
@@ -23,8 +25,6 @@ from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.sniff import decode_packet
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.doctor.scope import Scope
-from edoras_tools.pipelines.plot.request import parse_request
-from edoras_tools.pipelines.plot.series import open_recordings, read_plot
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.render.capture import packet

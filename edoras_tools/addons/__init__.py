@@ -61,6 +61,25 @@ def _rules(*names: str) -> dict[str, str]:
 
 ADDONS: Final = (
     Addon(
+        "plot",
+        commands={
+            "plot": ListedCommand(
+                "Look",
+                "Plot fields over time, with rates, losses and events.",
+                "cli:plot",
+                before="host",
+            )
+        },
+    ),
+    Addon(
+        "mission_draft",
+        commands={
+            "mission": ListedCommand(
+                "Connect", "Draft a mission file from what is in a capture.", "cli:mission"
+            )
+        },
+    ),
+    Addon(
         "cfdp",
         commands={
             "files": ListedCommand(

@@ -41,11 +41,11 @@ _NO_MEMORY: Final = (
 """Texts of errors other than ``MemoryError`` that mean that memory is exhausted."""
 
 _OF_THE_CORE: Final = {
-    "Look": ("sniff", "info", "decode", "plot", "host"),
+    "Look": ("sniff", "info", "decode", "host"),
     "Record": ("record", "recover", "export"),
     "Explain": ("doctor", "report"),
     "Send": ("replay", "inject"),
-    "Connect": ("bridge", "mission"),
+    "Connect": ("bridge",),
     "Try": ("samples", "help"),
 }
 """Each is a function, or a group of commands, in a module of the same name."""

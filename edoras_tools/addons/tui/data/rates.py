@@ -9,7 +9,7 @@ import numpy as np
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
-from edoras_tools.pipelines.plot.lines import RateCounts, bar_seconds
+from edoras_tools.pipelines.plot_lines import RateCounts, bar_seconds
 from edoras_tools.render.plot.figure import Figure, Panel
 
 if TYPE_CHECKING:

@@ -36,7 +36,7 @@ def draft(
 
     What -c names is left out. The names of topics are made from MsgIds: edit them.
     """
-    from edoras_tools.pipelines.mission import draft_mission
+    from edoras_tools.addons.mission_draft.draft import draft_mission
     from edoras_tools.words import plural
 
     paths = files.named()

@@ -59,9 +59,9 @@ def plot(
     A FIELD is /cmd_vel.linear.x, '/cmd_vel.linear.*' or /imu.covariance[4]; each has its own panel; with a
     comma, two share one. Without FIELD: the rates of all topics. Several files are laid over each other.
     """
+    from edoras_tools.addons.plot.request import parse_request
+    from edoras_tools.addons.plot.series import open_recordings, read_plot
     from edoras_tools.io.outputs import check_new
-    from edoras_tools.pipelines.plot.request import parse_request
-    from edoras_tools.pipelines.plot.series import open_recordings, read_plot
 
     given = arguments or []
     files = [*(read or ()), *(Path(item) for item in given if _is_file(item))]
@@ -109,7 +109,7 @@ def _check(output: Path) -> None:
 
 def _write(figure: Figure, output: Path) -> int:
     """Write a picture; return its size in bytes."""
-    from edoras_tools.render.plot.page import plot_page
+    from edoras_tools.addons.plot.page import plot_page
     from edoras_tools.render.plot.svg import PLOT_WIDTH, plot_svg
     from edoras_tools.render.svg import png
 

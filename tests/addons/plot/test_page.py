@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from effort import long_but
 
-from edoras_tools.render.plot.page import plot_page
+from edoras_tools.addons.plot.page import plot_page
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
 

@@ -2,8 +2,8 @@
 
 import pytest
 
+from edoras_tools.addons.plot.request import PlotRequest, Quantity, parse_request
 from edoras_tools.errors import ConfigError
-from edoras_tools.pipelines.plot.request import PlotRequest, Quantity, parse_request
 
 FIELD, RATE, LOSS = Quantity.FIELD, Quantity.RATE, Quantity.LOSS
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from places import ROOT
 
+from edoras_tools.addons.mission_draft.draft import draft_mission
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.mission import load, loads
 from edoras_tools.model import NO_ROUTE, Finding
-from edoras_tools.pipelines.mission import draft_mission
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.envelope import EnvelopeFormat

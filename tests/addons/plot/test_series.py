@@ -5,10 +5,10 @@ import pytest
 from places import ROOT
 
 import edoras_tools
+from edoras_tools.addons.plot.request import parse_request
+from edoras_tools.addons.plot.series import MOST_MARKS, open_recordings, read_plot
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.pipelines.doctor.scope import Scope
-from edoras_tools.pipelines.plot.request import parse_request
-from edoras_tools.pipelines.plot.series import MOST_MARKS, open_recordings, read_plot
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings
 
@@ -121,7 +121,7 @@ def test_mistakes_say_what_to_do(asked, keywords, error, words):
 
 
 def test_of_many_events_the_most_severe_are_drawn(monkeypatch):
-    monkeypatch.setattr("edoras_tools.pipelines.plot.series.MOST_MARKS", 5)
+    monkeypatch.setattr("edoras_tools.addons.plot.series.MOST_MARKS", 5)
     figure = plotted("/cmd_vel.linear.x")
     assert MOST_MARKS > 5 >= len(figure.marks) > 0
     assert figure.event_title == f"{figure.events} events, {len(figure.marks)} drawn"
@@ -129,7 +129,7 @@ def test_of_many_events_the_most_severe_are_drawn(monkeypatch):
 
 
 def test_losses_of_a_large_capture_are_looked_for_when_asked_for(monkeypatch):
-    monkeypatch.setattr("edoras_tools.pipelines.plot.series.LARGE", 1000)
+    monkeypatch.setattr("edoras_tools.addons.plot.series.LARGE", 1000)
     figure = plotted("/cmd_vel.linear.x")
     assert [line.label for line in figure.panels[1].lines] == ["/cmd_vel"]
     assert any("not looked for in a_rover, a large file; loss:/topic asks" in note for note in figure.notes)

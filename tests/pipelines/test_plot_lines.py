@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.io.formats.columns import TableColumn
-from edoras_tools.pipelines.plot import lines
-from edoras_tools.pipelines.plot.lines import RateCounts, Values, bar_seconds, numbers
+from edoras_tools.pipelines import plot_lines as lines
+from edoras_tools.pipelines.plot_lines import RateCounts, Values, bar_seconds, numbers
 from edoras_tools.ros.cdr.columns import Ragged
 
 RAGGED = Ragged(np.array([1, 2, 3, 4, 5]), np.array([0, 2, 2, 5]))

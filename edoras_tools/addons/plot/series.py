@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.addons.plot.request import PlotRequest, Quantity
 from edoras_tools.errors import ConfigError, InterruptError
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.export.judged import LOST_TOPIC
 from edoras_tools.pipelines.export.sources import TopicSource, open_topics
 from edoras_tools.pipelines.export.tables import TableForm
-from edoras_tools.pipelines.plot.lines import RateCounts, Values, bar_seconds, numbers
-from edoras_tools.pipelines.plot.request import PlotRequest, Quantity
+from edoras_tools.pipelines.plot_lines import RateCounts, Values, bar_seconds, numbers
 from edoras_tools.render.plot.figure import EventMark, Figure, Panel, PlotLine
 from edoras_tools.words import listed, plural
 

@@ -1,0 +1,1 @@
+"""Drafts a mission file from a capture."""
