@@ -18,6 +18,7 @@ from textual.widgets import Input
 
 from edoras_tools.addons.plot.request import parse_request
 from edoras_tools.addons.plot.series import open_recordings, read_plot
+from edoras_tools.addons.report.sankey import sankey
 from edoras_tools.addons.trace.pictures import standalone
 from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 from edoras_tools.decode.lines import line_of
@@ -31,7 +32,6 @@ from edoras_tools.render.capture import packet
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.doctor.doctor import screen
-from edoras_tools.render.doctor.report.sankey import sankey
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.svg import without_fonts
 from edoras_tools.render.terminal import palette

@@ -118,6 +118,17 @@ ADDONS: Final = (
         },
     ),
     Addon(
+        "report",
+        commands={
+            "report": ListedCommand(
+                "Explain",
+                "Write the doctor's findings as one HTML page with plots.",
+                "cli:report",
+                before="compare",
+            )
+        },
+    ),
+    Addon(
         "debug_info",
         commands={
             "structs": ListedCommand(

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from typer import Exit, Option
 
+from edoras_tools.addons.report.cli import report
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.options import share
 from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
-from edoras_tools.cli.report import report
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.older import StrEnum
 

@@ -43,7 +43,7 @@ _NO_MEMORY: Final = (
 _OF_THE_CORE: Final = {
     "Look": ("sniff", "info", "decode", "host"),
     "Record": ("record", "recover", "export"),
-    "Explain": ("doctor", "report"),
+    "Explain": ("doctor",),
     "Send": ("replay", "inject"),
     "Connect": ("bridge",),
     "Try": ("samples", "help"),

@@ -12,6 +12,7 @@ import numpy as np
 
 from edoras_tools.addons.debug_info.dwarf import DebugInfo
 from edoras_tools.addons.debug_info.writing import take
+from edoras_tools.addons.report.page import page
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.diagnosis.examination import Examination
@@ -20,7 +21,7 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
 from edoras_tools.mission import load
 from edoras_tools.pipelines.faults import load_scenario
-from edoras_tools.render.doctor.report.page import Made, page
+from edoras_tools.render.pages.parts import Made
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types.grammar import parse_definition
 from edoras_tools.structs.files import dumps, parse_layout

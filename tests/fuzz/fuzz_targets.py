@@ -25,6 +25,7 @@ from edoras_tools.addons.compare.differences import Run, run_differences
 from edoras_tools.addons.compare.run import Runs
 from edoras_tools.addons.compare.views import runs_view
 from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.report.page import page
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.decode.lines import line_of
 from edoras_tools.diagnosis.evidence.clocks.alignment import align
@@ -47,7 +48,7 @@ from edoras_tools.pipelines.capture.packet_json import as_json
 from edoras_tools.render.capture import packet as packet_view
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.doctor.doctor import diagnosis as view
-from edoras_tools.render.doctor.report.page import Made, page
+from edoras_tools.render.pages.parts import Made
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.arrays.window import PADDING
 

@@ -269,7 +269,7 @@ def report(
     from edoras_tools.addons.archive.page import archive_page
     from edoras_tools.addons.archive.questions import trends_of
     from edoras_tools.io.outputs import check_new
-    from edoras_tools.render.doctor.report import Made
+    from edoras_tools.render.pages.parts import Made
 
     check_new(output, [index], force=force)
     with open_index(index) as opened:

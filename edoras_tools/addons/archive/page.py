@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.addons.archive.views import short
 from edoras_tools.older import UTC
 from edoras_tools.render import units
-from edoras_tools.render.doctor.report.charts import Frame, TimeSpan
-from edoras_tools.render.doctor.report.parts import (
+from edoras_tools.render.pages.charts import Frame, TimeSpan
+from edoras_tools.render.pages.parts import (
     chart_card,
     colour_key,
     contents,
@@ -26,7 +26,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from edoras_tools.render.doctor.report import Made
+    from edoras_tools.render.pages.parts import Made
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _MOST_WORST: Final = 20

@@ -159,7 +159,7 @@ def _write(tracing: Tracing, zero_ns: int, name: str, output: Path) -> None:
 
     from edoras_tools.addons.trace.pictures import trace_page, trace_svg
     from edoras_tools.addons.trace.texts import trace_mermaid
-    from edoras_tools.render.doctor.report import Made
+    from edoras_tools.render.pages.parts import Made
 
     subject = tracing.trace or tracing.timing
     assert subject is not None

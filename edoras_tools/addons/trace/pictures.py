@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.trace import texts
 from edoras_tools.addons.trace.tracer import MessageTrace
-from edoras_tools.render.doctor.report import charts, parts
+from edoras_tools.render.pages import charts, parts
 from edoras_tools.render.terminal.text import clean, clip
 
 if TYPE_CHECKING:
     from edoras_tools.addons.trace.rounds import Timing
-    from edoras_tools.render.doctor.report.parts import Made
+    from edoras_tools.render.pages.parts import Made
 
 _RUNG: Final = 46
 _ROUNDS: Final = 12
@@ -22,7 +22,7 @@ _ROUNDS: Final = 12
 
 def standalone(svg: str) -> str:
     """Return a chart of a page as a picture of its own: light or dark as the system of its reader."""
-    style = (files("edoras_tools.render.doctor.report") / "style.css").read_text(encoding="utf-8")
+    style = (files("edoras_tools.render.pages") / "style.css").read_text(encoding="utf-8")
     head = '<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" style="background:var(--card)"'
     return (
         svg.replace("<svg", head, 1).replace(">", f"><style>{escape(style, quote=False)}</style>", 1) + "\n"

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.diagnosis.balance import ways
 from edoras_tools.diagnosis.ledger import ENDING_TEXTS, ENDINGS, Row, cause_text, summed
 from edoras_tools.model import NO_ROUTE
-from edoras_tools.render.doctor.report import charts
+from edoras_tools.render.pages import charts
 from edoras_tools.render.terminal.text import clean, clip
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from edoras_tools.addons.report.plots import Plots
     from edoras_tools.diagnosis.examination import Diagnosis
-    from edoras_tools.diagnosis.plots import Plots
 
 _MOST_LANES: Final = 8
 _BAND: Final = 64.0

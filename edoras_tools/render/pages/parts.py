@@ -32,7 +32,7 @@ class Made:
 
 def document(title: str, parts: Iterable[str]) -> str:
     """Return a whole page: it loads nothing from elsewhere."""
-    style = (files("edoras_tools.render.doctor.report") / "style.css").read_text(encoding="utf-8")
+    style = (files("edoras_tools.render.pages") / "style.css").read_text(encoding="utf-8")
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

@@ -12,6 +12,7 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounts import clean_rate
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.model import NO_ROUTE
+from edoras_tools.render.pages.charts import TimeSpan
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ _MOST_EVENTS: Final = 400
 
 
 @dataclass(frozen=True, slots=True)
-class Plots:
+class Plots(TimeSpan):
     """All of them, times in s from the first datagram that is examined.
 
     Attributes:
@@ -46,8 +47,6 @@ class Plots:
         peers: a row a connection: label, and its states as (from, to, state).
     """
 
-    begin: float
-    seconds: float
     bin_s: float
     rates: list[dict[str, Any]]
     delays: list[dict[str, Any]]

@@ -6,15 +6,16 @@ from collections import Counter
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.addons.report import charts
+from edoras_tools.addons.report.plots import Plots, plots
+from edoras_tools.addons.report.sankey import sankey, strip
 from edoras_tools.diagnosis.ledger import Row, summed
-from edoras_tools.diagnosis.plots import Plots, plots
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
 from edoras_tools.render import units
 from edoras_tools.render.doctor import balance
 from edoras_tools.render.doctor.doctor import clean_to, limits, told_of
-from edoras_tools.render.doctor.report import charts
-from edoras_tools.render.doctor.report.parts import (
+from edoras_tools.render.pages.parts import (
     Made,
     chart_card,
     colour_key,
@@ -24,7 +25,6 @@ from edoras_tools.render.doctor.report.parts import (
     heading,
     section,
 )
-from edoras_tools.render.doctor.report.sankey import sankey, strip
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

@@ -33,9 +33,10 @@ def report(
 
     Exit code 3: a loss or an error was found. With --json the diagnosis is also printed on stdout.
     """
+    from edoras_tools.addons.report.page import page
     from edoras_tools.diagnosis.verdict import group_verdicts
     from edoras_tools.pipelines.doctor.doctor import examine, profile_with
-    from edoras_tools.render.doctor.report import Made, page
+    from edoras_tools.render.pages.parts import Made
 
     files, scope, (json, quiet) = inputs.named(), part.scope(), printing
     profile = profile_with(decoding.constants)

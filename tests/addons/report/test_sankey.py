@@ -8,13 +8,13 @@ from xml.etree import ElementTree as ET
 import pytest
 from places import ROOT
 
+from edoras_tools.addons.report.plots import plots
+from edoras_tools.addons.report.sankey import bands, sankey, strip
 from edoras_tools.diagnosis.balance import ways
 from edoras_tools.diagnosis.ledger import summed
-from edoras_tools.diagnosis.plots import plots
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.render.doctor.report.sankey import bands, sankey, strip
 
 MISSION = ROOT / "samples/missions/rover_ground.yaml"
 NAMES = ("a_rover", "c4_cmd_rate", "n12_two_hosts_ground", "season3/q01_two_causes_one_counter")

@@ -3,7 +3,7 @@
 import pytest
 from places import CAPTURES
 
-from edoras_tools.diagnosis.plots import plots
+from edoras_tools.addons.report.plots import plots
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""What self-contained pages are made of: charts as inline SVG, cards, style."""

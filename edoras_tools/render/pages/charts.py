@@ -1,0 +1,121 @@
+"""Charts as inline SVG: sized by their box, coloured by the page, readable without scripts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+from math import ceil, floor
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.render.plot.figure import ticks
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+CHART_WIDTH: Final = 720
+CHART_HEIGHT: Final = 202
+LEFT, RIGHT, TOP, BOTTOM = 66, 12, 30, 32
+_COUNTED: Final = ("messages", "runs")
+"""Units of which there are no halves. The margins hold the large letters that a phone is given."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSpan:
+    """What a time axis shows.
+
+    Attributes:
+        begin: where it begins, in s of any clock.
+        seconds: how long it is.
+    """
+
+    begin: float
+    seconds: float
+
+
+class Frame:
+    """A plot's axes; ``x`` and ``y`` turn values into positions.
+
+    Args:
+        drawn: how long it is, and when it began.
+        title: text for screen readers.
+        height: of the whole, in the view box's units.
+    """
+
+    def __init__(
+        self, drawn: TimeSpan, y_most: float, unit: str, title: str, height: int = CHART_HEIGHT
+    ) -> None:
+        self.begin, self.x_most, self.y_most = drawn.begin, drawn.seconds or 1.0, (y_most or 1.0) * 1.08
+        self.unit, self.title, self.height = unit, title, height
+        self.parts: list[str] = []
+
+    def x(self, value: float) -> float:
+        """Return the place of a time."""
+        return round(LEFT + value / self.x_most * (CHART_WIDTH - LEFT - RIGHT), 1)
+
+    def y(self, value: float) -> float:
+        """Return the place of a value."""
+        room = self.height - TOP - BOTTOM
+        return round(self.height - BOTTOM - min(value, self.y_most) / self.y_most * room, 1)
+
+    def line(self, points: Sequence[tuple[float, float]], style: str) -> None:
+        """Draw a line through points."""
+        path = " ".join(f"{self.x(x)},{self.y(y)}" for x, y in points)
+        self.parts.append(f'<polyline class="{style}" points="{path}"/>')
+
+    def level(self, value: float, style: str, text: str) -> None:
+        """Draw a horizontal line with a name."""
+        if value > self.y_most:
+            return
+        y = self.y(value)
+        self.parts += [
+            f'<line class="{style}" x1="{LEFT}" x2="{CHART_WIDTH - RIGHT}" y1="{y}" y2="{y}"/>',
+            f'<text class="end label" x="{CHART_WIDTH - RIGHT - 4}" y="{y - 4}">{escape(text)}</text>',
+        ]
+
+    def bars(self, values: Sequence[float], base: Sequence[float], width: float, style: str) -> None:
+        """Draw bars of ``width`` s on top of others."""
+        path = []
+        for index, (value, under) in enumerate(zip(values, base, strict=True)):
+            if value:
+                begin, right = self.x(index * width), self.x(min((index + 1) * width, self.x_most))
+                path.append(f"M{begin} {self.y(under)}V{self.y(under + value)}H{right}V{self.y(under)}Z")
+        if path:
+            self.parts.append(f'<path class="{style}" d="{"".join(path)}"/>')
+
+    def dots(self, points: Sequence[tuple[float, float]], style: str) -> None:
+        """Draw points."""
+        path = "".join(f"M{self.x(x)} {self.y(y)}h0" for x, y in points)
+        self.parts.append(f'<path class="{style}" d="{path}"/>')
+
+    def seconds(self) -> list[str]:
+        """Return the marks of the time axis."""
+        letters = len(f"{self.begin + self.x_most:.0f} s")
+        marks = ticks(self.x_most, max(3, min(7, 42 // letters)))
+        step = marks[1] if len(marks) > 1 else self.x_most or 1.0  # of few, the first may be beyond the end
+        first, last = ceil(self.begin / step), floor((self.begin + self.x_most) / step)
+        return [
+            f'<text class="{"mid" if index * step > self.begin else "first"}" '
+            f'x="{self.x(index * step - self.begin)}" y="{self.height - 8}">{index * step:g} s</text>'
+            for index in range(first, last + 1)
+        ]
+
+    def svg(self) -> str:
+        """Return the chart."""
+        axes = []
+        for value in ticks(self.y_most / 1.08, 6):
+            if self.unit in _COUNTED and value != int(value):
+                continue
+            y = self.y(value)
+            axes.append(f'<line class="grid" x1="{LEFT}" x2="{CHART_WIDTH - RIGHT}" y1="{y}" y2="{y}"/>')
+            axes.append(f'<text class="end" x="{LEFT - 6}" y="{y + 4}">{value:g}</text>')
+        axes += self.seconds()
+        axes.append(f'<text x="4" y="{TOP - 10}">{escape(self.unit)}</text>')
+        return svg_box("".join(axes + self.parts), self.height, self.title)
+
+
+def svg_box(inside: str, height: int, title: str) -> str:
+    """Return an SVG element that fills its box."""
+    return (
+        f'<svg viewBox="0 0 {CHART_WIDTH} {height}" role="img" aria-label="{escape(title, quote=True)}">'
+        f"{inside}</svg>"
+    )
