@@ -44,8 +44,6 @@ ELSEWHERE = {
     "addons/compare/*": "addons/compare/test_cli.py",
     "addons/fprime/*": "diagnosis/test_rules.py",
     "addons/frames/*": "diagnosis/test_rules.py",
-    "addons/mission_draft/*": "addons/mission_draft/test_cli.py",
-    "addons/plot/*": "addons/plot/test_cli.py",
     "addons/proxy/*": "addons/proxy/test_run.py",
     "addons/racs2/*": "addons/racs2/test_link.py",
     "addons/report/*": "cli/test_doctor.py",

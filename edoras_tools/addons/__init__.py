@@ -127,6 +127,7 @@ ADDONS: Final = (
                 before="compare",
             )
         },
+        adds={"parts": {"report": "cli:report.__wrapped__"}},
     ),
     Addon(
         "debug_info",

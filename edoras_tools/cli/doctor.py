@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from typer import Exit, Option
 
-from edoras_tools.addons.report.cli import report
+from edoras_tools import doors
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
@@ -85,7 +85,7 @@ def doctor(
     profile = profile_with(decoding.constants)
     _check_task(task, given, duration, decoding.constants)
     if task.output is not None:
-        write = report.__wrapped__  # type: ignore[attr-defined]
+        write = doors.part("report")
         write(given.files, task.output, force=task.force, printing=printing, part=part, decoding=decoding)
     elif task.predict:
         _predict(settings, profile, scope, json=printing.json)
