@@ -153,32 +153,31 @@ class Layout:
         Raises:
             FieldError: a name is not in this layout, or a value does not fit its field.
         """
-        for name in values.keys() - self.by_name.keys():
-            raise FieldError(self.name, name, f"no such field; there are {', '.join(self.by_name)}")
-        out = bytearray(self.size)
-        for slot in self.slots:
-            value = values.get(slot.field.name, 0)
-            size = slot.end - slot.start
-            if slot.field.kind in {"text", "bytes"}:
-                raw = value.encode() if isinstance(value, str) else bytes(value or b"")
-                if len(raw) > size:
-                    raise FieldError(self.name, slot.field.name, f"{len(raw)} bytes exceed {size}")
-                out[slot.start : slot.end] = raw.ljust(size, b"\0")
-            elif slot.field.kind == "float":
-                struct.pack_into(self._code(slot), out, slot.start, value)
-            else:
-                word = int.from_bytes(out[slot.start : slot.end], self.byte_order)
-                word |= self._bits(slot, value) << slot.shift
-                out[slot.start : slot.end] = word.to_bytes(size, self.byte_order)
-        return bytes(out)
+        number = 0
+        for name, value in values.items():
+            if name not in self.by_name:
+                raise FieldError(self.name, name, f"no such field; there are {', '.join(self.by_name)}")
+            slot = self.by_name[name]
+            number |= self._word(slot, value) << (8 * (self.size - slot.end) + slot.shift)
+        return number.to_bytes(self.size, "big")
 
-    def _bits(self, slot: Slot, value: int) -> int:
-        low, high = (-(slot.mask >> 1) - 1, slot.mask >> 1) if slot.field.kind == "int" else (0, slot.mask)
+    def _word(self, slot: Slot, value: Any) -> int:
+        """Return the bits of a field as a number, most significant bit first."""
+        kind, size = slot.field.kind, slot.end - slot.start
+        if kind == "float":
+            return int.from_bytes(struct.pack(self._code(slot), value), "big")
+        if kind in {"text", "bytes"}:
+            raw = value.encode() if isinstance(value, str) else bytes(value or b"")
+            if len(raw) > size:
+                raise FieldError(self.name, slot.field.name, f"{len(raw)} bytes exceed {size}")
+            return int.from_bytes(raw.ljust(size, b"\0"), "big")
+        low, high = (-(slot.mask >> 1) - 1, slot.mask >> 1) if kind == "int" else (0, slot.mask)
         if not low <= value <= high:
             raise FieldError(
                 self.name, slot.field.name, f"{value} exceeds {slot.field.bits} bits ({low} to {high})"
             )
-        return value & slot.mask
+        word: int = value & slot.mask
+        return word if self.byte_order == "big" else int.from_bytes(word.to_bytes(size, "little"), "big")
 
     def column(self, name: str, window: NDArray[np.uint8], at: int = 0) -> NDArray[Any]:
         """Read one numeric field of many headers.

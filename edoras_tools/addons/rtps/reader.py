@@ -219,10 +219,8 @@ def _insides(octets: NDArray[np.uint8], submessages: Submessages) -> dict[int, t
     out: dict[int, tuple[int, int, bool]] = {}
     for kind in (SubmessageKind.DATA, SubmessageKind.DATA_FRAG):
         samples = read_samples(octets, submessages, kind)
-        columns = (samples.start, samples.end, samples.fits)
-        out |= dict(
-            zip(samples.which.tolist(), zip(*(item.tolist() for item in columns), strict=True), strict=True)
-        )
+        for at, which in enumerate(samples.which.tolist()):
+            out[which] = (int(samples.start[at]), int(samples.end[at]), bool(samples.fits[at]))
     return out
 
 

@@ -261,8 +261,9 @@ class Demux:
         ports = read_at(data, payloads.position, _PORTS)
         link_ports = np.zeros(1 << 16, bool)
         link_ports[list(self.framings)] = True
-        members = members[link_ports[ports["source_port"]] | link_ports[ports["destination_port"]]]
-        return np.asarray(rows[members])
+        of_link: NDArray[np.bool_] = link_ports[ports["source_port"]]
+        of_link |= link_ports[ports["destination_port"]]
+        return np.asarray(rows[members[of_link]])
 
     def _with_streams(self, batch: PacketBatch, frames: FrameBatch) -> PacketBatch:
         """Add the messages of TCP segments to the datagrams, in the order of the frames."""
