@@ -6,7 +6,7 @@ alias, a constant.
 
 from __future__ import annotations
 
-import ast
+import re
 from collections import defaultdict
 from fnmatch import fnmatchcase
 from functools import cache
@@ -44,20 +44,14 @@ COMMANDS = ("cli/*", "addons/*/cli.py", "addons/*/cli/*")
 package imports it."""
 
 
-def defined(tree):
+DEFINED = re.compile(r"^(?:(?:class|def) (\w+)|(\w+(?:, \w+)*)(?:: [^=\n]+)? = )", re.MULTILINE)
+"""What begins at the left edge; to make a syntax tree of every file takes ten times as long."""
+
+
+def defined(text):
     """The public names that a module defines at its top."""
-    for node in tree.body:
-        if isinstance(node, (ast.ClassDef, ast.FunctionDef)):
-            names = [node.name]
-        elif isinstance(node, ast.Assign):
-            names = [
-                item.id for target in node.targets for item in ast.walk(target) if isinstance(item, ast.Name)
-            ]
-        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            names = [node.target.id]
-        else:
-            names = []
-        yield from (name for name in names if not name.startswith("_"))
+    names = (name for match in DEFINED.finditer(text) for name in (match[1] or match[2]).split(", "))
+    return {name for name in names if not name.startswith("_")}
 
 
 @cache
@@ -65,7 +59,7 @@ def homes():
     """The modules that define each name."""
     found = defaultdict(set)
     for path in sorted(PACKAGE.rglob("*.py")):
-        for name in defined(ast.parse(path.read_text(encoding="utf-8"))):
+        for name in defined(path.read_text(encoding="utf-8")):
             found[name].add(path.relative_to(PACKAGE).as_posix())
     return found
 
@@ -99,6 +93,11 @@ def test_a_second_meaning_is_found():
     assert twice({"Kind": {"wire/a.py", "ros/b.py"}}) == {"Kind": ["ros/b.py", "wire/a.py"]}
     assert twice({"PIPE": {"cfs/a.py", "ros/b.py"}}) == {"PIPE": ["cfs/a.py", "ros/b.py"]}
     assert twice({"PIPE": {"cfs/a.py", "cfs/b.py"}, "sniff": {"cli/sniff.py", "pipelines/sniff.py"}}) == {}
+
+
+def test_what_stands_at_the_left_edge_is_defined():
+    text = "A = 1\nB, C = 2, 3\nD: int = 4\n_E = 5\nclass F:\n    g = 6\ndef h(i=7): ...\nj.k = 8\n"
+    assert defined(text) == {*"ABCDFh"}
 
 
 def test_what_is_listed_is_there():
