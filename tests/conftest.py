@@ -52,6 +52,7 @@ GRACE_S = 60
 def pytest_configure(config):
     config.addinivalue_line("markers", f"limit(seconds): what the test may take, {LIMIT_S} s else")
     config.addinivalue_line("markers", "long(*patterns): only `make long` runs it, or its cases that match")
+    config.addinivalue_line("markers", "each(number): `make test` runs one of so many of its cases")
     config.addinivalue_line("markers", "quick(*patterns): `make test` runs its cases that match one")
     config.addinivalue_line("markers", "own_network: it fails where it would meet the traffic of others")
     config.pluginmanager.register(Order(config))

@@ -139,6 +139,7 @@ def test_the_core_and_its_add_ons_are_asked_first(package):
     assert "hello" not in run("info", "--help").output
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("line", "opened"),
     [("info --help", False), ("hello", True), ("nonsense", True)],

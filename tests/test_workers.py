@@ -150,12 +150,17 @@ def test_some_left(one, other): assert other == "a"
 @pytest.mark.quick("x", "y*")
 @pytest.mark.parametrize("one", ["x", "xx", "yy"])
 def test_some_kept(one): assert one != "xx"
+
+@pytest.mark.quick("?")
+@pytest.mark.each(3)
+@pytest.mark.parametrize("one", ["a", "xx", "b", "c", "d", "e"])
+def test_each_third(one): assert one in "ad"
 """
 HOOKS = """
 import effort, pytest
 
 def pytest_configure(config):
-    for name in ("long", "quick"):
+    for name in ("long", "quick", "each"):
         config.addinivalue_line("markers", name)
 
 def pytest_collection_modifyitems(items):
@@ -170,7 +175,7 @@ def pytest_collection_modifyitems(items):
 @pytest.mark.parametrize(
     ("text", "code", "said"),
     [
-        (MARKED, 0, "4 passed"),
+        (MARKED, 0, "6 passed"),
         (MARKED.replace('"x", "y*"', '"x", "z*"'), 4, "('test_a.py::test_some_kept', 'z*')"),
     ],
     ids=["right", "misspelt"],

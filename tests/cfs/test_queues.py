@@ -196,6 +196,7 @@ def periodic(queue, wake_ns):
     return replace(queue, round_ns=queue.round_ns + LATENCY_NS, phase_ns=wake_ns)
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("rate", "limit", "overflows"),
     [(7, 4, False), (20, 4, False), (333, 4, False), (80, 255, False), (120, 255, True), (1000, 49, True)],
@@ -219,6 +220,7 @@ def test_telemetry_outputs_pipe_is_the_emulators(rate, limit, overflows):
     assert (QueueEnd.PIPE_OVERFLOW in outcomes) == overflows
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(("rate", "limit"), [(20, 8), (60, 8), (500, 64)], ids=str)
 def test_a_peers_pipe_is_the_emulators(rate, limit):
     profile = replace(EXACT, sbn_peers=(SbnPeerConfig(BRIDGE, 2236),), sbn_msg_limit=limit)

@@ -127,6 +127,7 @@ def test_resets_are_on_the_time_line_of_a_capture_and_of_an_event_log(call):
         assert "its entries are put on the clock of" in done.err[-1]
 
 
+@pytest.mark.long
 def test_resets_of_another_cfs_or_of_one_that_was_started_twice_are_put_on_no_clock(call, tmp_path):
     other = tmp_path / "resets.log"
     data = bytearray(RESETS.read_bytes())
@@ -371,6 +372,7 @@ def test_a_prediction_compares_a_flight_bridge_with_the_table_of_sbn(call, netwo
         assert all(trap in item for item in told)
 
 
+@pytest.mark.long
 def test_the_doctor_compares_who_speaks_with_the_table_of_sbn(call, network):
     """In this capture are 66:1 and 66:2, nobody else."""
     capture = ROOT / "samples/captures/d3_cpu1_cpu2.pcap.gz"

@@ -31,6 +31,7 @@ def numbers(path, topic, *options, call):
     }
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("cyclone_sender")
 @pytest.mark.parametrize("path", CAPTURES, ids=IDS)
 def test_a_topic_is_selected_that_only_the_capture_names(path, call):

@@ -64,6 +64,7 @@ def test_it_tells_what_happened_and_what_to_do_next(call, tmp_path, monkeypatch)
     assert (quiet.code, quiet.out, quiet.err) == (0, "", [])
 
 
+@pytest.mark.long
 def test_the_commands_of_the_tour_name_files_that_are_there(call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = call("demo", "-o", "tour", "--duration", "600ms")

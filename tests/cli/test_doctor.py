@@ -26,7 +26,7 @@ CAPTURES = {
 SMALL = [name for name in CAPTURES if name != "d3_cpu1_cpu2"]
 
 
-@pytest.mark.quick("[ae]*-True", "[bcf]*-False")
+@pytest.mark.quick("a*-True", "b*-False")
 @pytest.mark.parametrize("configured", [True, False])
 @pytest.mark.parametrize("name", CAPTURES)
 def test_json_holds_to_its_schema_and_loss_to_its_exit_code(name, configured, call, captures, missions):
@@ -46,6 +46,7 @@ def test_commands_alone_are_no_evidence_of_their_arrival(call, captures, mission
     assert "Nothing here counts" not in done.out
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("d3_cpu1_cpu2", "c1_tlm_rate_limit4")
 @pytest.mark.parametrize("name", CAPTURES)
 def test_people_read_verdicts_first(name, call, captures, monkeypatch):
@@ -57,6 +58,7 @@ def test_people_read_verdicts_first(name, call, captures, monkeypatch):
     assert done.out.index(marked[0]) < done.out.index("Link  MsgId")
 
 
+@pytest.mark.long
 def test_many_verdicts_alike_are_one_entry(call, captures, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     told = call("doctor", captures("e_ci_errors"), "--json").json()["verdicts"]
@@ -119,6 +121,7 @@ def test_the_last_line_of_the_screen_can_be_typed(call, captures, missions):
     assert "More:" not in call("doctor", "-v", *words).out
 
 
+@pytest.mark.long
 def test_what_is_chosen_is_shown_and_the_rest_is_counted(call, captures, missions, tmp_path):
     rover = captures("a_rover")
     options = *missions("rover_ground"), "--topic", "telemetry_pose"
@@ -142,7 +145,7 @@ def test_what_is_chosen_is_shown_and_the_rest_is_counted(call, captures, mission
     assert 0 < len(listed.out.splitlines()) - 1 < 92
 
 
-@pytest.mark.quick("a_rover")
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     long_but(
@@ -286,6 +289,7 @@ def test_a_bag_is_held_against_the_capture_it_was_made_of(call, captures, missio
     assert {row["topic"] for row in alone["bags"][0]["routes"]} >= {"/cmd_vel", "/cfs/robot_command"}
 
 
+@pytest.mark.long
 def test_two_hosts_lost_the_same_messages(call):
     ground, flight = (
         ROOT / "tests/captures" / f"n12_two_hosts_{name}.pcap.zst" for name in ("ground", "flight")
@@ -367,6 +371,7 @@ def report(call, reports):
     return write
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("a_rover", "f_sbn_disconnect")
 @pytest.mark.parametrize("name", long_but(SMALL, CAPTURES))
 def test_a_report_is_one_page_that_needs_nothing(name, report, captures, missions):
@@ -396,6 +401,7 @@ def test_a_report_sums_up_leads_to_its_parts_and_says_how_it_was_made(report, ca
     assert re.search(r"<footer.*edoras-tools \d.* UTC<br><code>edoras report .*-c .*two_rovers_ground", text)
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("a_rover", "f_sbn_disconnect")
 @pytest.mark.parametrize("name", long_but(SMALL, CAPTURES))
 def test_the_picture_of_the_links_holds_all_that_was_lost(name, report, call, captures, missions):
@@ -528,6 +534,7 @@ def test_live_rings_once_for_each_new_verdict(capsys):
     assert "older" not in said
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize(
     ("name", "share", "code", "told"),
     [
@@ -576,6 +583,7 @@ def test_options_without_effect_are_refused(arguments, told, call, captures, mis
     assert told in done.err[0]
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     "name", ["c1_tlm_rate_limit4", "n1_to_remove_all", "n3_cfs_restart", "n5_app_restarts"]
 )

@@ -38,6 +38,7 @@ def test_json_holds_to_its_schema(call, rover, tmp_path):
     assert {item["path"] for item in told["files"]} == {str(item) for item in (tmp_path / "out").iterdir()}
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("arrow", "csv")
 @pytest.mark.parametrize("kind", ["csv", "jsonl", "arrow", "parquet"])
 def test_a_table_on_standard_output_is_that_of_a_file(call, edoras, rover, tmp_path, kind):

@@ -29,6 +29,7 @@ def test_bare_and_with_the_option(call, words):
     assert len(one) > 100
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("info", "doctor")
 @pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
 def test_a_rosbag2_directory_of_ours_is_a_capture(call, words, folder):
@@ -54,6 +55,7 @@ def test_a_part_of_a_capture(call, start, end, count):
     assert call("record", "--json", ROVER, *part, "-o", "part.mcap").json()["datagrams"] == count
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("part", [("--start", "70"), ("--start", "2026-12-01"), ("--start", "07:00")])
 @pytest.mark.parametrize("words", [["sniff"], ["info"], ["doctor"], ["record", "-o", "part.mcap"]])
 def test_a_time_outside_of_the_capture(words, part, call):
@@ -75,6 +77,7 @@ def test_names_of_msg_ids_stand_for_topics(call, topic):
     assert ids == {"TO_CMD": {"0x1880"}}.get(topic, {"0x0803"})
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("size", "files"), [("50kB", 5), ("48 KiB", 5), ("0.05M", 5), ("1GB", 1), ("1TiB", 1)]
 )

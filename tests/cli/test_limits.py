@@ -51,7 +51,7 @@ def test_memory(limited, captures, missions, tmp_path, kind):
     assert any("out of memory" in told or "OpenBLAS" in told for _, told in ends)
 
 
-@pytest.mark.quick("x.mcap")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["x.mcap", "x.pcap", "x.pcapng"])
 def test_the_size_of_a_file(limited, captures, tmp_path, name):
     words = ["record", "-r", captures("a_rover"), "-o", tmp_path / name]
@@ -94,6 +94,7 @@ def test_no_part_of_a_file_is_left_where_there_is_no_room(
     assert [path for path in tmp_path.rglob("new*") if path.is_file()] == []
 
 
+@pytest.mark.long
 def test_open_files(limited, missions):
     (port,) = free_ports(1)
     listen = ["record", "--listen", port, "--duration", "0.1", "-o", "/dev/null/x.mcap"]

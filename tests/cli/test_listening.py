@@ -186,6 +186,7 @@ DEFAULTS = {
 }
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("record", "bridge")
 @pytest.mark.parametrize("name", DEFAULTS)
 def test_by_default_nothing_answers_another_machine(machines, command, tmp_path, name):

@@ -124,7 +124,7 @@ def test_others_go_on(command, missions, words):
     assert len(inside(work)) == 2 * len(WAYS)
 
 
-@pytest.mark.quick("False")
+@pytest.mark.long
 @pytest.mark.parametrize("lays", [False, True])
 def test_an_interface_is_waited_for(command, missions, recording, tmp_path, lays):
     """One that is not there, or is down."""

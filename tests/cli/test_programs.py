@@ -62,6 +62,7 @@ def test_ctrl_c_in_a_command(capfd, monkeypatch):
     assert capfd.readouterr().err.strip() == ""
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("edoras", "edoras-proxy")
 @pytest.mark.parametrize("name", ["edoras", "edoras-sniff", "edoras-record", "edoras-replay", "edoras-proxy"])
 def test_every_program_has_a_version(name):
@@ -79,6 +80,7 @@ def test_the_package_is_a_program():
 CAPTURE = str(ROOT / "samples/captures/a_rover.pcap")
 
 
+@pytest.mark.each(3)
 @pytest.mark.quick("always-*", "never-*")
 @pytest.mark.parametrize(
     ("when", "environ", "coloured"),
@@ -107,6 +109,7 @@ def test_an_unknown_colour(call):
 MISSION = str(ROOT / "samples/missions/rover_ground.yaml")
 
 
+@pytest.mark.each(3)
 @pytest.mark.quick("edoras sn*", "*--msg-id*", "*rover_ground*")
 @pytest.mark.parametrize(
     ("line", "told"),

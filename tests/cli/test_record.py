@@ -103,6 +103,7 @@ def test_what_a_recording_says_of_itself(rover, recording):
     assert read.metadata["edoras"]["datagrams"] == "1827"
 
 
+@pytest.mark.each(2)
 @pytest.mark.long("d3_cpu1_cpu2", "c1_tlm_rate_limit4")
 @pytest.mark.parametrize("name", ALL)
 def test_every_datagram_is_accounted_for(name, call, captures, missions, frames, recording, tmp_path):
@@ -125,6 +126,7 @@ ERRORS = "q25_robot_off_then_bridge_off"
 """A capture with 209 ICMP errors among its datagrams."""
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("d3_cpu1_cpu2", "c1_tlm_rate_limit4")
 @pytest.mark.parametrize("name", [*ALL, ERRORS])
 def test_a_capture_comes_back_bit_for_bit(name, call, captures, tmp_path):
@@ -164,6 +166,7 @@ def test_several_inputs_become_one_in_time_order(call, captures, frames, write_p
     assert frames(tmp_path / "all.pcap") == frames(rover) + frames(later)
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("options", "wanted"),
     [
@@ -285,6 +288,7 @@ def test_programs_of_one_command(captures, command, tmp_path):
     assert sniffed.stdout.startswith(b'{"schema":1,"number":1,')
 
 
+@pytest.mark.long
 def test_a_recording_brings_its_own_types(call, captures, recording, tmp_path):
     """Types from a folder are in the recording; read on a machine without the folder it is the same."""
     (tmp_path / "types/my_msgs/msg").mkdir(parents=True)
@@ -330,6 +334,7 @@ def test_bytes_that_rmw_leaves_behind_a_message_are_a_note(edoras, missions, rec
     assert not {"wrong_type", "bad_command"} & {item["rule"] for item in verdicts}
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("kind", ["mcap", "pcapng", "pcap"])
 def test_standard_output_gets_what_a_file_does(kind, call, edoras, captures, missions, tmp_path):
     words = ["record", "-q", captures("a_rover"), *missions("rover_ground"), "-o"]
@@ -373,6 +378,7 @@ def test_a_live_stream_on_standard_output(kind, how, command, edoras, missions, 
     assert json.loads(read.stdout)["datagrams"] == 3
 
 
+@pytest.mark.long
 def test_a_reader_that_ends_is_told(command, captures, tmp_path):
     words = f"{command} record -q {captures('a_rover')} -o - | head -c 1000 >{tmp_path}/head"
     done = subprocess.run(

@@ -187,6 +187,7 @@ def option_of(writer):
     return next((word for word in writer.split() if word.startswith("-")), None)
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("archive report -o")
 @pytest.mark.parametrize("writer", WRITERS)
 def test_what_exists_is_refused(call, folder, writer):
@@ -201,6 +202,7 @@ def test_what_exists_is_refused(call, folder, writer):
     assert contents(folder) == before
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("archive*")
 @pytest.mark.parametrize("writer", FOLDERS)
 def test_a_folder_with_something_in_it_is_refused(call, folder, writer):
@@ -213,6 +215,7 @@ def test_a_folder_with_something_in_it_is_refused(call, folder, writer):
     assert contents(folder) == before
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("archive*")
 @pytest.mark.parametrize("writer", [name for name in FOLDERS if name not in {"files -o", "record --rosbag2"}])
 def test_a_second_run_changes_no_byte_of_a_first(call, folder, writer):
@@ -229,6 +232,7 @@ OPENED_FIRST = [name for name in WRITERS if name.split()[0] not in {"recover", "
 """Bridges take ports that another program may have; a sweep runs first."""
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("archive*")
 @pytest.mark.parametrize("writer", OPENED_FIRST)
 def test_where_no_file_can_be_is_one_line(call, folder, writer):
@@ -280,6 +284,7 @@ def test_force_replaces(call, folder):
     assert call("info", "old.mcap").code == 0
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("archive*")
 @pytest.mark.parametrize(
     ("name", "words"),
@@ -336,6 +341,7 @@ OUTSIDE = {
 BESIDE = [("500", ""), ("", "2001-01-01"), ("2030-01-01", "")]
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("name", "start", "end"),
     long_but(

@@ -57,7 +57,7 @@ def counted(call, command, *inputs):
 COMMANDS = {"info": 205, "sniff": 205, "record": 205, "check": 100, "export": 205}
 
 
-@pytest.mark.quick("info*", "record*", "check*")
+@pytest.mark.quick("record*")
 @pytest.mark.parametrize(("command", "count"), COMMANDS.items())
 def test_bare_with_the_option_and_several(command, count, bag, database, folder, call):
     other = write_studio(folder / "other.mcap")
@@ -72,6 +72,7 @@ def storage(bag):
     return file
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("command", "packing"),
     [("info", "gz"), ("sniff", "zst"), ("record", "zstd"), ("check", "gz"), ("export", "zst")],
@@ -97,7 +98,7 @@ PIPED = {
 }
 
 
-@pytest.mark.quick("info*", "export*", "sniff*")
+@pytest.mark.quick("export*")
 @pytest.mark.parametrize(("command", "words"), PIPED.items())
 def test_through_a_pipe(command, words, bag, database, call, monkeypatch):
     for file in (storage(bag), storage(database)):
@@ -127,7 +128,7 @@ def test_standard_input_that_is_a_file(command, bag, database, call, monkeypatch
             assert counted(call, command, "-") == 205
 
 
-@pytest.mark.quick("part0*", "part3*", "part6*")
+@pytest.mark.quick("part3*")
 @pytest.mark.parametrize(
     ("part", "seconds"),
     [
@@ -150,6 +151,7 @@ def test_the_same_part_on_every_command(part, seconds, database, call):
     assert counted(call, "check", database, *part) == len(twists)
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize(("where", "count"), [("linear.x >= 5", 50), ("topic == /cmd_vel", 100)])
 def test_the_same_filter_on_every_command(where, count, bag, call):
     for command in COMMANDS:
@@ -157,6 +159,7 @@ def test_the_same_filter_on_every_command(where, count, bag, call):
         assert counted(call, command, bag, "--where", where, "--topic", "cmd_vel") == count, command
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("option", [["--link", "ci"], ["--msg-id", "0x827"], ["--where", "link == ci"]])
 @pytest.mark.parametrize("command", [*COMMANDS, "plot"])
 def test_what_needs_datagrams_is_refused_in_one_line(command, option, bag, call):

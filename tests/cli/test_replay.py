@@ -81,6 +81,7 @@ def test_pace_and_report(call, captures, receiver):
     assert report["lateness_us"]["p50"] <= report["lateness_us"]["p99"] <= report["lateness_us"]["max"]
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize(
     ("build", "headers"), [("extended", cfe.WITH_EXTENDED), ("extended-v2", cfe.WITH_EXTENDED_2)]
 )

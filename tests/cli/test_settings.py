@@ -163,6 +163,7 @@ def test_commands_of_a_group_take_it_too(project, call):
     assert "telemetry_pose" in call("wireshark", "print").out
 
 
+@pytest.mark.long
 def test_programs_of_one_command_take_it_too(project):
     path = write(project / "edoras.toml", f"verbose = true\n[sniff]\nconfig = '{MISSION}'\n")
     program = os.path.join(os.path.dirname(sys.executable), "edoras-sniff")  # noqa: PTH118, PTH120

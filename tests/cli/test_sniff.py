@@ -98,6 +98,7 @@ def test_every_malformed_sbn_datagram_carries_its_finding(packets):
     }
 
 
+@pytest.mark.long
 def test_wake_up_packets_are_named_for_what_they_are(call, captures, missions, datagrams):
     path, count = captures("d3_cpu1_cpu2"), 12282 if LONG else 4001
     words = *missions("two_rovers_ground", "two_rovers_flight"), "--json", "--all", "-n", count
@@ -230,6 +231,7 @@ def test_statistics_of_records_out_of_order_say_so(call, tmp_path):
 VIEWS = ["", "-V", "--json", "--fields number", "--stat routes", "--sequence mermaid"]
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("sniff -V")
 @pytest.mark.parametrize("command", [*(f"sniff {view}" for view in VIEWS), "info", "info --json"])
 def test_a_port_that_looks_like_a_link_is_told_as_in_the_doctor(command, call):
@@ -243,6 +245,7 @@ def test_a_port_that_looks_like_a_link_is_told_as_in_the_doctor(command, call):
     assert (done.code, done.err) == (0, [])
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("command", ["export -o a/", "plot", "report -o a.html", "check --init"])
 def test_a_table_a_plot_a_page_and_a_draft_say_it_too(command, call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -265,6 +268,7 @@ def test_what_is_shown_is_not_left_out(call):
     assert call("sniff", "-a", ROOT / "tests/captures/n10_uplink_loss.pcap.zst").code == 0
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("sniff --fields*", "sniff -V*")
 @pytest.mark.parametrize(
     "command",

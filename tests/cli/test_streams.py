@@ -35,6 +35,7 @@ def pipe(command):
         yield run
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("name", "pack"), [("x.gz", gzip.compress), ("x.zst", zstandard.compress), ("x", bytes)]
 )
@@ -71,6 +72,7 @@ def test_a_growing_pipe_shows_its_packets_before_it_ends(pipe, captures, frames)
     assert [int(line.split()[0]) for line in shown[1:]] == list(range(1, 16))
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("options", [["record", "-o", "x.mcap", "-r"], ["sniff", "-a", "-r"], ["info"]])
 def test_ctrl_c_ends_a_pipe_that_says_nothing(options, pipe, captures, frames, call, tmp_path):
     """What came before is written or shown; the process does not wait for the pipe."""
@@ -122,7 +124,7 @@ def test_head_is_no_error(options, command, captures):
     assert done.stderr == b""
 
 
-@pytest.mark.quick("decode*")
+@pytest.mark.long
 @pytest.mark.parametrize("options", long_but(WRITERS[1::2], WRITERS), ids=" ".join)
 def test_a_full_disk_is_one_line(options, command, captures):
     after = ["2"] if "decode" in options else []
@@ -153,6 +155,7 @@ def test_closed_streams(command, captures):
         assert b"Traceback" not in done.stderr
 
 
+@pytest.mark.long
 def test_no_standard_input(command):
     done = subprocess.run(["bash", "-c", f"'{command}' info - <&-"], capture_output=True, check=False)
     assert (done.returncode, done.stdout) == (1, b"")

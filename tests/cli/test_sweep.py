@@ -25,6 +25,7 @@ def test_json_has_the_promised_shape(call, missions):
         assert step["sent"] == step["delivered"] + step["lost"]
 
 
+@pytest.mark.long
 def test_people_see_a_table_a_chart_and_the_reason(call, missions, tmp_path):
     picture = tmp_path / "limit.svg"
     options = ("--sim", "two-rovers", "--rate", "6..12", "--step-time", "4s", "--svg", picture)

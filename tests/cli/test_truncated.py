@@ -46,6 +46,7 @@ def pcapng_records(data):
             yield place
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize(("suffix", "ends"), [(".pcap", pcap_records), (".pcapng", pcapng_records)])
 def test_cut_captures(suffix, ends, whole, call, frames, tmp_path):
     files, chosen = whole
@@ -65,7 +66,7 @@ def test_cut_captures(suffix, ends, whole, call, frames, tmp_path):
         assert there == 0 or frames(out) == chosen[:there], length
 
 
-@pytest.mark.quick("*routes-.pcapng", "*json-.mcap", "*mermaid-.pcap", "mission*")
+@pytest.mark.quick("*json-.mcap", "mission*")
 @pytest.mark.parametrize("suffix", [".pcap", ".pcapng", ".mcap"])
 @pytest.mark.parametrize(
     "command",
@@ -124,6 +125,7 @@ def test_cut_recordings(whole, call, frames, tmp_path):
     assert (known[0], known[-1]) == (0, FRAMES)
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("suffix", [".pcap", ".pcapng", ".mcap"])
 @pytest.mark.parametrize("command", ["sniff -a --json -r", "sniff -a -V -r", "info --json"])
 def test_every_command_keeps_what_was_before_the_cut(command, suffix, whole, call, tmp_path):

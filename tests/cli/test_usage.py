@@ -100,6 +100,7 @@ def test_an_old_name_is_the_new_one(call, captures):
     assert call(*lines, "--sequence", "mermaid").out == call(*lines, "--diagram", "mermaid").out != ""
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("old", "new"),
     [

@@ -126,6 +126,7 @@ PAIRS = [
 ]
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("b_arm*", "f_sbn*")
 @pytest.mark.parametrize(("path", "name"), PAIRS)
 def test_on_every_packet_of_every_capture(path, name):

@@ -65,6 +65,7 @@ def test_values_are_those_that_rosbags_reads(tmp_path):
     assert {item["link"] for item in found} == {item["source"] for item in found} == {None}
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("text", "passes"),
     [
@@ -111,6 +112,7 @@ def test_a_filter_is_the_same_one_by_one(recording):
             assert where.passing(rows).tolist() == where.judge(packets).tolist()
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     "name", ["msg_id", "link", "ccsds.msg_id", "source.port", "sbn.processor_id", "destination"]
 )

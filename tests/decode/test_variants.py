@@ -57,6 +57,7 @@ def routes(path, **options):
     return inspect(source, settings.workbench(source.info))
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("headers", cfe.TOLD, ids=lambda item: item.name)
 def test_the_headers_of_a_real_capture_are_told_from_its_bytes(tmp_path, headers):
     path = rewritten(CAPTURES / "a_rover.pcap", tmp_path / "x.pcap", lambda data: with_headers(data, headers))
@@ -92,6 +93,7 @@ def test_an_option_wins_over_the_bytes(tmp_path):
     assert report.ledger.findings["command_length"] > 0
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("form", ENVELOPE_FORMATS, ids=str)
 def test_the_envelope_of_a_real_capture_is_told_from_its_bytes(tmp_path, form):
     path = rewritten(CAPTURES / "a_rover.pcap", tmp_path / "x.pcap", lambda data: with_envelope(data, form))
@@ -182,7 +184,7 @@ def test_a_build_that_comes_late_in_a_long_source_is_found(tmp_path):
     assert (headers[len(repeated) :] != 0).sum() > 800
 
 
-@pytest.mark.quick("1")
+@pytest.mark.long
 @pytest.mark.parametrize("order", [1, -1])
 def test_what_one_decoder_detected_another_reads_with(tmp_path, order):
     """Each batch is begun by one and finished by the other, as processes share them."""

@@ -52,6 +52,7 @@ def test_the_captures_are_here():
     assert set(TRUTH) <= set(NAMES)
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("c4_cmd_rate")
 @pytest.mark.parametrize("name", NAMES)
 def test_every_row_adds_up_and_the_sums_are_those_of_the_rows(name, diagnosis):
@@ -64,12 +65,14 @@ def test_every_row_adds_up_and_the_sums_are_those_of_the_rows(name, diagnosis):
     assert told["examined"] == found.datagrams > 0
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("name", NAMES)
 def test_what_the_verdicts_say_is_lost_is_the_sum_of_the_rows(name, diagnosis):
     found = diagnosis(name)
     assert sum(item.lost or 0 for item in found.verdicts) == found.lost
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("name", NAMES)
 def test_every_lost_message_is_listed_once(name, diagnosis):
     found = diagnosis(name)

@@ -13,6 +13,7 @@ TOGETHER = "diagnoses"
 NAMES = [name for name in TRUTHS if name.startswith("season3/")]
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     "name",
     [

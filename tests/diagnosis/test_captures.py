@@ -62,7 +62,7 @@ def test_c1_names_the_loss_of_each_step_and_the_clean_rate(capture, missions):
     assert diagnosis.lost == sum(STEPS.values())
 
 
-@pytest.mark.quick("missions1")
+@pytest.mark.long
 @pytest.mark.parametrize("missions", [(), ("two_rovers_ground", "two_rovers_flight")])
 def test_d3_follows_both_peers_within_a_second(capture, missions):
     diagnosis = capture("d3_cpu1_cpu2", *missions)
@@ -85,6 +85,7 @@ def test_d3_follows_both_peers_within_a_second(capture, missions):
     assert len(found(diagnosis, "cfs_restart")) == 1
 
 
+@pytest.mark.long
 def test_d3_interleaved_counts_of_two_processors_are_no_loss(capture):
     diagnosis = capture("d3_cpu1_cpu2")
     housekeeping = {"0x0800", "0x0801", "0x0803", "0x0804", "0x0805", "0x0880", "0x0884"}

@@ -196,6 +196,7 @@ def test_a_network_that_changes_the_order_is_named(lab):
     assert found.lost == 0
 
 
+@pytest.mark.long
 def test_of_commands_in_pairs_each_first_one_is_superseded_and_nothing_is_wrong(lab):
     body = b"\0\1\0\0" + bytes(40)
     feeds, commands = [], []

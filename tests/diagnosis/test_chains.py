@@ -104,6 +104,7 @@ WITHOUT_CI_COUNT = {b"\x08\x84"}
 WITHOUT_COUNTS = WITHOUT_CI_COUNT | {b"\x08\x03"}
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("name", "without", "robot", "blank"),
     [

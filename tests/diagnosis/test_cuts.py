@@ -86,7 +86,7 @@ def adds_up(found):
             )
 
 
-@pytest.mark.quick("a_rover-start", "n5*start", "p6b*end")
+@pytest.mark.quick("n5*start")
 @pytest.mark.parametrize("side", ["end", "start"])
 @pytest.mark.parametrize("name", ["c1_tlm_rate_limit4", *COMMANDS])
 def test_the_sum_is_right_at_every_cut(batches, name, side):
@@ -113,7 +113,7 @@ def by_cause(found):
     return lost
 
 
-@pytest.mark.quick("e_ci*", "f_sbn*", "n10*")
+@pytest.mark.quick("n10*")
 @pytest.mark.parametrize("name", OTHERS)
 def test_a_part_of_a_capture_tells_no_loss_that_the_whole_has_not(batches, name):
     read, ports = batches(name), PORTS.get(name, ())
@@ -201,7 +201,7 @@ def lost_by(found, msg_id):
     return sum((Counter(row.lost) for row in found.balance if row.msg_id == msg_id), Counter())
 
 
-@pytest.mark.quick("201.7-robot", "206.9-no robot")
+@pytest.mark.quick("201.7-robot")
 @pytest.mark.parametrize("robot", [True, False], ids=["robot", "no robot"])
 @pytest.mark.parametrize("seconds", BEGINS_IN_A_BACKLOG)
 def test_what_waited_when_the_capture_began_is_no_loss_of_what_it_shows(batches, seconds, robot):

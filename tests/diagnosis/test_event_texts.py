@@ -47,6 +47,7 @@ def spoilt(draw):
     return app, number, text
 
 
+@pytest.mark.long
 @settings(max_examples=examples(60), deadline=None)
 @given(st.lists(spoilt(), min_size=1, max_size=12))
 def test_no_text_of_an_event_ends_the_diagnosis(lab, events):
@@ -55,6 +56,7 @@ def test_no_text_of_an_event_ends_the_diagnosis(lab, events):
     diagnosis.as_json()
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(("app", "number", "text"), TEXTS)
 def test_no_text_of_an_event_is_cut_badly(app, number, text, lab):
     told = [lab.event(4 + at / 20, app, number, text[:at]) for at in every(7, range(len(text) + 1))]

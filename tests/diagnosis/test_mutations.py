@@ -45,6 +45,7 @@ def cases():
 whole = cache(lambda name: frames(FOLDER / f"{name}.pcap.zst"))
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(("name", "change"), list(cases()))
 def test_a_changed_capture_proves_no_more_than_was_lost(name, change, tmp_path):
     path = write(tmp_path / "x.pcap", changed(whole(name), change, 1))
@@ -74,6 +75,7 @@ def figures(result):
 plain = cache(lambda name: figures(diagnosed(FOLDER / f"{name}.pcap.zst", TRUTHS[name].options)))
 
 
+@pytest.mark.each(3)
 @pytest.mark.quick(
     "b_arm*-a rover",
     "n[135]*-a rover",

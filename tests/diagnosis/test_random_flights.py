@@ -23,7 +23,7 @@ UNSURE = 0.05
 """Of what counters cover so much may be told as given way to a newer one: which of two nothing shows."""
 
 
-@settings(max_examples=examples(120))
+@settings(max_examples=examples(120, 40, 3))
 @given(flights())
 def test_what_is_proven_was_lost_and_what_counters_cover_is_told(flight):
     simulation, sent = fly(flight)
@@ -35,6 +35,7 @@ def test_what_is_proven_was_lost_and_what_counters_cover_is_told(flight):
     assert least * (1 - UNSURE) <= proven + open_
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("10-before", "60-by the first packet")
 @pytest.mark.parametrize("enabled", ["before", "by the first packet"])
 @pytest.mark.parametrize("hertz", [8, 10, 30, 60])
@@ -83,6 +84,7 @@ def test_what_a_full_socket_drops_is_told_once_ci_has_read_it(quiet, hertz):
     assert proven < dropped <= proven + more
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("seed", [3, 7])
 def test_a_backlog_that_began_in_the_capture_is_no_older_one(seed):
     simulation, sent = fly(steady(45, 20, 6, seed=seed))
@@ -104,6 +106,7 @@ def test_what_the_first_count_may_have_had_is_a_range():
     assert simulation.cfs.account.losses()[edoras_app.PIPE, 0x1827, QueueEnd.MSG_LIMIT] <= proven + more
 
 
+@pytest.mark.long
 def test_full_pipes_explain_what_only_they_count():
     other = {"to_wake_ns": 100 * MILLISECOND, "ci_wake_ns": 250 * MILLISECOND, "app_msg_limit": 2}
     limits = {**SimProfile().to_limits, 0x827: 20}

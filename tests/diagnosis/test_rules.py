@@ -925,6 +925,7 @@ def test_fires(rule, lab, tmp_path, msg_id):
         assert item.lost is None or item.of is None or 0 < item.lost <= item.of
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("rover", "two-arms")
 @pytest.mark.parametrize("scenario", ["rover", "arm", "two-rovers", "two-arms"])
 def test_silent_on_sound_traffic(scenario, lab):
@@ -936,6 +937,7 @@ def test_silent_on_sound_traffic(scenario, lab):
         assert {item.rule for item in diagnosis.habits} <= HABITS
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize(
     "said",
     [(259, "ERROR: unknown peer 66:9"), (10, "unknown peer (ProcessorID=9)")],

@@ -44,6 +44,7 @@ def lines(found, width, words=""):
     return shown.get().splitlines()
 
 
+@pytest.mark.each(3)
 @pytest.mark.quick(
     *("[abef]_*", "c3*", "boots", "chaos", "network_bad", "processor_reset", "sbn_peer", "slow_app"),
     *("two_robots", "n[1358]*", "p*", "q[12]*"),
@@ -71,6 +72,7 @@ def test_the_first_screen_is_true_and_fits(name, diagnosed):
         ] == []
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("name", FIRST)
 def test_line_1_says_the_total(name, diagnosed):
     assert summarize(diagnosed(name)).headline == FIRST[name]

@@ -168,6 +168,7 @@ def test_two_routes_share_the_counter_and_telemetry_keeps_its_own(configured, la
     assert lost[0x1827] + lost[0x1828] + lost[None] == pytest.approx(counters.msg_limits - 234, abs=8)
 
 
+@pytest.mark.long
 def test_the_same_message_is_found_under_its_other_msg_id(lab):
     sent, _ = lab.simulate("two-rovers", seconds=40, hz=2.0)
     diagnosis = lab.examine(sent, lab.missions("two-rovers"))
@@ -184,6 +185,7 @@ def test_the_same_message_is_found_under_its_other_msg_id(lab):
     assert 0 < delays[0]["p50_ms"] < delays[0]["max_ms"] < 520
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("keep", [CI, TO, SBN])
 def test_a_capture_of_one_link_is_modest(keep, lab):
     ports = {CI: {1234}, TO: {1235}, SBN: {2234, 2235, 2236}}[keep]
@@ -221,6 +223,7 @@ def test_more_than_the_capture_dropped_was_lost(lab, msg_id):
     assert diagnosis.lost + diagnosis.unaccounted + diagnosis.uncertain == gone
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("by", [45, -20])
 def test_a_clock_that_jumps_changes_no_count(by, lab):
     sent, counters = lab.simulate(hz=10.0, seconds=40, count=300)
@@ -233,6 +236,7 @@ def test_a_clock_that_jumps_changes_no_count(by, lab):
     assert {item.rule for item in diagnosis.verdicts} == {"app_pipe_limit", "clock_jump", "event_suppression"}
 
 
+@pytest.mark.long
 def test_chapters_add_up(lab, monkeypatch):
     from edoras_tools.diagnosis import examination
 
@@ -256,7 +260,7 @@ def test_crossings_of_chapters_add_up():
     assert (second["latency"], second["of"]) == (fast, 10)
 
 
-@pytest.mark.quick("700-True")
+@pytest.mark.long
 @pytest.mark.parametrize(("chapter", "sorted_"), [(700, True), (100, False)])
 def test_a_long_capture_that_is_shuffled_as_a_whole_is_sorted_or_said_first(
     tmp_path, monkeypatch, chapter, sorted_
@@ -291,6 +295,7 @@ def test_another_cfs_has_other_constants(lab):
     assert "rate_over_limit" in [item.rule for item in lab.examine(only).verdicts]
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("False")
 @pytest.mark.parametrize("configured", [True, False])
 def test_memory_overrun_by_one_message_takes_the_next_telemetry_away(configured, lab, msg_id):

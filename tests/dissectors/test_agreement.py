@@ -114,7 +114,7 @@ def test_on_every_packet_of_every_capture(name, tshark, taught, judge):
     assert fields > 5 * total
 
 
-@pytest.mark.quick("b_arm_single")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["a_rover", "b_arm_single"])
 def test_the_committed_script_knows_each_demo(name, tshark, judge):
     mission = load(missions(SAMPLE_MISSIONS[name]))

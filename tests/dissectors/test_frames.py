@@ -136,6 +136,7 @@ def test_frames_and_their_packets(agreed, tmp_path_factory, chance):
     assert sum(packet.message is not None for packet in inside) > 0
 
 
+@pytest.mark.long
 def test_lost_frames_are_marked(agreed, tmp_path):
     items, uncounted = [], [packet[:2] + bytes(2) + packet[4:] for packet in TELEMETRY[:120]]
     for number, maker in list(enumerate(FORMATS, 1))[:6:2]:
@@ -148,7 +149,7 @@ def test_lost_frames_are_marked(agreed, tmp_path):
     assert [channel.lost for channel in bench.unwrappers[FRAMES].channels] == [3] * 3
 
 
-@pytest.mark.quick("to")
+@pytest.mark.long
 @pytest.mark.parametrize("link", ["to", "fprime"])
 def test_frames_over_tcp(link, agreed, tmp_path):
     """Each format on a connection of its own, cut anywhere; F Prime has no secondary headers."""

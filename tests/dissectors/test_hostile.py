@@ -167,6 +167,7 @@ def test_fuzzed_datagrams_under_other_options(options, tshark, write_pcap, tmp_p
     compared(capture, frames, Context(load(ROVERS), TYPES, options, Structs()), judge)
 
 
+@pytest.mark.long
 def test_every_length_of_every_kind(tshark, write_pcap, tmp_path, judge):
     cut = [(*PORTS[port], data[:end]) for port, data in KINDS.values() for end in range(len(data) + 1)]
     capture = write_pcap(tmp_path / "cut.pcap", cut)

@@ -69,6 +69,7 @@ def test_a_capture_that_begins_inside_a_message_shows_every_whole_one_behind(see
     assert found == whole[-len(found) :]
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("example-protocol-False", "None-True")
 @pytest.mark.parametrize("deflate", [False, True])
 @pytest.mark.parametrize("subprotocol", ["example-protocol", None])
@@ -177,6 +178,7 @@ def test_values_in_racs2_bodies(tshark, tmp_path):
             ], name
 
 
+@pytest.mark.long
 @given(st.lists(st.binary(max_size=40), min_size=1, max_size=30))
 @settings(max_examples=examples(3))
 def test_both_tell_which_bodies_are_values(tshark, tmp_path_factory, bodies):

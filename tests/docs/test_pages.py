@@ -43,6 +43,7 @@ def without_sizes(text):
 QUICK = [page for page in REFRESHED if page.stem not in {"sweep", "balance", "archive"}]
 
 
+@pytest.mark.each(3)
 @pytest.mark.long(
     "docs/doctor.md",
     "docs/rtps.md",

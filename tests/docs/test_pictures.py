@@ -19,6 +19,7 @@ def words(svg):
     return [text for text in ("".join(ET.fromstring(svg).itertext())).replace("\xa0", " ").split() if text]
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("tui", "tui_rates")
 @pytest.mark.parametrize("name", long_but([name for name in NAMES if name not in ALIKE], NAMES))
 def test_the_picture_says_what_the_command_says(name, make_pictures):

@@ -27,6 +27,7 @@ def site(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_every_page_is_there_and_in_the_menu(site):
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"README"}
     assert pages <= {path.stem for path in site.glob("*.html")}
@@ -34,12 +35,14 @@ def test_every_page_is_there_and_in_the_menu(site):
     assert {name for name in pages if f'href="{name}.html"' not in index} == set()
 
 
+@pytest.mark.long
 def test_pages_outside_of_the_folder_are_part_of_it(site):
     assert 'href="architecture.html"' in (site / "contributing.html").read_text(encoding="utf-8")
     assert 'href="contributing.html"' in (site / "index.html").read_text(encoding="utf-8")
     assert 'href="../balance.html"' in (site / "rules/index.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_nothing_is_fetched_from_elsewhere(site):
     for path in site.rglob("*.html"):
         text = path.read_text(encoding="utf-8")
@@ -49,12 +52,14 @@ def test_nothing_is_fetched_from_elsewhere(site):
         assert re.findall(r"url\(.?https?:|@import", path.read_text(encoding="utf-8")) == []
 
 
+@pytest.mark.long
 def test_it_can_be_searched(site):
     text = (site / "search/search_index.json").read_text(encoding="utf-8")
     assert "superseded" in text
     assert "tcpreplay" in text
 
 
+@pytest.mark.long
 def test_a_page_is_found_before_the_changelog_that_names_it(site):
     found = json.loads((site / "search/search_index.json").read_text(encoding="utf-8"))["docs"]
     boosts = {item["location"].partition("#")[0]: item.get("boost", 1) for item in found}

@@ -16,6 +16,7 @@ import fuzz_engine  # noqa: E402
 import fuzz_targets  # noqa: E402
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("name", fuzz_targets.TARGETS)
 def test_seeds_and_what_once_broke(name):
     """A seed that shows nothing of its own is a seed too many; a target that sees no difference is blind."""

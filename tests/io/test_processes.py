@@ -333,7 +333,7 @@ def recorded(path, types, capture, jobs):
     return path.read_bytes()
 
 
-@pytest.mark.quick("4096-*")
+@pytest.mark.long
 @pytest.mark.parametrize("capture", long_but(["a_rover"], ["a_rover", "f_sbn"]))
 @pytest.mark.parametrize(
     ("room", "slot", "large"),
@@ -385,6 +385,7 @@ def messages_of(cuts, *, large=1 << 30, jobs=1):
             ]
 
 
+@pytest.mark.long
 @settings(max_examples=examples(10, part=3))
 @given(st.lists(st.integers(1, 2000), max_size=9), st.sampled_from([1, 30_000]), st.sampled_from([1, 2, 3]))
 def test_neither_cuts_nor_workers_change_a_message(cuts, large, jobs):
@@ -444,7 +445,7 @@ def test_processors_are_left_to_others(monkeypatch, yields, works, spare, crowde
         os.kill(process, signal.SIGCONT)
 
 
-@pytest.mark.quick("spare1")
+@pytest.mark.long
 @pytest.mark.parametrize("spare", [[-1, -1, -1, -1], [1, -1, -1, 1], [1, 1, 1, 1]])
 def test_a_recording_is_the_same_whether_it_yields(tmp_path, monkeypatch, spare):
     told = cycle(spare)

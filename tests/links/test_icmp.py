@@ -137,6 +137,7 @@ def test_what_quotes_no_datagram_is_skipped_and_counted(name):
     assert demux.skipped == 1
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("name", ["robot", "IPv6"])
 def test_an_error_that_the_capture_cut(name):
     whole = frame(ERRORS[name][0])

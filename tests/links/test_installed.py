@@ -283,6 +283,7 @@ def test_it_is_counted(edoras, capture):
     assert "RADIO" in edoras("sniff", "-r", capture, "--stat", "routes")
 
 
+@pytest.mark.long
 def test_it_is_shown_in_the_three_panes(started, capture):
     shown = started(sys.executable, "-c", PANES, capture)
     packets, layers, octets = shown.split("PANE\n")[1:]

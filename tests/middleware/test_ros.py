@@ -142,6 +142,7 @@ def test_every_type_both_ways(name):
             assert (told["notes"], said) == ([], "")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("variables", LOCAL if LONG else LOCAL[:1])
 @pytest.mark.parametrize("name", APART if LONG else APART[:1])
 def test_on_this_machine_only_nothing_leaves_it(name, variables):

@@ -201,6 +201,7 @@ def test_one_that_is_killed_is_told_and_what_came_before_is_counted(monkeypatch)
     assert 0 < report.ledger.datagrams < 1827
 
 
+@pytest.mark.long
 def test_where_no_process_can_be_forked_it_is_read_here(monkeypatch):
     def none(*_):
         raise BlockingIOError("Resource temporarily unavailable")

@@ -73,7 +73,7 @@ ROVERS = {
 }
 
 
-@pytest.mark.quick("p6b_extended_header")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ROVERS)
 def test_what_comes_out_of_cfs_tells_when_it_went_in(tmp_path, name):
     traffic = datagrams(ROOT / f"tests/captures/{name}.pcap.zst")
@@ -130,6 +130,7 @@ def bounds(note):
 DRIFT = re.compile(r"by ([+-][\d.]+) ppm, between ([+-][\d.]+) and ([+-][\d.]+) ppm")
 
 
+@pytest.mark.each(3)
 @pytest.mark.quick("0-0-1", "-100-0.3-1", "200-4--1")
 @pytest.mark.parametrize("order", [1, -1])
 @pytest.mark.parametrize(("ppm", "seconds"), [(0, 0), (20, -1), (-100, 0.3), (200, 4)])

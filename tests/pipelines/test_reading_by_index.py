@@ -64,6 +64,7 @@ TIMES = [
 ]
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(("name", "start", "length"), long_but(TIMES[1::3], TIMES))
 def test_a_time_is_shown_as_if_all_was_read(recordings, name, start, length, monkeypatch):
     period = Period(int(start * SECOND), int((start + length) * SECOND))
@@ -87,6 +88,7 @@ def test_what_is_beyond_the_end_is_said_with_the_last_time(recordings, monkeypat
     assert "its times go from 0 to 65.270 s" in by_index
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("name", ["dds", "older"])
 def test_what_needs_the_beginning_is_read_whole(name, recordings, monkeypatch):
     """DDS names its topics there; a recording of an earlier version does not say whose traffic it has."""

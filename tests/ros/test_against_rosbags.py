@@ -20,6 +20,7 @@ def test_the_packages_are_there():
     assert {name.split("/")[0] for name in TYPES} == set(PACKAGES)
 
 
+@pytest.mark.each(5)
 @pytest.mark.parametrize("name", every(2, TYPES))
 @settings(max_examples=examples(25, least=3), deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), little=st.booleans())
@@ -35,6 +36,7 @@ def test_both_directions(store, rosbags_store, tools, name, data, little):
     assert tools.exact(store.decode(name, store.encode(name, expected))) == tools.exact(expected)
 
 
+@pytest.mark.each(5)
 @pytest.mark.parametrize("name", every(2, TYPES))
 @settings(max_examples=examples(15, least=3), deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
@@ -59,6 +61,7 @@ def test_rosbags_refuses_what_every_receiver_ignores(store, rosbags_store):
         rosbags_store.deserialize_cdr(cdr + bytes(4), "geometry_msgs/msg/Twist")
 
 
+@pytest.mark.each(5)
 @pytest.mark.parametrize("name", ALL)
 def test_rosbags_reads_our_definitions(store, rosbags_store, name):
     types = get_types_from_msg(store.definition(name), name)
@@ -71,6 +74,7 @@ def test_rosbags_reads_our_definitions(store, rosbags_store, name):
         ]
 
 
+@pytest.mark.each(5)
 @pytest.mark.parametrize("name", ALL)
 def test_our_definitions_read_back_the_same(store, name):
     text = store.definition(name)

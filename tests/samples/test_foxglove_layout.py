@@ -98,7 +98,7 @@ def test_splits_are_complete(scenario):
     check(layout(scenario)["layout"])
 
 
-@pytest.mark.quick("rover-*")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("scenario", "name", "followed"),
     [("two-rovers", "rovers", "/robot_1/ground/pose"), ("rover", "rover", "/telemetry_pose")],
@@ -139,6 +139,7 @@ def test_events_go_to_the_log(recordings, scenario):
     assert len(messages) > 5
 
 
+@pytest.mark.each(5)
 @pytest.mark.parametrize(("scenario", "path"), paths())
 def test_every_curve_has_points(recordings, scenario, path):
     found = PATH.fullmatch(path)

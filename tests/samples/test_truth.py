@@ -40,6 +40,7 @@ def findings(make_expected):
     return found
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("row", TRUTH, ids=lambda row: f"{row['capture']}-{row['number']}")
 def test_what_was_sent_has_the_findings_that_it_deserves(row, captures, findings):
     assert captures[row["capture"]][row["number"]].payload.hex().startswith(row["starts"])

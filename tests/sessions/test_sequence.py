@@ -369,6 +369,7 @@ def streams(draw):
     return packets
 
 
+@pytest.mark.long
 @given(streams(), st.data())
 @settings(max_examples=examples(200))
 def test_any_counts_in_any_batches_are_as_one_by_one(packets, data):

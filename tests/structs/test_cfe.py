@@ -69,6 +69,7 @@ def messages(path):
                     yield held.bound, origin, shipped_structs().types.decode(held.bound.type, cdr)
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("d3_cpu1_cpu2*", "c1_tlm*")
 @pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.stem)
 def test_values_make_sense_all_along(path):

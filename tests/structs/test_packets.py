@@ -243,6 +243,7 @@ PACKETS = [
 ]
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("text", "rows"),
     [

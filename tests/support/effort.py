@@ -1,11 +1,12 @@
 """How much of a search a run of the tests does: a part in ``make test``, all of it in ``make long``.
 
 A test marked ``long`` is for ``make long``; with patterns of ids only the cases are that match one. Of a test
-marked ``quick`` with patterns, ``make test`` runs the cases that match one.
+marked ``quick`` with patterns, ``make test`` runs the cases that match one; of one marked ``each`` with a
+number, and no name to its cases that says which matter, the first of so many.
 """
 
 import os
-from collections import defaultdict
+from collections import Counter, defaultdict
 from fnmatch import fnmatchcase
 
 import pytest
@@ -34,9 +35,14 @@ def long_but(quick, values):
 
 def split(items):
     """Return the tests that this run does, and those that it leaves to ``make long``."""
-    kept, left = [], []
+    kept, left, cases = [], [], Counter()
     for item in items:
-        (left if not LONG and _is_long(item) else kept).append(item)
+        away = not LONG and _is_long(item)
+        if not away and not LONG and (mark := item.get_closest_marker("each")):
+            test = item.nodeid.partition("[")[0]
+            away = cases[test] % mark.args[0] > 0
+            cases[test] += 1
+        (left if away else kept).append(item)
     return kept, left
 
 

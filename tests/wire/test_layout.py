@@ -77,6 +77,7 @@ def test_sizes_are_those_on_the_wire(layout, size):
     assert sum(slot.field.bits for slot in layout.slots) == 8 * size
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
 @given(data=st.data())
 def test_columns_and_scalar_reader_agree_on_any_bytes(layout, data):
@@ -87,6 +88,7 @@ def test_columns_and_scalar_reader_agree_on_any_bytes(layout, data):
         assert column[0] == values[name] or values[name] != values[name], name  # equal, or both NaN
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
 @given(data=st.data())
 def test_what_is_read_is_written_again(layout, data):

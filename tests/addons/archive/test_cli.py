@@ -195,6 +195,7 @@ def test_chromium_shows_the_report(width, scheme, call, index, tmp_path):
     assert (red < 60) == (scheme == "dark")
 
 
+@pytest.mark.long
 def test_export_is_read_by_others(call, index, tmp_path, monkeypatch):
     folder = tmp_path / "it's"
     done = call("archive", "export", "-o", folder, "--json")
@@ -300,6 +301,7 @@ def test_without_the_extra(call, monkeypatch):
     assert call("archive", "list", "-h").code == 0
 
 
+@pytest.mark.long
 def test_other_commands_load_none_of_its_libraries(tmp_path):
     program = f"""
 import sys

@@ -166,6 +166,7 @@ def test_its_figures_add_up(made):
     assert mission[1] == (MISSIONS / "rover_ground.yaml").stat().st_size
 
 
+@pytest.mark.long
 def test_only_what_is_new_or_changed_is_read(folder, updated):
     index = folder / "x.duckdb"
     first = updated(index, folder)
@@ -196,6 +197,7 @@ def test_other_settings_read_all_again(folder, updated):
     assert updated(folder / "y.duckdb", folder, settings=Settings()).tables == plain.tables
 
 
+@pytest.mark.long
 def test_what_is_no_longer_there_is_marked_or_forgotten(folder, updated):
     index = folder / "x.duckdb"
     updated(index, folder)
@@ -516,6 +518,7 @@ def test_a_scheduler_without_workers_is_refused(folder, monkeypatch):
         assert refused(folder, address).startswith(f"{address}: the scheduler has no worker; ")
 
 
+@pytest.mark.long
 def test_no_index_another_file_an_older_index_and_one_in_use(tmp_path):
     with (
         pytest.raises(CaptureError, match="there is no such index; make it"),

@@ -27,6 +27,7 @@ def held(source, text, folder, settings=SETTINGS):
     return check(source, settings.workbench(source.info), load_expectations(path))
 
 
+@pytest.mark.each(5)
 @pytest.mark.quick("a_rover*", "f_sbn*", "n10*", "n5*", "p6b*")
 @pytest.mark.parametrize(
     ("name", "configured"),

@@ -52,6 +52,7 @@ FIRST = "of 100 messages; the first is message"
 TOPIC = "topics: {/cmd_vel: {%s}}"
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("text", "passed", "found"),
     [

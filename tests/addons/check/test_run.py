@@ -39,6 +39,7 @@ def one(checked, topic, text):
     return item.passed, item.found
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("cmd_vel-*", "0x1827-*", "*at most 16%*", "*at most 91*", "SBN_HK-{count*", "*70..75*")
 @pytest.mark.parametrize(
     ("topic", "text", "passed", "found"),
@@ -92,6 +93,7 @@ def test_latency_is_the_99th_percentile_to_the_robot(checked):
     assert not one(checked, "/cmd_vel", "{latency: at most 100ms}")[0]
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("field", "passed", "found"),
     [
@@ -121,6 +123,7 @@ def test_fields(field, passed, found, checked):
     assert found in item[1]
 
 
+@pytest.mark.long
 def test_every_batch_counts_alike(checked):
     """However a source is cut into batches, the same is found."""
     text = (

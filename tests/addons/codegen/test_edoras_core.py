@@ -98,6 +98,7 @@ def test_figure_16_makes_the_packets_of_the_capture(arm, store):
         assert next(outcome) == packet
 
 
+@pytest.mark.long
 def test_the_rover_reads_its_commands(rover, store):
     captured = packets("a_rover", 0x1827)
     assert len(captured) == 600
@@ -273,6 +274,7 @@ def keeping(cc, tools, tmp_path_factory):
     return tools.Library(cc(folder / "library.so", "-shared", "-fPIC", f"-I{folder}", *folder.glob("*.c")))
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("kind", ["bool", "uint8", "int16", "uint32", "int64", "float32", "float64"])
 @pytest.mark.parametrize("message", [True, False])
 def test_a_variable_that_nothing_is_found_for(library, keeping, kind, message):
@@ -371,6 +373,7 @@ def test_the_classic_reader_trusts_nothing(library, store):
         assert bool(read(packet, 8, None, info, None)) == works
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("8/8 be", "1/1")
 @pytest.mark.parametrize("envelope", ENVELOPE_FORMATS, ids=str)
 def test_envelopes(cc, tmp_path, store, tools, envelope):

@@ -33,6 +33,7 @@ def test_every_package_is_there():
     assert {name.split("/")[0] for name in STANDARD} == set(PACKAGES)
 
 
+@pytest.mark.each(5)
 @pytest.mark.parametrize("name", every(2, TYPES))
 @few
 @given(data=st.data())
@@ -64,6 +65,7 @@ def test_new_messages_have_their_defaults(library, store, name):
     assert library.encode(name, library.created(name)) == (library.OK, store.encode(name, {}))
 
 
+@pytest.mark.each(5)
 @pytest.mark.parametrize("name", every(2, TYPES))
 @few
 @given(data=st.data())

@@ -45,6 +45,7 @@ def test_a_worse_run(compare):
     assert {"verdict", "lost"} <= {item["what"] for item in told["changes"] if item["worse"]}
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("a_rover", "n12*")
 @pytest.mark.parametrize("name", ["a_rover", "f_sbn_disconnect", "n1_to_remove_all", "n12_two_hosts_ground"])
 def test_a_capture_beside_itself_has_no_difference(compare, name):
@@ -110,6 +111,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("change0", "moved")
 @pytest.mark.parametrize("change", CHANGES, ids=lambda item: item.__name__)
 def test_a_doctored_capture_is_worse_where_it_was_changed(compare, tmp_path, change):

@@ -204,6 +204,7 @@ def test_what_offers_less_than_is_asked_for_is_not_heard_and_is_told(node, peer,
     assert not heard
 
 
+@pytest.mark.long
 def test_a_late_subscriber_gets_the_last_messages_where_they_are_kept(node, peer, until):
     graph = node()
     kept = graph.advertise("/kept", STRING, Qos(transient_local=True, depth=3))
@@ -278,6 +279,7 @@ def test_others_see_the_node_and_what_it_has(node, peer, until):
     assert all(item["data"][16:] == [0] * 8 for item in gids)
 
 
+@pytest.mark.long
 def test_every_message_of_a_flood_arrives_in_order(node, until):
     count = 20_000
     one, other, heard = node("one"), node("other"), []

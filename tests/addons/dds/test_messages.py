@@ -32,6 +32,7 @@ def there_and_back(made, cdr):
     return made.__idl__.serialize(made.__idl__.deserialize(cdr))
 
 
+@pytest.mark.each(5)
 @pytest.mark.parametrize("name", NAMES)
 def test_every_type_of_a_distribution_goes_there_and_back(name):
     made = MADE.of(name)

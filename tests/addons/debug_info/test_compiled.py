@@ -171,6 +171,7 @@ def uses(layout, name):
     return found
 
 
+@pytest.mark.long
 def test_big_endian_values_are_what_the_compiler_reads_turned_round(tmp_path):
     made, data = draw(3, COUNT, BIG), noise(4)
     said = printed(gcc(tmp_path, "program", program(made, SIZE, BIG)), data)
@@ -206,6 +207,7 @@ def test_other_word_sizes(tmp_path):
     assert (str(members["p"].type), members["p"].base, members["x"].dims) == ("uint32", 16, (12,))
 
 
+@pytest.mark.long
 def test_many_packets_at_once_are_as_one_by_one(drawn, tmp_path):
     made, _, data, text = drawn
     layout, _ = DebugInfo(

@@ -88,6 +88,7 @@ COMPILERS = [
 ]
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("version", [2, 4, 5])
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_what_was_written_is_read(compiler, version, tmp_path):

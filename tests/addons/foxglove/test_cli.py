@@ -146,6 +146,7 @@ def test_sockets_are_shown_and_commands_go_to_the_target(started, missions):
         assert err.splitlines()[-1].endswith("1 taken from them, 0 refused")
 
 
+@pytest.mark.long
 def test_a_proxy_is_looked_at_while_it_relays(command, missions):
     """The line that says where to look comes first; what crosses, faults included, is shown."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as cfs:

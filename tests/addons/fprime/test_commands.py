@@ -30,6 +30,7 @@ def sent(call, *words):
     return data
 
 
+@pytest.mark.each(3)
 @pytest.mark.skipif(bool(why_not()), reason=why_not() or "")
 @pytest.mark.parametrize("item", COMMANDS, ids=[item["command"] for item in COMMANDS])
 def test_a_command_is_what_its_ground_system_sends(item, call):

@@ -176,6 +176,7 @@ def test_the_ground_system_of_f_prime_makes_the_sample_and_reads_our_frames(tmp_
                 )
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("what", BAD)
 def test_what_is_said_of_frames_that_are_not_right(what):
     frame, findings, count = BAD[what]
@@ -284,6 +285,7 @@ radio:
 """
 
 
+@pytest.mark.long
 def test_packets_over_the_borders_of_frames_are_whole_where_a_mission_names_the_frames(tmp_path):
     down = [packet for packet in PACKETS if packet[:2] != b"\0\0"]
     spaces = [space(packet, count) for count, packet in enumerate(down)]
@@ -364,6 +366,7 @@ FILTERS = {
 }
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("text", FILTERS)
 def test_filters_know_the_names_of_the_dictionary(text):
     packets, rows = both_ways(NAMED, *(datagram.payload for datagram in captured(CAPTURE)))

@@ -14,6 +14,7 @@ from waiting import HOST, Ear, Program, free_ports, until
 UP = [item.payload for item in datagrams(CAPTURE) if item.payload[0] >> 4 == 2]
 
 
+@pytest.mark.each(2)
 @pytest.mark.skipif(bool(why_not()), reason=why_not() or "")
 @pytest.mark.parametrize("framing", ["ccsds", "own"])
 def test_its_ground_system_reads_every_event_and_channel(framing, call, tmp_path):

@@ -49,6 +49,7 @@ def test_a_field_with_rates_losses_and_events_beneath(tables):
 XYZ = ["x", "y", "z"]
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("asked", "panels"),
     [
@@ -84,6 +85,7 @@ def test_without_a_request_the_rates_of_all_topics(tables):
     assert {line.label: line.read for line in panel.lines} == counts
 
 
+@pytest.mark.long
 def test_two_recordings_start_at_their_own_zero(tables):
     figure = plotted("/cmd_vel.linear.x", paths=(ROVER, ERRORS))
     lines = figure.panels[0].lines

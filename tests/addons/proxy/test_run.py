@@ -47,6 +47,7 @@ def numbered(count, size=12):
     ]
 
 
+@pytest.mark.each(2)
 def test_every_byte_goes_both_ways_in_order(ends, arena):
     target = ends.port()
     client = ends.client(ends.proxy(target))

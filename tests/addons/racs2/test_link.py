@@ -229,6 +229,7 @@ def test_values_of_the_public_examples_messages(body, values):
     assert racs2.std_msgs_values(body) == values
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("payload", "link"),
     [

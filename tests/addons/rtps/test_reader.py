@@ -80,6 +80,7 @@ def ours(packet):
     return found
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("fastdds*")
 @pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.name.partition(".")[0])
 def test_every_submessage_as_tshark_reads_it(path):
@@ -123,6 +124,7 @@ def test_every_submessage_as_tshark_reads_it(path):
     assert found == judged
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("cyclone*")
 @pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.name.partition(".")[0])
 def test_samples_are_what_was_published(path):

@@ -156,6 +156,7 @@ def test_more_holes_than_are_kept_are_all_counted():
     assert writer.copies == 500
 
 
+@pytest.mark.long
 def test_numbers_that_cannot_be_and_floods_are_bounded():
     huge = message(data((1 << 63) - 1, b"\0\1\0\0"))
     far = message(made(SubmessageKind.HEARTBEAT, first=1, last=1 << 50, count=1))

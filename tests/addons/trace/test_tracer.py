@@ -46,6 +46,7 @@ def stream_of(case, msg_id):
     return next(item for item in case.streams if item.msg_id == msg_id)
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize(
     ("name", "got"), [("a_rover", (508, 92)), ("season3/q01_two_causes_one_counter", (211, 29))]
 )
@@ -103,6 +104,7 @@ def test_two_hosts():
     assert Counter(item.ended.witness for item in commands) == {"by model": 67, "measured": 7, "unknown": 66}
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("d3_cpu1_cpu2", "c4_cmd_rate")
 @pytest.mark.parametrize("name", NAMES)
 def test_no_trace_says_more_than_the_ledger(examined, name):
@@ -144,6 +146,7 @@ def test_each_lost_message_has_a_way(examined, name):
             assert ended.witness != "proven" or item.one_of is None
 
 
+@pytest.mark.long
 def test_a_message_that_comes_out_by_two_ways(examined):
     """To the robot and to the SBN peer: each as often as its stream has it, the shared way in front."""
     case = examined("cfs7/two_robots")
@@ -161,6 +164,7 @@ def test_a_message_that_comes_out_by_two_ways(examined):
             assert other.as_json() in item.as_json()["also"]
 
 
+@pytest.mark.long
 def test_what_follows_a_guess_is_no_proof(examined):
     """Where others had the same values, no counter behind proves what became of this one."""
     case = examined("cfs7/two_robots")

@@ -74,6 +74,7 @@ def test_a_filter_holds_for_what_comes_later(drive):
     drive(script, source=sender.source, options=sender.options)
 
 
+@pytest.mark.long
 def test_the_oldest_packets_give_way_and_the_cursor_stays(drive):
     sender = Sender()
 
@@ -94,6 +95,7 @@ def test_the_oldest_packets_give_way_and_the_cursor_stays(drive):
     drive(script, source=sender.source, options=sender.options, limit=100_000)
 
 
+@pytest.mark.long
 def test_enough_is_enough(drive):
     sender = Sender()
 

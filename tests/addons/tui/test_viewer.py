@@ -41,7 +41,7 @@ def test_any_size_shows_a_list_and_keys(drive, size):
     drive(script, size=size)
 
 
-@pytest.mark.quick("60")
+@pytest.mark.long
 @pytest.mark.parametrize("width", [60, 80, 100, 160])
 def test_what_is_wrong_is_readable_to_its_last_word(drive, width):
     async def script(hands):
@@ -119,6 +119,7 @@ def test_choosing_a_byte_selects_its_field(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_the_mouse_chooses_packets_fields_and_bytes(drive):
     async def script(hands):
         app = hands.app
@@ -140,6 +141,7 @@ def test_the_mouse_chooses_packets_fields_and_bytes(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_every_byte_of_every_layer_finds_a_field_that_holds_it(drive):
     async def script(hands):
         for number in (188, 1345):
@@ -248,6 +250,7 @@ def test_a_wrong_filter_is_shown_with_a_caret_at_the_character(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_completions_are_shown_chosen_and_accepted(drive):
     async def script(hands):
         line, offered = hands.app.filter_line.input, hands.app.filter_line.completions
@@ -295,6 +298,7 @@ def test_values_are_completed_too(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_escape_first_closes_the_completions(drive):
     async def script(hands):
         offered = hands.app.filter_line.completions
@@ -333,6 +337,7 @@ def test_what_the_list_shows_is_saved(drive, tmp_path, suffix):
     drive(script, size=(200, 40))
 
 
+@pytest.mark.long
 def test_what_cannot_be_saved_is_one_line(drive, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
@@ -346,6 +351,7 @@ def test_what_cannot_be_saved_is_one_line(drive, tmp_path, monkeypatch):
     drive(script)
 
 
+@pytest.mark.long
 def test_the_filter_of_the_command_line_is_the_first(drive):
     async def script(hands):
         await hands.settle()
@@ -417,6 +423,7 @@ def test_marks_are_gone_between_and_filtered_for(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_routes_are_counted_and_filter(drive):
     async def script(hands):
         app = hands.app
@@ -540,6 +547,7 @@ def test_the_way_of_the_packet_is_followed(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_time_is_told_four_ways(drive):
     async def script(hands):
         seen = []
@@ -633,7 +641,7 @@ def test_panes_grow_and_shrink(drive):
     drive(script)
 
 
-@pytest.mark.quick("15;0-dark")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("colours", "theme"),
     [
@@ -666,7 +674,7 @@ def test_help_comes_and_goes(drive):
     drive(script)
 
 
-@pytest.mark.quick("q")
+@pytest.mark.long
 @pytest.mark.parametrize("key", ["q", "ctrl+c"])
 def test_it_quits(drive, key):
     async def script(hands):
@@ -696,6 +704,7 @@ def test_wireshark_that_is_not_there_is_one_clear_line(drive, monkeypatch):
     drive(script)
 
 
+@pytest.mark.long
 def test_the_list_is_sorted_by_any_column(drive):
     async def script(hands):
         app = hands.app

@@ -63,7 +63,7 @@ def test_link_types_and_options(name, capsys):
     assert "value {arg=0}{value=lo}{display=lo}{default=false}" in lines
 
 
-@pytest.mark.quick("arguments2*")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -114,7 +114,7 @@ def _packets(data):
     return count
 
 
-@pytest.mark.quick("listen")
+@pytest.mark.long
 @pytest.mark.parametrize("way", ["listen", "live"])
 def test_a_capture(way, launcher, tmp_path):
     port = 1234

@@ -76,6 +76,7 @@ def test_run_passes_arguments_and_exit_codes_on(capfd):
     assert "nonsense" in said[0]
 
 
+@pytest.mark.long
 def test_run_reads_recordings(capfd, tmp_path):
     recording = tmp_path / "a.mcap"
     assert edoras(capfd, "record", "-q", "-r", CAPTURE, "-c", MISSION, "-o", recording)[0] == 0

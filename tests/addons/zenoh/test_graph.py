@@ -160,6 +160,7 @@ def test_a_message_goes_out_under_its_key_with_its_attachment(judge, graphs, jaz
     assert {item.source_gid for item in attachments} == {gid(token)}
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("attachment", [Attachment(1, 2, bytes(16)).emit(), b"", b"odd"])
 @pytest.mark.parametrize("durable", [False, True])
 def test_a_message_comes_in_byte_for_byte(judge, graphs, jazzy, until, attachment, durable):
@@ -227,6 +228,7 @@ def test_a_late_subscription_gets_the_last_messages(judge, graphs, jazzy, until)
     assert heard == [b"2", b"3", b"4"]
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("distro", "options", "digest"),
     [
@@ -259,6 +261,7 @@ def test_only_who_keeps_all_waits_for_slow_subscribers(judge, graphs, jazzy, unt
     assert blocks == {"all": True, "last": False, "best": False}
 
 
+@pytest.mark.long
 def test_thousands_of_messages_arrive_in_order_and_whole(judge, graphs, jazzy, until):
     heard = []
     other = graphs(jazzy, judge.port, "other", mode="client")  # peers change their way once they have met

@@ -138,6 +138,7 @@ TURNS = 1 if LONG else 3
 """``make test`` holds a third of the names to each capture, the next third to the next; ``make long`` all."""
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(
     ("path", "name"),
     long_but(IN_TURNS[: len(NAMES)], list(product(CAPTURES, NAMES))),
@@ -277,7 +278,7 @@ OPTIONS = st.sampled_from(
 )
 
 
-@settings(max_examples=examples(100, least=3))
+@settings(max_examples=examples(100, 50, 2))
 @given(rows=ROWS, name=st.sampled_from(sorted(MISSIONS)), options=OPTIONS)
 @example(rows=[], name="lists", options=Options())
 @example(rows=[(item, 2236, 2234, 0) for item in LISTED], name="lists", options=Options())
@@ -335,7 +336,7 @@ CASES = st.sampled_from(sorted(MISSIONS)).flatmap(lambda name: st.tuples(st.just
 
 
 # Many of them are mistakes, and are drawn again.
-@settings(max_examples=examples(200, 16), suppress_health_check=[HealthCheck.filter_too_much])
+@settings(max_examples=examples(200, 40), suppress_health_check=[HealthCheck.filter_too_much])
 @given(rows=ROWS, case=CASES)
 @example(rows=[(item, 2236, 2234, 0) for item in POOL], case=("rover", "not summary contains 'x=' and sbn"))
 def test_whole_filters(rows, case):

@@ -165,6 +165,7 @@ CASES = [("a_rover", *case) for case in ON_ROVER.items()]
 CASES += [("b_arm_single", *case) for case in ON_ARM.items()]
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(("capture", "text", "wanted"), CASES, ids=[case[1] for case in CASES])
 def test_what_passes(capture, text, wanted):
     context, (batch, columns, packets) = capture_of(capture)
@@ -328,6 +329,7 @@ def test_addresses_of_version_6():
         )
 
 
+@pytest.mark.long
 def test_names_that_two_types_share_mean_both():
     text = (ROOT / "samples/missions/rover_ground.yaml").read_text()
     more = "\n    tlm_arm: {type: sensor_msgs/msg/JointState, topic: arm, mid: 0x829}\n"

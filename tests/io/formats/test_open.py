@@ -133,6 +133,7 @@ def test_what_is_no_capture_is_called_by_its_name(tmp_path, what):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("pipe", "zstd")
 @pytest.mark.parametrize("way", ["pipe", "gzip", "zstd"])
 def test_a_recording_from_a_pipe_or_packed_is_read_from_a_copy(tmp_path, monkeypatch, way):
@@ -187,6 +188,7 @@ def test_memory_stays_bounded(tmp_path, monkeypatch):
     assert max(sizes) < 21_000
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("bytes", "gzipped")
 @pytest.mark.parametrize("pack", [bytes, gzipped, zstandarded])
 def test_standard_input(pack):

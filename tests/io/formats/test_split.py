@@ -57,6 +57,7 @@ def frames(batch):
     ]
 
 
+@pytest.mark.each(3)
 @pytest.mark.quick("*-97")
 @pytest.mark.parametrize("step", [10_000, 97])
 @pytest.mark.parametrize("suffix", SUFFIXES)

@@ -189,6 +189,7 @@ def test_a_frame_cut_by_the_capture(kept):
     assert (datagram.frame, datagram.original_length) == (frame[:kept], len(frame))
 
 
+@pytest.mark.each(5)
 @pytest.mark.parametrize(
     "layers",
     [

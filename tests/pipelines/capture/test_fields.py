@@ -36,6 +36,7 @@ def texts(bench, rows, names):
     return column_texts(rows, fields(names, bench.columns.context))
 
 
+@pytest.mark.each(3)
 @pytest.mark.long(
     "summary", "*_time", "source*", "ccsds.*", "sbn.*", "cfe_event*", "event_type", "pose*", "name*"
 )

@@ -303,6 +303,7 @@ def test_targets(target, words, tmp_path):
         check_output(target, [])
 
 
+@pytest.mark.long
 def test_batches_of_one_make_the_same_recording(bench, batches, made_up, tmp_path):
     singles = [batches[0].take(slice(index, index + 1)) for index in range(100)]
     contents = []
@@ -323,6 +324,7 @@ def test_batches_of_one_make_the_same_recording(bench, batches, made_up, tmp_pat
 KEPT = {"split_count": 200, "keep_files": 3}
 
 
+@pytest.mark.each(3)
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 @pytest.mark.parametrize("limits", [{}, {"split_bytes": 60_000}, {"split_ns": 20_000_000_000}, KEPT])
 def test_several_processes_make_the_same_recording(bench, captures, tmp_path, monkeypatch, limits):

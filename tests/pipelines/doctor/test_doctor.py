@@ -119,6 +119,7 @@ def test_a_span_of_time_is_cut_out_and_the_rest_counted():
         found(Scope(period=Period(900 * SECOND)))
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("selection0*")
 @pytest.mark.parametrize(
     ("selection", "links", "lost"),
@@ -228,6 +229,7 @@ def test_a_process_that_is_killed_while_it_judges_is_told(monkeypatch):
         chapters(monkeypatch, ROOT / "samples/captures/a_rover.pcap", 2)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 def test_what_is_followed_over_chapters_comes_to_the_one_that_judges(monkeypatch, tmp_path):
     maker, packets = Maker("tm", 60), [space_packet(1, bytes([number % 256]) * 80) for number in range(400)]

@@ -127,6 +127,7 @@ def damaged(draw, cdr):
     return bytes(cdr)
 
 
+@pytest.mark.each(3)
 @pytest.mark.quick("together-*")
 @pytest.mark.parametrize("name", TYPES)
 @FEW
@@ -138,6 +139,7 @@ def test_mixed_batches(store, tools, name, data):
     check(store, name, cdrs, *laid_out(cdrs, data.draw(st.lists(st.integers(0, 5), max_size=6))))
 
 
+@pytest.mark.each(3)
 @pytest.mark.quick("together-*")
 @pytest.mark.parametrize("name", TYPES)
 @FEW
@@ -147,6 +149,7 @@ def test_garbage(store, name, garbage, plain):
     check(store, name, cdrs, *laid_out(cdrs))
 
 
+@pytest.mark.each(3)
 @pytest.mark.quick("together-*")
 @pytest.mark.parametrize("name", TYPES)
 @FEW

@@ -345,6 +345,7 @@ def test_every_message_is_somewhere_whatever_comes(steps, kind, rate):
     assert len(packets) == counts(bridge, 0)[1]
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize(("max_rate", "hertz"), [(30.0, 30), (None, 250)])
 def test_250_hz_of_state_lose_nothing_in_cfs_only_where_they_are_limited(max_rate, hertz):
     """An SBN that polls ten times a second, four messages of a MsgId at most in the application's pipe."""

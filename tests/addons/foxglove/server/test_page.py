@@ -121,6 +121,7 @@ def test_it_has_the_rules_of_the_websocket(serve, path, headers, query, status):
     assert len(told) == (status != 200)
 
 
+@pytest.mark.long
 def test_who_asks_and_never_reads_disturbs_nobody(serve):
     server = serve()
     server.link_state = lambda: {**LINK, "routes": LINK["routes"] * 5000}  # more than a socket holds

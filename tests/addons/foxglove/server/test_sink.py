@@ -192,6 +192,7 @@ def test_what_is_served_is_what_a_recording_holds(serve, capture, types, tmp_pat
     assert len(client.on("/cmd_vel")) == 600
 
 
+@pytest.mark.long
 def test_rosbags_reads_every_message_by_the_schema_that_was_told(serve, capture):
     rover = capture("a_rover", "rover_ground")
     client = show(serve(rover), rover)

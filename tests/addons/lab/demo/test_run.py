@@ -98,6 +98,7 @@ def test_commands_move_the_robots_and_what_is_said_arrives_byte_for_byte(demos, 
     assert summary["lost"] == 0
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("scenario", ["two-rovers", "two-arms"])
 def test_250_hz_of_state_enter_cfs_at_30_hz_and_sbn_has_nothing_to_say(demos, scenario):
     demo = demos[scenario]
@@ -116,6 +117,7 @@ def test_demos_beside_each_other_have_ports_of_their_own(demos):
     assert len(set(ports)) == len(ports) == 2 + 2 + 4 + 4
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_it_leaves_a_recording_and_a_layout(demos, scenario):
     demo = demos[scenario]

@@ -48,6 +48,7 @@ def routes(sent):
         yield link, int.from_bytes(packet[:2], "big"), len(item.payload)
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_each_scenario_has_the_traffic_of_its_demo(scenario):
     simulation = Simulation(scenario=scenario, start_ns=1_800_000_000 * SECOND)
@@ -63,6 +64,7 @@ def test_each_scenario_has_the_traffic_of_its_demo(scenario):
     assert simulation.ground.received[0x0800] == seen["to", 0x0800, 164]
 
 
+@pytest.mark.long
 def test_one_profile_is_one_run_and_another_seed_is_another():
     def run(seed):
         return list(Simulation(SimProfile(seed=seed), "two-rovers").run(10 * SECOND))

@@ -175,6 +175,7 @@ def test_the_software_bus_takes_32768_bytes(bench):
     assert "1,024 bytes" in summary["notes"][0]
 
 
+@pytest.mark.long
 def test_cfs_is_left_as_it_was_found(bench, monkeypatch):
     """What was asked of Telemetry Output and of the generator is undone, whatever happens."""
     wires = []
@@ -207,6 +208,7 @@ def test_two_runs_are_the_same(bench):
     assert one == two
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize(
     ("name", "why"),
     [("0x18ee", "without a subscriber in cFS"), ("0x08f1", "CFE_SB 14: No subscribers for MsgId 0x8f1")],
@@ -252,6 +254,7 @@ def test_what_telemetry_output_does_not_send_has_a_remedy(bench):
     assert summary["reason"].endswith("edoras inject to-add 0x08f9")
 
 
+@pytest.mark.long
 def test_a_generator_of_another_msg_id(bench):
     summary = run(bench(*TWO), "/robot_1/ground/pose", "two-rovers", generator=0x18F4, rates=(8, 9))
     assert [(step["rate_hz"], step["lost"]) for step in summary["steps"]] == [(8, 0), (9, 7)]
@@ -415,7 +418,7 @@ def test_a_dry_run_names_everything_that_would_be_sent(bench):
 EXTENDED = {"options": SendOptions(headers=cfe.WITH_EXTENDED)}
 
 
-@pytest.mark.quick("/robot_1/ground/cmd_vel-rates2-8-extended header")
+@pytest.mark.long
 @pytest.mark.parametrize("headers", [cfe.WITH_EXTENDED, cfe.WITH_EXTENDED_2], ids=lambda item: item.name)
 @pytest.mark.parametrize(
     ("name", "rates", "threshold"),

@@ -75,6 +75,7 @@ def test_a_damaged_chunk_is_one_line_after_all_before_it(tmp_path):
     assert 0 < sum(found) < len(whole)
 
 
+@pytest.mark.each(5)
 @pytest.mark.parametrize("seed", range(60))
 def test_any_damage_is_a_capture_error(tmp_path, seed):
     path = write(tmp_path / "a.mcap", compression=CompressionType.NONE, count=200)

@@ -68,6 +68,7 @@ def test_what_the_recorder_lost_is_told(tmp_path):
     assert recording.statistics.kernel_drops == 63_784
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("name", ["a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect"])
 def test_a_capture_comes_back(tmp_path, name):
     source = open_file(CAPTURES / f"{name}.pcap")
@@ -246,6 +247,7 @@ def test_a_damaged_chunk_is_left_out_and_reported_at_the_end(tmp_path, recording
     assert "damaged and was left out" in str(error)
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4, CompressionType.NONE])
 @pytest.mark.parametrize("chunked", [True, False])
 def test_recordings_that_other_tools_wrote_again(tmp_path, recording, compression, chunked):

@@ -152,6 +152,7 @@ def test_the_metadata_of_a_recording_is_made_whole(tmp_path, recording):
     assert metadata["edoras"].items() >= metadata["edoras_opening"].items()
 
 
+@pytest.mark.each(5)
 @pytest.mark.parametrize("chunked", [True, False])
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4, CompressionType.NONE])
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 0.999])
@@ -297,6 +298,7 @@ def test_a_message_index_that_lost_bytes_hides_no_chunk(tmp_path, recording, mis
     assert messages(made.read_bytes()) == messages(raw)
 
 
+@pytest.mark.long
 def test_files_one_after_the_other(tmp_path, wholes, foreign):
     """Channels with the same number and another topic keep their topics."""
     source, made = tmp_path / "joined.mcap", tmp_path / "made.mcap"
@@ -334,6 +336,7 @@ def test_a_file_that_was_truncated_while_it_was_written(tmp_path, recording, end
     assert "the description of 3 channels is lost: /unknown/N has their messages" in report.reasons
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("size", [512, 4096, 65_536])
 @pytest.mark.parametrize("ended", [True, False])
 def test_a_beginning_of_zeros_costs_what_was_in_it(tmp_path, wholes, size, ended):

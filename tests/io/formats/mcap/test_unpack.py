@@ -60,6 +60,7 @@ BOMBS = {
 }
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("info-sparse", "recover-zstd")
 @pytest.mark.parametrize("name", BOMBS)
 @pytest.mark.parametrize("command", ["info", "recover"])

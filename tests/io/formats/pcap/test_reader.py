@@ -93,6 +93,7 @@ def test_bits_about_the_frame_check_sequence_are_no_link_type(tmp_path):
     assert (row.link_type, row.payload, error) == (101, b"hello", "")
 
 
+@pytest.mark.each(3)
 @pytest.mark.quick("default-*", "tiny-b_arm_single")
 @pytest.mark.usefixtures("_sizes")
 @pytest.mark.parametrize("name", ["a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect"])
@@ -117,6 +118,7 @@ def imitation(order):
     return b"".join(record(b"\x01" * length, 1_700_000_000, 5, order) for length in (1, 0, 40, 7, 64)) * 3
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("tiny->", "default-<")
 @pytest.mark.usefixtures("_sizes")
 @pytest.mark.parametrize("order", "<>")
@@ -164,6 +166,7 @@ def test_a_large_file_of_mixed_sizes_takes_the_fast_way(tmp_path, monkeypatch):
     assert len(singles) < len(frames) / 4
 
 
+@pytest.mark.each(2)
 @pytest.mark.usefixtures("_sizes")
 def test_a_file_cut_anywhere_gives_all_whole_records_first(tmp_path):
     path = tmp_path / "a.pcap"
@@ -181,6 +184,7 @@ def test_a_file_cut_anywhere_gives_all_whole_records_first(tmp_path):
             assert not error
 
 
+@pytest.mark.each(3)
 @pytest.mark.usefixtures("_sizes")
 @pytest.mark.parametrize("claim", [0x7FFFFFFF, 0xFFFFFFFF, 262145])
 def test_an_absurd_length(tmp_path, claim):

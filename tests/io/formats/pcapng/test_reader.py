@@ -217,6 +217,7 @@ def test_a_file_by_scapy(tmp_path):
     assert [row.payload for row in read(path)[0]] == [b"hello"] * 3
 
 
+@pytest.mark.each(2)
 @pytest.mark.usefixtures("_sizes")
 def test_a_file_cut_anywhere_gives_all_whole_blocks_first(tmp_path):
     path = tmp_path / "a.pcapng"
@@ -281,6 +282,7 @@ def test_a_first_section_header_that_cannot_be_read(tmp_path, content):
         open_file(path)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_sizes")
 @settings(max_examples=40)
 @given(data=st.data())

@@ -68,6 +68,7 @@ def test_rows_are_what_rosbags_reads(plugin, tmp_path):
     assert len(found) == 100 + 50 + 50 + 4 + 1
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 @pytest.mark.parametrize("plugin", StoragePlugin)
 def test_what_rosbag2_compressed_is_unpacked(plugin, mode, tmp_path):
