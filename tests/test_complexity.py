@@ -95,6 +95,7 @@ def files(path, count):
 SIZES = {segments_behind_holes: 2000, pairs: 1500, msg_ids: 1500, files: 1000}
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("make", SIZES, ids=lambda make: make.__name__)
 def test_four_times_as_much_costs_at_most_six_times(make, tmp_path):
     """What is quadratic costs sixteen times as much in each of three tries; a busy machine not in all."""

@@ -263,6 +263,7 @@ def test_ros_2_over_dds_is_open_by_its_nature_and_it_is_said(machines, command):
     )
 
 
+@pytest.mark.long
 def test_a_datagram_from_outside_is_recorded_once_it_is_let_in(machines, command, tmp_path):
     with ExitStack() as stack:
         words = ["record", "--listen", "0.0.0.0:7001", "-n", "1", "--json", "-o", tmp_path / "a.mcap"]

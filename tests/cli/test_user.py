@@ -110,6 +110,7 @@ def test_the_socket_that_is_kept_follows_the_interface(program, place, datagrams
     assert [item.payload for item in datagrams(path)] == [b"before", b"after"]
 
 
+@pytest.mark.long
 def test_a_folder_that_the_user_cannot_write_is_refused_at_the_start(program, place):
     words = ["record", "-i", "lo", "--user", "nobody", "-o", str(place.parent / "x.mcap")]
     done = subprocess.run([*program, *words], capture_output=True, text=True, check=False)

@@ -171,6 +171,7 @@ def test_each_conversation_is_read_with_the_headers_of_its_build(tmp_path, order
     assert "16-byte telemetry header or extended header" in note
 
 
+@pytest.mark.long
 def test_a_build_that_comes_late_in_a_long_source_is_found(tmp_path):
     traffic, first = two_builds(1)
     repeated = [item.at(turn * 70 * 10**9) for turn in range(40) for item in traffic[:first]]

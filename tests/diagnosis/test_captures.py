@@ -49,6 +49,7 @@ STEPS = {
 }
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("missions", [(), ("rover_ground",)])
 def test_c1_names_the_loss_of_each_step_and_the_clean_rate(capture, missions):
     diagnosis = capture("c1_tlm_rate_limit4", *missions)
@@ -134,6 +135,7 @@ BAD_COMMANDS = {
 }
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("missions", [(), ("rover_ground",)])
 def test_e_names_each_bad_datagram_and_what_cfs_did(capture, missions):
     diagnosis = capture("e_ci_errors", *missions)

@@ -96,6 +96,7 @@ def test_later_fragments_that_a_firewall_dropped(lab):
     assert "their first fragments came and the later ones did not" in verdict.reason
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("change", ["1 % removed", "5 % removed", "30 % removed"])
 def test_fragments_that_the_capture_missed_here_and_there_were_not_dropped(lab, tmp_path, change):
     items = changed(frames(FOLDER / "season3/q08b_later_fragments_dropped.pcap.zst"), change, 1)
@@ -133,6 +134,7 @@ def test_a_cfs_that_stood_still_is_the_cause_of_what_came_at_once(lab, scenario,
     assert told(found, "topic_silent") == []
 
 
+@pytest.mark.each(3)
 @pytest.mark.long("c1*")
 @pytest.mark.parametrize("name", ["a_rover", "c1_tlm_rate_limit4", "p4_apps_stopped", "n5_app_restarts"])
 def test_a_cfs_of_which_something_comes_did_not_stand_still(lab, name):
@@ -161,6 +163,7 @@ def test_a_stopped_scheduler_takes_no_command_of_a_rover(lab):
     assert verdict.reason.endswith("SCH_LAB_APP, which asks for all housekeeping, was stopped at 14.8 s")
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("back", [True, False])
 def test_another_station_that_took_the_telemetry_is_named(lab, back):
     """Captured at the first station's host, where the other's command passes and its telemetry does not."""

@@ -191,6 +191,7 @@ def lossy(request):
     return Lossy(CAPTURES / request.param)
 
 
+@pytest.mark.each(2)
 def test_a_whole_capture_lacks_nothing(lossy):
     quality = lossy.quality()
     assert quality.missing == 0
@@ -198,7 +199,7 @@ def test_a_whole_capture_lacks_nothing(lossy):
     assert quality.excludes(0.02)
 
 
-@pytest.mark.quick("a_rover.pcap-0.05")
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.3])
 def test_the_true_share_is_below_the_bound(lossy, share):
     for seed in range(4):

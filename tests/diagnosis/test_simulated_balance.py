@@ -58,6 +58,7 @@ def run(seed, lab):
     return simulation, sent
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("1", "6")
 @pytest.mark.parametrize(
     "seed", [pytest.param(seed, marks=pytest.mark.long if seed >= QUICK else []) for seed in range(ALL)]

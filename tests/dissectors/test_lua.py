@@ -86,7 +86,7 @@ def with_a_tree(tshark):
     return dict(zip(FILTERS, map(int, row[2:-1:2]), strict=True))
 
 
-@pytest.mark.quick("edoras.topic == *")
+@pytest.mark.long
 @pytest.mark.parametrize("expression", long_but(list(FILTERS)[::3], FILTERS))
 def test_filters_say_the_same_with_and_without_a_tree(expression, tshark, with_a_tree):
     shown = tshark(script=COMMITTED).run("-r", ROVER, "-Y", expression).splitlines()

@@ -165,7 +165,7 @@ def test_a_process_that_was_killed(started, early):
 
 
 @pytest.mark.long
-@settings(max_examples=15)
+@settings(max_examples=examples(15, 4))
 @given(
     count=st.integers(1, 2),
     tasks=st.integers(1, 4),
@@ -191,7 +191,7 @@ def test_each_answer_is_that_of_its_task(count, tasks, room, slot, steps):
         assert not expected
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15, 4))
 @given(
     tasks=st.integers(1, 4),
     room=st.sampled_from([64, 4096]),

@@ -58,6 +58,7 @@ def recorded(path, port):
     return datagrams, faults
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("plain-True", "vectors-False")
 @pytest.mark.parametrize("apart", [False, True])
 def test_a_recording_holds_what_was_sent_and_what_was_done_on_purpose(ends, tmp_path, arena, apart):

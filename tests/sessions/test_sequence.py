@@ -165,7 +165,7 @@ def test_a_word_of_zero_is_no_count():
     st.integers(1, 1200),
     st.booleans(),
 )
-@settings(max_examples=40)
+@settings(max_examples=examples(40, 4))
 def test_what_comes_late_is_reordered_and_not_missing(start, reach, random, size, timed):
     """Packets each delayed by up to some hundred places: all are there, so none is missing."""
     order = sorted(range(size), key=lambda place: place + random.random() * reach)

@@ -138,6 +138,7 @@ def flown(request, tools, tmp_path_factory):
     return app, folder, [truth(app.types[0], item) for item in given]
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("rover-64 bits", "arm-32 bits")
 @pytest.mark.parametrize("flags", [SANITIZED, ("-m32",)], ids=["64 bits", "32 bits"])
 def test_spoilt_commands(flown, cc, tools, tmp_path, flags):

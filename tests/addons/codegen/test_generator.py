@@ -124,6 +124,7 @@ def test_it_publishes_what_the_emulated_one_does(run):
     assert {packet[16:] for packet in packets if packet[:2] == b"\x08\xf2"} == {bytes(33)}
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("*there is no such slot", "*too long", "*function code 2*", "*telemetry1")
 @pytest.mark.parametrize(
     ("packet", "reason"),

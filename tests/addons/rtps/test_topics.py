@@ -45,6 +45,7 @@ def test_copies_are_known_over_any_number_of_holes():
     assert written == list(range(1, last, 2))
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.name.partition(".")[0])
 def test_what_was_published_is_recorded_once(path, tmp_path):
     kind, _, end = path.name.partition(".")[0].partition("_")

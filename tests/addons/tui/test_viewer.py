@@ -506,6 +506,7 @@ def test_every_route_gives_a_filter_that_lets_its_packets_pass(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_the_conversation_is_a_ladder_that_leads_to_packets(drive):
     async def script(hands):
         app = hands.app
@@ -693,6 +694,7 @@ def test_a_signal_ends_it_cleanly(drive):
     drive(script)
 
 
+@pytest.mark.long
 def test_wireshark_that_is_not_there_is_one_clear_line(drive, monkeypatch):
     monkeypatch.setenv("PATH", "/nowhere")
 

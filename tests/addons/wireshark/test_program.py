@@ -65,6 +65,7 @@ def test_install_where_wireshark_looks(capfd, tmp_path, monkeypatch):
     assert "edoras.lua" in told
 
 
+@pytest.mark.long
 def test_run_passes_arguments_and_exit_codes_on(capfd):
     wanted = ["-Y", "edoras.msg_id == 0x0827 and ros2.geometry_msgs.PoseStamped.pose.position.x > 6"]
     code, out, said = edoras(capfd, "wireshark", "run", "-r", CAPTURE, "-c", MISSION, "--", *wanted)

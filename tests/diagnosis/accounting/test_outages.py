@@ -72,6 +72,7 @@ def test_commands_before_and_after_it_are_told_as_ever(lab, start_s, end_s):
     assert line.sent == line.arrived + rest
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("away_s", [9, 14])
 def test_a_peer_that_was_out_of_sight_meanwhile_did_not_time_out(lab, away_s):
     sent, _ = lab.simulate("two-rovers", seconds=50)

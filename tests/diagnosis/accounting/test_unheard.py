@@ -34,6 +34,7 @@ def silent(lab, seconds):
     return kept, len(app)
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize(("seconds", "known"), [(9, False), (20, True)])
 def test_none_of_it_is_said_to_have_arrived(lab, seconds, known):
     kept, unheard = silent(lab, seconds)

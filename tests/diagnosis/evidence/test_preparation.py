@@ -56,6 +56,7 @@ def test_counts_followed_again_say_the_same(tmp_path, name):
 CASES = list(product(["c1_tlm_rate_limit4", "n1_to_remove_all"], [1, 10, 10**6], range(3)))
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize(("name", "seconds", "seed"), long_but(CASES[::4], CASES))
 def test_a_file_out_of_order_is_as_the_one_in_order(tmp_path, name, seconds, seed):
     items = captured(name)

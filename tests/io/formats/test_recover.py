@@ -65,6 +65,7 @@ def wholes(tmp_path_factory):
     return made
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("kind", ["pcap", "pcapng"])
 def test_damaged_captures(tmp_path, wholes, kind):
     """What stands in the file unchanged is kept, the report counts what is written, and nothing raises."""

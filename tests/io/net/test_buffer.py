@@ -4,6 +4,7 @@ import socket
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -47,7 +48,7 @@ def drain(opened):
             return found
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30, 4))
 @given(
     datagrams=st.lists(st.binary(max_size=200), max_size=20),
     large=st.integers(0, 65507).map(bytes),  # two of them are more than some systems' buffers hold

@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import ROOT
@@ -86,7 +87,7 @@ def test_one_missed_packet_ends_no_run():
     assert [item.count for item in said(at_times(times))] == [19]
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25, 4))
 @given(cuts=st.lists(st.integers(0, 998), max_size=6))
 def test_however_the_batches_are_cut_the_conversation_is_the_same(cuts):
     bench, rows = CUT

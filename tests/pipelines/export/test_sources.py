@@ -76,7 +76,7 @@ CASES = {
 }
 
 
-@pytest.mark.quick("Arrow")
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_tables_are_the_same_with_any_number_of_processes(case, tmp_path, submitted):
     name, layout, how = case

@@ -77,6 +77,7 @@ def recorded(path):
     return [(item.time_ns - START_NS, item.source, item.destination, item.payload) for item in found]
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("name", ["x.mcap", "x.pcapng", "x.pcap"])
 def test_what_goes_out_and_what_comes_in_is_recorded(name, bench, tmp_path):
     wire = FakeWire()

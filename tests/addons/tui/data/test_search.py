@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import ROOT
@@ -43,7 +44,7 @@ def test_names_and_comparisons(text, like):
         assert all(text.lower().encode() in WHOLE[row].payload.lower() for row in rest)
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25, 4))
 @given(st.integers(0, len(WHOLE) - 1), st.data())
 def test_bytes_are_found_in_the_packets_that_hold_them_and_in_no_other(row, data):
     payload = WHOLE[row].payload

@@ -60,6 +60,7 @@ def in_front(items, port, *, moved):
     ]
 
 
+@pytest.mark.each(2)
 @pytest.mark.quick("ci-1234-other ends", "to-1235-same ends")
 @pytest.mark.parametrize("moved", [True, False], ids=["other ends", "same ends"])
 @pytest.mark.parametrize(("link", "port"), [("to", TO), ("ci", CI)])

@@ -7,7 +7,7 @@ from contextlib import closing, suppress
 import numpy as np
 import pytest
 from captures import read
-from effort import every
+from effort import every, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import CAPTURES
@@ -122,7 +122,7 @@ def imitation(order):
 @pytest.mark.quick("tiny->", "default-<")
 @pytest.mark.usefixtures("_sizes")
 @pytest.mark.parametrize("order", "<>")
-@settings(max_examples=40)
+@settings(max_examples=examples(40, 4))
 @given(data=st.data())
 def test_hostile_payloads_and_times_change_nothing(tmp_path_factory, order, data):
     payloads = st.one_of(

@@ -8,7 +8,7 @@ from contextlib import closing, suppress
 import numpy as np
 import pytest
 from captures import read
-from effort import every
+from effort import every, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import CAPTURES
@@ -284,7 +284,7 @@ def test_a_first_section_header_that_cannot_be_read(tmp_path, content):
 
 @pytest.mark.long
 @pytest.mark.usefixtures("_sizes")
-@settings(max_examples=40)
+@settings(max_examples=examples(40, 4))
 @given(data=st.data())
 def test_payloads_that_imitate_blocks_change_nothing(tmp_path_factory, data):
     decoys = [
