@@ -100,6 +100,7 @@ class SimProfile:
         sbn_msg_limit: messages of one MsgId that may wait in it.
         sbn_says_start: report what SBN loads and configures at its start: more than Telemetry Output takes,
             so that a few events are lost and counted at each boot, as in flight.
+        sbn_tcp: 1: SBN speaks TCP, as its other module does.
         sbn_polls: receive in the main loop too, each ``sbn_wake_ns``, instead of in a task of its own.
         bus_max_bytes: longest message that the software bus takes.
         bus_loss_events: how often a loss event is reported before its filter stops it.
@@ -164,6 +165,7 @@ class SimProfile:
     sbn_wake_ns: int = sbn.WAKE_NS
     sbn_pipe_depth: int = sbn.PIPE_DEPTH
     sbn_msg_limit: int = sbn.PEER_MSG_LIMIT
+    sbn_tcp: int = 0
     sbn_says_start: bool = False
     sbn_polls: bool = False
 

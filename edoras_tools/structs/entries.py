@@ -1,7 +1,7 @@
 """Dictionaries: layouts whose structs stand behind an ID of a link's own, not behind a cFE header.
 
-An add-on or a package that reads one (``structs.files.Database``) gives its layout ``shapes.LayoutEntries``; these
-make the table that is asked here.
+An add-on or a package that reads one (``structs.files.Database``) gives its layout
+``shapes.LayoutEntries``; these make the table that is asked here.
 """
 
 from __future__ import annotations

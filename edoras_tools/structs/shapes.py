@@ -246,7 +246,7 @@ class LayoutEntries(Protocol):
         """Return the struct of an entry as its messages are made, a ``bound.Bound``."""
 
     def table(self, structs: Any) -> Any:
-        """Return the ``entries.LayoutEntryTable`` of them, once bound; ``structs`` is the ``table.Structs``."""
+        """Return the ``entries.LayoutEntryTable`` of them; ``structs`` is the ``table.Structs``."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,12 +78,10 @@ class Structs:
 
     @cached_property
     def _entries(self) -> LayoutEntryTable | None:
-        layouts = [layout for layout in self._layouts or () if layout.entries]
-        if len(layouts) > 1:
-            raise ConfigError(
-                f"{layouts[1].origin}: a second dictionary, beside {layouts[0].origin}; name one"
-            )
-        entries = layouts[0].entries if layouts else None
+        books = [layout for layout in self._layouts or () if layout.entries]
+        if len(books) > 1:
+            raise ConfigError(f"{books[1].origin}: a second dictionary, beside {books[0].origin}; name one")
+        entries = books[0].entries if books else None
         return entries.table(self) if entries else None
 
     @property

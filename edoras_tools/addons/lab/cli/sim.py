@@ -53,7 +53,7 @@ def sim(
 
     from edoras_tools.addons.lab.emulator import Simulation, serve
     from edoras_tools.addons.lab.emulator.messages import bus_id
-    from edoras_tools.cfs.profile import TO_TABLE
+    from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.doctor.doctor import profile_with
     from edoras_tools.pipelines.interrupt import on_interrupt
@@ -63,7 +63,10 @@ def sim(
     built = options.DecodingOptions(set_values=flight.set_values).merged()
     profile = profile_with(built.constants)
     limit = flight.limit
-    peers = tuple(replace(peer, address=address) for peer in profile.sbn_peers)
+    # The lab's table names the first processor too: each of its cFS has the others as peers.
+    first = SimProfile()
+    table = (SbnPeerConfig(first.peer, first.sbn_port), *profile.sbn_peers)
+    peers = tuple(replace(peer, address=address) for peer in table if peer.peer != profile.peer)
     limits = {
         msg_id: limit if room == profile.to_default_limit else room for msg_id, room in TO_TABLE.items()
     }
@@ -85,12 +88,15 @@ def sim(
     )
     stop = Event()
     # The system chooses the source port of telemetry.
-    bound = [item for item in simulation.endpoints if item != simulation.cfs.to_endpoint]
+    cfs = simulation.cfs
+    others = {cfs.to_endpoint, cfs.sbn_endpoint} if profile.sbn_tcp else {cfs.to_endpoint}
+    bound = [item for item in simulation.endpoints if item not in others]
     ends = ", ".join(f"{item.port}" for item in bound)
 
     def ready() -> None:
         tell_reach(Endpoint(host, profile.ci_port), "command the emulated cFS", instead="leave --bind out")
-        sys.stderr.write(f"emulated cFS ({scenario.value}) on {host}, UDP {ends}; Ctrl-C ends\n")
+        over = f", SBN over TCP {profile.sbn_port}" if profile.sbn_tcp else ""
+        sys.stderr.write(f"emulated cFS ({scenario.value}) on {host}, UDP {ends}{over}; Ctrl-C ends\n")
 
     def line(time_ns: int, text: str) -> None:
         sys.stdout.write(f"{time_ns / 1e9:.6f} {text}\n")

@@ -139,6 +139,10 @@ class Cfs:
         else:
             self.account.note(socket(destination.port), 0, QueueEnd.CLOSED)
 
+    def is_listening(self, port: int) -> bool:
+        """Tell whether an application takes the datagrams of a port."""
+        return port in self._listening
+
     def listen(self, port: int, receive: Callable[[bytes], object]) -> None:
         """Have the datagrams of a port handed to an application."""
         self._listening[port] = receive

@@ -5,9 +5,11 @@ from __future__ import annotations
 import selectors
 import time
 from contextlib import ExitStack, suppress
+from functools import partial
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Final, Protocol
 
+from edoras_tools.addons.lab.emulator.streams import PeerStreams
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.net.address import resolve
 from edoras_tools.io.net.sockets import open_bound, received, send_one
@@ -44,7 +46,7 @@ def serve(
     ready: Callable[[], None] | None = None,
     watch: Watch | None = None,
 ) -> int:
-    """Run a simulation on UDP sockets until it is told to stop.
+    """Run a simulation on UDP sockets, and SBN's TCP connections, until it is told to stop.
 
     Args:
         simulation: what to run; its clock goes on from where it stands.
@@ -70,10 +72,22 @@ def serve(
                 open_bound(place, f"UDP {place}", "choose another host, as 127.0.0.2")
             )
             sockets[endpoint] = opened
-            selector.register(opened, selectors.EVENT_READ, endpoint)
+            selector.register(opened, selectors.EVENT_READ, partial(take, endpoint, opened))
 
+        def take(endpoint: Endpoint, opened: socket.socket, now: int) -> None:
+            for data in _waiting(opened):
+                if watch:
+                    watch.received(endpoint, data)
+                # Queued, not delivered: the simulation's clock is still at the time of its last run.
+                simulation.feed(now, endpoint, data)
+
+        streams: PeerStreams | None = None
+        if simulation.cfs.profile.sbn_tcp:
+            streams = PeerStreams(simulation, host, selector)
+            stack.callback(streams.close)
         for endpoint in simulation.endpoints:
-            open_socket(endpoint)
+            if streams is None or endpoint != simulation.cfs.sbn_endpoint:
+                open_socket(endpoint)
         if ready:
             ready()
         # The simulation's clock counts from its start; the host's from now.
@@ -87,15 +101,16 @@ def serve(
             for item in simulation.run(now):
                 if watch:
                     watch.sent(item)
+                if streams and item.source == simulation.cfs.sbn_endpoint:
+                    sent += streams.send(item)
+                    continue
                 if item.source not in sockets:  # Telemetry Output began anew, with another socket
                     open_socket(item.source)
                 sent += _send(sockets[item.source], item)
+            if streams:
+                streams.connect(now)
             for key, _ in selector.select(_wait_s(simulation, time.monotonic_ns() + offset)):
-                for data in _waiting(sockets[key.data]):
-                    if watch:
-                        watch.received(key.data, data)
-                    # Queued, not delivered: the simulation's clock is still at the time of its last run.
-                    simulation.feed(time.monotonic_ns() + offset, key.data, data)
+                key.data(time.monotonic_ns() + offset)
         return sent
 
 

@@ -23,7 +23,7 @@ from edoras_tools.model import Endpoint
 from edoras_tools.units import MICROSECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from typing_extensions import Self
 
@@ -151,6 +151,8 @@ class Simulation:
                 self.flight.headers = headers_of(profile)
 
     def _flight(self, profile: SimProfile, rate_hz: float) -> FlightBridge:
+        if profile.sbn_tcp:
+            raise ConfigError("the flight bridge speaks SBN over UDP alone: leave it out, --no-bridges")
         peer = next((item for item in profile.sbn_peers if item.peer == FLIGHT_BRIDGE), None)
         if peer is None:
             raise ConfigError(f"sim profile: sbn_peers: the flight bridge, {FLIGHT_BRIDGE}, is missing")
@@ -207,6 +209,10 @@ class Simulation:
     def feed(self, time_ns: int, destination: Endpoint, data: bytes) -> None:
         """Have a datagram arrive from outside at a time that is not past."""
         self._scheduler.call_at(time_ns, self.deliver, destination, data)
+
+    def call_at(self, time_ns: int, action: Callable[[], None]) -> None:
+        """Have something done at a time that is not past."""
+        self._scheduler.call_at(time_ns, action)
 
     def inject(self, time_ns: int, packet: bytes, sender: str) -> None:
         """Have a packet published on the software bus at a time, as if by application ``sender``."""

@@ -11,7 +11,7 @@ from edoras_tools.addons.lab.emulator.services.sbn_node import Actions, SbnNode
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.cfs import table_services
 from edoras_tools.cfs.profile import SbnPeerConfig
-from edoras_tools.cfs.queues import Fifo
+from edoras_tools.cfs.queues import NO_LIMIT, Fifo
 from edoras_tools.model import Endpoint
 from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import function_code_of, length_of
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.lab.emulator.cfs import Cfs
     from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.cfs.event_services import EventText
+    from edoras_tools.model import Peer
 
 
 class SbnApp:
@@ -35,9 +36,9 @@ class SbnApp:
         self._is_dead = self._has_left = False
         cfs.events.register(facts.NAME, now=cfs.scheduler.now)
         self.node = SbnNode(cfs.profile, cfs.bus, now=cfs.scheduler.now)
-        self.socket: Fifo[bytes] = cfs.account.watch(
-            Fifo(cfs.profile.socket_queue), socket(cfs.profile.sbn_port)
-        )
+        # TCP waits for its reader: it drops nothing.
+        room = NO_LIMIT if cfs.profile.sbn_tcp else cfs.profile.socket_queue
+        self.socket: Fifo[bytes] = cfs.account.watch(Fifo(room), socket(cfs.profile.sbn_port))
         self._commands = cfs.create_pipe(facts.PIPE, facts.COMMAND_MSG_ID)
         cfs.say(facts.SUBSCRIBED_TO_COMMANDS, msg_id=facts.COMMAND_MSG_ID)
         cfs.listen(cfs.profile.sbn_port, self.receive_datagram)
@@ -72,6 +73,10 @@ class SbnApp:
         if not self._is_dead:
             self.socket.put(data)
             self._cfs.scheduler.notify(self.socket)
+
+    def opened(self, peer: Peer) -> None:
+        """Begin a TCP connection that this side made."""
+        self._do(self.node.opened(peer, now=self._cfs.scheduler.now))
 
     def _main(self) -> Task:
         cfs, profile = self._cfs, self._cfs.profile

@@ -18,6 +18,7 @@ from edoras_tools.sessions.sbn.events import (
     AppMessage,
     Connected,
     Disconnected,
+    Step,
     Subscriptions,
     Trigger,
     UnknownType,
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 NOT_REPORTED: Final = frozenset({cfe.EVENT_MSG_ID, facts.COMMAND_MSG_ID, facts.HOUSEKEEPING_MSG_ID})
 """Subscriptions that are not sent to peers: SBN's own, and events, which its filter holds back."""
 _BUFFER_BYTES: Final = 65536
+_HEARTBEATS: Final = 4
+"""How many the TCP module sends at each wake-up while nothing else is sent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +99,32 @@ class PeerState:
         return self.connection.connected
 
 
+class StreamConnection(SbnConnection):
+    """A connection over TCP: no announcement and no end but the stream's, heartbeats by the dozen."""
+
+    _has_greeted = False
+
+    def introduce(self, *, now: int) -> list[bytes]:
+        """Return what the side that connected sends first; the other side answers with the same."""
+        self._has_greeted = False
+        first = self._greet(now)
+        self._has_greeted = True
+        return first
+
+    def service(self, *, now: int) -> Step:
+        """Do what is due: heartbeats, which do not count as sending, so that they go on at every wake-up."""
+        sent_ns = self._sent_ns
+        step = super().service(now=now)
+        self._sent_ns = sent_ns
+        return Step(step.events, list(step.datagrams) * _HEARTBEATS)
+
+    def _greet(self, now: int) -> list[bytes]:
+        if self._has_greeted:
+            self._has_greeted = False
+            return []
+        return super()._greet(now)
+
+
 class SbnNode:
     """One SBN application with all of its peers.
 
@@ -113,10 +142,11 @@ class SbnNode:
             heartbeat_ns=profile.sbn_heartbeat_s * SECOND,
             timeout_ns=profile.sbn_timeout_s * SECOND,
         )
+        kind = SbnConnection
+        if profile.sbn_tcp:
+            kind, habits = StreamConnection, replace(habits, ask=(), farewell=(), timeout_ns=None)
         self.peers = {
-            config.peer: PeerState(
-                config, SbnConnection(profile.peer, habits=habits, peer=config.peer, now=now)
-            )
+            config.peer: PeerState(config, kind(profile.peer, habits=habits, peer=config.peer, now=now))
             for config in profile.sbn_peers
         }
         self.receiving = True
@@ -149,6 +179,15 @@ class SbnNode:
             self._happened(state, event, len(data) - sbn.HEADER.size, actions)
         self._send(state, step.datagrams, actions)
         self.receiving = not actions.failed
+        return actions
+
+    def opened(self, peer: Peer, *, now: int) -> Actions:
+        """Begin a TCP connection that this side made: its first messages are those of the handshake."""
+        actions, state = Actions(), self.peers[peer]
+        connection = state.connection
+        if isinstance(connection, StreamConnection):
+            connection.wanted = tuple(self._network_ids(self._reportable(0)))
+            self._send(state, connection.introduce(now=now), actions)
         return actions
 
     def service(self, *, now: int) -> Actions:
