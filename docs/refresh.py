@@ -243,20 +243,6 @@ def _sbn_states() -> str:
     return "\n".join(["```mermaid", "stateDiagram-v2", *(f"    {line}" for line in lines), "```\n"])
 
 
-def _attributes(name: str) -> Callable[[], str]:
-    """Return a function that writes the attributes of a class of ``model`` as a table, from its docstring."""
-
-    def table() -> str:
-        from edoras_tools import model
-
-        listed = (getattr(model, name).__doc__ or "").partition("Attributes:\n")[2]
-        rows = re.findall(r"^ {8}(\w+): (.*(?:\n {12}.*)*)", listed, re.MULTILINE)
-        lines = [f"| `{column}` | {' '.join(text.split()).replace('``', '`')} |" for column, text in rows]
-        return "\n".join(["| column | what |", "|---|---|", *lines]) + "\n"
-
-    return table
-
-
 _PORTS: Final = {"n10_uplink_loss": 5234}
 """Where CI is not at its usual port."""
 
@@ -309,11 +295,12 @@ def _balance() -> str:
     for name, found in _balances().items():
         hops: dict[str, list[dict[str, Any]]] = {}
         for row in found["balance"]:
-            hops.setdefault(row["hop"] if row["in"] != row["out"] else "", []).append(row)
-        for hop, rows in sorted(hops.items(), key=lambda item: not item[0]):
+            if row["in"] != row["out"]:
+                hops.setdefault(row["hop"], []).append(row)
+        for hop, rows in hops.items():
             sums = [sum(row[figure] for row in rows) for figure in figures]
             told = " | ".join(f"{number:,}" if number else "" for number in sums)
-            lines.append(f"| {name} | {hop or 'all others'} | {len(rows)} | {told} |")
+            lines.append(f"| {name} | {hop} | {len(rows)} | {told} |")
     return "\n".join(lines) + "\n"
 
 
@@ -337,8 +324,6 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "sizes": _sizes,
     "tui.KEYS": _keys,
     "sbn.states": _sbn_states,
-    "model.PacketBatch": _attributes("PacketBatch"),
-    "model.Columns": _attributes("Columns"),
     **{
         name: _layout(name)
         for name in (
@@ -354,13 +339,8 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
             "sbn.PROTO",
             "envelope.DEFAULT",
             "cdr.ENCAPSULATION",
-            "cfdp.PDU_HEADER",
-            "icmp.ICMPV4",
-            "icmp.ICMPV6",
-            "icmp.QUOTED_UDP",
             "fprime.FRAME",
             "fprime.PACKET",
-            *(f"transfer_frames.{name}" for name in ("TM", "AOS", "AOS_PACKETS", "TC", "TC_SEGMENT")),
         )
     },
 }
