@@ -7,9 +7,11 @@ One pipeline: datagrams come from a *source* in batches, are *dissected* into co
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # loading typing would be half of the time before ``programs`` heeds Ctrl-C
 if TYPE_CHECKING:
+    from typing import Any
+
     from edoras_tools.pipelines.export.reading import read
 
 __all__ = ["__version__", "read"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import signal
+import _signal as signal  # type: ignore[import-not-found]  # no file: it is there at once
 
 _HEEDED = signal.getsignal(signal.SIGINT) is signal.default_int_handler
 if _HEEDED:  # set first: Ctrl-C while Python still loads modules ends the program without a message

@@ -18,9 +18,25 @@ from edoras_tools.errors import ConfigError
 
 WHILE_READING = "import os, signal, edoras_tools.cli.programs; os.kill(os.getpid(), signal.SIGINT)"
 
+AT_ONCE = """
+import os, signal, sys
 
-def test_ctrl_c_while_modules_are_read():
-    done = subprocess.run([sys.executable, "-c", WHILE_READING], capture_output=True, text=True, check=False)
+class AtOnce:
+    def find_spec(self, name, path=None, target=None):
+        if not name.startswith("edoras_tools"):
+            os.kill(os.getpid(), signal.SIGINT)
+
+for name in ("typing", "gc", "contextlib"):
+    sys.modules.pop(name, None)
+sys.meta_path.insert(0, AtOnce())
+import edoras_tools.cli.programs
+"""
+"""Ctrl-C as soon as a first module is loaded that is none of ours."""
+
+
+@pytest.mark.parametrize("code", [WHILE_READING, AT_ONCE])
+def test_ctrl_c_while_modules_are_read(code):
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
 
 
