@@ -89,7 +89,7 @@ kill: venv  ## Kill recorders a hundred times under load, and show what each kil
 explore: venv  ## Run the tests with new random examples.
 	HYPOTHESIS_PROFILE=explore $(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
 
-fuzz: venv  ## Feed garbage to every decoder for FUZZ_SECONDS.
+fuzz: venv  ## Feed garbage to commands and decoders for FUZZ_SECONDS.
 	$(BIN)/python tests/fuzz/fuzz.py --seconds $(FUZZ_SECONDS)
 
 soak: venv  ## Run everything that runs for long at load for SOAK_SECONDS: memory, open files, losses.

@@ -34,7 +34,7 @@ LICENCES = {
         "flask itsdangerous s3fs werkzeug wrapt"
     ),
     "Apache-2.0": (
-        "deprecation ghp-import junitparser pyarrow requests rosbags sortedcontainers spacepackets "
+        "atheris deprecation ghp-import junitparser pyarrow requests rosbags sortedcontainers spacepackets "
         "types-pyyaml watchdog aiohttp aiosignal frozenlist importlib-metadata lazy-importer msgpack "
         "async-timeout tzdata "  # on Python 3.10
         "multidict propcache tornado yarl aiobotocore boto3 botocore moto responses s3transfer"

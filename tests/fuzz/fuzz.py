@@ -8,21 +8,30 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import mmap
+import os
+import struct
 import sys
 import time
 from pathlib import Path
 from random import Random
+from typing import TYPE_CHECKING, Any, NoReturn
 
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 
 import fuzz_engine
 
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+
 HERE = Path(__file__).parent
 SEEDS = HERE / "seeds"
 MOST_MEMORY = 4 << 30
 BROKE = HERE / "broke"
 """Findings of the past: moved here once what they showed is mended."""
+WEIGHTS = {"commands": 12, "capture": 2, "recover": 2, "doctor": 2, "stream": 2}
+"""Shares of the time, where they are not 1."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -67,7 +76,12 @@ def main(arguments: list[str] | None = None) -> int:
 
 def seeds(name: str) -> list[bytes]:
     """The committed inputs of a target: of every kind, and what once broke."""
-    return [path.read_bytes() for path in sorted([*(SEEDS / name).iterdir(), *BROKE.glob(f"{name}-*.bin")])]
+    broke = sorted(BROKE.glob(f"{name}-*.bin"))
+    if name == "commands":
+        import fuzz_commands  # not before atheris looks at what is loaded
+
+        return [*fuzz_commands.seeds(SEEDS), *(path.read_bytes() for path in broke)]
+    return [path.read_bytes() for path in sorted([*(SEEDS / name).iterdir(), *broke])]
 
 
 def again(files: list[Path], targets: dict) -> int:
@@ -86,33 +100,73 @@ def again(files: list[Path], targets: dict) -> int:
 
 
 def with_atheris(options: argparse.Namespace) -> int:
-    """Let atheris drive: target after target, each in a process of its own, which libFuzzer ends."""
-    import os
-
+    """Let atheris lead: target after target, each in a process of its own, which libFuzzer ends."""
     import atheris
 
-    with atheris.instrument_imports(include=["edoras_tools"]):
+    # Modules are loaded by commands too, when they run: the hook stays.
+    with atheris.instrument_imports(include=["edoras_tools"], enable_loader_override=False):
         from fuzz_targets import TARGETS
-    chosen = options.target or list(TARGETS)
-    options.findings.mkdir(parents=True, exist_ok=True)
-    broken = 0
-    for name in chosen:
-        child = os.fork()
-        if child:
-            broken += os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) != 0
-            continue
-        limits = [
-            f"-max_total_time={max(int(options.seconds / len(chosen)), 1)}",
-            f"-max_len={fuzz_engine.LONGEST}",
-        ]
-        if options.seed is not None:
-            limits.append(f"-seed={options.seed or 1}")
-        saved = f"-artifact_prefix={options.findings}/{name}-"
-        corpus = options.findings / f"corpus-{name}"
-        corpus.mkdir(exist_ok=True)
-        atheris.Setup(["fuzz", *limits, saved, str(corpus), str(SEEDS / name)], TARGETS[name])
-        atheris.Fuzz()
+
+        chosen = options.target or list(TARGETS)
+        for data in seeds("commands") if "commands" in chosen else ():
+            TARGETS["commands"](data)  # loads what commands load late, once for all
+        whole = sum(WEIGHTS.get(name, 1) for name in chosen)
+        counts = mmap.mmap(-1, 16 * len(chosen))  # shared with the processes
+        options.findings.mkdir(parents=True, exist_ok=True)
+        broken = 0
+        for place, name in enumerate(chosen):
+            seconds = max(round(options.seconds * WEIGHTS.get(name, 1) / whole), 1)
+            print(f"{name}: {seconds} s", flush=True)
+            child = os.fork()
+            if not child:
+                _lead(atheris, name, TARGETS[name], seconds, options, (counts, 16 * place))
+            code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+            inputs, found = struct.unpack_from("<QQ", counts, 16 * place)
+            print(f"{name:>10}: {inputs:>9,} inputs, {found} findings, exit code {code}", flush=True)
+            broken += code != 0 or found > 0
+    rows = [struct.unpack_from("<QQ", counts, 16 * place) for place in range(len(chosen))]
+    print(f"{sum(row[0] for row in rows):,} inputs, {sum(row[1] for row in rows)} findings")
     return bool(broken)
+
+
+def _lead(
+    atheris: Any,
+    name: str,
+    target: Callable[[bytes], Hashable],
+    seconds: int,
+    options: argparse.Namespace,
+    counts: tuple[mmap.mmap, int],
+) -> NoReturn:
+    """Fuzz one target until its time is over; a finding is saved, and the next input follows."""
+    keys: set[str] = set()
+    inputs = seeds(name)
+
+    def one(data: bytes) -> None:
+        shown = fuzz_engine.execute(name, target, data)
+        if isinstance(shown, fuzz_engine.Finding) and shown.key not in keys:
+            keys.add(shown.key)
+            print(f"\n{shown.report}\n  saved: {shown.save(options.findings)}", flush=True)
+        memory, at = counts
+        struct.pack_into("<QQ", memory, at, struct.unpack_from("<Q", memory, at)[0] + 1, len(keys))
+
+    def mutated(data: bytes, longest: int, seed: int) -> bytes:
+        random = Random(seed)
+        if random.random() < 0.5:
+            return atheris.Mutate(data, longest)
+        return fuzz_engine.mutate(data, inputs, random)[:longest]
+
+    corpus, first = options.findings / f"corpus-{name}", options.findings / f"seeds-{name}"
+    for folder in (corpus, first):
+        folder.mkdir(exist_ok=True)
+    for number, data in enumerate(inputs):
+        (first / str(number)).write_bytes(data)
+    limits = [f"-max_total_time={seconds}", f"-max_len={fuzz_engine.LONGEST}", "-len_control=0"]
+    limits += [f"-artifact_prefix={options.findings}/{name}-", "-rss_limit_mb=3072", "-timeout=60"]
+    if options.seed is not None:
+        limits.append(f"-seed={options.seed or 1}")
+    atheris.Setup(["fuzz", *limits, str(corpus), str(first)], one, custom_mutator=mutated)
+    atheris.Fuzz()
+    os._exit(0)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import fuzz_shapes
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator
     from random import Random
@@ -76,7 +78,13 @@ def execute(name: str, target: Callable[[bytes], Hashable], data: bytes) -> Hash
 
 
 def mutate(data: bytes, others: list[bytes], random: Random) -> bytes:
-    """Return bytes that differ a little, or in one place a lot."""
+    """Return bytes that differ a little, or in one place a lot; of a file also in its records."""
+    shaped = fuzz_shapes.mutate(data, others, random, scrambled) if random.random() < 0.5 else None
+    return (scrambled(data, others, random) if shaped is None else shaped)[:LONGEST]
+
+
+def scrambled(data: bytes, others: list[bytes], random: Random) -> bytes:
+    """Return bytes that differ a little, or in one place a lot, whatever they are."""
     made = bytearray(data)
     for _ in range(random.choice((1, 1, 1, 2, 3, 6))):
         place = random.randrange(len(made) + 1)
@@ -99,13 +107,13 @@ def mutate(data: bytes, others: list[bytes], random: Random) -> bytes:
             case 5:
                 del made[place:]
             case 6:
-                other = random.choice(others)
+                other = random.choice(others or [data])
                 start = random.randrange(len(other) + 1)
                 made[place:] = other[start:]
             case 7:
                 size = random.choice((4, 8, 16, 64))
                 made[place:place] = made[max(place - size, 0) : place] * random.choice((1, 2, 50))
-    return bytes(made[:LONGEST])
+    return bytes(made)
 
 
 @dataclass(slots=True)

@@ -13,6 +13,7 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import fuzz_commands
 import fuzz_inputs
 import fuzz_links
 import fuzz_traffic
@@ -351,4 +352,5 @@ TARGETS: dict[str, Callable[[bytes], Hashable]] = {
     "diagnosis": diagnosis,
     **fuzz_inputs.TARGETS,
     **fuzz_links.TARGETS,
+    **fuzz_commands.TARGETS,
 }

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from random import Random
 
+import damage
 import pytest
 from effort import every, examples
 
@@ -13,6 +14,7 @@ sys.path.insert(0, str(HERE))
 
 import fuzz  # noqa: E402  the folder is no package
 import fuzz_engine  # noqa: E402
+import fuzz_shapes  # noqa: E402
 import fuzz_targets  # noqa: E402
 
 
@@ -49,6 +51,7 @@ def test_seeds_and_what_once_broke(name):
         ("stream", 150),
         ("datagrams", 150),
         ("dictionary", 150),
+        ("commands", 60),
     ],
 )
 def test_for_a_little_while(name, executions):
@@ -100,6 +103,21 @@ def test_what_hangs_is_a_finding(monkeypatch):
 
     shown = fuzz_engine.execute("hang", hang, b"")
     assert shown.key.startswith("HangError-")
+
+
+def test_files_stay_files_while_their_records_change():
+    """Of a chunk the size and the checksum follow, of packets the lengths."""
+    random, kinds = Random(4), {"pcap", "pcapng", "mcap", "pcap_gz", "pcap_zst"}
+    files = {name: (fuzz.SEEDS / "capture" / name).read_bytes() for name in kinds}
+    others = [*files.values()]
+    for name, data in files.items():
+        changed = [fuzz_shapes.mutate(data, others, random, fuzz_engine.scrambled) for _ in range(60)]
+        assert len({*changed}) > 30, name
+        if name in {"pcap", "pcapng", "mcap"}:  # the first section of a pcapng may be gone
+            assert sum(fuzz_shapes.shape(item) is not None for item in changed) > 40, name
+    garbled = [fuzz_shapes.mutate(files["mcap"], [], random, fuzz_engine.scrambled) for _ in range(60)]
+    assert sum(damage.plain_scan(data).total() > 0 for data in garbled) > 30
+    assert fuzz_shapes.mutate(b"no file", [], random, fuzz_engine.scrambled) is None
 
 
 @pytest.mark.parametrize("data", [b"", b"\x00", bytes(100)])
