@@ -144,7 +144,7 @@ print(json.dumps([os.waitstatus_to_exitcode(status), spent, used.ru_maxrss / 102
 COMMANDS = {
     many.pairs: ["info", "info --json", "sniff"],
     many.msg_ids: ["sniff --json"],
-    many.telemetry_pairs: ["info", "doctor", "archive index --index OUT.duckdb"],
+    many.telemetry_pairs: ["info", "doctor", "check --init", "archive index --index OUT.duckdb"],
     many.gaps: ["doctor", "export --format csv -o OUT/"],
     many.strangers: ["info"],
     many.fragments: ["info"],
@@ -162,7 +162,7 @@ COMMANDS = {
     many.interfaces: ["info"],
     many.packed: ["info"],
     many.damaged: ["recover -o OUT.pcap"],
-    many.topics: ["info"],
+    many.topics: ["info", "check --init"],
     many.tiny_messages: ["info"],
 }
 SUFFIXES = {

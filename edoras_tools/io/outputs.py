@@ -269,7 +269,7 @@ def check_new(path: Path, inputs: Iterable[Path] = (), *, force: bool) -> None:
 
 
 def lock_older(path: Path) -> int:
-    """Lock a file that is to be replaced until its descriptor, which is returned, is closed.
+    """Lock a file or folder that is to be replaced until its descriptor, which is returned, is closed.
 
     Returns:
         -1 where there is none, or it cannot be opened.
@@ -277,7 +277,7 @@ def lock_older(path: Path) -> int:
     Raises:
         BlockingIOError: another program is writing it.
     """
-    if not path.is_file():
+    if not (path.is_file() or path.is_dir()):
         return -1
     try:
         fileno = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

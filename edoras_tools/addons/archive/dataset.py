@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
-import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.addons.archive.tables import TABLES
-from edoras_tools.errors import CaptureError, ConfigError, os_errors
-from edoras_tools.io.outputs import check_folder, check_links
+from edoras_tools.errors import ConfigError, os_errors
+from edoras_tools.io.outputs import check_folder, check_links, lock_older, name_that_fits
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from edoras_tools.addons.archive.index import Index
 
 _LONGEST: Final = 80
@@ -21,6 +23,9 @@ _DATE: Final = "coalesce(strftime(c.began, '%Y-%m-%d'), 'unknown')"
 
 def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]:
     """Write every table of an index; a folder is complete, or not there.
+
+    It is written in a folder beside it. What a killed export left there is removed, and an export that it was
+    about to replace gets its name again.
 
     Args:
         folder: where; new, or empty.
@@ -34,32 +39,50 @@ def export_dataset(index: Index, folder: Path, *, force: bool) -> dict[str, int]
         CaptureError: it cannot be written.
     """
     check_folder(folder)
+    beside = folder.with_name(name_that_fits(f".{folder.name}", ".part"))
+    new, old = beside / "new", beside / "old"
     with os_errors(f"{folder}: cannot be written"):
         check_links(folder)
-    if folder.exists():
-        existing = {item.name for item in folder.iterdir()} if folder.is_dir() else {""}
-        if existing and not force:
-            raise ConfigError(f"{folder} exists; name another folder, or replace it with --force")
-        if foreign := sorted(existing - {*TABLES}):
-            what = f"{foreign[0]} in it is" if foreign[0] else "it is"
-            raise ConfigError(f"{folder}: {what} of no earlier export; name another folder")
-    with os_errors(f"{folder}: cannot be written"):
         folder.parent.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".part", dir=folder.parent))
-    new, old = beside / "new", beside / "old"
+        check_links(beside)
+        beside.mkdir(mode=0o700, exist_ok=True)
+        if beside.stat().st_uid != os.geteuid():
+            raise OSError(errno.EPERM, f"{beside} is another user's; name another output")
+        lock = lock_older(beside)
     try:
-        new.mkdir()
-        written = {name: _write(index, name, new / name) for name in TABLES}
-        if folder.exists():
-            folder.rename(old)
-        new.rename(folder)
-    except OSError as error:
-        raise CaptureError(f"{folder}: cannot be written: {error.strerror or error}") from error
+        with os_errors(f"{folder}: cannot be written"):
+            _put_back(old, folder)
+            shutil.rmtree(new, ignore_errors=True)  # both are of an export that was killed
+            shutil.rmtree(old, ignore_errors=True)
+            _check_earlier(folder, force=force)
+            new.mkdir()
+            written = {name: _write(index, name, new / name) for name in TABLES}
+            if folder.exists():
+                folder.rename(old)
+            new.rename(folder)
     finally:
-        if old.exists() and not folder.exists():
-            old.rename(folder)
+        _put_back(old, folder)
         shutil.rmtree(beside, ignore_errors=True)
+        if lock >= 0:
+            os.close(lock)
     return written
+
+
+def _put_back(old: Path, folder: Path) -> None:
+    """Give an earlier export its name again, where no new one has it."""
+    if old.exists() and not folder.exists():
+        old.rename(folder)
+
+
+def _check_earlier(folder: Path, *, force: bool) -> None:
+    if not folder.exists():
+        return
+    existing = {item.name for item in folder.iterdir()} if folder.is_dir() else {""}
+    if existing and not force:
+        raise ConfigError(f"{folder} exists; name another folder, or replace it with --force")
+    if foreign := sorted(existing - {*TABLES}):
+        what = f"{foreign[0]} in it is" if foreign[0] else "it is"
+        raise ConfigError(f"{folder}: {what} of no earlier export; name another folder")
 
 
 def _write(index: Index, name: str, folder: Path) -> int:

@@ -135,7 +135,7 @@ class Index:
             result = self._connection.execute(sql)
             names = [item[0] for item in getattr(result, "description", None) or ()]
         except duckdb.Error as error:
-            raise ConfigError(*_mistakes(error)) from error
+            raise ConfigError(_mistake(error)) from error
         if not names:
             raise ConfigError("the query is empty; 'edoras help archive' names the tables that it may ask")
         return names, self._fetched(result)
@@ -145,7 +145,7 @@ class Index:
             while rows := result.fetchmany(1000):
                 yield from rows
         except duckdb.Error as error:
-            raise ConfigError(*_mistakes(error)) from error
+            raise ConfigError(_mistake(error)) from error
 
     def replace(self, captures: Iterable[str], parts: Sequence[Mapping[str, Any]]) -> None:
         """Put rows in the place of those of some captures, all or none.
@@ -216,8 +216,7 @@ def _try_rollback(connection: duckdb.DuckDBPyConnection) -> None:
         connection.execute("ROLLBACK")
 
 
-def _mistakes(error: Exception) -> list[str]:
-    """Return DuckDB's message, with its arrow where that shows the mistake."""
-    lines = [line for line in str(error).splitlines() if line.strip()] or ["the query failed"]
-    shown = isinstance(error, duckdb.ProgrammingError) and any(line.startswith("LINE ") for line in lines)
-    return lines if shown else lines[:1]
+def _mistake(error: Exception) -> str:
+    """Return DuckDB's message in one line: its part before the query itself, which the user has."""
+    told = str(error).partition("\nLINE ")[0]
+    return " ".join(told.split()) or "the query failed"

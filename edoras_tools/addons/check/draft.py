@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.check.expectations import LOSS_KEYS
 from edoras_tools.addons.check.observation import Examined, Subject, examine_or_count
-from edoras_tools.addons.check.run import NOTABLE_FINDINGS, Figures
+from edoras_tools.addons.check.run import NOTABLE_FINDINGS, Figures, Parts
 from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
@@ -53,6 +53,7 @@ class Draft:
     def __init__(self, ledger: Ledger, context: Context, findings: Examined, name: str) -> None:
         self.findings = findings
         self._diagnosis = findings.diagnosis
+        self._parts = Parts(ledger, findings.diagnosis)
         self.notes: list[str] = []
         self._ledger, self._context, self._mission = ledger, context, context.mission
         self.text = "".join(f"{line}\n" for line in self._lines(name))
@@ -116,7 +117,7 @@ class Draft:
                     yield Subject(samples.pattern, PacketKinds(samples=(samples,)))
 
     def _topic(self, subject: Subject) -> Iterator[str]:
-        figures = Figures.of(subject, self._ledger, self._diagnosis)
+        figures = Figures.of(subject, self._parts)
         yield f"  {_key(subject.name)}:"
         yield "    count: at least 1"
         if figures.count >= _FEWEST and figures.rate:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from edoras_tools.addons.check.expectations import LOSS_KEYS
@@ -20,14 +20,15 @@ from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.ledger import CAPTURE, Row
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, group_verdicts
 from edoras_tools.io.outputs import write_bytes
+from edoras_tools.io.topics.rows import APART
 from edoras_tools.mission.report import printable
-from edoras_tools.model import NO_ROUTE
+from edoras_tools.model import NO_MSG_ID
 from edoras_tools.render.severity import NOTABLE
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.addons.check.expectations import (
@@ -39,7 +40,8 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.io import Source
-    from edoras_tools.pipelines.capture.ledger import Ledger
+    from edoras_tools.links.doors import SampleStream
+    from edoras_tools.pipelines.capture.ledger import Account, Ledger
     from edoras_tools.pipelines.doctor.doctor import Pace
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.names import PacketKinds
@@ -92,6 +94,8 @@ def write_junit(report: CheckReport, path: Path) -> None:
 
 NOTABLE_FINDINGS: Final = frozenset(item.label for item in NOTABLE)
 """Labels of the findings that are warnings or errors."""
+_PATTERN: Final = frozenset("*?[")
+_Item = TypeVar("_Item")
 _OF_DATAGRAMS: Final = frozenset({*LOSS_KEYS, "latency"})
 """Bounds of what only datagrams show."""
 
@@ -155,6 +159,81 @@ class CheckReport:
         }
 
 
+class Parts:
+    """What figures are made of, laid out by route, MsgId and topic once for all subjects.
+
+    Args:
+        ledger: of the capture.
+        diagnosis: of the doctor; None of messages alone.
+    """
+
+    def __init__(self, ledger: Ledger, diagnosis: Diagnosis | None) -> None:
+        self.ledger, self.diagnosis = ledger, diagnosis
+        self._accounts = _laid_out(
+            [*ledger.accounts.values()],
+            lambda item: (
+                ("route", item.route),
+                ("id", item.msg_id),
+                ("kind", int(item.link), item.kind) if item.msg_id == NO_MSG_ID else None,
+            ),
+        )
+        routes, balance = (diagnosis.routes, diagnosis.balance) if diagnosis else ([], [])
+        self._routes = _laid_out(routes, lambda row: (("topic", row["topic"]), ("id", int(row["msg_id"], 0))))
+        self._balance = _laid_out(balance, lambda row: (("route", row.route), ("id", row.msg_id)))
+        self._sample_rows = _laid_out(balance, lambda row: (row.topic,))
+        samples = diagnosis.capture.samples() if diagnosis else []
+        self._samples = _laid_out(samples, lambda item: (item.topic,))
+
+    def accounts(self, packets: PacketKinds) -> list[Account]:
+        """Return the accounts of some packets."""
+        kinds = [("kind", *kind) for kind in packets.kinds]
+        return _under(self._accounts, [*_keys(packets), *kinds])
+
+    def balance(self, packets: PacketKinds) -> list[Row]:
+        """Return their rows of the balance."""
+        return _under(self._balance, _keys(packets))
+
+    def routes(self, packets: PacketKinds) -> list[dict[str, Any]]:
+        """Return their rows of the routes."""
+        topics = self.diagnosis.topics if self.diagnosis else {}
+        own = [("topic", topics.get(index)) for index in packets.routes]
+        return _under(self._routes, [*own, *(("id", key.msg_id) for key in packets.keys)])
+
+    def samples(self, packets: PacketKinds) -> tuple[list[SampleStream], list[Row]]:
+        """Return the samples on announced topics, and their rows of the balance."""
+        names = [item.pattern for item in packets.samples]
+        if any(not _PATTERN.isdisjoint(name) for name in names):
+            topics = [name for name in {*self._samples, *self._sample_rows} if name is not None]
+        else:
+            topics = [topic for name in names for topic in (name, f"/{name}", name.removeprefix(APART))]
+        own = [name for name in topics if packets.has_sample_topic(name)]
+        return _under(self._samples, own), _under(self._sample_rows, own)
+
+
+def _laid_out(
+    items: Sequence[_Item], keys: Callable[[_Item], Iterable[Any]]
+) -> dict[Any, list[tuple[int, _Item]]]:
+    """Return items, each with its place, by each of their keys."""
+    rows: dict[Any, list[tuple[int, _Item]]] = {}
+    for place, item in enumerate(items):
+        for key in keys(item):
+            rows.setdefault(key, []).append((place, item))
+    return rows
+
+
+def _under(rows: Mapping[Any, list[tuple[int, _Item]]], keys: Iterable[Any]) -> list[_Item]:
+    """Return the items under any of some keys, each once, in their order."""
+    own = dict(entry for key in keys for entry in rows.get(key, ()))
+    return [own[place] for place in sorted(own)]
+
+
+def _keys(packets: PacketKinds) -> list[tuple[str, int]]:
+    return [
+        *(("route", index) for index in packets.routes),
+        *(("id", key.msg_id) for key in packets.keys),
+    ]
+
+
 @dataclass(frozen=True, slots=True)
 class Figures:
     """What was counted of some messages.
@@ -184,44 +263,39 @@ class Figures:
     not_counted: str
 
     @classmethod
-    def of(cls, subject: Subject, ledger: Ledger, diagnosis: Diagnosis | None) -> Figures:
+    def of(cls, subject: Subject, parts: Parts) -> Figures:
         """Return the figures of a subject; without a diagnosis, those of messages alone."""
         packets = subject.packets
-        own = [
-            item
-            for item in ledger.accounts.values()
-            if packets.takes(item.route, item.msg_id, (int(item.link), item.kind))
-        ]
-        rates = [item.rate_hz for item in own if item.count > 1]
-        silences = [
-            max(item.longest_ns, item.first_ns - ledger.start_ns, ledger.end_ns - item.last_ns)
-            for item in own
-        ]
-        waits: list[float | None] = []
-        rows: list[Row] = []
-        if packets.only_samples and diagnosis is not None:
-            return cls._of_samples(packets, ledger, diagnosis)
-        if diagnosis is not None:
-            waits = [latency_ms(row) for row in diagnosis.routes if _is_about(row, subject, diagnosis)]
-            rows = [row for row in diagnosis.balance if packets.takes(row.route, row.msg_id)]
+        if packets.only_samples and parts.diagnosis is not None:
+            samples, rows = parts.samples(packets)
+            spans = [(item.count - 1, item.last_ns - item.first_ns) for item in samples]
+            rates = [number * SECOND / span_ns for number, span_ns in spans if span_ns > 0]
+            return cls._counted(samples, rates, rows, parts.ledger, size=None, latency=None)
+        accounts = parts.accounts(packets)
+        waits = [latency_ms(row) for row in parts.routes(packets)]
         slowest = max((item for item in waits if item is not None), default=None)
-        return cls(
-            count=sum(item.count for item in own),
-            rate=sum(rates) if rates else None,
-            silence=max(silences, default=ledger.end_ns - ledger.start_ns) / SECOND,
-            size=(min(item.bytes_min for item in own), max(item.bytes_max for item in own)) if own else None,
+        low = min((item.bytes_min for item in accounts), default=0)
+        high = max((item.bytes_max for item in accounts), default=0)
+        return cls._counted(
+            accounts,
+            [item.rate_hz for item in accounts if item.count > 1],
+            parts.balance(packets),
+            parts.ledger,
+            size=(low, high) if accounts else None,
             latency=None if slowest is None else slowest / 1e3,
-            sent=sent(rows),
-            **_losses(rows),
         )
 
     @classmethod
-    def _of_samples(cls, packets: PacketKinds, ledger: Ledger, diagnosis: Diagnosis) -> Figures:
-        """Return the figures of samples, each counted once; their size and latency are not known."""
-        own = [item for item in diagnosis.capture.samples() if packets.has_sample_topic(item.topic)]
-        rows = [row for row in diagnosis.balance if packets.has_sample_topic(row.topic)]
-        spans = [(item.count - 1, item.last_ns - item.first_ns) for item in own]
-        rates = [number * SECOND / span_ns for number, span_ns in spans if span_ns > 0]
+    def _counted(
+        cls,
+        own: Sequence[Account | SampleStream],
+        rates: Sequence[float],
+        rows: Sequence[Row],
+        ledger: Ledger,
+        *,
+        size: tuple[int, int] | None,
+        latency: float | None,
+    ) -> Figures:
         silences = [
             max(item.longest_ns, item.first_ns - ledger.start_ns, ledger.end_ns - item.last_ns)
             for item in own
@@ -230,8 +304,8 @@ class Figures:
             count=sum(item.count for item in own),
             rate=sum(rates) if rates else None,
             silence=max(silences, default=ledger.end_ns - ledger.start_ns) / SECOND,
-            size=None,
-            latency=None,
+            size=size,
+            latency=latency,
             sent=sent(rows),
             **_losses(rows),
         )
@@ -286,8 +360,9 @@ def _results(expected: Expectations, observed: Observation, findings: Examined) 
     if not ledger.datagrams:
         expected_input = "messages" if diagnosis is None else "datagrams of a link"
         yield CheckResult(CAPTURE, "input", expected_input, "none", passed=False)
+    parts = Parts(ledger, diagnosis)
     for topic, subject, watches in zip(expected.topics, observed.subjects, observed.fields, strict=True):
-        figures = Figures.of(subject, ledger, diagnosis)
+        figures = Figures.of(subject, parts)
         for key, bound in topic.bounds.items():
             if diagnosis is None and key in _OF_DATAGRAMS:
                 yield CheckResult(subject.name, key, bound.text, NOT_OBSERVABLE, passed=False)
@@ -427,8 +502,3 @@ def _losses(rows: Sequence[Row]) -> dict[str, Any]:
         "superseded": sum(row.superseded for row in rows),
         "unaccounted": sum(row.unaccounted for row in rows),
     }
-
-
-def _is_about(row: dict[str, Any], subject: Subject, diagnosis: Diagnosis) -> bool:
-    topics = {diagnosis.topics[index] for index in subject.packets.routes}
-    return row["topic"] in topics or subject.packets.takes(NO_ROUTE, int(row["msg_id"], 0))

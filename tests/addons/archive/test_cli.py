@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import filecmp
 import importlib.util
 import io
 import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from html import escape
@@ -22,6 +24,7 @@ from schema import held
 
 from edoras_tools.addons.archive.index import open_index
 from edoras_tools.errors import ConfigError
+from edoras_tools.io.outputs import lock_older
 
 NAMES = ("a_rover", "b_arm_single")
 DRIVES = 92
@@ -222,6 +225,57 @@ def test_export_is_read_by_others(call, index, tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["it's"]
 
 
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from edoras_tools.cli import programs
+
+def rename(self, target, rename=Path.rename):
+    if self.name != "new":
+        return rename(self, target)
+    if WHERE == "behind":
+        rename(self, target)
+    os.kill(os.getpid(), signal.SIGKILL)
+
+Path.rename = rename
+sys.argv[0] = "edoras"
+programs.main()
+"""
+"""An export with ``--force`` that is killed where it gives the new folder its name."""
+
+
+@pytest.mark.parametrize("where", ["between", "behind"])
+def test_an_export_that_was_killed_is_put_right_by_the_next(where, call, index, tmp_path):
+    folder, other = tmp_path / "out", tmp_path / "kept"
+    assert call("archive", "export", "-o", folder).code == 0
+    folder.rename(other)
+    shutil.copytree(other, folder)
+    code = KILLED.replace("WHERE", repr(where))
+    words = ["archive", "export", "-o", folder, "--force", "--index", index / "x.duckdb"]
+    run = [sys.executable, "-c", code, *map(str, words)]
+    assert subprocess.run(run, check=False).returncode == -signal.SIGKILL
+    assert folder.exists() == (where == "behind")
+    assert (tmp_path / ".out.part").exists()
+    refused = call("archive", "export", "-o", folder)
+    assert refused.code == 2
+    assert refused.err == [f"edoras: {folder} exists; name another folder, or replace it with --force"]
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["kept", "out"]
+    same = filecmp.dircmp(folder, other)
+    assert (same.left_only, same.right_only, same.diff_files) == ([], [], [])
+    assert call("archive", "export", "-o", folder, "--force").code == 0
+
+
+def test_one_export_at_a_time(call, index, tmp_path):
+    (tmp_path / ".out.part").mkdir()
+    lock = lock_older(tmp_path / ".out.part")
+    done = call("archive", "export", "-o", tmp_path / "out")
+    os.close(lock)
+    told = (
+        f"edoras: {tmp_path / 'out'}: cannot be written: another program is writing it; name another output"
+    )
+    assert (done.code, done.err) == (1, [told])
+
+
 FORBIDDEN = (
     "SELECT * FROM read_csv('/etc/passwd')",
     "SELECT * FROM read_text('/etc/hostname')",
@@ -235,6 +289,9 @@ FORBIDDEN = (
     "SET enable_external_access = true",
     "RESET lock_configuration",
     "SELECT list(range) FROM range(1000000000)",
+    "SELEC 1",
+    "SELECT * FROM nowhere",
+    "SELECT lst FROM (SELECT 1 AS lost)",
     "",
 )
 
