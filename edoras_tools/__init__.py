@@ -10,8 +10,6 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # loading typing would be half of the time before ``programs`` heeds Ctrl-C
 if TYPE_CHECKING:
-    from typing import Any
-
     from edoras_tools.pipelines.export.reading import read
 
 __all__ = ["__version__", "read"]
@@ -19,7 +17,7 @@ __all__ = ["__version__", "read"]
 __version__ = "0.2.0"
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     """Return ``read``, imported only when it is used: most programs of this package do not."""
     if name == "read":
         return import_module("edoras_tools.pipelines.export.reading").read
