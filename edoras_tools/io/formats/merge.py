@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from heapq import heappop, heappush
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.links.framing import Framing
     from edoras_tools.sessions.faults.fault import Fault
+
+_TOGETHER: Final = 512
+"""So many small batches are handed over as one: each costs milliseconds, however few its rows are."""
 
 
 def merge_sources(sources: Sequence[Source]) -> Source:
@@ -97,6 +100,7 @@ class MergedSource(SourceDefaults):
         errors: list[str] = []
         heads = [_Head(source, errors) for source in self._sources]
         number, touched = 1, [*range(len(heads))]
+        waiting: list[PacketBatch] = []
         ends: list[tuple[int, int]] = []
         begins: list[tuple[int, int]] = []
         while True:
@@ -106,6 +110,11 @@ class MergedSource(SourceDefaults):
                     heappush(begins, (int(heads[place].keys[0]), place))
             while ends and ends[0][0] != heads[ends[0][1]].end:  # of what was taken meanwhile
                 heappop(ends)
+            if waiting and (not ends or max(len(waiting), len(waiting[-1])) >= _TOGETHER):
+                batch = concatenate([_trim(part) for part in waiting])
+                yield replace(batch, number=np.arange(number, number + len(batch)))
+                number += len(batch)
+                waiting = []
             if not ends:
                 break
             # The first source that ends at this time may deliver it completely: later ones hold it back.
@@ -115,9 +124,7 @@ class MergedSource(SourceDefaults):
                 touched.append(heappop(begins)[1])
             touched.sort()
             parts = [heads[place].take(until, whole=place <= last) for place in touched]
-            batch = _in_order([part for part in parts if part is not None])
-            yield replace(batch, number=np.arange(number, number + len(batch)))
-            number += len(batch)
+            waiting.append(_in_order([part for part in parts if part is not None]))
         if errors:
             raise CaptureError("; ".join(errors))
 

@@ -451,7 +451,7 @@ class McapSource(SourceDefaults):
         if end - start > MAX_CHUNK_BYTES + CHUNK_HEAD_BYTES:
             raise CaptureError(f"{self._name}: the record at byte {start} is too large and was left out")
         with os_errors(f"{self._name}: cannot be read"):
-            self._file.seek(start)
+            self._file.seek(min(start, self._size))  # an index may name any place
             return self._file.read(max(end - start, 0))
 
     def _no_datagrams(self) -> CaptureError:
