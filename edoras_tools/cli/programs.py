@@ -12,6 +12,7 @@ import gc  # noqa: E402
 import os  # noqa: E402
 import sys  # noqa: E402
 from contextlib import suppress  # noqa: E402
+from functools import partial  # noqa: E402
 from typing import Final, NoReturn  # noqa: E402
 
 _TURN_S: Final = 50e-6
@@ -60,21 +61,11 @@ def main() -> NoReturn:
     _start()
 
 
-def sniff() -> NoReturn:
-    """Run ``edoras-sniff``."""
-    _start("sniff")
-
-
-def record() -> NoReturn:
-    """Run ``edoras-record``."""
-    _start("record")
-
-
-def replay() -> NoReturn:
-    """Run ``edoras-replay``."""
-    _start("replay")
-
-
-def proxy() -> NoReturn:
-    """Run ``edoras-proxy``."""
-    _start("proxy")
+sniff: Final = partial(_start, "sniff")
+"""Run ``edoras-sniff``."""
+record: Final = partial(_start, "record")
+"""Run ``edoras-record``."""
+replay: Final = partial(_start, "replay")
+"""Run ``edoras-replay``."""
+proxy: Final = partial(_start, "proxy")
+"""Run ``edoras-proxy``."""

@@ -123,8 +123,7 @@ class MergedSource(SourceDefaults):
             while begins and begins[0] <= (until, last):
                 touched.append(heappop(begins)[1])
             touched.sort()
-            parts = [heads[place].take(until, whole=place <= last) for place in touched]
-            waiting.append(_in_order([part for part in parts if part is not None]))
+            waiting.append(_in_order([heads[place].take(until, whole=place <= last) for place in touched]))
         if errors:
             raise CaptureError("; ".join(errors))
 
@@ -166,11 +165,13 @@ class _Head:
             self.keys = np.maximum.accumulate(np.maximum(self._rest.time_ns, self._latest))
         return True
 
-    def take(self, until: int, *, whole: bool) -> tuple[PacketBatch, NDArray[np.int64]] | None:
-        """Return the datagrams before a time, and with ``whole`` also those of that time; with their keys."""
+    def take(self, until: int, *, whole: bool) -> tuple[PacketBatch, NDArray[np.int64]]:
+        """Return the datagrams before a time, and with ``whole`` also those of that time; with their keys.
+
+        There is one at least.
+        """
         count = int(np.searchsorted(self.keys, until, side="right" if whole else "left"))
-        if not count or self._rest is None:
-            return None
+        assert self._rest is not None
         part, keys = self._rest, self.keys
         self._latest = int(keys[count - 1])
         self.keys = keys[count:]
@@ -190,10 +191,8 @@ def _in_order(parts: list[tuple[PacketBatch, NDArray[np.int64]]]) -> PacketBatch
 def _trim(batch: PacketBatch) -> PacketBatch:
     """Drop the bytes before and after those that the rows use, so that they are not copied."""
     start = int(min(batch.frame_offset.min(), batch.offset.min()))
-    end = (
-        int(max((batch.frame_offset + batch.frame_length).max(), (batch.offset + batch.length).max()))
-        + PADDING
-    )
+    ends = (batch.frame_offset + batch.frame_length).max(), (batch.offset + batch.length).max()
+    end = int(max(ends)) + PADDING
     return replace(
         batch,
         data=batch.data[start:end],
