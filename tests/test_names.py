@@ -16,10 +16,10 @@ from places import ROOT
 PACKAGE = ROOT / "edoras_tools"
 
 SAME = (
-    ("checksum", "diagnosis/rules/security.py wire/cfe.py", "the rule, named as its verdicts are"),
+    ("checksum", "diagnosis/rules/commands.py wire/cfe.py", "the rule, named as its verdicts are"),
     (
         "host_drops",
-        "diagnosis/rules/ingest.py diagnosis/quality.py",
+        "diagnosis/rules/pipes.py diagnosis/quality.py",
         "the rule, and what it judges",
     ),
     (

@@ -143,8 +143,20 @@ class About(TypedDict, total=False):
     advice: Advice | None
 
 
-def verdict(severity: Severity, reason: str, *evidence: str, **about: Unpack[About]) -> Verdict:
-    """Return a verdict; ``error``, ``warning``, ``note``, ``habit`` and ``security`` have the severity."""
+def verdict(
+    severity: Severity,
+    reason: str,
+    *evidence: str,
+    place: tuple[str | None, str | None] | None = None,
+    **about: Unpack[About],
+) -> Verdict:
+    """Return a verdict; ``error``, ``warning``, ``note``, ``habit`` and ``security`` have the severity.
+
+    Args:
+        place: the link's label and the hop, where it is at both.
+    """
+    if place:
+        about["link"], about["hop"] = place
     return Verdict(severity, reason, evidence=evidence, **about)
 
 

@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.evidence.cut_times import handed_on
+from edoras_tools.diagnosis.evidence.preparation import handed_on
+from edoras_tools.diagnosis.evidence.table import peer_of
 from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import BOOT_APART_NS
 from edoras_tools.units import SECOND
@@ -166,12 +167,7 @@ class Instances:
         if told:
             return told.most_common(1)[0][0]
         network = members[among(rows.link[members], lambda link: link.peers)]
-        if not len(network):
-            return ""
-        sender = rows.spacecraft_id[network].astype(np.uint64) << 32 | rows.processor_id[network]
-        values, counts = np.unique(sender, return_counts=True)
-        most = int(values[counts.argmax()])
-        return f"{most >> 32}:{most & 0xFFFFFFFF}"
+        return rows.usual_sender(network)[0] if len(network) else ""
 
     def _when_made(self, rows: Rows) -> NDArray[np.int64]:
         """Return when each packet was made, in capture time, by the quickest of its time: clocks drift."""
@@ -271,16 +267,12 @@ def _publishers(
     output = members[among(rows.link[members], lambda link: link.only_from_cfs)]
     places = np.unique(hosts[rows.source[output]])
     network = members[among(rows.link[members], lambda link: link.peers)]
-    sender = rows.spacecraft_id[network].astype(np.uint64) << 32 | rows.processor_id[network]
+    sender = rows.sbn_sender(network)
     if max(len(places), len(np.unique(sender))) < 2 and not _conflict(rows, members):
         return [members]
     first, who = numbered(hosts[rows.source[network]], sender)
-    names = [
-        (host, f"{item >> 32}:{item & 0xFFFFFFFF}")
-        for host, item in zip(
-            hosts[rows.source[network[first]]].tolist(), sender[first].tolist(), strict=True
-        )
-    ]
+    places = hosts[rows.source[network[first]]]
+    names = list(zip(places.tolist(), [str(peer_of(item)) for item in sender[first].tolist()], strict=True))
     # What a Telemetry Output sends is its own, or was handed on and crossed SBN before.
     from_ = handed_on(rows, network, output)
     events = output[rows.known_id[output] == cfe.EVENT_MSG_ID]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, Literal
@@ -212,8 +211,3 @@ def reported_losses(events: Iterable[EventRecord], instances: Instances) -> dict
         if reported:
             found.setdefault(reported, LossEvents()).records.append(record)
     return found
-
-
-def repeats(events: Iterable[EventRecord]) -> Counter[tuple[str, str, int]]:
-    """Return how often each (instance, app, event number) was seen."""
-    return Counter((record.sender, record.app, record.event_id) for record in events)

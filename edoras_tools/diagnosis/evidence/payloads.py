@@ -212,6 +212,10 @@ class ExecutiveCommand:
     app: str
 
 
+_SAMPLES: Final = ("housekeeping", "ingest", "commanded", "subscriptions")
+_RECORDS: Final = ("events", "output", "executive", "commands")
+
+
 @dataclass(slots=True)
 class Payloads:
     """All of them, in order of capture.
@@ -298,22 +302,13 @@ class Payloads:
         place[kept] = np.arange(len(kept))
         place[-1] = -1
 
-        def moved(items: list[Any]) -> list[Any]:
+        def moved(items: list[Any]) -> Any:
             found = ((int(place[item.row]), item) for item in items)
             there = sorted((pair for pair in found if pair[0] >= 0), key=lambda pair: pair[0])
             return [replace(item, row=row) for row, item in there]
 
-        return replace(
-            self,
-            housekeeping=self.housekeeping.over(place),
-            ingest=self.ingest.over(place),
-            commanded=self.commanded.over(place),
-            subscriptions=self.subscriptions.over(place),
-            events=moved(self.events),
-            output=moved(self.output),
-            executive=moved(self.executive),
-            commands=moved(self.commands),
-        )
+        columns: dict[str, Any] = {name: getattr(self, name).over(place) for name in _SAMPLES}
+        return replace(self, **columns, **{name: moved(getattr(self, name)) for name in _RECORDS})
 
     def ordered(self) -> Payloads:
         """Return them with counters in the byte order of their cFS, as these tell it."""
@@ -325,13 +320,9 @@ class Payloads:
 
     def timed(self, time_ns: NDArray[np.int64]) -> Payloads:
         """Return them with other capture times, one a row of the table."""
-        return replace(
-            self,
-            housekeeping=self.housekeeping.timed(time_ns),
-            ingest=self.ingest.timed(time_ns),
-            commanded=self.commanded.timed(time_ns),
-            events=[replace(item, time_ns=int(time_ns[item.row])) for item in self.events],
-        )
+        columns: dict[str, Any] = {name: getattr(self, name).timed(time_ns) for name in _SAMPLES}
+        events = [replace(item, time_ns=int(time_ns[item.row])) for item in self.events]
+        return replace(self, **columns, events=events)
 
     def _subscribe(self, batch: PacketBatch, rows: NDArray[np.intp], base: int) -> None:
         """Read each SUB and UNSUB once: the public flight bridge says the same twice a second."""

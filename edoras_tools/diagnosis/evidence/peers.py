@@ -196,13 +196,10 @@ class Network:
         short = rows.has(Finding.TRUNCATED) & ~rows.has(Finding.CAPTURE_CUT)
         sound = network[~(rows.has(Finding.SBN_UNKNOWN_TYPE) | short)[network]]
         for source, own in groups(rows.source, sound):
-            who = rows.spacecraft_id[own].astype(np.uint64) << 32 | rows.processor_id[own]
-            values, counts = np.unique(who, return_counts=True)
-            most = int(values[counts.argmax()])
-            name = f"{most >> 32}:{most & 0xFFFFFFFF}"
-            if counts.max() >= _LEAST_ROWS:
+            name, number = rows.usual_sender(own)
+            if number >= _LEAST_ROWS:
                 self.identity_of[source] = name
-            self.datagrams[name] += int(counts.max())
+            self.datagrams[name] += number
 
     def party(self, endpoint: int) -> SbnParty:
         """Return the party at an endpoint; two with one identity are distinguished by their addresses."""

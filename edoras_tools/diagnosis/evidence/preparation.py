@@ -6,7 +6,10 @@
    without a packet.
 3. A datagram that was captured twice is counted once, also if that was in front of a proxy and behind it, or
    on both sides of an address translation.
-4. If frames are cut, a missing packet time is taken from the same packet on another link.
+4. If frames are cut, a missing packet time is taken from the same packet on another link. SBN puts 11 bytes
+   in front of a packet, so that a cut frame shows less of it than one of Telemetry Output, which forwards
+   what arrives over SBN. A packet on both links has one MsgId, one sequence count and one time. Without the
+   time, two cFS, or two boots of one cFS, cannot be distinguished.
 """
 
 from __future__ import annotations
@@ -18,13 +21,14 @@ import numpy as np
 
 from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind, Flow
 from edoras_tools.diagnosis.evidence.copies import BY_CAPTURE, BY_NETWORK, find_copies, who_doubled
-from edoras_tools.diagnosis.evidence.cut_times import with_cut_times
+from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
 from edoras_tools.diagnosis.evidence.relays import before_proxy, one_name
 from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, followed
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -86,12 +90,12 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
     names = one_name(told, recorder.endpoints)
     if (names != np.arange(len(names))).any():
         told = followed(replace(told, source=names[told.source], destination=names[told.destination]))
-    pair = told.source.astype(np.int64) << 32 | told.destination
+    way = told.way()
     relayed = before_proxy(told, proxied)
     if relayed.any():
         behind = np.flatnonzero(~relayed)
-        kept, told, pair = kept[behind], told.take(behind), pair[behind]
-    copies = find_copies(told.time_ns, told.identification, pair, told.tap, told.bytes_print)
+        kept, told, way = kept[behind], told.take(behind), way[behind]
+    copies = find_copies(told.time_ns, told.identification, way, told.tap, told.bytes_print)
     copy, duplicate, perhaps = copies.copy, copies.duplicate, copies.duplicate[:0]
     if duplicate.any():
         ingest = payloads.ingest
@@ -218,3 +222,52 @@ def _emptied(rows: Rows, chosen: NDArray[np.bool_]) -> Rows:
             for name, value in none.items()
         },
     )
+
+
+HANDED_ON_NS: Final = 2 * SECOND
+"""Telemetry Output hands on what came over SBN within so long."""
+
+
+def with_cut_times(rows: Rows) -> Rows:
+    """Return rows in which packets on SBN have the times that Telemetry Output shows of the same packets."""
+    bare = rows.has(Finding.CAPTURE_CUT) & (rows.mission_time_ns <= 0) & rows.counted
+    bare &= ~VERSION_1.is_command(rows.known_id)
+    network = np.flatnonzero(bare & among(rows.link, lambda link: link.peers))
+    output = np.flatnonzero(
+        among(rows.link, lambda link: link.only_from_cfs) & rows.counted & (rows.mission_time_ns > 0)
+    )
+    if not len(network) or not len(output):
+        return rows
+    from_ = handed_on(rows, network, output)
+    there = from_ >= 0
+    into, told = network[from_[there]], rows.mission_time_ns[output[there]]
+    least, most = np.full(len(rows), np.iinfo(np.int64).max), np.zeros(len(rows), np.int64)
+    np.minimum.at(least, into, told)
+    np.maximum.at(most, into, told)
+    into = np.unique(into)
+    sure = least[into] == most[into]
+    # Two cFS that were started together give one count at one time: then it tells nothing.
+    for _, own in by_value(rows.sbn_sender(into)):
+        if 2 * sure[own].sum() < len(own):
+            sure[own] = False
+    if not sure.any():
+        return rows
+    times = rows.mission_time_ns.copy()
+    times[into[sure]] = least[into[sure]]
+    return followed(replace(rows, mission_time_ns=times))
+
+
+def handed_on(rows: Rows, network: NDArray[np.intp], output: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return which row of SBN each row of Telemetry Output is, as its place in ``network``; -1 for none.
+
+    They are equal in all bytes; where frames are cut, as different parts of a packet are left of it then, in
+    MsgId and sequence count.
+    """
+    prints = rows.packet_print
+    if rows.has(Finding.CAPTURE_CUT)[np.concatenate((network, output))].any():
+        count = (rows.msg_id.astype(np.uint64) << np.uint64(14)) + rows.sequence_count + np.uint64(1)
+        prints = np.where(rows.counted, count, 0)
+    from_ = latest_equal(prints[network], rows.time_ns[network], prints[output], rows.time_ns[output])
+    late = from_ >= 0
+    late[late] = rows.time_ns[output[late]] - rows.time_ns[network[from_[late]]] >= HANDED_ON_NS
+    return np.where(late, -1, from_)

@@ -129,7 +129,7 @@ _LEAST: Final = 0.8
 def before_proxy(rows: Rows, proxied: Mapping[RouteWay, Proxied]) -> NDArray[np.bool_]:
     """Return which rows were captured in front of a proxy."""
     out = np.zeros(len(rows), bool)
-    pair = rows.source.astype(np.int64) << 32 | rows.destination
+    way = rows.way()
     for (link, _, msg_id), item in proxied.items():
         own = np.flatnonzero((rows.link == link) & (rows.msg_id == msg_id))
         prints = _prints([data for _, data in item.dropped])
@@ -138,8 +138,8 @@ def before_proxy(rows: Rows, proxied: Mapping[RouteWay, Proxied]) -> NDArray[np.
         found = _there(rows, own, prints, np.array([when for when, _ in item.dropped], np.int64))
         if len(found) < _LEAST * len(prints):
             continue
-        ways = np.unique(pair[found])
-        in_front = np.isin(pair, ways) & among(rows.link, lambda kind: kind.packets)
+        ways = np.unique(way[found])
+        in_front = np.isin(way, ways) & among(rows.link, lambda kind: kind.packets)
         if (~in_front[own]).any():
             out |= in_front
         else:
@@ -205,16 +205,16 @@ def _forwarded(rows: Rows, endpoints: Sequence[Endpoint]) -> set[tuple[int, int]
     """Return the endpoints that are two names of one: the inner, then the outer."""
     if not len(rows) or rows.life.min() == rows.life.max():  # nothing was forwarded
         return set()
-    pair = rows.source.astype(np.int64) << 32 | rows.destination
+    way = rows.way()
     key = rows.bytes_print ^ rows.identification.astype(np.uint64) * _MIX
     order = np.lexsort((rows.time_ns, key))
     near = (key[order][1:] == key[order][:-1]) & (np.diff(rows.time_ns[order]) <= _WITHIN_NS)
     early, late = order[:-1][near], order[1:][near]
-    onward = (pair[early] != pair[late]) & (rows.life[late] < rows.life[early])
+    onward = (way[early] != way[late]) & (rows.life[late] < rows.life[early])
     if not onward.any():
         return set()
-    ways, number = np.unique(np.stack((pair[early], pair[late]))[:, onward], axis=1, return_counts=True)
-    there, sizes = np.unique(pair, return_counts=True)
+    ways, number = np.unique(np.stack((way[early], way[late]))[:, onward], axis=1, return_counts=True)
+    there, sizes = np.unique(way, return_counts=True)
     size = dict(zip(there.tolist(), sizes.tolist(), strict=True))
     likely = [
         (count, _ends(one, other))

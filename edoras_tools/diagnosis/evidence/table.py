@@ -11,10 +11,10 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.conversations import Conversations
 from edoras_tools.diagnosis.evidence.fingerprint import SharedFields, of_values, robot_commands, robot_prints
 from edoras_tools.diagnosis.evidence.payloads import Payloads
-from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder
+from edoras_tools.diagnosis.evidence.unreachable import ErrorRecorder
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch
+from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch, Peer
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceRows
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays.fingerprint import of_bytes
@@ -128,9 +128,27 @@ class Rows:
         """Return the rows that an index array, a mask or a slice chooses."""
         return type(self)(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
 
+    def way(self, rows: NDArray[Any] | slice = slice(None)) -> NDArray[np.int64]:
+        """Return the source and the destination of some rows as one number each: i64."""
+        return self.source[rows].astype(np.int64) << 32 | self.destination[rows]
+
+    def sbn_sender(self, rows: NDArray[Any] | slice = slice(None)) -> NDArray[np.uint64]:
+        """Return the SBN identity of the senders of some rows as one number each, as ``peer_of`` reads it."""
+        return self.spacecraft_id[rows].astype(np.uint64) << np.uint64(32) | self.processor_id[rows]
+
+    def usual_sender(self, rows: NDArray[np.intp]) -> tuple[str, int]:
+        """Return the SBN identity that most of some rows have, and how many do."""
+        values, counts = np.unique(self.sbn_sender(rows), return_counts=True)
+        return str(peer_of(int(values[counts.argmax()]))), int(counts.max())
+
     def has(self, finding: Finding) -> NDArray[np.bool_]:
         """Tell which rows have one of these findings."""
         return np.asarray((self.findings & np.uint32(finding)) != 0)
+
+
+def peer_of(number: int) -> Peer:
+    """Return the peer that a number of ``Rows.sbn_sender`` stands for."""
+    return Peer(number >> 32, number & 0xFFFFFFFF)
 
 
 class Recorder:

@@ -13,7 +13,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, verdi
 from edoras_tools.links import table
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_value, groups
 from edoras_tools.words import plural, seconds
 
 if TYPE_CHECKING:
@@ -116,8 +116,7 @@ def stream_gap(case: Case) -> Iterator[Verdict]:
             f"{int((rows.link == link).sum()):,}; what was in them is not judged",
             f"packet {rows.number[first]}: the first message behind bytes that are missing or no message",
             "TCP delivers every byte or ends the connection: the capture lacks them, the peer does not",
-            link=link.label,
-            hop="capture",
+            place=(link.label, "capture"),
             span=case.span(members),
             remedy="capture whole frames, with a larger buffer, and from before the connections begin",
         )
@@ -137,8 +136,7 @@ def not_cfs(case: Case) -> Iterator[Verdict]:
                 f"{flow.datagrams:,} datagrams on port {flow.destination.port} do not look like cFS, left "
                 f"out: {flow.source} sends them to {flow.destination}, where {flow.link.name} is",
                 "none of them is a packet whose length agrees, or has a MsgId that is known",
-                link=flow.link.label,
-                hop=str(flow.source),
+                place=(flow.link.label, str(flow.source)),
                 span=(flow.first_ns, flow.last_ns),
                 remedy=f"another program at {flow.source.address} sends to this port; move it",
             )
@@ -199,7 +197,7 @@ def duplicated(case: Case) -> Iterator[Verdict]:
     """
     prepared = case.prepared
     for rows, by_network in ((case.rows.take(prepared.duplicates), True), (prepared.doubled, False)):
-        for _, own in by_value(rows.source.astype("i8") << 32 | rows.destination):
+        for _, own in by_value(rows.way()):
             sender, receiver = (case.endpoints[end[own[0]]] for end in (rows.source, rows.destination))
             there = f"{plural(len(own), 'datagram')} from {sender} to {receiver}"
             was = "was" if len(own) == 1 else "were"
@@ -216,8 +214,7 @@ def duplicated(case: Case) -> Iterator[Verdict]:
             )
     rows = case.rows
     late = np.flatnonzero((rows.reordered != 0) & ~rows.streamed)
-    for _, members in by_value(rows.source[late].astype("i8") << 32 | rows.destination[late]):
-        own = late[members]
+    for _, own in groups(rows.way(), late):
         # A row may tell that an earlier one was not late after all.
         if (number := int(rows.reordered[own].sum())) > 0:
             sender, receiver = (case.endpoints[end[own[0]]] for end in (rows.source, rows.destination))
@@ -296,8 +293,7 @@ def proxy_faults(case: Case) -> Iterator[Verdict]:
             ON_PURPOSE,
             *(f"rule {rule}" for rule in item.rules),
             msg_id=msg_id if msg_id >= 0 else None,
-            link=table.link(link).label,
-            hop=PROXY_HOP,
+            place=(table.link(link).label, PROXY_HOP),
             lost=len(item.dropped) or None,
             span=(item.start_ns, item.end_ns),
             remedy="none: it was asked for",

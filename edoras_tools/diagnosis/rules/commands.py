@@ -1,33 +1,42 @@
-"""Commands that cFS refuses."""
+"""Commands that cFS refuses, who sends commands, and what nobody checks."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
+from operator import or_
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, software_bus, telemetry_output
 from edoras_tools.cfs.limits import CI_BUFFER
-from edoras_tools.diagnosis.rules.routes import misread
-from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
+from edoras_tools.cfs.names import PRIVILEGED, command_name
+from edoras_tools.diagnosis.evidence.table import peer_of
+from edoras_tools.diagnosis.rules.about import one_by_one, packet, subject
+from edoras_tools.diagnosis.rules.messages import misread
+from edoras_tools.diagnosis.verdict import Severity, Verdict, habit, security, verdict
 from edoras_tools.links.ci import CI
+from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
+from edoras_tools.wire.arrays.order import by_value, groups, numbered
+from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
 
+
 _ANSWERED_NS: Final = 1700 * MILLISECOND
 """CI reads within 500 ms, the application follows at once, TO sends the event within another 500 ms."""
-_ONE_BY_ONE: Final = 20
-"""So many of one kind are told one by one; more are told together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +47,16 @@ class BadCommandKind:
         finding: what the decoder saw.
         what: what it is.
         done: what cFS does about it, as measured.
-        refused: whether it comes to nothing.
         event: what cFS says; empty where it says nothing.
+        refused: whether it comes to nothing.
         refused_7: whether CI of cFS 7 refuses it, and says so.
     """
 
     finding: Finding
     what: str
     done: str
-    refused: bool
     event: str = ""
+    refused: bool = True
     refused_7: bool = False
 
 
@@ -59,87 +68,81 @@ _BAD_COMMANDS: Final = (
         Finding.TRUNCATED,
         "shorter than a command header",
         "CI drops it",
-        True,
         f"{command_ingest.TOO_SHORT.phrase}|{command_ingest.TOO_SHORT_7.phrase}",
     ),
     BadCommandKind(
         Finding.INVALID_MSG_ID,
         "MsgId is 0 or above 0x1FFF",
         "the software bus refuses it",
-        True,
         re.escape(software_bus.EVENTS[software_bus.INVALID_MSG_ID].phrase),
     ),
     BadCommandKind(
         Finding.OVER_SOFTWARE_BUS,
         "length field exceeds the software bus's 32,768",
         "the software bus refuses it",
-        True,
         software_bus.EVENTS[software_bus.MSG_TOO_BIG].phrase,
     ),
     BadCommandKind(
         Finding.UNKNOWN_FUNCTION_CODE,
         "function code that the application does not have",
         "the application refuses it",
-        True,
         r"Invalid ground command code|Function Code|Invalid.*CC = ",
     ),
     BadCommandKind(
         Finding.COMMAND_LENGTH,
         "length that its function code does not take",
         "the application refuses it, or reads what its buffer held before",
-        True,
         rf"{_LENGTH}|{telemetry_output.ENABLED.phrase}",
     ),
     BadCommandKind(
         Finding.WRONG_DIRECTION,
         "telemetry MsgId sent as a command",
         "CI publishes it silently; who subscribes to that telemetry takes it for real",
-        False,
+        refused=False,
     ),
     BadCommandKind(
         Finding.CDR_INVALID,
         "CDR that does not decode as the configured type",
         "the application fails to deserialise it, on its console only",
-        True,
     ),
     BadCommandKind(
-        Finding.CDR_TOO_LONG, "CDR longer than the configured type", "accepted, and read as that type", False
+        Finding.CDR_TOO_LONG,
+        "CDR longer than the configured type",
+        "accepted, and read as that type",
+        refused=False,
     ),
     BadCommandKind(
         Finding.ENVELOPE_OVERRUN,
         "buffer_length reaches past the packet",
         "accepted silently; the application reads beyond the data",
-        False,
+        refused=False,
     ),
-    BadCommandKind(Finding.CDR_BIG_ENDIAN, "CDR in big-endian order", "accepted, and read as such", False),
+    BadCommandKind(
+        Finding.CDR_BIG_ENDIAN, "CDR in big-endian order", "accepted, and read as such", refused=False
+    ),
     BadCommandKind(
         Finding.LENGTH_MISMATCH,
         "packet data length disagrees with the datagram",
         "accepted silently; bytes that it lacks are what CI's buffer held before",
-        False,
+        refused=False,
         refused_7=True,
     ),
     BadCommandKind(
-        Finding.CHECKSUM_BAD, "wrong checksum", "obeyed all the same: no application here checks it", False
+        Finding.CHECKSUM_BAD,
+        "wrong checksum",
+        "obeyed all the same: no application here checks it",
+        refused=False,
     ),
 )
-
-
+_ANY: Final = reduce(or_, (kind.finding for kind in _BAD_COMMANDS))
 _MISMATCH: Final = next(item for item in _BAD_COMMANDS if item.refused_7)
 _SHORT = BadCommandKind(
     Finding.TRUNCATED,
     "ends before its message does",
     "CI accepts it; the application fails to deserialise it, on its console only",
-    True,
 )
-
-
-_EMPTY = BadCommandKind(Finding.TRUNCATED, "empty", "CI reads nothing and says nothing", True)
-
-
+_EMPTY = BadCommandKind(Finding.TRUNCATED, "empty", "CI reads nothing and says nothing")
 _HARMLESS: Final = Finding.CDR_BIG_ENDIAN
-
-
 _REFUSED: Final = re.compile(
     r"Invalid ground command code: CC = (?P<code>\d+)"
     r"|(?:Invalid [Mm]sg length: ID = 0x(?P<msg_id>[0-9A-Fa-f]+),\s+CC = (?P<of>\d+), Len = (?P<length>\d+))"
@@ -152,38 +155,30 @@ def bad_command(case: Case) -> Iterator[Verdict]:
     Go through every datagram to CI that has a finding, or that an application refused.
     """
     rows = case.rows
-    commands = rows.link == CI
-    mask = Finding(0)
-    for kind in _BAD_COMMANDS:
-        mask |= kind.finding
-    # Over 768 bytes has a rule of its own, and what follows from the cut belongs to it.
-    wrong = commands & rows.has(mask) & ~rows.has(Finding.CAPTURE_CUT | Finding.OVER_CI_BUFFER)
-    found: dict[tuple[str, int], list[tuple[int, BadCommandKind]]] = {}
     # A wrong CRC of a CFDP PDU has the same finding, and is not obeyed: ``file_checksum`` counts it.
-    others = mask & ~Finding.CHECKSUM_BAD
-    wrong &= rows.has(others) | ~np.isin(rows.msg_id, case.mission.pdu_msg_ids)
-    wrong |= commands & (rows.claimed > 0) & ~rows.has(Finding.CAPTURE_CUT | Finding.OVER_CI_BUFFER)
+    wrong = rows.has(_ANY & ~Finding.CHECKSUM_BAD) | (rows.claimed > 0)
+    wrong |= rows.has(Finding.CHECKSUM_BAD) & ~np.isin(rows.msg_id, case.mission.pdu_msg_ids)
+    # Over 768 bytes has a rule of its own, and what follows from the cut belongs to it.
+    wrong &= (rows.link == CI) & ~rows.has(Finding.CAPTURE_CUT | Finding.OVER_CI_BUFFER)
     for _, misfits, _ in misread(case):
         wrong[misfits] = False  # the type is wrong, not each of its messages
     bad = np.flatnonzero(wrong)
     findings = rows.findings[bad] | np.where(rows.claimed[bad] != 0, np.uint32(Finding.ENVELOPE_OVERRUN), 0)
     size = np.minimum(rows.length[bad], cfe.COMMAND_HEADER_BYTES)  # a longer one is of the same kind
+    found: dict[tuple[BadCommandKind, int], list[int]] = {}
     for row, bits, length, msg_id in zip(
         bad.tolist(), findings.tolist(), size.tolist(), rows.msg_id[bad].tolist(), strict=True
     ):
         kind = _kind(bits, length)
         if bits & _MISMATCH.finding and kind is not _MISMATCH and refusals(case, row, int(rows.length[row])):
             kind = _MISMATCH  # CI of cFS 7 looks at this first, and nobody else gets it
-        found.setdefault((kind.what, msg_id), []).append((row, kind))
-    told = {row for members in found.values() for row, _ in members}
+        found.setdefault((kind, msg_id), []).append(row)
+    told = {row for members in found.values() for row in members}
     for row, kind in _refused(case, told):
-        found.setdefault((kind.what, int(rows.msg_id[row])), []).append((row, kind))
-    for members in found.values():
-        if len(members) <= _ONE_BY_ONE:
-            for row, kind in members:
-                yield _verdict(case, [row], kind)
-        else:
-            yield _verdict(case, [row for row, _ in members], members[0][1])
+        found.setdefault((kind, int(rows.msg_id[row])), []).append(row)
+    for (kind, _), members in found.items():
+        for together in one_by_one(members):
+            yield _verdict(case, together, kind)
 
 
 @cache
@@ -208,13 +203,9 @@ def _refused(case: Case, told: set[int]) -> Iterator[tuple[int, BadCommandKind]]
         low = np.searchsorted(times, record.time_ns - _ANSWERED_NS)
         near = commands[low : np.searchsorted(times, record.time_ns, "right")]
         parts = said.groupdict()
-        if parts["code"]:
-            near = near[rows.function_code[near] == int(parts["code"])]
-        else:
-            near = near[
-                (rows.msg_id[near] == int(parts["msg_id"], 16))
-                & (rows.function_code[near] == int(parts["of"]))
-            ]
+        near = near[rows.function_code[near] == int(parts["code"] or parts["of"])]
+        if parts["msg_id"]:
+            near = near[rows.msg_id[near] == int(parts["msg_id"], 16)]
         # Of several that are taken in one round each is answered.
         if left := [row for row in near.tolist() if row not in told]:
             told.add(left[-1])
@@ -223,9 +214,8 @@ def _refused(case: Case, told: set[int]) -> Iterator[tuple[int, BadCommandKind]]
 
 def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
     rows, first = case.rows, members[0]
-    known = int(rows.msg_id[first])
-    msg_id = known if known != NO_MSG_ID else None
-    name = case.name(known) if known != NO_MSG_ID else "a datagram"
+    msg_id = int(rows.msg_id[first])
+    name = case.name(msg_id) if msg_id != NO_MSG_ID else "a datagram"
     start_ns = int(rows.time_ns[first])
     refused = refusals(case, first, int(rows.length[first])) if kind.refused_7 else []
     events = refused or _answers(case, kind, first)
@@ -242,12 +232,10 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
         Severity.ERROR if lost else Severity.NOTE if kind.finding in _HARMLESS else Severity.WARNING,
         f"{which}{kind.what}; {done}",
         *_evidence(case, members, kind, events, unheard=unheard),
-        msg_id=msg_id,
-        link="ci",
+        **subject(case, members),
         hop="CI_LAB_APP" if kind.finding is Finding.TRUNCATED or refused else None,
         lost=lost,
         of=len(members),
-        span=case.span(members),
         remedy=f"send whole commands of {cfe.COMMAND_HEADER_BYTES} to {CI_BUFFER} bytes whose fields agree",
         confidence="high" if events or not kind.event else "medium",
         by_type=kind.finding is Finding.CDR_INVALID,
@@ -307,3 +295,185 @@ def _answers(case: Case, kind: BadCommandKind, row: int) -> list[EventRecord]:
         if not names_one or any(mark in text for mark in marks) or named == NO_MSG_ID or "code" in text:
             return [record]
     return []
+
+
+class _Hosts:
+    """The addresses of a capture.
+
+    Attributes:
+        of_endpoint: i32, endpoint to the place of its address in ``names``.
+        names: the addresses.
+    """
+
+    def __init__(self, case: Case) -> None:
+        self.names = list(dict.fromkeys(item.address for item in case.endpoints))
+        self.of_endpoint, self._rows = case.instances.hosts, case.rows
+
+    def ways(self, rows: NDArray[np.intp]) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]]]:
+        """Yield from which address to which some rows went, and those that did."""
+        ends = [self.of_endpoint[end[rows]] for end in (self._rows.source, self._rows.destination)]
+        first, which = numbered(*ends)
+        for number, members in by_value(which):
+            source, destination = (self.names[end[first[number]]] for end in ends)
+            yield (source, destination), rows[members]
+
+
+def stranger_commands(case: Case) -> Iterator[Verdict]:
+    """Commands from an address that telemetry never goes to: no ground station of this capture.
+
+    Name every such address; silent where the capture shows no telemetry of that cFS.
+    """
+    rows, hosts = case.rows, _Hosts(case)
+    stations: dict[str, set[str]] = {}
+    for (cfs, station), _ in hosts.ways(np.flatnonzero(rows.link == TO)):
+        stations.setdefault(cfs, set()).add(station)
+    for (sender, target), members in hosts.ways(_sound_commands(case)):
+        known = stations.get(target)
+        if not known or sender in known or sender == target:  # the flight host itself is no stranger
+            continue
+        kinds = members[numbered(rows.msg_id[members], rows.function_code[members])[0]].tolist()
+        names = sorted({case.name(int(rows.msg_id[row])) for row in kinds})
+        allowed = {text for row in kinds if (text := _privilege(case, row))}
+        yield security(
+            f"{plural(len(members), 'command')} to CI at {target} from {sender}, to which no telemetry of it "
+            "goes: CI obeys whoever reaches its port",
+            f"{packet(case, members[0])} is the first",
+            f"telemetry goes to {', '.join(sorted(known))}",
+            f"MsgIds: {listed(names, 6)}",
+            *(f"it could {text}" for text in sorted(allowed)),
+            place=("ci", "CI_LAB_APP"),
+            span=case.span(members),
+            remedy="if it is a second ground station, nothing; else let only the station reach CI's port "
+            "(a firewall, or authentication in front of CI)",
+            confidence="medium",
+        )
+
+
+_UNSOUND_NETWORK = Finding.TRUNCATED | Finding.SBN_UNKNOWN_TYPE | Finding.SBN_SIZE_MISMATCH
+
+
+def identity_from_two_addresses(case: Case) -> Iterator[Verdict]:
+    """One SBN identity that speaks from two addresses.
+
+    Name every identity that does: a receiver tells peers apart by it, never by their address.
+    """
+    rows, hosts = case.rows, _Hosts(case)
+    spoke = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(_UNSOUND_NETWORK))
+    for who, members in groups(rows.sbn_sender(), spoke):
+        first, address = numbered(hosts.of_endpoint[rows.source[members]])
+        if len(first) < 2:
+            continue
+        order = [hosts.names[host] for host in hosts.of_endpoint[rows.source[members[first]]].tolist()]
+        counts = np.bincount(address).tolist()
+        times = [case.at(when) for when in rows.time_ns[members[first]].tolist()]
+        yield security(
+            f"SBN peer {peer_of(who)} speaks from {len(order)} addresses: {', '.join(order)}; cFS takes "
+            "whatever bears its identity",
+            *(
+                f"{name}: {plural(count, 'datagram')}, the first at {when}"
+                for name, count, when in list(zip(order, counts, times, strict=True))[:_MOST]
+            ),
+            place=("sbn", "SBN"),
+            span=(int(rows.time_ns[members[first[1]]]), int(rows.time_ns[members[-1]])),
+            remedy="give each peer its own processor_id; if there is only one, somebody else uses its name",
+            confidence="medium",
+        )
+
+
+def repeated_commands(case: Case) -> Iterator[Verdict]:
+    """Commands that repeat bytes which another address sent before: a recording that is sent again.
+
+    Name every address that does; bare headers, as a no-op, are the same whoever sends them.
+    """
+    rows, hosts = case.rows, _Hosts(case)
+    sent = _sound_commands(case)
+    sent = sent[rows.packet_length[sent] > rows.header_length[sent]]
+    _, first, which = np.unique(rows.packet_print[sent], return_index=True, return_inverse=True)
+    sender = hosts.of_endpoint[rows.source[sent]]
+    origin = sender[first[which]]
+    repeats = np.flatnonzero(sender != origin)
+    for who, at in by_value(sender[repeats]):
+        members = sent[repeats[at]]
+        origins = sorted({hosts.names[item] for item in origin[repeats[at]].tolist()})
+        earlier = sent[first[which[repeats[at[0]]]]]
+        yield security(
+            f"{plural(len(members), 'command')} from {hosts.names[who]} repeat, byte for byte, what "
+            f"{', '.join(origins)} sent before: a recording is being sent again",
+            f"{packet(case, members[0])} repeats packet {rows.number[earlier]}",
+            f"MsgIds: {', '.join(sorted({case.name(int(rows.msg_id[item])) for item in members}))}",
+            place=("ci", "CI_LAB_APP"),
+            span=case.span(members),
+            remedy="the bridges' commands carry no count and no time, so that cFS obeys old ones again; let "
+            "only the station reach CI's port",
+            confidence="medium",
+        )
+
+
+_MOST: Final = 8
+"""Senders and times that are named."""
+_UNSOUND = Finding.TRUNCATED | Finding.INVALID_MSG_ID | Finding.WRONG_DIRECTION | Finding.LENGTH_MISMATCH
+
+
+def _sound_commands(case: Case) -> NDArray[np.intp]:
+    """Return the rows of sound commands to CI, in order of capture."""
+    rows = case.rows
+    return np.flatnonzero((rows.link == CI) & (rows.function_code >= 0) & ~rows.has(_UNSOUND))
+
+
+def _privilege(case: Case, row: int) -> str:
+    """Return what a command allows whoever sends it; nothing for an ordinary one."""
+    return PRIVILEGED.get((int(case.rows.msg_id[row]), int(case.rows.function_code[row])), "")
+
+
+def privileged_commands(case: Case) -> Iterator[Verdict]:
+    """Commands that change what the flight software is: applications, processor, tables, files, memory.
+
+    Name each kind of such command with where it came from, whoever sent it.
+    """
+    rows = case.rows
+    sent = _sound_commands(case)
+    for _, at in by_value(numbered(rows.msg_id[sent], rows.function_code[sent])[1]):
+        members, row = sent[at], int(sent[at[0]])
+        if not _privilege(case, row):
+            continue
+        msg_id, code = int(rows.msg_id[row]), int(rows.function_code[row])
+        senders = sorted(
+            {case.endpoints[source].address for source in np.unique(rows.source[members]).tolist()}
+        )
+        times = rows.time_ns[members].tolist()
+        yield security(
+            f"{plural(len(members), 'command')} {command_name(msg_id, code)} on {case.name(msg_id)} from "
+            f"{_some(senders)}: it can {PRIVILEGED[msg_id, code]}",
+            f"sent at {_some([case.at(when) for when in times])}",
+            f"packet {rows.number[members[0]]} is the first",
+            msg_id=msg_id,
+            place=("ci", "CI_LAB_APP"),
+            span=(times[0], times[-1]),
+            remedy="see that whoever sent it was meant to; CI asks nobody who he is",
+        )
+
+
+def _some(texts: Sequence[str]) -> str:
+    """Return the first of some texts, and how many more there are."""
+    more = f" and {len(texts) - _MOST} more" if len(texts) > _MOST else ""
+    return ", ".join(texts[:_MOST]) + more
+
+
+def checksum(case: Case) -> Iterator[Verdict]:
+    """Nobody here checks a command's checksum, and the bridges do not send one.
+
+    Tell of absent ones; wrong ones are told of one by one as bad commands.
+    """
+    rows = case.rows
+    commands = (rows.link == CI) & (rows.function_code >= 0)
+    absent = int((commands & rows.has(Finding.CHECKSUM_ABSENT)).sum())
+    if absent:
+        of = int(commands.sum())
+        yield habit(
+            f"{absent:,} of {of:,} commands carry no checksum, as the EDORAS bridges send them; no cFS "
+            "application here checks it, so a damaged command is obeyed",
+            "the checksum byte is 0, and 0 is not right",
+            place=("ci", "ground bridge"),
+            remedy="none needed on a link that checks for itself; else compute it (0xFF XOR every byte) "
+            "and have the application call CFE_MSG_ValidateChecksum",
+        )

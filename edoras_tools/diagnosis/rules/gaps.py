@@ -1,7 +1,8 @@
-"""What is missing between links, behind cFS, or where nothing tells."""
+"""What is missing between links, behind cFS, at closed ports, or where nothing tells."""
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,11 +12,14 @@ from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.cfs.software_bus import NAME
 from edoras_tools.diagnosis.accounting.budget import limit
-from edoras_tools.diagnosis.accounting.closed import one_sided
+from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT, one_sided
 from edoras_tools.diagnosis.advice import loss_verdict, lost_at
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER
+from edoras_tools.diagnosis.rules.about import stream_subject
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, note, verdict, warning
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_ROUTE
+from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -23,7 +27,9 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.losses import Fate, Loss
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.unreachable import ClosedSpan
     from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.model import Endpoint
 
 
 def crossing_loss(case: Case) -> Iterator[Verdict]:
@@ -94,8 +100,7 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
         *evidence,
         *case.drops_text(),
         msg_id=stream.msg_id,
-        link=stream.link.label,
-        hop="application",
+        place=(stream.link.label, "application"),
         of=len(stream),
         span=(int(missing[0]), int(missing[-1])),
         remedy="look at the application's own counters and console; a capture on the cFS host, from before "
@@ -125,8 +130,7 @@ def _unfollowed(case: Case, fate: Fate) -> Verdict:
         *evidence,
         *case.drops_text(),
         msg_id=stream.msg_id,
-        link=stream.link.label,
-        hop="application",
+        place=(stream.link.label, "application"),
         of=len(stream),
         span=(int(times[0]), int(times[-1])),
         remedy="capture what comes out of the application too: the robot link (UDP 8080 to 8585), SBN",
@@ -176,8 +180,7 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
         *evidence,
         *case.drops_text(),
         msg_id=first.msg_id if one else None,
-        link=first.stream.link.label,
-        hop=first.hop,
+        place=(first.stream.link.label, first.hop),
         lost=lost,
         of=of,
         span=(min(loss.start_ns for loss in members), max(loss.end_ns for loss in members)),
@@ -249,8 +252,7 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
             *evidence,
             *case.drops_text(),
             msg_id=loss.msg_id,
-            link=loss.stream.link.label,
-            hop=pipe if offered > clean else None,
+            place=(loss.stream.link.label, pipe if offered > clean else None),
             lost=loss.lost,
             of=loss.of,
             span=(loss.start_ns, loss.end_ns),
@@ -260,40 +262,33 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
         )
     for stream in case.streams:
         if untold := case.telemetry.ended(stream, "untold"):
+            why, remedy = _untold(case, stream)
             yield warning(
-                f"{untold:,} counts of {case.name(stream.msg_id)} are not accounted for: "
-                f"{_why(case, stream)}",
+                f"{untold:,} counts of {case.name(stream.msg_id)} are not accounted for: {why}",
                 *case.drops_text(),
-                msg_id=stream.msg_id,
-                link=stream.link.label,
+                **stream_subject(case, stream),
                 of=len(stream) + untold,
-                span=case.span(stream.rows),
-                remedy=_remedy(case, stream),
+                remedy=remedy,
                 confidence="low",
             )
 
 
-def _why(case: Case, stream: Stream) -> str:
+def _untold(case: Case, stream: Stream) -> tuple[str, str]:
+    """Return why nothing tells what became of counts that are missing, and what would tell."""
     if not one_sided(case, stream):
         return (
             "the capture cut off when packets were made, so nothing tells whether they were lost, not sent, "
             "or are another cFS's"
-        )
+        ), "capture whole frames, without -s or with -s 0"
     if stream.link.peers:
         return (
             "SBN sent that peer no message at all then, and nothing that the peer sends is in the capture, "
             "so nothing tells whether they were lost or it was not connected"
-        )
+        ), "capture what the peer sends, too"
     return (
         "Telemetry Output sent nothing at all then, and no command to cFS is in the capture, so nothing "
         "tells whether they were lost or it was told not to send"
-    )
-
-
-def _remedy(case: Case, stream: Stream) -> str:
-    if not one_sided(case, stream):
-        return "capture whole frames, without -s or with -s 0"
-    return "capture what the peer sends, too" if stream.link.peers else "capture what is sent to CI, too"
+    ), "capture what is sent to CI, too"
 
 
 def unattributed_loss(case: Case) -> Iterator[Verdict]:
@@ -337,10 +332,8 @@ def superseded(case: Case) -> Iterator[Verdict]:
             f"{number:,} of {len(stream):,} messages on {case.name(stream.msg_id)} gave way to a "
             f"newer one before the application sent {outs}: it takes them in bursts, and the last goes on",
             f"{int(fate.arrived.sum()):,} came out with the same values",
-            msg_id=stream.msg_id,
-            link=stream.link.label,
+            **stream_subject(case, stream),
             hop="application",
-            span=case.span(stream.rows),
             remedy="send at most 2 Hz for every command to go on, or count on the newest alone",
             confidence="medium",
         )
@@ -368,3 +361,97 @@ def older_losses(case: Case) -> Iterator[Verdict]:
                 span=(first_ns, first_ns),
                 remedy="none; not counted as loss of this capture",
             )
+
+
+_MOST_NAMED = 4
+
+
+def port_closed(case: Case) -> Iterator[Verdict]:
+    """Nobody listened on a port for a time, as ICMP errors say; what was sent there meanwhile was lost.
+
+    Name the port, from when to when, how many messages of which MsgIds, and whether the port itself fell
+    silent.
+    """
+    before: dict[Endpoint, int] = {}
+    for span in case.unreachable.spans:
+        open_ns = before.get(span.port, 0)
+        before[span.port] = span.end_ns
+        lost, uncertain = (_within(case, span, open_ns, cause) for cause in (PORT_CLOSED, None))
+        if not lost and not uncertain:
+            continue
+        again = span.end_ns != NEVER
+        times = f"the first at {case.at(span.start_ns)}, the last at {case.at(span.last_ns)}"
+        evidence = [
+            f"{plural(span.errors, 'ICMP error')} (port unreachable), {times}",
+            f"open again at {case.at(span.end_ns)}" if again else "not open again in this capture",
+        ]
+        if uncertain:
+            evidence.append(f"{plural(uncertain.total(), 'more message')} may not have been read there")
+        number = lost.total()
+        names = ", ".join(f"{count:,} of {name}" for name, count in lost.most_common(_MOST_NAMED))
+        more = ", ..." if len(lost) > _MOST_NAMED else ""
+        until = case.at(span.end_ns) if again else "the end of the capture"
+        reason = f"nobody listened on {span.port} from {case.at(span.start_ns)} to {until}"
+        if number:
+            reason += f": {plural(number, 'message')} reached nobody ({names}{more})"
+        if span.step_ns:
+            reason += f"; its own datagrams, {SECOND / span.step_ns:.1f} a second, stopped too"
+        yield verdict(
+            Severity.ERROR if number else Severity.WARNING,
+            reason,
+            *evidence,
+            hop=f"{UDP_PORT} {span.port}",
+            lost=number or None,
+            of=number + uncertain.total(),
+            span=(span.start_ns, span.last_ns),
+            remedy="start the program that listens there before what sends to it; if it ended, its own log "
+            "says why",
+        )
+
+
+def unreachable(case: Case) -> Iterator[Verdict]:
+    """Datagrams came back as ICMP errors: a host, a network or a firewall on the way did not let them pass.
+
+    Name the endpoint, how many, and what the errors say.
+    """
+    for item in case.unreached:
+        rows = item.lost.get(REFUSED)
+        if rows is None:
+            continue
+        endpoint = case.endpoints[item.endpoint]
+        yield error(
+            f"{plural(len(rows), 'message')} of {case.name(item.stream.msg_id)} did not reach {endpoint}: "
+            "ICMP errors about them came back",
+            "edoras sniff --link icmp shows what each error says",
+            msg_id=item.stream.msg_id if item.own else None,
+            place=(item.stream.link.label, f"{UDP_PORT} {endpoint}"),
+            lost=len(rows),
+            of=len(rows),
+            span=case.span(item.stream.rows[rows]),
+            remedy="look at the route to that host, and at firewalls on the way",
+        )
+
+
+def _within(case: Case, span: ClosedSpan, open_ns: int, cause: str | None) -> Counter[str]:
+    """Return how many messages of each name were lost in a span, or may be if there is no cause.
+
+    Args:
+        open_ns: when the span before it on this port ended.
+    """
+    found: Counter[str] = Counter()
+    for item in case.unreached:
+        if case.endpoints[item.endpoint] != span.port:
+            continue
+        rows = item.uncertain if cause is None else item.lost.get(cause, np.zeros(0, np.intp))
+        times = item.sent_ns[rows]
+        number = int(((times >= open_ns) & (times < span.end_ns)).sum())
+        if number:
+            name = case.name(item.stream.msg_id) if item.own else "robot commands"
+            found[name] += number
+    for loss in case.commands.losses if cause else ():
+        if loss.kind == cause and loss.stream and case.endpoints[loss.stream.receiver] == span.port:
+            assert loss.among is not None
+            times = case.captured(loss.stream)[loss.among.rows]
+            if number := int(((times >= open_ns) & (times < span.end_ns)).sum()):
+                found[case.name(loss.msg_id)] += number
+    return found

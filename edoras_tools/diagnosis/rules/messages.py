@@ -1,24 +1,28 @@
-"""Messages that are cut, refused or changed for what they are."""
+"""Messages that are cut, refused or changed for what they are, or that are not as the mission files say."""
 
 from __future__ import annotations
 
 from itertools import chain, combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.cfs.limits import BRIDGE_BUFFER
 from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.diagnosis.verdict import Confidence, Verdict, error, note
+from edoras_tools.diagnosis.accounting.budget import limit
+from edoras_tools.diagnosis.rules.about import of_messages, packet, stream_subject
+from edoras_tools.diagnosis.verdict import About, Confidence, Severity, Verdict, error, note, warning
 from edoras_tools.links import table
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
-from edoras_tools.model import Finding, Link
+from edoras_tools.model import NO_ROUTE, Finding, Link
+from edoras_tools.ros.cdr.plan import ROUNDING
+from edoras_tools.ros.fitting import types_that_fit, types_that_fit_each
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.order import by_value, groups
-from edoras_tools.words import plural
+from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,6 +30,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.mission import Route
 
 
 def struct_overrun(case: Case) -> Iterator[Verdict]:
@@ -36,70 +42,55 @@ def struct_overrun(case: Case) -> Iterator[Verdict]:
     rows = case.rows
     bad = (rows.claimed > 0) & ~rows.has(Finding.CAPTURE_CUT)
     for link in (TO, SBN):
-        for msg_id in np.unique(rows.msg_id[bad & (rows.link == link)]).tolist():
-            all_ = np.flatnonzero((rows.link == link) & (rows.msg_id == msg_id))
-            members = all_[bad[all_]]
-            sizes, counts = np.unique(rows.packet_length[all_], return_counts=True)
+        for msg_id, wrong in groups(rows.msg_id, np.flatnonzero(bad & (rows.link == link))):
+            every = (rows.link == link) & (rows.msg_id == msg_id)
+            sizes, counts = np.unique(rows.packet_length[every], return_counts=True)
             # Another size than the struct's: somebody else's packet under this MsgId.
-            members = members[rows.packet_length[members] == sizes[counts.argmax()]]
+            members = wrong[rows.packet_length[wrong] == sizes[counts.argmax()]]
             if len(members) and not case.mission.msg_ids.is_command(msg_id):
-                yield _overrun(case, link, msg_id, members, len(all_))
+                yield _overrun(case, members)
 
 
-def _overrun(case: Case, link: Link, msg_id: int, members: NDArray[np.intp], of: int) -> Verdict:
+def _overrun(case: Case, members: NDArray[np.intp]) -> Verdict:
     rows, first = case.rows, int(members[0])
-    start_ns, held, claimed = int(rows.time_ns[first]), int(rows.space[first]), int(rows.claimed[first])
-    before = malformed_before(case, start_ns)
-    told = f"{claimed:,}" if claimed < 1 << 24 else "millions"
-    evidence = [
-        (
-            f"packet {rows.number[first]} at {case.at(start_ns)}: {rows.packet_length[first]} bytes, room "
-            f"for {held} of CDR; its envelope claims {told}"
-        )
-    ]
+    held, claimed = int(rows.space[first]), int(rows.claimed[first])
+    before = _malformed_before(case, int(rows.time_ns[first]))
+    number = f"{claimed:,}" if claimed < 1 << 24 else "millions"
+    size = f"{rows.packet_length[first]} bytes, room for {held} of CDR"
+    evidence = [f"{packet(case, first)}: {size}; its envelope claims {number}"]
+    garbage = f"are garbage: their envelope claims {number} and there are {held}"
     confidence: Confidence = "medium"
-    if before is None and claimed <= case.profile.bus_max_bytes:
-        reason = (
-            f"do not fit the struct that carries them: it has room for {held} bytes of CDR, {claimed:,} are "
-            "claimed"
+    if before is not None:
+        what = garbage
+        evidence.append(
+            f"malformed packet {rows.number[before]} went into cFS just before, and was passed on"
         )
+        remedy = "send well-formed datagrams: the application passes on what its buffer held"
+    elif claimed <= case.profile.bus_max_bytes:
+        room = f"it has room for {held} bytes of CDR, {claimed:,} are claimed"
+        what = f"do not fit the struct that carries them: {room}"
         evidence.append(
             "the application left out what is behind, or wrote past the struct's end and over other memory"
         )
         remedy = "make the struct in the flight application as large as the longest message, strings included"
-        if any((hop.out.link, hop.out.msg_id) == (link, msg_id) for hop in case.hops):
+        way = rows.link[first], rows.msg_id[first]
+        if any((hop.out.link.code, hop.out.msg_id) == way for hop in case.hops):
             confidence = "high"
         else:
             evidence.append("what went into the application is not here: a malformed message looks the same")
-    elif before is None:
-        reason = f"are garbage: their envelope claims {told} and there are {held}"
+    else:
+        what = garbage
         evidence.append(
             f"the software bus takes {case.profile.bus_max_bytes:,} bytes at most, so no message was too "
             "long for its struct: the application passed on what its buffer held, as it does after a "
             "malformed packet; none is seen here just before"
         )
         remedy = "capture the link that the application's messages come in on, and look for malformed ones"
-    else:
-        reason = f"are garbage: their envelope claims {told} and there are {held}"
-        evidence.append(
-            f"malformed packet {rows.number[before]} went into cFS just before, and was passed on"
-        )
-        remedy = "send well-formed datagrams: the application passes on what its buffer held"
-    return error(
-        f"{len(members):,} of {of:,} messages on {case.name(msg_id)} {reason}",
-        *evidence,
-        msg_id=msg_id,
-        link=link.label,
-        hop="flight application",
-        lost=len(members),
-        of=of,
-        span=case.span(members),
-        remedy=remedy,
-        confidence=confidence,
-    )
+    about: About = {"hop": "flight application", "remedy": remedy, "confidence": confidence}
+    return of_messages(Severity.ERROR, case, members, what, *evidence, **about)
 
 
-def malformed_before(case: Case, time_ns: int) -> int | None:
+def _malformed_before(case: Case, time_ns: int) -> int | None:
     """Return the row of a malformed datagram into cFS that came just before a time, or None."""
     rows = case.rows
     wrong = rows.has(Finding.TRUNCATED | Finding.LENGTH_MISMATCH | Finding.SBN_SIZE_MISMATCH)
@@ -116,18 +107,15 @@ def ground_bridge_buffer(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     over = (rows.link == TO) & rows.has(Finding.OVER_BRIDGE_BUFFER) & (rows.space > 0)
-    for msg_id, members in groups(rows.msg_id, np.flatnonzero(over)):
-        of = int(((rows.link == TO) & (rows.msg_id == msg_id)).sum())
-        yield error(
-            f"{len(members):,} of {of:,} messages on {case.name(msg_id)} are longer than the ground "
-            f"bridge's {BRIDGE_BUFFER} bytes: it publishes what follows its buffer as garbage",
+    for _, members in groups(rows.msg_id, np.flatnonzero(over)):
+        yield of_messages(
+            Severity.ERROR,
+            case,
+            members,
+            f"are longer than the ground bridge's {BRIDGE_BUFFER} bytes: it publishes what follows its "
+            "buffer as garbage",
             f"up to {int(rows.length[members].max()):,} bytes a datagram",
-            msg_id=msg_id,
-            link="to",
             hop="ground bridge",
-            lost=len(members),
-            of=of,
-            span=case.span(members),
             remedy=f"keep telemetry below {BRIDGE_BUFFER} bytes, or give the bridge a larger buffer",
             confidence="medium",
         )
@@ -143,18 +131,16 @@ def flight_bridge_length(case: Case) -> Iterator[Verdict]:
     dropped = whole & rows.has(Finding.BRIDGE_DROPS_LENGTH)
     for msg_id, members in groups(rows.msg_id, np.flatnonzero(dropped)):
         towards = int(rows.destination[members[0]])
-        of = int((whole & (rows.msg_id == msg_id) & (rows.destination == towards)).sum())
         sizes = ", ".join(str(size) for size in np.unique(rows.length[members])[:4].tolist())
-        yield error(
-            f"{len(members):,} of {of:,} messages on {case.name(msg_id)} have a length that the public "
-            "flight bridge drops: it keeps it in 8 bits, and below 11 is no header",
+        yield of_messages(
+            Severity.ERROR,
+            case,
+            members,
+            "have a length that the public flight bridge drops: it keeps it in 8 bits, and below 11 is no "
+            "header",
             f"datagrams of {sizes} bytes to {case.endpoints[towards]}",
-            msg_id=msg_id,
-            link="sbn",
             hop="flight bridge",
-            lost=len(members),
-            of=of,
-            span=case.span(members),
+            of=int((whole & (rows.msg_id == msg_id) & (rows.destination == towards)).sum()),
             remedy="pad the flight struct by 11 bytes or more, or keep the length in a size_t in the bridge",
             confidence="medium",
         )
@@ -172,27 +158,23 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
 
     Say which, where an event or the only command before a count tells.
     """
-    told: set[tuple[int, int]] = set()
-    own = set()
-    for reported, said in case.reported_losses.items():
-        if reported.kind != "no_subscriber":
-            continue
-        if not reported.sender.startswith(("CI", "SBN")):
-            own.add(reported.instance)  # an application of this cFS publishes what nobody takes
-            continue
-        told.add((reported.instance, reported.msg_id))
-        link = CI if reported.sender.startswith("CI") else SBN
-        rows = case.rows
-        sent = np.flatnonzero((rows.link == link) & (rows.msg_id == reported.msg_id))
-        yield _not_taken(case, reported.msg_id, link, sent.tolist(), (f"cFS said: {said.records[0]}",))
-    counted = _counted(case)
-    for (instance, msg_id), members in counted.items():
-        if (instance, msg_id) not in told and instance not in own:
+    rows = case.rows
+    said = {item: events for item, events in case.reported_losses.items() if item.kind == "no_subscriber"}
+    sent = [item for item in said if item.sender.startswith(("CI", "SBN"))]
+    for item in sent:
+        link = CI if item.sender.startswith("CI") else SBN
+        members = np.flatnonzero((rows.link == link) & (rows.msg_id == item.msg_id)).tolist()
+        yield _not_taken(case, item.msg_id, link, members, f"cFS said: {said[item].records[0]}")
+    named = {(item.instance, item.msg_id) for item in sent}
+    # Where an application of a cFS itself publishes what nobody takes, its counter tells nothing.
+    others = {item.instance for item in said if item not in sent}
+    for (instance, msg_id), members in _without_subscriber(case).items():
+        if (instance, msg_id) not in named and instance not in others:
             text = "0x803: NoSubscribers grew by these, and nothing else fits it (the event stops after 4)"
-            yield _not_taken(case, msg_id, table.link(case.rows.link[members[0]]), members, (text,))
+            yield _not_taken(case, msg_id, table.link(rows.link[members[0]]), members, text)
 
 
-def _counted(case: Case) -> dict[tuple[int, int], list[int]]:
+def _without_subscriber(case: Case) -> dict[tuple[int, int], list[int]]:
     """Find the MsgIds whose messages alone can be what the counter counted.
 
     Of those that are not seen to be taken, and in the fewest of them that fit: at each count it has what was
@@ -239,25 +221,21 @@ def _may_be(sent_ns: NDArray[np.int64], seen_ns: NDArray[np.int64], counts: NDAr
     return bool((counts >= least - int(most[0])).all() and (counts <= most - first).all())
 
 
-def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], evidence: tuple[str, ...]) -> Verdict:
-    rows = case.rows
-    times = rows.time_ns[members] if members else np.array([case.start_ns])
-    packets = ", ".join(str(rows.number[row]) for row in members[:_FEW])
-    if packets:
-        more = ", ..." if len(members) > _FEW else ""
-        evidence = (f"packet {packets}{more}, the first at {case.at(int(times[0]))}", *evidence)
+def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], witness: str) -> Verdict:
+    span = case.span(members) if members else (case.start_ns, case.start_ns)
+    packets = listed([str(case.rows.number[row]) for row in members[: _FEW + 1]], _FEW)
     return error(
         f"{plural(len(members), 'message') if members else 'messages'} on {case.name(msg_id)} without a "
         "subscriber in cFS: the software bus drops them",
-        *evidence,
+        *([f"packet {packets}, the first at {case.at(span[0])}"] if members else ()),
+        witness,
         msg_id=msg_id,
-        link=link.label,
-        hop="software bus",
+        place=(link.label, "software bus"),
         lost=len(members) or None,
         of=len(members) or None,
-        span=(int(times[0]), int(times[-1])),
+        span=span,
         remedy="correct the MsgId in the mission file, or have the application subscribe to it",
-        confidence="medium" if "cFS said" not in evidence[-1] else "high",
+        confidence="high" if "cFS said" in witness else "medium",
     )
 
 
@@ -269,18 +247,239 @@ def stale_tail(case: Case) -> Iterator[Verdict]:
     rows = case.rows
     stale = rows.has(Finding.STALE_TAIL) & (rows.space > rows.cdr_length)
     for link in (CI, TO, SBN):
-        for msg_id, members in groups(rows.msg_id, np.flatnonzero(stale & (rows.link == link))):
-            of = int(((rows.link == link) & (rows.msg_id == msg_id)).sum())
+        for _, members in groups(rows.msg_id, np.flatnonzero(stale & (rows.link == link))):
             first = int(members[0])
             tail = int(rows.space[first] - rows.cdr_length[first])
-            yield note(
-                f"{len(members):,} of {of:,} messages on {case.name(msg_id)} carry bytes of an earlier, "
-                "longer message behind their CDR: harmless, readers stop where the envelope says",
+            yield of_messages(
+                Severity.NOTE,
+                case,
+                members,
+                "carry bytes of an earlier, longer message behind their CDR: harmless, readers stop where "
+                "the envelope says",
                 f"packet {rows.number[first]}: {tail} bytes behind {rows.cdr_length[first]} bytes "
                 "of CDR, not all zero: the struct has a fixed size and is not cleared",
-                msg_id=msg_id,
-                link=link.label,
                 hop="flight application",
-                span=case.span(members),
                 remedy="none needed; clear the struct before each message to keep old data off the link",
             )
+
+
+_LEAST: Final = 20
+_OVER: Final = 1.05
+
+
+def rate_over_limit(case: Case) -> Iterator[Verdict]:
+    """A route is sent faster than its pipe takes, and nothing in the capture tells what became of it.
+
+    Hold the rates to CI against the budget, where no counter does it better.
+    """
+    for stream in case.streams:
+        if stream.link is not CI or len(stream) < _LEAST or stream.known_id in MSG_ID_NAMES:
+            continue
+        clean, hop, why = limit(CI, stream.msg_id, case.profile, to_cfs=True)
+        times = case.rows.time_ns[stream.rows]
+        usual = float(np.median(np.diff(times)))
+        rate = SECOND / usual if usual > 0 else 0.0
+        named = any(loss.msg_id == stream.msg_id and loss.kind == "limit" for loss in case.losses)
+        if rate <= clean * _OVER or named or _watched(case, stream):
+            continue
+        yield warning(
+            f"{case.name(stream.msg_id)} is sent at {rate:.1f} Hz, above the {clean:g} Hz that are clean: "
+            f"{why}. The capture cannot show how many were lost",
+            f"{len(stream):,} commands, one every {usual / 1e6:.1f} ms",
+            "no counter of 0x803 then",
+            **stream_subject(case, stream),
+            hop=hop,
+            of=len(stream),
+            remedy=f"send at most {clean:g} Hz; to know what was lost, capture telemetry too, in whole "
+            "frames: TO's link, UDP port 1235, with 0x803 in its table",
+            confidence="medium",
+        )
+
+
+def _watched(case: Case, stream: Stream) -> bool:
+    middle = int(case.rows.time_ns[stream.rows[len(stream) // 2]])
+    return any(track.watches(middle) for track in case.tracks.values())
+
+
+def wrong_direction(case: Case) -> Iterator[Verdict]:
+    """A configured MsgId whose type bit does not suit its link, or that travels the other way.
+
+    Hold the configured routes against the traffic.
+    """
+    rows = case.rows
+    for route in case.mission.routes:
+        command = case.mission.msg_ids.is_command(route.msg_id)
+        against = (route.link is CI and not command) or (route.link is TO and command)
+        elsewhere = TO if route.link is CI else CI if route.link is TO else None
+        there = np.flatnonzero((rows.link == route.link) & (rows.msg_id == route.msg_id))
+        other = (
+            np.flatnonzero((rows.link == elsewhere) & (rows.msg_id == route.msg_id))
+            if elsewhere is not None
+            else there[:0]
+        )
+        # One stray datagram is a bad command; a route is wrong when it never travels as configured.
+        if not against and (not len(other) or len(there)):
+            continue
+        seen = other if len(other) else there
+        if route.link is CI:
+            wrong = "configured as a command and it is a telemetry MsgId"
+        else:
+            wrong = "configured as telemetry and it is a command MsgId"
+        if len(other) and not against:
+            seen_on = (elsewhere or route.link).name
+            wrong = f"configured on {route.link.label.upper()} and seen on {seen_on} only"
+        yield warning(
+            f"{case.name(route.msg_id)} is {wrong}: commands have the bit "
+            f"0x{case.mission.msg_ids.command_bit:04x}, telemetry does not",
+            f"{route.file}:{route.line}: {route.key}",
+            f"{plural(len(seen), 'datagram')} of it seen",
+            msg_id=route.msg_id,
+            topic=route.topic,
+            place=(route.link.label, "mission file"),
+            of=len(seen) or None,
+            span=(
+                int(rows.time_ns[seen[0]]) if len(seen) else case.start_ns,
+                int(rows.time_ns[seen[-1]]) if len(seen) else case.end_ns,
+            ),
+            remedy="list the key under command or telemetry as its MsgId says, or correct its mid",
+        )
+
+
+_MOST: Final = 3
+_SHARE: Final = 0.5
+
+
+def wrong_type(case: Case) -> Iterator[Verdict]:
+    """Messages are not of the type that the mission file names: they do not decode, or are too long.
+
+    Name the routes, and the types that fit their bytes.
+    """
+    rows = case.rows
+    for index, bad, count in misread(case):
+        route = case.mission.routes[index]
+        fits = fitting(case, _samples(case, route), route.type)
+        sizes = ", ".join(str(size) for size in np.unique(rows.cdr_length[bad])[:4].tolist())
+        refused = bool(rows.has(Finding.CDR_INVALID)[bad].any())
+        yield error(
+            f"{len(bad):,} of {count:,} messages on {case.name(route.msg_id)} "
+            f"{'do not decode as' if refused else 'are longer than'} {route.type}"
+            + (f"; {' or '.join(fits[:_MOST])} would fit" if fits else ""),
+            f"{route.file}:{route.line}: type {route.type}",
+            f"CDR of {sizes} bytes",
+            *([f"types that fit these bytes: {', '.join(fits)}"] if fits else ()),
+            msg_id=route.msg_id,
+            topic=route.topic,
+            place=(route.link.label, "mission file"),
+            lost=len(bad),
+            of=count,
+            span=case.span(bad),
+            remedy="name the type that the other side sends; both bridges and the flight application must "
+            "agree",
+            confidence="high" if fits else "medium",
+            by_type=True,
+        )
+
+
+def misread(case: Case) -> Iterator[tuple[int, NDArray[np.intp], int]]:
+    """Yield routes most of whose messages are not of their type: index, those rows, of how many."""
+    rows = case.rows
+    for index, route in enumerate(case.mission.routes):
+        whole = (rows.route == index) & (rows.cdr_length > 0) & ~rows.has(Finding.CAPTURE_CUT)
+        bad = np.flatnonzero(whole & rows.has(_misfits(case, route)))
+        count = int(whole.sum())
+        if len(bad) >= 2 and len(bad) >= _SHARE * count:
+            yield index, bad, count
+
+
+def _misfits(case: Case, route: Route) -> Finding:
+    """Return the findings that a message of another type has on a route.
+
+    A few bytes too many may be rounding, where no other type ends at the last of them.
+    """
+    types, found = case.context.types, Finding.CDR_INVALID | Finding.CDR_TOO_LONG
+    if types is None or not types.has(route.type) or types.most_trailing(route.type) > ROUNDING:
+        return found
+    members = (case.rows.msg_id == route.msg_id) & (case.rows.link == route.link)
+    if (members & case.rows.has(Finding.CDR_TRAILING)).any() and fitting(
+        case, _samples(case, route), route.type
+    ):
+        found |= Finding.CDR_TRAILING
+    return found
+
+
+def _samples(case: Case, route: Route) -> list[bytes]:
+    return list(case.samples.get((int(route.link), route.msg_id), {}).values())
+
+
+def fitting(case: Case, samples: list[bytes], configured: str) -> list[str]:
+    """Return the other types that fit some messages; the mission's own come first."""
+    types = case.context.types
+    own = {route.type for route in case.mission.routes}
+    found = types_that_fit(types, samples, own) if types is not None else []
+    return [name for name in found if name != configured][:8]
+
+
+def topic_never_seen(case: Case) -> Iterator[Verdict]:
+    """A configured topic of which nothing crossed the capture point.
+
+    Tell a link that is not in the capture from a topic that is silent on one that is.
+    """
+    rows = case.rows
+    links = {table.link(code) for code in set(rows.link.tolist())}
+    absent: dict[Link, list[str]] = {}
+    for index, route in enumerate(case.mission.routes):
+        if (rows.route == index).any():
+            continue
+        if route.link not in links:
+            absent.setdefault(route.link, []).append(f"{route.topic} (0x{route.msg_id:04x})")
+            continue
+        if (rows.msg_id == route.msg_id).any():
+            continue  # it is seen, on another link
+        who = "the bridge" if route.to_cfs else "cFS"
+        yield note(
+            f"{route.topic} (0x{route.msg_id:04x}) is configured on {route.link.label.upper()} and never "
+            f"seen, while other traffic of that link is: {who} sends none, or under another MsgId",
+            f"{route.file}:{route.line}: {route.key}",
+            msg_id=route.msg_id,
+            topic=route.topic,
+            place=(route.link.label, "bridge" if route.to_cfs else "cFS"),
+            remedy="see that its publisher runs; compare its mid with MsgIds seen and not configured",
+            confidence="medium",
+        )
+    for link, topics in absent.items():
+        yield note(
+            f"no datagram of the {link.label.upper()} link is in the capture: it cannot show what "
+            f"{', '.join(topics)} did",
+            f"links seen: {', '.join(sorted(item.label.upper() for item in links)) or 'none'}",
+            place=(link.label, "capture"),
+            remedy=f"capture where the {link.label.upper()} link passes, or on every host and merge "
+            "(record -r A -r B)",
+        )
+
+
+def not_configured(case: Case) -> Iterator[Verdict]:
+    """EDORAS messages under a MsgId that no mission file names.
+
+    Name them, where a mission is given at all: without one nothing is configured.
+    """
+    rows = case.rows
+    if not case.mission.routes:
+        return
+    loose = (rows.cdr_length > 0) & (rows.route == NO_ROUTE) & rows.has(Finding.UNKNOWN_MSG_ID)
+    types, own = case.context.types, {route.type for route in case.mission.routes}
+    every = dict(groups(rows.msg_id, np.flatnonzero(loose)))
+    known = [case.samples.get((int(rows.link[at[0]]), msg_id), {}).values() for msg_id, at in every.items()]
+    fitting_each = types_that_fit_each(types, known, own) if types is not None else [[]] * len(every)
+    for (msg_id, members), fits in zip(every.items(), fitting_each, strict=True):
+        link = table.link(rows.link[members[0]])
+        yield note(
+            f"{plural(len(members), 'message')} on 0x{msg_id:04x} ({link.label.upper()}) "
+            f"{'carries' if len(members) == 1 else 'carry'} an EDORAS envelope, "
+            "and no mission file names that MsgId: the bridges ignore it",
+            f"CDR of {rows.cdr_length[members[0]]} bytes",
+            *([f"types that fit: {', '.join(fits[:4])}"] if fits else ()),
+            msg_id=msg_id,
+            place=(link.label, "mission file"),
+            span=case.span(members),
+            remedy="add the topic to a mission file, or give that file with -c",
+        )

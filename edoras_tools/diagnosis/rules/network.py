@@ -1,7 +1,8 @@
-"""Connections of the Software Bus Network."""
+"""The Software Bus Network: its connections, and messages that a peer refuses or sends too often."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -9,20 +10,24 @@ import numpy as np
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.cfs.sbn import NAME
 from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE, UNSEEN, Connection, PeerChange, PeerSilence
-from edoras_tools.diagnosis.verdict import Severity, Verdict, note, verdict, warning
+from edoras_tools.diagnosis.evidence.table import peer_of
+from edoras_tools.diagnosis.rules.about import one_by_one, packet, subject
+from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, note, verdict, warning
 from edoras_tools.links.sbn import SBN
-from edoras_tools.model import Finding, Peer
+from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_value, groups, numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
+    from edoras_tools.cfs.event_services import EventText
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.payloads import EventRecord
 
 
 def sbn_timeout(case: Case) -> Iterator[Verdict]:
@@ -33,7 +38,9 @@ def sbn_timeout(case: Case) -> Iterator[Verdict]:
     for connection in case.network.connections.values():
         for silence in connection.silences(case.end_ns):
             yield (
-                _verdict(case, connection, silence) if silence.given_up else _still(case, connection, silence)
+                _timed_out(case, connection, silence)
+                if silence.given_up
+                else _still(case, connection, silence)
             )
         for change in connection.changes:
             if change.why == UNSEEN:
@@ -46,8 +53,7 @@ def _unseen(case: Case, connection: Connection, silent: PeerChange) -> Verdict:
         f"nothing of SBN peer {connection.peer} is seen here after {case.at(silent.time_ns)}, yet "
         f"{connection.observer} goes on sending to it: its datagrams do not cross this point any more",
         f"{connection.observer} still sent at {case.at(int(connection.sent_ns[-1]))}",
-        link="sbn",
-        hop="capture",
+        place=("sbn", "capture"),
         span=(silent.time_ns, case.end_ns),
         remedy="capture on the host of cFS, where both directions pass",
         confidence="medium",
@@ -63,8 +69,7 @@ def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
         f"end of the capture; {connection.observer} sent it {plural(len(sent), 'message')} since, and "
         "nothing shows whether they were heard",
         f"last datagram of {connection.peer} at {case.at(silence.start_ns)}",
-        link="sbn",
-        hop=f"SBN peer {connection.peer}",
+        place=("sbn", f"SBN peer {connection.peer}"),
         of=len(sent) or None,
         span=(silence.start_ns, case.end_ns),
         remedy="capture longer: a peer that is gone is given up after 11 s",
@@ -72,7 +77,7 @@ def _still(case: Case, connection: Connection, silence: PeerSilence) -> Verdict:
     )
 
 
-def _verdict(case: Case, connection: Connection, silent: PeerSilence) -> Verdict:
+def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdict:
     back_ns = silent.until_ns if silent.until_ns < case.end_ns else None
     until = silent.until_ns
     out_ns = connection.changes[silent.change + 1].time_ns
@@ -103,8 +108,7 @@ def _verdict(case: Case, connection: Connection, silent: PeerSilence) -> Verdict
         f"{connection.observer} {(out_ns - silent.start_ns) // SECOND} s later; {returned}. It was "
         "killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent",
         *evidence,
-        link="sbn",
-        hop=f"SBN peer {connection.peer}",
+        place=("sbn", f"SBN peer {connection.peer}"),
         lost=len(sent) or None,
         of=len(sent) or None,
         # It is lost until the peer is given up, however long it stays away.
@@ -130,8 +134,7 @@ def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
                 f"{plural(lost, 'message')} that it sent reached nobody",
                 f"packet {case.rows.number[last]} is its last, packet {case.rows.number[first]} its SUB",
                 f"{len(sent) - lost:,} more may have been heard, until {case.at(dead_ns)}",
-                link="sbn",
-                hop=f"SBN peer {connection.peer}",
+                place=("sbn", f"SBN peer {connection.peer}"),
                 lost=lost or None,
                 of=len(sent) or None,
                 span=(last_ns, back_ns),
@@ -163,8 +166,7 @@ def sbn_tcp_overwritten(case: Case) -> Iterator[Verdict]:
             "of another peer's: of messages that one wake-up finds on several connections, SBN's TCP module "
             "keeps the last and drops the others, without an event or a counter",
             f"peers: {', '.join(sorted(peers))}",
-            link="sbn",
-            hop=f"SBN of {observer}",
+            place=("sbn", f"SBN of {observer}"),
             of=len(app),
             span=case.span(beside),
             remedy="give each TCP peer a net of its own in sbn_conf_tbl (NetNum, and a port of this cFS for "
@@ -205,13 +207,11 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0))
-    way = rows.source[network].astype(np.int64) << 32 | rows.destination[network]
-    ways = dict(by_value(way))
-    for both, at in ways.items():
+    ways = dict(groups(rows.way(), network))
+    for both, there in ways.items():
         source, target = both >> 32, both & 0xFFFFFFFF
         if target << 32 | source in ways:
             continue
-        there = network[at]
         first_ns, last_ns = int(rows.time_ns[there[0]]), int(rows.time_ns[there[-1]])
         seconds = len(np.unique(rows.time_ns[there] // SECOND))
         if last_ns - first_ns < _WAIT_NS or seconds < _LEAST_SECONDS:
@@ -226,8 +226,7 @@ def sbn_never_connected(case: Case) -> Iterator[Verdict]:
             "stock SBN announces only to a peer whose spacecraft and processor both differ: "
             "between equal spacecraft numbers the first SUB or PROTO of either side has to come "
             "through",
-            link="sbn",
-            hop="SBN",
+            place=("sbn", "SBN"),
             span=(first_ns, last_ns),
             remedy="see that the peer runs, listens at that port, and is in cFS's SBN table with this "
             "identity; capture at the peer to see whether answers leave it",
@@ -252,8 +251,7 @@ def sbn_disconnected(case: Case) -> Iterator[Verdict]:
                 f"SBN peer {connection.peer} disconnected from {connection.observer} at "
                 f"{case.at(change.time_ns)}, in order; {told}",
                 change.why,
-                link="sbn",
-                hop=f"SBN peer {connection.peer}",
+                place=("sbn", f"SBN peer {connection.peer}"),
                 span=(change.time_ns, back.time_ns if back else case.end_ns),
                 remedy="none",
             )
@@ -282,8 +280,7 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
             + ("" if back else ", and sent no application message to anybody after that"),
             f"packet {rows.number[row]}: DISCONNECT from {who}",
             *stops,
-            link="sbn",
-            hop=f"SBN peer {peer}",
+            place=("sbn", f"SBN peer {peer}"),
             span=(when, case.end_ns),
             remedy="look at the events of SBN around that time; to restart it: "
             f"{case.inject('es-restart-app', NAME)}",
@@ -300,22 +297,15 @@ def sbn_table(case: Case) -> Iterator[Verdict]:
     spoken = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(Finding.TRUNCATED))
     if not table or not len(spoken):
         return
-    identity = rows.spacecraft_id[spoken].astype(np.uint64) << 32 | rows.processor_id[spoken]
-    seen, first, counts = np.unique(identity, return_index=True, return_counts=True)
-    heard = {
-        Peer(who >> 32, who & 0xFFFFFFFF): (int(spoken[at]), number)
-        for who, at, number in zip(seen.tolist(), first.tolist(), counts.tolist(), strict=True)
-    }
-    for peer, (row, number) in heard.items():
-        start_ns = int(rows.time_ns[row])
+    heard = {peer_of(who): members for who, members in groups(rows.sbn_sender(), spoken)}
+    for peer, members in heard.items():
         if peer not in table:
             yield warning(
                 f"{peer} sends on SBN, and the table that was given does not name it: a cFS with this table "
                 "refuses what it sends",
-                f"{plural(number, 'datagram')} of it, from {case.endpoints[rows.source[row]]}",
-                link="sbn",
-                hop="SBN",
-                span=(start_ns, case.end_ns),
+                f"{plural(len(members), 'datagram')} of it, from {case.endpoints[rows.source[members[0]]]}",
+                place=("sbn", "SBN"),
+                span=(int(rows.time_ns[members[0]]), case.end_ns),
                 remedy=f"add {peer} to sbn_conf_tbl, or give the bridge an identity that is in it",
                 confidence="medium",
             )
@@ -325,8 +315,306 @@ def sbn_table(case: Case) -> Iterator[Verdict]:
                 f"{peer}, which the table that was given names at {place.address}:{place.port}, sends "
                 "nothing that was captured",
                 f"on SBN are {', '.join(map(str, heard))}",
-                link="sbn",
-                hop="SBN",
+                place=("sbn", "SBN"),
                 remedy="see whether it runs; capture where its datagrams pass",
                 confidence="high",
             )
+
+
+_ANSWERED_NS: Final = 2 * SECOND
+_RESTARTS: Final = "; its receive task ended and started anew"
+
+
+@dataclass(frozen=True, slots=True)
+class BadMessageKind:
+    """A way in which an SBN datagram can be wrong.
+
+    Attributes:
+        what: what it is.
+        done: what the receiver does about it.
+        events: what it may say.
+        refused: whether it comes to nothing.
+    """
+
+    what: str
+    done: str
+    events: tuple[EventText, ...] = ()
+    refused: bool = True
+
+
+_SHORT: Final = BadMessageKind(
+    "shorter than an SBN header, or than what its header announces",
+    "read together with what the last datagram left behind, then refused",
+    (facts.BAD_MSG_ID, facts.NOT_UNPACKED, facts.UNKNOWN_PEER, facts.UNKNOWN_TYPE),
+)
+_COMPLETED: Final = BadMessageKind(
+    _SHORT.what,
+    "no event here says that it was refused: completed by what the last datagram left behind, it may have "
+    "been taken as that one again",
+    refused=False,
+)
+
+
+_TOO_LARGE: Final = BadMessageKind(
+    "MsgSz above 32,767, which reads as negative", "refused", (facts.NOT_UNPACKED,)
+)
+
+
+_WRONG_SIZE: Final = BadMessageKind(
+    "MsgSz is not the size of what follows", "ignored silently", refused=False
+)
+
+
+_UNKNOWN_TYPE: Final = BadMessageKind("MsgType that SBN does not know", "refused", (facts.UNKNOWN_TYPE,))
+
+
+_LEGACY_HEADER: Final = BadMessageKind(
+    "7-byte header of older sources",
+    "the next 4 bytes are taken for a SpacecraftID: an unknown peer",
+    (facts.UNKNOWN_PEER,),
+)
+
+
+def bad_network_message(case: Case) -> Iterator[Verdict]:
+    """Malformed SBN datagrams, each with what the receiving SBN does about it.
+
+    Go through every SBN datagram with such a finding; identity and version have rules of their own.
+    """
+    rows = case.rows
+    wanted = (
+        Finding.TRUNCATED | Finding.SBN_SIZE_MISMATCH | Finding.SBN_UNKNOWN_TYPE | Finding.SBN_LEGACY_HEADER
+    )
+    wrong = (rows.link == SBN) & rows.has(wanted) & ~rows.has(Finding.CAPTURE_CUT)
+    # A message cut short inside a sound SBN datagram is the sender's application's business.
+    inside = (rows.sbn_msg_type == sbn.MsgType.APP) & rows.has(Finding.TRUNCATED) & (rows.msg_id != NO_MSG_ID)
+    wrong &= ~inside | rows.has(Finding.SBN_SIZE_MISMATCH | Finding.SBN_LEGACY_HEADER)
+    found: dict[tuple[BadMessageKind, int], list[int]] = {}
+    for row in np.flatnonzero(wrong).tolist():
+        found.setdefault((_kind(case, row), int(rows.msg_id[row])), []).append(row)
+    for (kind, _), members in found.items():
+        for together in one_by_one(members):
+            yield _malformed(case, together, kind)
+
+
+def _kind(case: Case, row: int) -> BadMessageKind:
+    findings = Finding(int(case.rows.findings[row]))
+    if Finding.SBN_LEGACY_HEADER in findings:
+        return _LEGACY_HEADER
+    if Finding.SBN_UNKNOWN_TYPE in findings:
+        return _UNKNOWN_TYPE
+    start_ns = int(case.rows.time_ns[row])
+    if Finding.SBN_SIZE_MISMATCH not in findings:
+        return _SHORT if answers(case, start_ns, *(event.phrase for event in _SHORT.events)) else _COMPLETED
+    # The table does not keep MsgSz; that it was refused says that it was negative.
+    return _TOO_LARGE if answers(case, start_ns, facts.NOT_UNPACKED.phrase) else _WRONG_SIZE
+
+
+def _malformed(case: Case, members: list[int], kind: BadMessageKind) -> Verdict:
+    rows, first = case.rows, members[0]
+    said = answers(case, int(rows.time_ns[first]), *(event.phrase for event in kind.events))
+    type_ = int(rows.sbn_msg_type[first])
+    name = sbn.MSG_TYPE_NAMES.get(type_, f"type 0x{type_:02x}") if type_ >= 0 else "SBN datagram"
+    which = f"packet {rows.number[first]}" if len(members) == 1 else f"{len(members):,} datagrams"
+    return verdict(
+        Severity.ERROR if kind.refused else Severity.WARNING,
+        f"{which} ({name}): {kind.what}; {kind.done}{_consequence(said)}",
+        f"{packet(case, first)}: {rows.length[first]} bytes",
+        *said,
+        **subject(case, members),
+        hop="SBN",
+        lost=len(members) if kind.refused else None,
+        of=len(members),
+        remedy="write the 11-byte header: MsgSz of the payload alone, a known MsgType, ProcessorID, "
+        "SpacecraftID",
+        confidence="high" if said or not kind.events else "medium",
+    )
+
+
+def answers(case: Case, start_ns: int, *phrases: str) -> list[str]:
+    """Return what SBN said about a datagram: the first event with a phrase, and what followed from it."""
+    said = case.said(start_ns, start_ns + _ANSWERED_NS, facts.NAME)
+    fits = next((at for at, record in enumerate(said) if _has(record, phrases)), None)
+    if fits is None:
+        return []
+    consequences = ("failed", facts.RECEIVE_TASK_STARTED.phrase)
+    follow = [item for item in said[fits + 1 : fits + 3] if _has(item, consequences)]
+    return [f"cFS said: {record}" for record in (said[fits], *follow)]
+
+
+def _consequence(said: Iterable[str]) -> str:
+    """Return what a refusal did to the receiver, where an event tells it: who polls has no receive task."""
+    return _RESTARTS if any(facts.RECEIVE_TASK_STARTED.phrase in line for line in said) else ""
+
+
+def _has(record: EventRecord, phrases: Iterable[str]) -> bool:
+    return any(phrase in record.message for phrase in phrases)
+
+
+def wrong_ident(case: Case) -> Iterator[Verdict]:
+    """SUB or UNSUB with another $Id than the receiver's: SBN refuses it.
+
+    Name every other $Id, once a sender.
+    """
+    rows = case.rows
+    found: dict[tuple[int, str], list[int]] = {}
+    listed, contents = case.payloads.subscriptions, case.payloads.contents
+    other = np.array([item.ident != sbn.IDENT for item in contents], bool)[listed["said"]]
+    for row, said in zip(listed["row"][other].tolist(), listed["said"][other].tolist(), strict=True):
+        found.setdefault((int(rows.source[row]), contents[said].ident), []).append(row)
+    for (source, ident), members in found.items():
+        said_by_cfs = answers(case, case.span(members)[0], facts.OTHER_IDENT.phrase)
+        yield _refused(
+            case,
+            members,
+            f"{plural(len(members), 'subscription message')} of "
+            f"{case.network.identity_of.get(source, 'a peer')}: another $Id than cFS's: refused"
+            f"{_consequence(said_by_cfs)}",
+            "build bridge and cFS from the same SBN sources, or copy its $Id",
+            said_by_cfs,
+            f": {ident!r}, wanted {sbn.IDENT!r}",
+        )
+
+
+def _refused(
+    case: Case,
+    members: Sequence[int] | NDArray[np.intp],
+    reason: str,
+    remedy: str,
+    said: list[str],
+    seen: str = "",
+) -> Verdict:
+    """Return a verdict on datagrams that SBN takes none of.
+
+    Args:
+        said: what SBN said about the first.
+        seen: what else is seen of it.
+    """
+    return error(
+        reason,
+        packet(case, int(members[0])) + seen,
+        *said,
+        place=("sbn", "SBN"),
+        lost=len(members),
+        of=len(members),
+        span=case.span(members),
+        remedy=remedy,
+        confidence="high" if said else "medium",
+    )
+
+
+def wrong_protocol_version(case: Case) -> Iterator[Verdict]:
+    """PROTO with another protocol version than 11.
+
+    Name every sender of one.
+    """
+    rows = case.rows
+    wrong = (rows.link == SBN) & rows.has(Finding.SBN_VERSION_MISMATCH)
+    for source, members in groups(rows.source, np.flatnonzero(wrong)):
+        yield _refused(
+            case,
+            members,
+            f"{len(members):,} PROTO of {case.network.identity_of.get(source, 'a peer')} "
+            f"{'names' if len(members) == 1 else 'name'} another "
+            f"protocol version than {sbn.PROTOCOL_VERSION}: cFS reports an error and goes on",
+            "build both sides from the same SBN version",
+            answers(case, case.span(members)[0], facts.VERSION_MISMATCH.phrase),
+        )
+
+
+_UNKNOWN_PEER: Final = (facts.UNKNOWN_PEER, facts.UNKNOWN_PROCESSOR)
+_CRASH: Final = ". Its TCP module crashes cFS when a connection closes whose peer it does not know"
+
+
+def unknown_peer(case: Case) -> Iterator[Verdict]:
+    """SBN datagrams of a spacecraft and processor that the receiver's table does not name.
+
+    Name every such sender: by cFS's own words, or by an endpoint that has another name.
+    """
+    rows = case.rows
+    listed = np.isin(rows.sbn_msg_type, (sbn.MsgType.SUB, sbn.MsgType.UNSUB))
+    foreign = (rows.link == SBN) & rows.has(Finding.SBN_ID_MISMATCH) & ~listed
+    network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(Finding.TRUNCATED))
+    times = rows.time_ns[network]
+    for record in case.said(case.start_ns, case.end_ns, facts.NAME):
+        found = (event.pattern.search(record.message) for event in _UNKNOWN_PEER)
+        if named := next(filter(None, found), None):
+            *craft, processor = map(int, named.groups())
+            low, high = np.searchsorted(times, (record.time_ns - 2 * SECOND, record.time_ns), "right")
+            near = network[low:high]
+            same = (rows.processor_id[near] == processor) & np.isin(
+                rows.spacecraft_id[near], craft or rows.spacecraft_id[near]
+            )
+            # Who is named by his processor alone may be one that was named in full just before.
+            if craft or not foreign[near[same]].any():
+                foreign[near[same]] = True
+    for who, members in groups(rows.sbn_sender(), np.flatnonzero(foreign)):
+        peer, start_ns = peer_of(who), case.span(members)[0]
+        carried = np.unique(rows.msg_id[members]).tolist()
+        said = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
+        refused = _refused(
+            case,
+            members,
+            f"{plural(len(members), 'SBN datagram')} from {peer}, which is not the peer known at "
+            f"{case.endpoints[rows.source[members[0]]]}: "
+            + ("cFS refuses them" if said else "a cFS whose table does not name it refuses them"),
+            "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
+            + (_CRASH if rows.streamed[members].any() else ""),
+            said,
+        )
+        one = len(carried) == 1 and carried[0] != NO_MSG_ID
+        yield replace(refused, msg_id=carried[0]) if one else refused
+
+
+_LEAST: Final = 6
+_OFTEN_NS: Final = 2 * SECOND
+
+
+def subscription_storm(case: Case) -> Iterator[Verdict]:
+    """The public flight bridge sends its subscriptions again every 500 ms, for good.
+
+    Find who repeats the same subscription.
+    """
+    rows, listed = case.rows, case.payloads.subscriptions
+    lists: dict[tuple[int, ...], int] = {(): 0}
+    wanted = [lists.setdefault(item.wanted, len(lists)) for item in case.payloads.contents]
+    wants = np.array(wanted, np.int64)[listed["said"]]
+    subs = (rows.sbn_msg_type[listed["row"]] == sbn.MsgType.SUB) & (wants > 0)
+    row = listed["row"][subs]
+    for source, at in by_value(rows.source[row]):
+        own = [rows.time_ns[row[at[same]]] for _, same in by_value(numbered(wants[subs][at])[1])]
+        often = [when for when in own if len(when) >= _LEAST and float(np.median(np.diff(when))) < _OFTEN_NS]
+        if not often:
+            continue
+        total = sum(map(len, often))
+        period = float(np.median(np.concatenate([np.diff(when) for when in often])))
+        yield habit(
+            f"{case.network.identity_of.get(source, 'a peer')} sends its "
+            f"{plural(len(often), 'subscription')} again every {period / 1e6:.0f} ms, {total:,} in all: the "
+            "public flight bridge does; cFS ignores repeats",
+            f"from {case.endpoints[source]}",
+            place=("sbn", "flight bridge"),
+            span=(int(min(when[0] for when in often)), int(max(when[-1] for when in often))),
+            remedy="none needed; subscribing once after PROTO would do",
+        )
+
+
+def proto_storm(case: Case) -> Iterator[Verdict]:
+    """The public flight bridge answers every datagram with PROTO.
+
+    Find who sends about as many PROTO as it receives datagrams.
+    """
+    rows = case.rows
+    protos = (rows.link == SBN) & (rows.sbn_msg_type == sbn.MsgType.PROTO)
+    every = np.bincount(rows.destination[rows.link == SBN], minlength=len(case.endpoints))
+    for source, sent in groups(rows.source, np.flatnonzero(protos)):
+        heard = int(every[source])
+        if len(sent) < _LEAST or 2 * len(sent) < heard:
+            continue
+        yield habit(
+            f"{case.network.identity_of.get(source, 'a peer')} answers every datagram with PROTO, "
+            f"{len(sent):,} in all: the public flight bridge does; cFS reports an event for each and goes on",
+            f"{len(sent):,} PROTO for {heard:,} datagrams received",
+            place=("sbn", "flight bridge"),
+            span=case.span(sent),
+            remedy="none needed; the events may squelch SBN's others (15 a second)",
+        )

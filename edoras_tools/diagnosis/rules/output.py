@@ -60,8 +60,7 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
     yield warning(
         reason,
         *evidence,
-        link="to",
-        hop="TO_LAB_APP",
+        place=("to", "TO_LAB_APP"),
         remedy=f"{case.inject(ENABLE_OUTPUT)}; to see telemetry, capture on the host that it is enabled for, "
         "UDP port 1235; on the console of cFS, look for TO_LAB_APP's first event",
         confidence="medium",
@@ -114,8 +113,7 @@ def _no_address(case: Case, item: OutputCommand) -> Verdict:
         f"packet {case.rows.number[item.row]} at {case.at(start_ns)}, {case.rows.length[item.row]} bytes",
         *(f"cFS said: {record}" for record in said[:1]),
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
-        link="ci",
-        hop="TO_LAB_APP",
+        place=("ci", "TO_LAB_APP"),
         span=(start_ns, start_ns),
         remedy="send the whole char[16]: 24 bytes in all",
     )
@@ -136,8 +134,7 @@ def _fight(case: Case, members: list[OutputCommand]) -> Verdict:
         f"enabled from: {', '.join(sorted(senders))}",
         "enabled for: " + ", ".join(steps[:8]) + (", ..." if len(steps) > 8 else ""),
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
-        link="to",
-        hop="TO_LAB_APP",
+        place=("to", "TO_LAB_APP"),
         span=(times[0], times[-1]),
         remedy="enable TO from one station only, and fan its telemetry out from there (edoras proxy)",
     )
@@ -200,8 +197,7 @@ def _commanded(case: Case, told: Callable[..., tuple[int | None, list[str]]]) ->
             f"{item.function_code}, from {case.endpoints[rows.source[item.row]].address}",
             *known,
             msg_id=item.msg_id if item.msg_id >= 0 else None,
-            link="to",
-            hop=telemetry_output.NAME,
+            place=("to", telemetry_output.NAME),
             span=(when, when),
             lost=lost,
             remedy="none: it was added again"
@@ -244,8 +240,7 @@ def _restarted(case: Case, told: Callable[..., tuple[int | None, list[str]]]) ->
             f"Telemetry Output sends from another port at {case.at(end_ns)}: it was restarted, and forgot "
             "that it was enabled",
             *known,
-            link="to",
-            hop=telemetry_output.NAME,
+            place=("to", telemetry_output.NAME),
             lost=lost,
             span=(start_ns, end_ns),
             remedy=f"enable it again: {case.inject(ENABLE_OUTPUT)}",
@@ -275,8 +270,7 @@ def _silent(case: Case) -> Iterator[Verdict]:
                 f"sequence counts: {plural(number, 'message')} that the software bus did not lose",
                 *((f"event {failed}",) if failed else ()),
                 *((taken.witness,) if taken else ()),
-                link="to",
-                hop=telemetry_output.SOCKET,
+                place=("to", telemetry_output.SOCKET),
                 lost=number if failed and len(spans) == 1 else None,
                 span=(start_ns, end_ns),
                 remedy="look at the address that it was enabled for; after an error of its socket Telemetry "
@@ -337,8 +331,7 @@ def _ended(case: Case) -> Iterator[Verdict]:
         f"commands go on: {why}",
         f"{plural(commands, 'datagram')} to CI since then",
         *(came if robot else ()),
-        link="to",
-        hop=telemetry_output.NAME,
+        place=("to", telemetry_output.NAME),
         span=(last_ns, case.end_ns),
         remedy=f"start it again: {case.inject('es-start-app', stopped[-1].app)}"
         if stopped
@@ -367,8 +360,7 @@ def to_taken_over(case: Case) -> Iterator[Verdict]:
                 f"packet {rows.number[after.row]} at {case.at(time_ns)}",
                 f"before: packet {rows.number[before.row]} at {case.at(int(rows.time_ns[before.row]))}",
                 msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
-                link="to",
-                hop=telemetry_output.NAME,
+                place=("to", telemetry_output.NAME),
                 span=(time_ns, time_ns),
                 remedy="let only the station reach CI's port, and enable TO again",
             )

@@ -13,8 +13,8 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reasons_for
 from edoras_tools.diagnosis.matching.streams import Span, steady_rate
-from edoras_tools.diagnosis.rules.ingest import START_AGAIN, revival
 from edoras_tools.diagnosis.rules.messages import struct_overrun
+from edoras_tools.diagnosis.rules.pipes import START_AGAIN, revival
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, verdict
 from edoras_tools.links.table import among
 from edoras_tools.links.to import TO
@@ -82,8 +82,7 @@ def telemetry_vanished(case: Case) -> Iterator[Verdict]:
             "overwritten",
             *signs,
             msg_id=stream.msg_id,
-            link="to",
-            hop="flight application",
+            place=("to", "flight application"),
             span=(last_ns, alive_ns),
             remedy="make the struct in front of it large enough (see struct_overrun), and restart the "
             "application: the MsgId does not come back by itself",
@@ -414,8 +413,7 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
         f"{who}{came} stopped at {case.at(first.start_ns)}{until}: {why}",
         *evidence,
         msg_id=first.stream.msg_id if len(members) == 1 else None,
-        link=first.stream.link.label,
-        hop="source",
+        place=(first.stream.link.label, "source"),
         span=(first.start_ns, max(item.end_ns for item in members)),
         remedy=_remedy(case, outages, first),
         confidence="medium" if causes else "low",

@@ -40,12 +40,13 @@ from edoras_tools.diagnosis.evidence.clocks.lines import (
     quickest_ahead,
 )
 from edoras_tools.diagnosis.evidence.instances import Instances
+from edoras_tools.diagnosis.evidence.table import peer_of
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.fingerprint import matches
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_value, groups
 from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.words import seconds
 
@@ -135,14 +136,14 @@ def _answers(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) 
     asked, told = cause.rows, effect.rows
     asking = np.flatnonzero(asked.sbn_msg_type >= 0)
     proto = np.flatnonzero(told.sbn_msg_type == sbn.MsgType.PROTO)
-    for way, members in by_value(told.source[proto].astype(np.int64) << 32 | told.destination[proto]):
+    for way, members in groups(told.way(), proto):
         ends = [effect.recorder.endpoints[end] for end in (way & 0xFFFFFFFF, way >> 32)]
         if any(end not in cause.recorder.endpoints for end in ends):
             continue
         source, target = (cause.recorder.endpoints.index(end) for end in ends)
         own = asking[(asked.source[asking] == source) & (asked.destination[asking] == target)]
         sessions = _begins(asked.time_ns[own])
-        answers = _begins(told.time_ns[proto[members]])
+        answers = _begins(told.time_ns[members])
         if len(sessions) and len(answers):
             every = np.repeat(sessions, len(answers)), np.tile(answers, len(sessions))
             pairs = _near(every, about, back=back, least=1)
@@ -184,7 +185,7 @@ def _packets(
     output = np.flatnonzero(among(effect.rows.link, lambda link: link.only_from_cfs))
     ours, theirs = matches(cause.rows.packet_print[network], effect.rows.packet_print[output])
     ours, theirs = network[ours], output[theirs]
-    maker = cause.rows.spacecraft_id[ours].astype(np.int64) << 32 | cause.rows.processor_id[ours]
+    maker = cause.rows.sbn_sender(ours)
     for source, at in by_value(effect.rows.source[theirs].astype(np.int64)):
         for who, some in by_value(maker[at]):
             rows = at[some]
@@ -193,7 +194,7 @@ def _packets(
             name = effect.instances.items[owner].name if owner >= 0 else ""
             pairs = _near((cause.rows.time_ns[ours[rows]], times), about, back=back)
             if len(pairs[0]):
-                yield pairs, name, f"{who >> 32}:{who & 0xFFFFFFFF}"
+                yield pairs, name, str(peer_of(who))
 
 
 _MOSTLY: Final = 0.9
@@ -481,12 +482,11 @@ def _same_ways(first: Side, second: Side, pair: tuple[int, int]) -> list[int]:
         rows = side.rows
         own = np.flatnonzero(side.instances.of_row == index)
         delay = rows.time_ns[own] - rows.mission_time_ns[own]
-        way = rows.source[own].astype(np.int64) << 32 | rows.destination[own]
         ends = side.recorder.endpoints
         found.append(
             {
                 (ends[value >> 32], ends[value & 0xFFFFFFFF]): int(delay[members].min())
-                for value, members in by_value(way)
+                for value, members in by_value(rows.way(own))
                 if len(members) >= _MANY
             }
         )

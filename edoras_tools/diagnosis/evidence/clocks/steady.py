@@ -109,10 +109,8 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> NDArray[np
         # A window with too few packets to tell is as the one before it; one that differs from both beside it
         # had packets that were kept waiting.
         level = least[np.maximum.accumulate(np.where(sure, np.arange(len(sure)), int(sure.argmax())))]
-        beside = np.stack((np.append(level[0], level[:-1]), level, np.append(level[1:], level[-1])))
-        beside = np.stack([np.median(beside, axis=0).astype(np.int64)] * 3)
-        beside[0, 1:], beside[2, :-1] = beside[1, :-1], beside[1, 1:]
-        level = beside[1]
+        level = _smoothed(level)
+        beside = _neighbours(level)
         beside = np.where(np.abs(beside - level) > 2 * _CYCLE_NS, beside, level)
         # Where the clock slipped within a window, each packet goes by the level that it fits.
         here = beside[:, np.repeat(np.arange(len(edges)), np.diff(np.append(edges, len(own))))]
@@ -121,6 +119,16 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> NDArray[np
             step = int(level[at] - level[at + 1])
             jumps.append(Jump(instance.name or "cFS", int(own[edges[at + 1]]), step))
     return moved
+
+
+def _neighbours(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the value before, the value and the value behind each; at the ends the value itself."""
+    return np.stack((np.append(values[:1], values[:-1]), values, np.append(values[1:], values[-1:])))
+
+
+def _smoothed(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return values, in which a single one that differs from both beside it is as these are."""
+    return np.asarray(np.median(_neighbours(values), axis=0).astype(np.int64))
 
 
 def _by_output(delay: NDArray[np.int64], output: NDArray[np.intp]) -> NDArray[np.int64]:
@@ -135,9 +143,7 @@ def _by_output(delay: NDArray[np.int64], output: NDArray[np.intp]) -> NDArray[np
     """
     waits = int(delay[output].min())
     late = delay[output] - waits
-    # A single one that differs from both beside it was kept waiting.
-    beside = np.stack((np.append(late[:1], late[:-1]), late, np.append(late[1:], late[-1:])))
-    late = np.median(beside, axis=0).astype(np.int64)
+    late = _smoothed(late)  # a single one that differs from both beside it was kept waiting
     behind = np.searchsorted(output, np.arange(len(delay)))
     before, after = late[np.maximum(behind - 1, 0)], late[np.minimum(behind, len(late) - 1)]
     fits = (after <= delay) & (delay - after <= waits + _JITTER_NS)

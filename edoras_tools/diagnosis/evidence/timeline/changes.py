@@ -172,53 +172,46 @@ class SoftwareChanges:
         if state is None:
             return
         app = command.values["app_name"]
-        sent_ns, system = pattern.not_before_ns, pattern.system
-        ends = state != "running"
-        by_ns = sent_ns + (_ENDS_NS if ends else _SLACK_NS)
-        rows, witness, sure = pattern.rows, pattern.witness, False
-        if ends and app in telemetry_output.NAMES and (last_ns := self._last_sent(system, sent_ns)):
-            sent_ns, by_ns, sure = last_ns, last_ns + _ROUND_NS, True
-            witness += "; it sent nothing more"
-        yield Change(system, StateOwner("app", app), state, sent_ns, by_ns, witness, rows, sure=sure)
+        change = replace(pattern, subject=StateOwner("app", app), state=state)
+        is_output = app in telemetry_output.NAMES
+        if state != "running":
+            change = replace(change, not_after_ns=change.not_before_ns + _ENDS_NS)
+            change = self._silenced(change) if is_output else change
+        yield change
         if state == "restarting":
-            low = sent_ns if sure else by_ns
-            yield Change(
-                system, StateOwner("app", app), "running", low, sent_ns + _ENDS_NS, witness, rows, sure=False
-            )
-        if app in telemetry_output.NAMES:
-            yield Change(system, _OUTPUT, "disabled", sent_ns, by_ns, witness, rows, sure=sure)
-            yield Change(system, _ALL_ENTRIES, "as at the start", sent_ns, by_ns, witness, rows, sure=sure)
+            low = change.not_before_ns if change.sure else change.not_after_ns
+            high = change.not_before_ns + _ENDS_NS
+            yield replace(change, state="running", not_before_ns=low, not_after_ns=high, sure=False)
+        if is_output:
+            yield replace(change, subject=_OUTPUT, state="disabled")
+            yield replace(change, subject=_ALL_ENTRIES, state="as at the start")
 
     def _asked_ns(self, app: str, ended_ns: int) -> int:
         """Return when an application that ended by a time was told to, or what comes behind the command."""
         asked = [int(self._rows.time_ns[item.row]) for item in self._payloads.executive if item.app == app]
         return max([ended_ns - _ENDS_NS, *(when + 1 for when in asked if when < ended_ns)])
 
-    def _last_sent(self, system: int, told_ns: int) -> int | None:
-        """Return when Telemetry Output, told to end, sent last before it fell silent; None if it did not."""
-        rows, instances = self._rows, self._instances
+    def _silenced(self, change: Change) -> Change:
+        """Return that Telemetry Output ended, with when it fell silent where it did."""
+        rows, instances, told_ns = self._rows, self._instances, change.not_before_ns
         own = among(rows.link, lambda link: link.only_from_cfs) & (rows.time_ns > told_ns - _ROUND_NS)
         whose = np.array([*instances.systems, NOBODY])[instances.of_row]
-        times = np.append(rows.time_ns[own & (whose == system)], NEVER)
-        quiet = np.flatnonzero(np.diff(times) > _SLACK_NS)
-        last_ns = int(times[quiet[0]]) if len(quiet) and len(times) > 1 else None
-        return max(last_ns, told_ns) if last_ns is not None and last_ns < told_ns + _ENDS_NS else None
+        times = np.append(rows.time_ns[own & (whose == change.system)], NEVER)
+        quiet = times[:-1][np.diff(times) > _SLACK_NS]
+        if not len(quiet) or quiet[0] >= told_ns + _ENDS_NS:
+            return change
+        low, witness = max(int(quiet[0]), told_ns), f"{change.witness}; it sent nothing more"
+        return replace(change, not_before_ns=low, not_after_ns=low + _ROUND_NS, witness=witness, sure=True)
 
     def _clock(self, command: CommandRecord, change: Change) -> Change:
         """Return that the clock was set, by how much where that was measured or the command says it."""
         low, high = change.not_before_ns - _ROUND_NS, change.not_after_ns + _ROUND_NS
         setting = time_services.SETTING.get(command.function_code)
-        value: int | None = None
         if setting and setting.sign and not setting.each_second:
             micros = command.values["seconds"] * 10**6 + command.values["microseconds"]
-            value = setting.sign * micros * 1000
-        else:
-            measured = [item for item in self._jumps if low <= int(self._rows.time_ns[item.row]) <= high]
-            value = measured[0].by_ns if len(measured) == 1 else None
-        fields = (change.witness, change.rows, value)
-        return Change(
-            change.system, _CLOCK, "set", change.not_before_ns, change.not_after_ns, *fields, sure=False
-        )
+            return replace(change, value=setting.sign * micros * 1000)
+        measured = [item for item in self._jumps if low <= int(self._rows.time_ns[item.row]) <= high]
+        return replace(change, value=measured[0].by_ns) if len(measured) == 1 else change
 
     def _event(self, event: EventRecord) -> Iterator[Change]:
         made_ns = int(self._instances.made_ns[event.row])

@@ -1,0 +1,77 @@
+"""What verdicts are about: messages of one MsgId, and where and when they were."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, TypedDict
+
+from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
+from edoras_tools.links import table
+from edoras_tools.model import NO_MSG_ID
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+    from typing_extensions import Unpack
+
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.diagnosis.verdict import About
+
+_FEW: Final = 20
+
+
+class Subject(TypedDict):
+    """Which messages a verdict is about: attributes of ``Verdict``."""
+
+    msg_id: int | None
+    link: str | None
+    span: tuple[int, int]
+
+
+def subject(case: Case, members: Sequence[int] | NDArray[np.intp]) -> Subject:
+    """Return the MsgId and the link of the first of some rows, and the times of all; in order of time."""
+    msg_id, link = int(case.rows.msg_id[members[0]]), table.link(case.rows.link[members[0]])
+    known = msg_id if msg_id != NO_MSG_ID else None
+    return {"msg_id": known, "link": link.label, "span": case.span(members)}
+
+
+def stream_subject(case: Case, stream: Stream) -> Subject:
+    """Return the MsgId and the link of a stream, and from when to when it came."""
+    return {"msg_id": stream.msg_id, "link": stream.link.label, "span": case.span(stream.rows)}
+
+
+def one_by_one(members: list[int]) -> list[list[int]]:
+    """Return the rows that are told of together: each by itself while they are few."""
+    return [members] if len(members) > _FEW else [[row] for row in members]
+
+
+def packet(case: Case, row: int) -> str:
+    """Return ``packet 12 at 3.4 s``."""
+    return f"packet {case.rows.number[row]} at {case.at(int(case.rows.time_ns[row]))}"
+
+
+def of_messages(
+    severity: Severity,
+    case: Case,
+    members: NDArray[np.intp],
+    what: str,
+    *evidence: str,
+    noun: str = "messages",
+    **about: Unpack[About],
+) -> Verdict:
+    """Return what is so of some messages of one MsgId on one link; of an error all of them are lost.
+
+    Args:
+        members: their rows, in order of time.
+        what: the end of the sentence that begins ``3 of 40 messages on 0x0827 (/pose)``.
+    """
+    rows, first, where = case.rows, members[0], subject(case, members)
+    msg_id = int(rows.msg_id[first])
+    of = about.pop("of", None) or int(((rows.link == rows.link[first]) & (rows.msg_id == msg_id)).sum())
+    about |= {"msg_id": where["msg_id"], "link": where["link"], "span": where["span"]}
+    if severity is Severity.ERROR:
+        about |= {"lost": len(members), "of": of}
+    reason = f"{len(members):,} of {of:,} {noun} on {case.name(msg_id)} {what}"
+    return verdict(severity, reason, *evidence, **about)
