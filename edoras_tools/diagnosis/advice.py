@@ -147,8 +147,7 @@ def told_limit(case: Case, stream: Stream) -> int | None:
 
 def _entry_command(case: Case, instance: int, msg_id: int, until_ns: int) -> Change | None:
     """Return the last command about an entry of Telemetry Output's table, where it subscribes."""
-    system = case.instances.systems[instance] if instance != NOBODY else 0
-    changes = case.timeline.of(StateOwner("entry", "", msg_id), system)
+    changes = case.timeline.of(StateOwner("entry", "", msg_id), case.instances.system(instance))
     before = [item for item in changes if item.not_before_ns <= until_ns]
     return before[-1] if before and before[-1].state == "subscribed" else None
 
@@ -349,8 +348,7 @@ def published(loss: Loss) -> str:
 
 def stood_still(case: Case, loss: Loss) -> str:
     """Return that a whole cFS stood still and what had waited came at once; empty where it did not."""
-    systems = case.instances.systems
-    system = systems[loss.instance] if loss.instance != NOBODY else 0
+    system = case.instances.system(loss.instance)
     for span in case.timeline.spans(StateOwner("cfs"), "stalled", system):
         if span.overlaps(loss.start_ns - TAIL_NS, loss.end_ns):
             times = f"from {case.at(span.start_lo)} to {case.at(span.end_hi)}"

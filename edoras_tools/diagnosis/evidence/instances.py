@@ -132,6 +132,10 @@ class Instances:
         known: dict[tuple[int, str, int], int] = {}
         return [known.setdefault((*who, turn), len(known)) for who, turn in zip(whose, followed, strict=True)]
 
+    def system(self, instance: int) -> int:
+        """Return the number of the cFS of an instance; 0 for nobody."""
+        return self.systems[instance] if instance != NOBODY else 0
+
     def label(self, instance: int) -> str:
         """Return an instance's name for the user, with address and port if another cFS has the same ones."""
         item, there = self.items[instance], ""

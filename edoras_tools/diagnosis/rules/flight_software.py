@@ -56,23 +56,15 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
     items, systems = case.instances.items, case.instances.systems
     order = sorted(range(len(items)), key=lambda index: items[index].first_ns)
     for at, index in enumerate(order):
-        later = items[index]
-        earlier = next(
-            (
-                items[before]
-                for before in reversed(order[:at])
-                if systems[before] == systems[index] and items[before].last_ns < later.first_ns
-            ),
-            None,
-        )
+        later, own = items[index], [items[item] for item in order[:at] if systems[item] == systems[index]]
+        earlier = next((item for item in reversed(own) if item.last_ns < later.first_ns), None)
         if earlier is None:
             continue
-        if not (earlier.name or later.name or _down(case, earlier.last_ns, later.first_ns)):
-            continue  # frames that were cut name nobody
-        moved = (later.offset_ns - earlier.offset_ns) / SECOND
         span = earlier.last_ns, later.first_ns
-        how = f"mission time against the capture's moved by {moved:.1f} s"
-        yield _restarted(case, case.label(index), span, how)
+        if earlier.name or later.name or _down(case, *span):  # frames that were cut name nobody
+            moved = (later.offset_ns - earlier.offset_ns) / SECOND
+            how = f"mission time against the capture's moved by {moved:.1f} s"
+            yield _restarted(case, case.label(index), span, how)
 
 
 def cfs_stalled(case: Case) -> Iterator[Verdict]:
@@ -135,42 +127,35 @@ def not_observable(case: Case) -> Iterator[Verdict]:
     Say what cannot be known from here, and which capture point would tell.
     """
     rows = case.rows
+    if case.tracks:
+        return
     cut = (rows.known_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID) & rows.has(Finding.CAPTURE_CUT)
-    if not case.tracks and cut.any():
-        yield _not_shown(
-            "the capture cut 0x803 off before its counters: how many messages the software bus lost "
-            "cannot be shown",
-            "capture whole frames, without -s or with -s 0",
+    sent = int(((rows.link == CI) | ((rows.link == SBN) & (rows.function_code >= 0))).sum())
+    if cut.any():
+        reason = (
+            "the capture cut 0x803 off before its counters: how many messages the software bus lost cannot "
+            "be shown"
         )
+        remedy = "capture whole frames, without -s or with -s 0"
+    elif not sent and not (rows.link == TO).any():
         return
-    commands = int((rows.link == CI).sum())
-    into = int(((rows.link == SBN) & (rows.function_code >= 0)).sum())
-    if not commands and not into:
-        if not case.tracks and (rows.link == TO).any():
-            yield _not_shown(
-                "the counters of the software bus (0x803) are not in the capture: loss inside cFS shows "
-                "here only where a sequence count has a gap",
-                "add 0x803 and 0x808 to Telemetry Output's table",
-            )
-        return
-    if not case.has_telemetry:
-        yield _not_shown(
-            f"what became of {plural(commands + into, 'message')} into cFS cannot be shown: no "
-            "telemetry of that cFS is in the capture",
-            (
-                "capture Telemetry Output's link too (UDP port 1235 on the ground's host): 0x803 counts, "
-                "0x808 names"
-            ),
+    elif not sent:
+        reason = (
+            "the counters of the software bus (0x803) are not in the capture: loss inside cFS shows here "
+            "only where a sequence count has a gap"
         )
-    elif not case.tracks:
-        yield _not_shown(
-            "0x803 is not in the capture: this capture cannot show how many messages the software bus lost",
-            f"have Telemetry Output send it: {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}",
+        remedy = "add 0x803 and 0x808 to Telemetry Output's table"
+    elif not case.has_telemetry:
+        into = f"what became of {plural(sent, 'message')} into cFS cannot be shown"
+        reason = f"{into}: no telemetry of that cFS is in the capture"
+        link = "Telemetry Output's link too (UDP port 1235 on the ground's host)"
+        remedy = f"capture {link}: 0x803 counts, 0x808 names"
+    else:
+        reason = (
+            "0x803 is not in the capture: this capture cannot show how many messages the software bus lost"
         )
-
-
-def _not_shown(reason: str, remedy: str) -> Verdict:
-    return note(reason, hop="capture", remedy=remedy)
+        remedy = f"have Telemetry Output send it: {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}"
+    yield note(reason, hop="capture", remedy=remedy)
 
 
 _COUNTERS = {"limit": ("msg_limits", 17), "overflow": ("pipe_overflows", 25)}

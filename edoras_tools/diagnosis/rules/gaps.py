@@ -20,7 +20,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, note
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
-from edoras_tools.words import plural
+from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -160,21 +160,26 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
     assert first.stream is not None
     lost, of = (sum(getattr(loss, name) or 0 for loss in members) for name in ("lost", "of"))
     names = list(dict.fromkeys(case.name(loss.msg_id) for loss in members))
-    one = len(names) == 1
-    evidence = (
-        list(first.evidence) if one else [f"{case.name(loss.msg_id)}: {loss.lost:,}" for loss in members]
-    )
+    one, evidence = len(names) == 1, list(first.evidence)
     if not one:
         # What the counters say of each is the same; of how many counts, each has its own.
-        evidence += [line for line in first.evidence[1:] if all(line in loss.evidence for loss in members)]
-    cut = first.kind == "fragments"
-    where = (
-        "never became whole: their first fragments came and the later ones did not. A firewall or a router "
-        "drops those"
-        if cut
-        else "are missing, and the software bus lost none of them: they were lost between cFS and the "
-        "capture, or by the capture"
-    )
+        alike = [line for line in first.evidence[1:] if all(line in loss.evidence for loss in members)]
+        evidence = [*(f"{case.name(loss.msg_id)}: {loss.lost:,}" for loss in members), *alike]
+    if first.kind == "fragments":
+        where = (
+            "never became whole: their first fragments came and the later ones did not. A firewall or a "
+            "router drops those"
+        )
+        remedy = "let fragments through on the way, or raise its MTU above the longest of these"
+    else:
+        where = (
+            "are missing, and the software bus lost none of them: they were lost between cFS and the "
+            "capture, or by the capture"
+        )
+        remedy = (
+            "capture on the cFS host too: packets seen there but not here were lost by the network, those "
+            "missing there as well by that host's own queue (tc -s qdisc)"
+        )
     return error(
         f"{lost:,} of {of:,} messages on {names[0] if one else f'{len(names)} MsgIds'} {where}",
         *evidence,
@@ -184,10 +189,7 @@ def _lost_after(case: Case, members: list[Loss]) -> Verdict:
         lost=lost,
         of=of,
         span=(min(loss.start_ns for loss in members), max(loss.end_ns for loss in members)),
-        remedy="let fragments through on the way, or raise its MTU above the longest of these"
-        if cut
-        else "capture on the cFS host too: packets seen there but not here were lost by the network, "
-        "those missing there as well by that host's own queue (tc -s qdisc)",
+        remedy=remedy,
         confidence="low" if case.capture.drops else first.confidence,
         cause=first.kind,
     )
@@ -388,12 +390,11 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         if uncertain:
             evidence.append(f"{plural(uncertain.total(), 'more message')} may not have been read there")
         number = lost.total()
-        names = ", ".join(f"{count:,} of {name}" for name, count in lost.most_common(_MOST_NAMED))
-        more = ", ..." if len(lost) > _MOST_NAMED else ""
+        names = listed([f"{count:,} of {name}" for name, count in lost.most_common()], _MOST_NAMED)
         until = case.at(span.end_ns) if again else "the end of the capture"
         reason = f"nobody listened on {span.port} from {case.at(span.start_ns)} to {until}"
         if number:
-            reason += f": {plural(number, 'message')} reached nobody ({names}{more})"
+            reason += f": {plural(number, 'message')} reached nobody ({names})"
         if span.step_ns:
             reason += f"; its own datagrams, {SECOND / span.step_ns:.1f} a second, stopped too"
         yield verdict(

@@ -308,26 +308,24 @@ def wrong_direction(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     for route in case.mission.routes:
-        command = case.mission.msg_ids.is_command(route.msg_id)
-        against = (route.link is CI and not command) or (route.link is TO and command)
-        elsewhere = TO if route.link is CI else CI if route.link is TO else None
-        there = np.flatnonzero((rows.link == route.link) & (rows.msg_id == route.msg_id))
-        other = (
-            np.flatnonzero((rows.link == elsewhere) & (rows.msg_id == route.msg_id))
-            if elsewhere is not None
-            else there[:0]
+        if route.link not in {CI, TO}:
+            continue  # peers send commands and telemetry
+        against = case.mission.msg_ids.is_command(route.msg_id) != (route.link is CI)
+        elsewhere = TO if route.link is CI else CI
+        there, other = (
+            np.flatnonzero((rows.link == link) & (rows.msg_id == route.msg_id))
+            for link in (route.link, elsewhere)
         )
         # One stray datagram is a bad command; a route is wrong when it never travels as configured.
         if not against and (not len(other) or len(there)):
             continue
         seen = other if len(other) else there
-        if route.link is CI:
+        if not against:
+            wrong = f"configured on {route.link.label.upper()} and seen on {elsewhere.name} only"
+        elif route.link is CI:
             wrong = "configured as a command and it is a telemetry MsgId"
         else:
             wrong = "configured as telemetry and it is a command MsgId"
-        if len(other) and not against:
-            seen_on = (elsewhere or route.link).name
-            wrong = f"configured on {route.link.label.upper()} and seen on {seen_on} only"
         yield warning(
             f"{case.name(route.msg_id)} is {wrong}: commands have the bit "
             f"0x{case.mission.msg_ids.command_bit:04x}, telemetry does not",
@@ -337,10 +335,7 @@ def wrong_direction(case: Case) -> Iterator[Verdict]:
             topic=route.topic,
             place=(route.link.label, "mission file"),
             of=len(seen) or None,
-            span=(
-                int(rows.time_ns[seen[0]]) if len(seen) else case.start_ns,
-                int(rows.time_ns[seen[-1]]) if len(seen) else case.end_ns,
-            ),
+            span=case.span(seen) if len(seen) else (case.start_ns, case.end_ns),
             remedy="list the key under command or telemetry as its MsgId says, or correct its mid",
         )
 
@@ -360,19 +355,18 @@ def wrong_type(case: Case) -> Iterator[Verdict]:
         fits = fitting(case, _samples(case, route), route.type)
         sizes = ", ".join(str(size) for size in np.unique(rows.cdr_length[bad])[:4].tolist())
         refused = bool(rows.has(Finding.CDR_INVALID)[bad].any())
-        yield error(
-            f"{len(bad):,} of {count:,} messages on {case.name(route.msg_id)} "
+        yield of_messages(
+            Severity.ERROR,
+            case,
+            bad,
             f"{'do not decode as' if refused else 'are longer than'} {route.type}"
             + (f"; {' or '.join(fits[:_MOST])} would fit" if fits else ""),
             f"{route.file}:{route.line}: type {route.type}",
             f"CDR of {sizes} bytes",
             *([f"types that fit these bytes: {', '.join(fits)}"] if fits else ()),
-            msg_id=route.msg_id,
             topic=route.topic,
-            place=(route.link.label, "mission file"),
-            lost=len(bad),
+            hop="mission file",
             of=count,
-            span=case.span(bad),
             remedy="name the type that the other side sends; both bridges and the flight application must "
             "agree",
             confidence="high" if fits else "medium",

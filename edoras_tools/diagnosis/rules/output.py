@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from ipaddress import AddressValueError, IPv4Address
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.cfs import executive_services, telemetry_output
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
-from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.changes import system_at
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
+from edoras_tools.diagnosis.rules.about import packet
 from edoras_tools.diagnosis.verdict import Severity, Verdict, security, verdict, warning
 from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
-from edoras_tools.words import plural
+from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -46,20 +46,16 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
     if not wanted or (rows.link == TO).any() or case.end_ns - case.start_ns < _WAIT_NS:
         return
     enables = case.payloads.outputs(telemetry_output.ENABLE)
-    evidence = [f"{plural(len(commands), 'command')} to CI, no datagram from Telemetry Output"]
+    reason = "Telemetry Output sends nothing here, and no command in the capture enables it"
     if enables:
-        evidence += [
-            f"enabled for {item.address!r} at {case.at(int(rows.time_ns[item.row]))}" for item in enables
-        ]
         reason = (
             f"Telemetry Output was enabled for {enables[-1].address!r} and nothing of it is seen here: it "
             "sends elsewhere, its datagrams do not cross this capture point, or it does not run"
         )
-    else:
-        reason = "Telemetry Output sends nothing here, and no command in the capture enables it"
     yield warning(
         reason,
-        *evidence,
+        f"{plural(len(commands), 'command')} to CI, no datagram from Telemetry Output",
+        *(f"enabled for {item.address!r} at {case.at(int(rows.time_ns[item.row]))}" for item in enables),
         place=("to", "TO_LAB_APP"),
         remedy=f"{case.inject(ENABLE_OUTPUT)}; to see telemetry, capture on the host that it is enabled for, "
         "UDP port 1235; on the console of cFS, look for TO_LAB_APP's first event",
@@ -72,26 +68,26 @@ def to_destination(case: Case) -> Iterator[Verdict]:
 
     Go through the enable commands: addresses that are none, and addresses that change.
     """
-    for members in _enables(case).values():
-        for item in members:
-            if not is_address(item.address):
-                yield _no_address(case, item)
-    for members in _enables(case).values():
-        own = [item for item in members if is_address(item.address)]
+    every = _enables(case)
+    for item in chain.from_iterable(every):
+        if not _is_address(item.address):
+            yield _no_address(case, item)
+    for members in every:
+        own = [item for item in members if _is_address(item.address)]
         if len({item.address for item in own}) > 1:
             yield _fight(case, own)
 
 
-def _enables(case: Case) -> dict[int, list[OutputCommand]]:
-    """Return the commands that enable Telemetry Output and went to a CI, by its endpoint."""
+def _enables(case: Case) -> list[list[OutputCommand]]:
+    """Return the commands that enable Telemetry Output and went to a CI; those to one endpoint together."""
     found: dict[int, list[OutputCommand]] = {}
     for item in case.payloads.outputs(telemetry_output.ENABLE):
         if case.rows.link[item.row] == CI:
             found.setdefault(int(case.rows.destination[item.row]), []).append(item)
-    return found
+    return list(found.values())
 
 
-def is_address(text: str) -> bool:
+def _is_address(text: str) -> bool:
     """Tell whether a text is an IPv4 address."""
     try:
         IPv4Address(text)
@@ -110,7 +106,7 @@ def _no_address(case: Case, item: OutputCommand) -> Verdict:
     return warning(
         f"Telemetry Output was enabled for {item.address!r}, which is no address: where it sends then is up "
         "to the flight host",
-        f"packet {case.rows.number[item.row]} at {case.at(start_ns)}, {case.rows.length[item.row]} bytes",
+        f"{packet(case, item.row)}, {case.rows.length[item.row]} bytes",
         *(f"cFS said: {record}" for record in said[:1]),
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         place=("ci", "TO_LAB_APP"),
@@ -132,7 +128,7 @@ def _fight(case: Case, members: list[OutputCommand]) -> Verdict:
         if fighting
         else "Telemetry Output was redirected: the first ground station gets nothing from then on",
         f"enabled from: {', '.join(sorted(senders))}",
-        "enabled for: " + ", ".join(steps[:8]) + (", ..." if len(steps) > 8 else ""),
+        f"enabled for: {listed(steps)}",
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         place=("to", "TO_LAB_APP"),
         span=(times[0], times[-1]),
@@ -213,14 +209,11 @@ def _added_again(case: Case, item: OutputCommand, when: int) -> str:
     if item.msg_id < 0:
         return ""
     system = system_at(case.instances, int(case.rows.destination[item.row]), when)
-    later = [
-        change
-        for change in case.timeline.of(StateOwner("entry", "", item.msg_id), system)
-        if change.state == "subscribed" and change.not_before_ns > when
-    ]
-    if not later:
-        return ""
-    return f", and to send it again, at most {later[0].value} a round, at {case.at(later[0].not_before_ns)}"
+    for change in case.timeline.of(StateOwner("entry", "", item.msg_id), system):
+        if change.state == "subscribed" and change.not_before_ns > when:
+            again_ns = change.not_before_ns
+            return f", and to send it again, at most {change.value} a round, at {case.at(again_ns)}"
+    return ""
 
 
 def _restarted(case: Case, told: Callable[..., tuple[int | None, list[str]]]) -> Iterator[Verdict]:
@@ -281,16 +274,13 @@ def _silent(case: Case) -> Iterator[Verdict]:
 
 def _taken(case: Case, sender: int, start_ns: int, end_ns: int) -> Change | None:
     """Return the command that sent Telemetry Output elsewhere when it fell silent here, if it is here."""
-    owner = case.instances.owner(sender, start_ns)
-    system = case.instances.systems[owner] if owner != NOBODY else 0
-    changes = case.timeline.of(StateOwner("output"), system)
-    near = [
-        item
-        for item in changes
-        if item.state == "enabled" and start_ns - _WAIT_NS < item.not_before_ns < end_ns - SECOND
-    ]
+    system = case.instances.system(case.instances.owner(sender, start_ns))
     here = {case.endpoints[item.receiver].address for item in case.streams if item.sender == sender}
-    return next((item for item in near if item.value not in here), None)
+    for change in case.timeline.of(StateOwner("output"), system):
+        near = start_ns - _WAIT_NS < change.not_before_ns < end_ns - SECOND
+        if near and change.state == "enabled" and change.value not in here:
+            return change
+    return None
 
 
 def _ended(case: Case) -> Iterator[Verdict]:
@@ -310,7 +300,7 @@ def _ended(case: Case) -> Iterator[Verdict]:
     if removed or not commands or length < max(_ENDS_NS, _ENDS_ROUNDS * int(np.median(rounds))):
         return
     robot = int(((rows.link == ROBOT) & (rows.time_ns > last_ns + SECOND)).sum())
-    came = (f"{plural(robot, 'datagram')} to the robot since then: the application ran, at least at times",)
+    came = f"{plural(robot, 'datagram')} to the robot since then: the application ran, at least at times"
     stopped = [
         item
         for item in case.outages
@@ -330,7 +320,7 @@ def _ended(case: Case) -> Iterator[Verdict]:
         f"Telemetry Output sends nothing from {case.at(last_ns)} to the end, {length / SECOND:.1f} s, while "
         f"commands go on: {why}",
         f"{plural(commands, 'datagram')} to CI since then",
-        *(came if robot else ()),
+        *([came] if robot else ()),
         place=("to", telemetry_output.NAME),
         span=(last_ns, case.end_ns),
         remedy=f"start it again: {case.inject('es-start-app', stopped[-1].app)}"
@@ -347,20 +337,19 @@ def to_taken_over(case: Case) -> Iterator[Verdict]:
     Name every enable command that takes the telemetry away from whom another host enabled it for.
     """
     rows = case.rows
-    for members in _enables(case).values():
-        enables = [item for item in members if is_address(item.address)]
+    for members in _enables(case):
+        enables = [item for item in members if _is_address(item.address)]
         for before, after in pairwise(enables):
             old, new = (case.endpoints[rows.source[item.row]].address for item in (before, after))
             if before.address == after.address or old == new:
                 continue
-            time_ns = int(rows.time_ns[after.row])
             yield security(
                 f"{new} had all telemetry sent to {after.address}; {before.address}, for which {old} had "
                 "enabled it, gets none from then on",
-                f"packet {rows.number[after.row]} at {case.at(time_ns)}",
-                f"before: packet {rows.number[before.row]} at {case.at(int(rows.time_ns[before.row]))}",
+                packet(case, after.row),
+                f"before: {packet(case, before.row)}",
                 msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
                 place=("to", telemetry_output.NAME),
-                span=(time_ns, time_ns),
+                span=case.span([after.row]),
                 remedy="let only the station reach CI's port, and enable TO again",
             )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -23,7 +23,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -47,35 +47,29 @@ def telemetry_vanished(case: Case) -> Iterator[Verdict]:
 
     Look for a stream that ended for good, and for what happened just then.
     """
-    stops = case.outages
-    removed = _removed(case)
-    overruns: list[Verdict] | None = None
+    stops, overruns = _stops(case), None
     strange = _strange(case)
     for stream in case.streams:
         if stream.link is not TO or len(stream) < _LEAST or stream.known_id in _EVENTS:
             continue
-        if _asked_for(case, stream, removed) or _stopped(case, stream, stops):
-            continue
         if stream.instance == NOBODY or stream.instance != case.owner(stream):
             continue  # handed on for a peer, which may be gone
-        times = case.rows.time_ns[stream.rows]
-        last_ns = int(times[-1])
-        usual = (last_ns - int(times[0])) / (len(times) - 1)
+        first_ns, last_ns = case.span(stream.rows)
+        usual = (last_ns - first_ns) / (len(stream) - 1)
+        if (np.isin(stops[0], (-1, stream.msg_id)) & (np.abs(stops[1] - last_ns) < _NEAR_NS)).any():
+            continue  # another rule tells of it
         # Its own cFS goes on: another boot behind the same address would be a restart.
         alive_ns = case.instances.items[stream.instance].last_ns
         if alive_ns - last_ns < max(_WAIT_NS, _WAIT_PERIODS * usual):
             continue
         overruns = list(struct_overrun(case)) if overruns is None else overruns
-        after = strange[
-            bisect_right(strange, last_ns, key=_FIRST) : bisect_left(strange, last_ns + _NEAR_NS, key=_FIRST)
-        ]
         size = int(case.rows.packet_length[stream.rows[-1]])
-        alike = [other for _, other in after if case.rows.packet_length[other.rows[0]] == size]
+        soon = slice(*(bisect_right(strange, when, key=_FIRST) for when in (last_ns, last_ns + _NEAR_NS - 1)))
+        alike = [other for _, other in strange[soon] if case.rows.packet_length[other.rows[0]] == size]
         signs = list(_signs(case, stream, (last_ns, alive_ns), overruns, alike))
         if not signs:
             continue  # topic_silent tells of it
         signs += _longer(case, last_ns)
-        sure = len(signs) > 1
         yield error(
             f"{case.name(stream.msg_id)} came every {usual / SECOND:.1f} s until {case.at(last_ns)} and "
             "never again, while other telemetry goes on: its header in the application's memory was "
@@ -86,31 +80,19 @@ def telemetry_vanished(case: Case) -> Iterator[Verdict]:
             span=(last_ns, alive_ns),
             remedy="make the struct in front of it large enough (see struct_overrun), and restart the "
             "application: the MsgId does not come back by itself",
-            confidence="high" if sure else "medium",
+            confidence="high" if len(signs) > 1 else "medium",
         )
 
 
-def _removed(case: Case) -> dict[int, list[int]]:
-    """Return when Telemetry Output was told to stop sending, in order, by MsgId; -1: all of them."""
-    found: dict[int, list[int]] = {}
-    for item in case.payloads.outputs(telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL):
-        found.setdefault(item.msg_id, []).append(int(case.rows.time_ns[item.row]))
-    return {msg_id: sorted(times) for msg_id, times in found.items()}
+def _stops(case: Case) -> NDArray[np.int64]:
+    """Return what may have ended telemetry: MsgId, -1 for all of them, and time, each a row of the array.
 
-
-def _asked_for(case: Case, stream: Stream, removed: Mapping[int, Sequence[int]]) -> bool:
-    """Tell whether Telemetry Output was told to stop sending it."""
-    last_ns = int(case.rows.time_ns[stream.rows[-1]])
-    times = (removed.get(msg_id, ()) for msg_id in {-1, stream.msg_id})
-    return any(
-        bisect_left(item, last_ns + _NEAR_NS) > bisect_right(item, last_ns - _NEAR_NS) for item in times
-    )
-
-
-def _stopped(case: Case, stream: Stream, stops: Sequence[Outage]) -> bool:
-    """Tell whether an application was stopped just then: another rule tells of it."""
-    last_ns = int(case.rows.time_ns[stream.rows[-1]])
-    return any(abs(item.start_ns - last_ns) < _NEAR_NS for item in stops)
+    A MsgId was removed from Telemetry Output, or an application was stopped.
+    """
+    removed = case.payloads.outputs(*telemetry_output.STOPS)
+    stops = [(item.msg_id, int(case.rows.time_ns[item.row])) for item in removed]
+    stops += [(-1, item.start_ns) for item in case.outages]
+    return np.array(stops, np.int64).reshape(-1, 2).T
 
 
 def _strange(case: Case) -> list[tuple[int, Stream]]:
@@ -342,7 +324,7 @@ def _surely_silent(stream: Stream, before: NDArray[np.int64], length: int) -> bo
 
 def _explained(case: Case, stream: Stream, start_ns: int, end_ns: int) -> bool:
     """Tell whether something else tells of it: it was asked for, or what it is made from is silent too."""
-    system = case.system(stream) if stream.is_command else _system(case, stream)
+    system = case.system(stream) if stream.is_command else case.instances.system(case.owner(stream))
     name = case.network.identity_of.get
     way = Way(stream.msg_id, stream.link, system, stream.is_command, name(stream.receiver, ""))
     reasons = reasons_for(case.timeline, way, start_ns, end_ns, case.at)
@@ -363,12 +345,6 @@ def _explained(case: Case, stream: Stream, start_ns: int, end_ns: int) -> bool:
     sent = rows.time_ns[among(rows.link, lambda link: link.only_to_cfs)]
     onward = stream.link.peers and stream.counted and len(sent) > 0
     return onward and not ((sent > start_ns) & (sent < end_ns - _SLACK_NS)).any()
-
-
-def _system(case: Case, stream: Stream) -> int:
-    """Return the number of the cFS that sends a stream."""
-    owner = case.owner(stream)
-    return case.instances.systems[owner] if owner != NOBODY else 0
 
 
 def _alive(case: Case, stream: Stream, start_ns: int, length: int) -> bool:

@@ -86,18 +86,14 @@ class Side:
     instances: Instances
 
 
-def relations(first: Side, second: Side, about: ClockLine | None) -> list[Ordered]:
-    """Return what of one capture came before what of the other.
+def _related(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) -> Iterator[Ordered]:
+    """Yield pairs of what one capture holds and what in the other follows from it.
 
     Args:
         about: how the second's clock stands to the first's as far as that is known, which tells what belongs
             together; None where unknown.
+        back: the causes are in the second capture.
     """
-    return [*_related(first, second, about, back=False), *_related(second, first, about, back=True)]
-
-
-def _related(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) -> Iterator[Ordered]:
-    """Yield pairs of what one holds and what in the other follows from it."""
 
     def ordered(pairs: _Pairs, wait_ns: int, **told: Any) -> Ordered:
         first, second = pairs[::-1] if back else pairs
@@ -301,7 +297,8 @@ def align(first: Recorder, second: Recorder) -> Alignment | None:
         sides = _side(first), _side(second)
         coarse = _mission_times(*sides)
         told = _counted(first, second, coarse) or coarse
-        pairs = relations(*sides, told.line if told else None)
+        about = told.line if told else None
+        pairs = [*_related(*sides, about, back=False), *_related(*sides[::-1], about, back=True)]
         ordered = _Told.of(pairs, "what came before what") if pairs else None
         if told and ordered:
             told = told.narrowed(ordered.pairs, ordered.by)

@@ -258,8 +258,7 @@ class SoftwareChanges:
                 yield from _boot(system, last[system], item.first_ns, "its clock and counts began anew")
             last[system] = max(last.get(system, 0), item.last_ns)
         for instance, start_ns, end_ns in self._resets:
-            system = systems[instance] if instance != NOBODY else 0
-            yield from _boot(system, start_ns, end_ns, "its counts began anew")
+            yield from _boot(self._instances.system(instance), start_ns, end_ns, "its counts began anew")
 
 
 def _boot(system: int, low_ns: int, high_ns: int, witness: str) -> Iterator[Change]:
