@@ -38,7 +38,7 @@ from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.table import among
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.fingerprint import of_bytes
+from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import gather
 
@@ -60,7 +60,6 @@ _LEAST_GROUPS: Final = 8
 _LEAST_BYTES: Final = 16
 _PLACES: Final = 18
 """Bits of a table that what is there once is told by."""
-_MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +97,7 @@ def find_copies(
     out = Copies(*(np.zeros(count, bool) for _ in range(3)))
     if count < 2:
         return out
-    key = (prints ^ conversation.astype(np.uint64) * _MIX) * _MIX ^ identification
+    key = (prints ^ conversation.astype(np.uint64) * MIX) * MIX ^ identification
     order = np.lexsort((np.arange(count), key))
     key, when, numbered = key[order], time_ns[order], identification[order] != 0
     step = np.abs(np.diff(when))
@@ -157,8 +156,8 @@ class Once:
         network, identification, life = network_headers(batch)
         ends = batch.source_address.astype(np.uint64) << np.uint64(32) | batch.destination_address
         ports = batch.source_port.astype(np.uint64) << np.uint64(16) | batch.destination_port
-        conversation = ((ends * _MIX ^ ports) >> np.uint64(1)).astype(np.int64)
-        short = _glance(batch) ^ conversation.astype(np.uint64) * _MIX ^ identification
+        conversation = ((ends * MIX ^ ports) >> np.uint64(1)).astype(np.int64)
+        short = _glance(batch) ^ conversation.astype(np.uint64) * MIX ^ identification
         told: tuple[NDArray[Any], ...] = batch.time_ns, identification, conversation
 
         def whole(chosen: NDArray[np.intp] | slice) -> tuple[NDArray[Any], ...]:
@@ -189,8 +188,8 @@ def _glance(batch: PacketBatch) -> NDArray[np.uint64]:
     offset = np.where(long, batch.offset, 0)
     early = gather(batch.data, offset + long * 8, 8).view(np.uint64)[:, 0]
     late = gather(batch.data, offset + long * (batch.length - 8), 8).view(np.uint64)[:, 0]
-    total = early * _MIX ^ late
-    stirred = np.where(long, (total ^ total >> np.uint64(29)) * _MIX, np.uint64(0))
+    total = early * MIX ^ late
+    stirred = np.where(long, (total ^ total >> np.uint64(29)) * MIX, np.uint64(0))
     return np.asarray(stirred ^ batch.length.astype(np.uint64), np.uint64)
 
 
@@ -199,7 +198,7 @@ def _perhaps_again(number: NDArray[np.uint64], time_ns: NDArray[np.int64]) -> bo
     table = np.empty(1 << _PLACES, np.int32)
     for shift in (0, _WITHIN_NS):  # two within 20 ms are in one window of 40 ms, of these or of those between
         window = ((time_ns + shift) // (2 * _WITHIN_NS)).astype(np.uint64)
-        place = (((number ^ window) * _MIX) >> np.uint64(64 - _PLACES)).view(np.int64)
+        place = (((number ^ window) * MIX) >> np.uint64(64 - _PLACES)).view(np.int64)
         rows = np.arange(len(number), dtype=np.int32)
         while len(rows):
             table[place] = rows

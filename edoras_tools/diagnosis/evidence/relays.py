@@ -39,7 +39,7 @@ from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.fingerprint import of_bytes
+from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
@@ -171,7 +171,6 @@ def _prints(datagrams: Sequence[bytes]) -> NDArray[np.uint64]:
 
 _LEAST_DATAGRAMS: Final = 8
 _NEARLY_ALL: Final = 0.8
-_MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
 def one_name(rows: Rows, endpoints: Sequence[Endpoint]) -> NDArray[np.int32]:
@@ -206,7 +205,7 @@ def _forwarded(rows: Rows, endpoints: Sequence[Endpoint]) -> set[tuple[int, int]
     if not len(rows) or rows.life.min() == rows.life.max():  # nothing was forwarded
         return set()
     way = rows.way()
-    key = rows.bytes_print ^ rows.identification.astype(np.uint64) * _MIX
+    key = rows.bytes_print ^ rows.identification.astype(np.uint64) * MIX
     order = np.lexsort((rows.time_ns, key))
     near = (key[order][1:] == key[order][:-1]) & (np.diff(rows.time_ns[order]) <= _WITHIN_NS)
     early, late = order[:-1][near], order[1:][near]

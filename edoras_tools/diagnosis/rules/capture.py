@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
 
-_REMEDY = "what spans it says nothing of the link: examine before and after, --start and --end"
 AWAY = "is away: what has been sent since"
 
 
@@ -37,30 +36,23 @@ def not_examined(case: Case) -> Iterator[Verdict]:
             hop="capture",
             remedy=item.remedy,
         )
-    missing = (
-        sum(ends["away"] for ends in case.telemetry.ends.values()) if len(case.rows) and case.away else 0
-    )
-    counted = f"sequence counts: {plural(missing, 'message')} that span such a time are not captured"
+    away = []
     for outage in case.capture.outages:
         end_ns = outage.end_ns or max(case.end_ns, outage.start_ns)
         lasted = f"was away {(end_ns - outage.start_ns) / 1e9:.1f} s: what was sent then"
-        yield warning(
-            f"{outage.interface} {lasted if outage.end_ns else AWAY} is not examined",
-            f"the recorder found it {outage.why}",
-            *((counted,) if missing else ()),
-            hop="capture",
-            span=(outage.start_ns, end_ns),
-            remedy=_REMEDY,
-        )
+        reason = f"{outage.interface} {lasted if outage.end_ns else AWAY} is not examined"
+        away.append((reason, f"the recorder found it {outage.why}", (outage.start_ns, end_ns)))
     for start_ns, end_ns in case.holes if len(case.rows) else ():
-        yield warning(
-            f"the capture has a hole of {(end_ns - start_ns) / 1e9:.1f} s: traffic in it is not examined",
-            "it shows no datagram of anybody; all sent before and after, and cFS went on counting",
-            *((counted,) if missing else ()),
-            hop="capture",
-            span=(start_ns, end_ns),
-            remedy=_REMEDY,
-        )
+        reason = f"the capture has a hole of {(end_ns - start_ns) / 1e9:.1f} s: traffic in it is not examined"
+        why = "it shows no datagram of anybody; all sent before and after, and cFS went on counting"
+        away.append((reason, why, (start_ns, end_ns)))
+    ends = case.telemetry.ends.values() if away and len(case.rows) else ()
+    missing = sum(item["away"] for item in ends)
+    counted = f"sequence counts: {plural(missing, 'message')} that span such a time are not captured"
+    for reason, why, span in away:
+        known = [why, counted] if missing else [why]
+        remedy = "what spans it says nothing of the link: examine before and after, --start and --end"
+        yield warning(reason, *known, hop="capture", span=span, remedy=remedy)
 
 
 def capture_drops(case: Case) -> Iterator[Verdict]:

@@ -25,6 +25,8 @@ from edoras_tools.words import listed, plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from numpy.typing import NDArray
+
     from edoras_tools.diagnosis.accounting.losses import Fate, Loss
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.unreachable import ClosedSpan
@@ -441,18 +443,17 @@ def _within(case: Case, span: ClosedSpan, open_ns: int, cause: str | None) -> Co
     """
     found: Counter[str] = Counter()
     for item in case.unreached:
-        if case.endpoints[item.endpoint] != span.port:
-            continue
-        rows = item.uncertain if cause is None else item.lost.get(cause, np.zeros(0, np.intp))
-        times = item.sent_ns[rows]
-        number = int(((times >= open_ns) & (times < span.end_ns)).sum())
-        if number:
+        if case.endpoints[item.endpoint] == span.port:
+            rows = item.uncertain if cause is None else item.lost.get(cause, np.zeros(0, np.intp))
             name = case.name(item.stream.msg_id) if item.own else "robot commands"
-            found[name] += number
+            found[name] += _between(item.sent_ns[rows], open_ns, span.end_ns)
     for loss in case.commands.losses if cause else ():
         if loss.kind == cause and loss.stream and case.endpoints[loss.stream.receiver] == span.port:
             assert loss.among is not None
             times = case.captured(loss.stream)[loss.among.rows]
-            if number := int(((times >= open_ns) & (times < span.end_ns)).sum()):
-                found[case.name(loss.msg_id)] += number
-    return found
+            found[case.name(loss.msg_id)] += _between(times, open_ns, span.end_ns)
+    return +found
+
+
+def _between(times: NDArray[np.int64], start_ns: int, end_ns: int) -> int:
+    return int(((times >= start_ns) & (times < end_ns)).sum())

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.event_services import EventText
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
+    from edoras_tools.diagnosis.evidence.table import Rows
 
 
 def sbn_timeout(case: Case) -> Iterator[Verdict]:
@@ -157,7 +158,7 @@ def sbn_tcp_overwritten(case: Case) -> Iterator[Verdict]:
         own = heard[np.isin(rows.destination[heard], ends)]
         peers = {names[end] for end in np.unique(rows.source[own]).tolist() if end in names}
         app = own[rows.sbn_msg_type[own] == sbn.MsgType.APP]
-        beside = app[_beside(rows.time_ns, rows.source, app, own, case.profile.sbn_wake_ns)]
+        beside = app[_beside(rows, app, own, case.profile.sbn_wake_ns)]
         if len(peers) < 2 or not len(beside):
             continue
         yield warning(
@@ -175,22 +176,16 @@ def sbn_tcp_overwritten(case: Case) -> Iterator[Verdict]:
         )
 
 
-def _beside(
-    time_ns: NDArray[np.int64],
-    source: NDArray[np.int32],
-    app: NDArray[np.intp],
-    every: NDArray[np.intp],
-    span_ns: int,
-) -> NDArray[np.bool_]:
+def _beside(rows: Rows, app: NDArray[np.intp], every: NDArray[np.intp], span_ns: int) -> NDArray[np.bool_]:
     """Tell which messages have one of another source within a span of time, before or after."""
     near = np.zeros(len(app), bool)
-    every_ns, own = time_ns[every], dict(by_value(source[every]))
-    for one, mine in by_value(source[app]):
-        when = time_ns[app[mine]]
+    every_ns, own = rows.time_ns[every], dict(groups(rows.source, every))
+    for one, mine in by_value(rows.source[app]):
+        when = rows.time_ns[app[mine]]
         # Fewer of its own within the span than of all.
         within, of_own = (
             np.searchsorted(times, when + span_ns, "right") - np.searchsorted(times, when - span_ns)
-            for times in (every_ns, every_ns[own[one]])
+            for times in (every_ns, rows.time_ns[own[one]])
         )
         near[mine] = of_own < within
     return near

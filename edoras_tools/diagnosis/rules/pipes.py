@@ -269,19 +269,21 @@ def host_drops(case: Case) -> Iterator[Verdict]:
 
     ``ci_backlog`` tells of CI's socket: its own count is nearer, and the kernel's is evidence beside it.
     """
+    ports = np.array([item.port for item in case.endpoints], np.int64)
     for port, count in case.host.by_port.items():
-        link = _link(case, port)
+        claimants = case.context.claimants[case.context.claim[port]]
+        link = claimants[0].label if len(claimants) == 1 else None
         ingests = [item for item in case.ingests if case.endpoints[item.endpoint].port == port]
         if any(loss.cause == "socket" for item in ingests for loss in item.losses):
             continue
-        sent = _sent_to(case, port)
+        sent = int((ports[case.rows.destination] == port).sum())
         of = f" of {sent:,}" if sent >= count else ""
         whose = f"{link.upper()}'s socket" if link else "the socket"
         yield error(
             f"{plural(count, 'datagram')}{of} dropped in {whose} (UDP port {port}), which was full: "
             "the kernel counted them",
             "/edoras/host: the kernel's counter of that socket",
-            place=(link or None, f"socket of UDP port {port}"),
+            place=(link, f"socket of UDP port {port}"),
             lost=None if ingests else count,
             of=sent if sent >= count else None,
             remedy=f"send less at once, or make its buffer larger: {_LARGER}",
@@ -305,18 +307,6 @@ def host_drops(case: Case) -> Iterator[Verdict]:
                 hop="host",
                 remedy=remedy,
             )
-
-
-def _link(case: Case, port: int) -> str:
-    """Return the link of a port, where it is one link's only."""
-    claimants = case.context.claimants[case.context.claim[port]]
-    return claimants[0].label if len(claimants) == 1 else ""
-
-
-def _sent_to(case: Case, port: int) -> int:
-    """Return how many datagrams of the capture went to a port."""
-    to_port = np.array([item.port == port for item in case.endpoints], bool)
-    return int(to_port[case.rows.destination].sum()) if len(to_port) else 0
 
 
 def lost_before_ci(case: Case) -> Iterator[Verdict]:

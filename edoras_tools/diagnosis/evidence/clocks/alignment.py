@@ -45,7 +45,7 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.fingerprint import matches
+from edoras_tools.wire.arrays.fingerprint import MIX, matches
 from edoras_tools.wire.arrays.order import by_value, groups
 from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.words import seconds
@@ -197,7 +197,6 @@ _MOSTLY: Final = 0.9
 _WAKE_NS: Final = 500 * MILLISECOND
 """The longest time between two wake-ups of a task that sends: Telemetry Output's."""
 _MODULUS: Final = 1 << 14
-_MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 _SAME_NS: Final = 2 * SECOND
 """Steps of one offset lie within so much of each other, the longest delays taken off."""
 _LONG_NS: Final = 300 * SECOND
@@ -407,7 +406,7 @@ def _key(rows: Rows, source: NDArray[np.int64], ahead: int) -> NDArray[np.uint64
     count = (rows.sequence_count.astype(np.int64) + ahead) % _MODULUS
     key = np.zeros(len(rows), np.uint64)
     for part in (source, rows.link, rows.msg_id, rows.processor_id, rows.spacecraft_id, count):
-        key = (key ^ part.astype(np.int64).view(np.uint64)) * _MIX
+        key = (key ^ part.astype(np.int64).view(np.uint64)) * MIX
         key ^= key >> np.uint64(29)
     counted = (rows.msg_id != NO_MSG_ID) & ~rows.has(Finding.SEQUENCE_UNSET) & (source >= 0)
     return np.where(counted, key | np.uint64(1), np.uint64(0))
