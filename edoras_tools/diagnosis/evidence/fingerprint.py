@@ -88,12 +88,9 @@ def latest_equal(
     into: NDArray[np.uint64], into_ns: NDArray[np.int64], out: NDArray[np.uint64], out_ns: NDArray[np.int64]
 ) -> NDArray[np.intp]:
     """Return which of ``into`` is the latest equal to each of ``out`` and not later; -1 for none."""
-    prints = np.concatenate((into, out))
-    # What went in sorts before what comes out at the same time.
-    side = np.repeat([0, 1], [len(into), len(out)])
-    order = np.lexsort((side, np.concatenate((into_ns, out_ns)), prints))
-    latest = np.maximum.accumulate(np.where(side[order] == 0, np.arange(len(order)), -1))
-    goes = np.flatnonzero((side[order] == 1) & (latest >= 0))
+    prints, order = _in_order(into, into_ns, out, out_ns)
+    latest = np.maximum.accumulate(np.where(order < len(into), np.arange(len(order)), -1))
+    goes = np.flatnonzero((order >= len(into)) & (latest >= 0))
     from_ = order[latest[goes]]
     same = (prints[order[goes]] == prints[from_]) & (prints[from_] != 0)
     found = np.full(len(out), -1, np.intp)
@@ -105,27 +102,40 @@ def paired(
     into: NDArray[np.uint64], into_ns: NDArray[np.int64], out: NDArray[np.uint64], out_ns: NDArray[np.int64]
 ) -> NDArray[np.intp]:
     """Return which of ``into`` each of ``out`` is, each once, -1 for none: equal, the latest not later."""
+    prints, order = _in_order(into, into_ns, out, out_ns)
+    opening, closing = brackets(prints[order], order < len(into))
+    real = prints[order[opening]] != 0
+    found = np.full(len(out), -1, np.intp)
+    found[order[closing[real]] - len(into)] = order[opening[real]]
+    return found
+
+
+def _in_order(
+    into: NDArray[np.uint64], into_ns: NDArray[np.int64], out: NDArray[np.uint64], out_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
+    """Return both together, and their order: equal ones by time, what went in first at one time."""
     prints = np.concatenate((into, out))
     side = np.repeat([0, 1], [len(into), len(out)])
-    order = np.lexsort((side, np.concatenate((into_ns, out_ns)), prints))
-    goes = side[order] == 1
-    # What goes in opens a bracket and what comes out closes the one opened last.
-    group = np.cumsum(np.diff(prints[order], prepend=prints[order][:1]) != 0)
-    depth = np.cumsum(np.where(goes, -1, 1))
-    start = np.searchsorted(group, group)
-    before = np.where(start > 0, depth[start - 1], 0)
-    # Brackets that close nothing lift all that follow in their group.
-    lowest = depth - before
-    offset = group * -(2 * len(order) + 1)
-    floor = np.minimum.accumulate(np.minimum(lowest, 0) + offset) - offset
-    level = lowest - floor + goes
-    fresh = goes & (floor < np.where(np.arange(len(order)) == start, 0, np.roll(floor, 1)))
-    usable = np.flatnonzero(~fresh & (prints[order] != 0))
-    by_level = usable[np.lexsort((usable, level[usable], group[usable]))]
-    closes = np.flatnonzero(goes[by_level])
-    found = np.full(len(out), -1, np.intp)
-    found[order[by_level[closes]] - len(into)] = order[by_level[closes - 1]]
-    return found
+    return prints, np.lexsort((side, np.concatenate((into_ns, out_ns)), prints))
+
+
+def brackets(group: NDArray[Any], opens: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return which brackets close which: places of opening ones, and of those that close them.
+
+    A closing bracket closes the one of its group that was opened last, if any is open.
+
+    Args:
+        group: whose each bracket is; those of one group stand together, in order.
+        opens: which of them open.
+    """
+    # The brackets of one level of a group follow each other, whatever is within or is never closed.
+    level = np.cumsum(np.where(opens, 1, -1)) + ~opens
+    number = np.cumsum(np.append(False, group[1:] != group[:-1])[: len(group)])
+    order = np.lexsort((np.arange(len(group)), level, number))
+    before, behind = order[:-1], order[1:]
+    closed = opens[before] & ~opens[behind]
+    closed &= (number[before] == number[behind]) & (level[before] == level[behind])
+    return before[closed], behind[closed]
 
 
 def _field(name: str, column: NDArray[Any] | Ragged) -> NDArray[np.uint64]:

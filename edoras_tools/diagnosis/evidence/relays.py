@@ -35,6 +35,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
 from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND
@@ -151,16 +152,12 @@ def _there(
     rows: Rows, own: NDArray[np.intp], prints: NDArray[np.uint64], times: NDArray[np.int64]
 ) -> NDArray[np.intp]:
     """Return the rows that are, by their bytes and time, one of some datagrams."""
-    order = np.lexsort((times, prints))
-    prints, times = prints[order], times[order]
-    there = own[np.isin(rows.bytes_print[own], prints)]
-    first = np.searchsorted(prints, rows.bytes_print[there])
-    last = np.searchsorted(prints, rows.bytes_print[there], "right")
-    near = [
-        bool((np.abs(times[low:high] - when) <= _WITHIN_NS).any())
-        for low, high, when in zip(first.tolist(), last.tolist(), rows.time_ns[there].tolist(), strict=True)
-    ]
-    return np.asarray(there[np.array(near, bool)])
+    mine, when = rows.bytes_print[own], rows.time_ns[own]
+    before = latest_equal(prints, times, mine, when)
+    behind = latest_equal(prints, -times, mine, -when)
+    near = (before >= 0) & (when - times[before] <= _WITHIN_NS)
+    near |= (behind >= 0) & (times[behind] - when <= _WITHIN_NS)
+    return own[near]
 
 
 def _prints(datagrams: Sequence[bytes]) -> NDArray[np.uint64]:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.diagnosis.evidence.fingerprint import brackets
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.icmp import quoted_rows
@@ -149,15 +150,10 @@ def _quoted(rows: Rows, errors: PortErrors) -> NDArray[np.int64]:
     late_ns = np.where(errors.identification != 0, _DISORDER_NS, 0)
     times = np.concatenate((rows.time_ns[at], errors.time_ns + late_ns))
     order = np.lexsort((np.arange(size) >= count, times, group))
-    step = np.where(order < count, 1, -1)
-    level = np.cumsum(step) + (step < 0)
-    # Within a group the brackets of one level follow each other.
-    again = np.lexsort((np.arange(size), level, group[order]))
-    before, behind = order[again[:-1]], order[again[1:]]
-    same = (group[before] == group[behind]) & (level[again[:-1]] == level[again[1:]])
-    same &= (before < count) & (behind >= count) & (times[behind] - times[before] <= _WITHIN_NS)
+    before, behind = (order[item] for item in brackets(group[order], order < count))
+    near = times[behind] - times[before] <= _WITHIN_NS
     found = np.full(len(quoted), -1)
-    found[behind[same] - count] = at[before[same]]
+    found[behind[near] - count] = at[before[near]]
     return found
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import About
 
 _FEW: Final = 20
+"""So many of one kind are told one by one; more are told together."""
 
 
 class Subject(TypedDict):

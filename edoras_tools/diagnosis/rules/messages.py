@@ -151,6 +151,8 @@ _COUNTED_NS = 2200 * MILLISECOND
 _FEW = 8
 _UNKNOWN = (1, 2, 3)
 """So many MsgIds that nobody takes are looked for."""
+_HANDS_IN: Final = ("CI", "SBN")
+"""Applications that hand to the software bus what came in; their names begin so."""
 
 
 def no_subscriber(case: Case) -> Iterator[Verdict]:
@@ -160,14 +162,14 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     said = {item: events for item, events in case.reported_losses.items() if item.kind == "no_subscriber"}
-    sent = [item for item in said if item.sender.startswith(("CI", "SBN"))]
+    sent = [item for item in said if item.sender.startswith(_HANDS_IN)]
     for item in sent:
         link = CI if item.sender.startswith("CI") else SBN
         members = np.flatnonzero((rows.link == link) & (rows.msg_id == item.msg_id)).tolist()
         yield _not_taken(case, item.msg_id, link, members, f"cFS said: {said[item].records[0]}")
     named = {(item.instance, item.msg_id) for item in sent}
     # Where an application of a cFS itself publishes what nobody takes, its counter tells nothing.
-    others = {item.instance for item in said if item not in sent}
+    others = {item.instance for item in said if not item.sender.startswith(_HANDS_IN)}
     for (instance, msg_id), members in _without_subscriber(case).items():
         if (instance, msg_id) not in named and instance not in others:
             text = "0x803: NoSubscribers grew by these, and nothing else fits it (the event stops after 4)"

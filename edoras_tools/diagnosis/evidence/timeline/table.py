@@ -35,7 +35,6 @@ Kind = Literal[
     "table",
     "clock",
     "counters",
-    "schedule",
     "capture",
     "port",
 ]
@@ -49,8 +48,8 @@ class StateOwner(NamedTuple):
     Output sends and where to; ``entry`` of its table, by ``msg_id``, ``NO_MSG_ID`` for all of them; ``peer``
     of SBN by ``name`` (``66:3``); ``subscription`` of the peer ``name`` to ``msg_id``; ``events`` of the
     application ``name``; ``table`` by ``name``; ``clock``; ``counters`` of a housekeeping MsgId;
-    ``schedule``, the requests for housekeeping; ``capture``, the interface; ``port`` by ``name``
-    (``10.0.0.4:1235``). The last two are of no cFS: their system is ``EVERY``.
+    ``capture``, the interface; ``port`` by ``name`` (``10.0.0.4:1235``). The last two are of no cFS: their
+    system is ``EVERY``.
     """
 
     kind: Kind
@@ -273,7 +272,6 @@ def subject_name(subject: StateOwner) -> str:
         "table": f"table {subject.name}",
         "clock": "cFS's clock",
         "counters": f"the counters of {number}",
-        "schedule": "the requests for housekeeping",
         "capture": "the capture",
         "port": f"port {subject.name}",
     }[subject.kind]
