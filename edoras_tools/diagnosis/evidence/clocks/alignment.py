@@ -36,6 +36,7 @@ from edoras_tools.diagnosis.evidence.clocks.lines import (
     ClockLines,
     Ordered,
     constant_offset,
+    least_of_each,
     one_way,
     quickest_ahead,
 )
@@ -461,9 +462,7 @@ def _of_boot(first: Side, second: Side, pair: tuple[int, int]) -> Ordered:
     for (made, captured), window in zip(boots, windows, strict=True):
         held = np.flatnonzero(np.isin(window, common)) if len(common) else np.arange(len(made))
         place = window[held] if len(common) else np.zeros(len(held), np.int64)
-        order = held[np.lexsort((captured[held] - made[held], place))]
-        place = np.sort(place)
-        at = order[np.flatnonzero(np.diff(place, prepend=place[0] - 1))]
+        at = held[least_of_each(place - place.min(), captured[held] - made[held])]
         quickest.append((made[at], captured[at]))
     (made, captured), (other, then) = quickest
     apart = int(np.abs(other - made).max())

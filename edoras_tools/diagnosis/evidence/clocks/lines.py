@@ -108,8 +108,7 @@ def _sides(told: Ordered, drift: float) -> tuple[_Bounds, _Bounds]:
         waited = _Bounds(told.first_ns[loose], took[loose] - told.wait_ns - apart)
     elif told.wait_ns is not None:
         window = (told.first_ns - told.first_ns.min()) // _WINDOW_NS
-        order = np.lexsort((took, window))
-        quickest = order[np.flatnonzero(np.diff(window[order], prepend=-1))]
+        quickest = least_of_each(window, took)
         # Which of them is the quickest depends on the drift that is to be found.
         unsure = round(min(int(np.ptp(told.first_ns)), _WINDOW_NS) * drift)
         waited = _Bounds(told.first_ns[quickest], took[quickest] - told.wait_ns - unsure)
@@ -124,8 +123,13 @@ def _tightest(time_ns: NDArray[np.int64], value: NDArray[np.int64]) -> NDArray[n
         return np.arange(len(value))
     begin = int(time_ns.min())
     place = (time_ns - begin) * _PLACES // (int(time_ns.max()) - begin + 1)
-    order = np.lexsort((value, place))
-    return order[np.flatnonzero(np.diff(place[order], prepend=-1))]
+    return least_of_each(place, value)
+
+
+def least_of_each(group: NDArray[np.int64], value: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return the row of the least value of each group; groups are numbers from 0."""
+    order = np.lexsort((value, group))
+    return order[np.flatnonzero(np.diff(group[order], prepend=-1))]
 
 
 def one_way(first_ns: NDArray[np.int64], second_ns: NDArray[np.int64]) -> list[Ordered]:
