@@ -11,7 +11,7 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.conversations import Conversations
 from edoras_tools.diagnosis.evidence.fingerprint import SharedFields, of_values, robot_commands, robot_prints
 from edoras_tools.diagnosis.evidence.payloads import Payloads
-from edoras_tools.diagnosis.evidence.unreachable import ErrorRecorder
+from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch, Peer

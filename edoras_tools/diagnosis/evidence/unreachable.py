@@ -17,30 +17,24 @@ from __future__ import annotations
 
 import ipaddress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.fingerprint import brackets
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
-from edoras_tools.io.frames.linklayer import network_headers
-from edoras_tools.links.icmp import quoted_rows
-from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.fingerprint import of_bytes
 from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder, PortErrors
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.model import Columns, Endpoint, PacketBatch
-
-    Numbers = Callable[[PacketBatch], tuple[NDArray[np.int32], NDArray[np.int32]]]
-    """Returns the numbers of the source and of the destination of each row."""
+    from edoras_tools.model import Endpoint
 
 _WITHIN_NS: Final = 5 * SECOND
 """An error comes so long after its datagram at most."""
@@ -272,83 +266,3 @@ def _spans(
             late = np.arange(before[-1], first)
             found.uncertain[row[late[events.unanswered[late]]]] = True
     return spans
-
-
-_AGAIN_NS: Final = MILLISECOND
-"""The same error within this time was captured twice."""
-
-
-class PortErrors(NamedTuple):
-    """The errors of a capture, in order of time; an element each.
-
-    Attributes:
-        time_ns: i64, when it was captured.
-        source: i64, number of the endpoint that sent the quoted datagram,
-        destination: i64, and of the one that did not get it.
-        identification: i64, of the quoted datagram; 0 where it has none.
-        closed: bool, whether the receiver's host says that nobody listens on the port.
-        print: i64, fingerprint of the error's own IP packet.
-    """
-
-    time_ns: NDArray[np.int64]
-    source: NDArray[np.int64]
-    destination: NDArray[np.int64]
-    identification: NDArray[np.int64]
-    closed: NDArray[np.bool_]
-    print: NDArray[np.int64]
-
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> PortErrors:
-        """Return some of them."""
-        columns: list[Any] = [column[rows] for column in self]
-        return PortErrors(*columns)
-
-
-class ErrorRecorder:
-    """Keeps the errors of a capture, and when ports whose datagrams are no packets, as robots', spoke.
-
-    Args:
-        numbers: numbers the endpoints of a batch.
-    """
-
-    def __init__(self, numbers: Numbers) -> None:
-        self._numbers = numbers
-        self._errors: list[PortErrors] = []
-        self._voices: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
-
-    def add(self, batch: PacketBatch, columns: Columns) -> None:
-        """Take the errors of a batch; all else in it is a sign of life of its sender."""
-        error = among(columns.link, lambda link: link.quotes)
-        others = batch.take(~error)
-        self._voices.append((others.time_ns, self._numbers(others)[0].astype(np.int64)))
-        if not error.any():
-            return
-        own, quoted = batch.take(error), quoted_rows(batch, np.flatnonzero(error))
-        network = network_headers(own)[0]
-        message = of_bytes(own.data, network, own.frame_offset + own.frame_length - network)
-        source, destination = (item.astype(np.int64) for item in self._numbers(quoted.datagrams))
-        identification = quoted.identification.astype(np.int64)
-        self._errors.append(
-            PortErrors(
-                own.time_ns, source, destination, identification, quoted.closed, message.view(np.int64)
-            )
-        )
-
-    def errors(self) -> PortErrors:
-        """Return the errors, each once."""
-        if not self._errors:
-            none = np.zeros(0, np.int64)
-            return PortErrors(none, none, none, none, none.astype(bool), none)
-        columns: list[NDArray[Any]] = [np.concatenate(parts) for parts in zip(*self._errors, strict=True)]
-        every = PortErrors(*columns)
-        every = every.take(np.lexsort((every.time_ns, every.print)))
-        again = np.zeros(len(every.print), bool)
-        again[1:] = (np.diff(every.print) == 0) & (np.diff(every.time_ns) < _AGAIN_NS)
-        every = every.take(~again)
-        return every.take(np.argsort(every.time_ns, kind="stable"))
-
-    def voices(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return when other datagrams came, and the number of the endpoint of each."""
-        if not self._voices:
-            return np.zeros(0, np.int64), np.zeros(0, np.int64)
-        times, sources = (np.concatenate(parts) for parts in zip(*self._voices, strict=True))
-        return times, sources

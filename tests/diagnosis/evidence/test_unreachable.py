@@ -14,9 +14,10 @@ from mutations import Frame, frames, write
 from scapy.layers.inet import IP
 from truth import FOLDER, diagnosed, sums
 
+from edoras_tools.diagnosis.evidence.port_errors import PortErrors
 from edoras_tools.diagnosis.evidence.table import Rows
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, StateOwner, Timeline
-from edoras_tools.diagnosis.evidence.unreachable import PortErrors, find_unreachable
+from edoras_tools.diagnosis.evidence.unreachable import find_unreachable
 from edoras_tools.model import Endpoint
 
 SECOND, MS = 10**9, 10**6
