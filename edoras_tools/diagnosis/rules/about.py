@@ -23,7 +23,7 @@ _FEW: Final = 20
 """So many of one kind are told one by one; more are told together."""
 
 
-class Subject(TypedDict):
+class AboutMessages(TypedDict):
     """Which messages a verdict is about: attributes of ``Verdict``."""
 
     msg_id: int | None
@@ -31,14 +31,14 @@ class Subject(TypedDict):
     span: tuple[int, int]
 
 
-def subject(case: Case, members: Sequence[int] | NDArray[np.intp]) -> Subject:
+def subject(case: Case, members: Sequence[int] | NDArray[np.intp]) -> AboutMessages:
     """Return the MsgId and the link of the first of some rows, and the times of all; in order of time."""
     msg_id, link = int(case.rows.msg_id[members[0]]), table.link(case.rows.link[members[0]])
     known = msg_id if msg_id != NO_MSG_ID else None
     return {"msg_id": known, "link": link.label, "span": case.span(members)}
 
 
-def stream_subject(case: Case, stream: Stream) -> Subject:
+def stream_subject(case: Case, stream: Stream) -> AboutMessages:
     """Return the MsgId and the link of a stream, and from when to when it came."""
     return {"msg_id": stream.msg_id, "link": stream.link.label, "span": case.span(stream.rows)}
 
