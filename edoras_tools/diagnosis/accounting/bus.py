@@ -338,20 +338,25 @@ class Telemetry:
         return None
 
     def _tell_closed(self, part: Part) -> None:
-        """Make losses of what was counted while the way out was closed; the rest nobody counts."""
+        """Make losses of what is missing while the way out was closed, of what was counted at least."""
+        pipe = self._case.pipe_of(part.stream)
+        counted = {
+            kind: f"0x803: {COUNTER_NAMES[kind]} +{number:,} while nobody emptied {pipe}"
+            for kind, number in part.taken.items()
+        }
+        if part.cause is not None:
+            kind_, hop, text = part.cause
+            part.evidence = [text, *counted.values()]
+            self._lose(part, kind_, part.missing, part.missing, "high").hop = hop
+            return
         for kind, number in part.taken.items():
-            pipe = self._case.pipe_of(part.stream)
             part.evidence = [
-                f"0x803: {COUNTER_NAMES[kind]} +{number:,} while nobody emptied {pipe}",
+                counted[kind],
                 "Telemetry Output was not sending then: it would not have sent them either",
             ]
             self._lose(part, kind, number, part.missing, "medium")
         rest = part.missing - part.taken.total()
-        if part.cause is not None and rest:
-            kind_, hop, text = part.cause
-            part.evidence = [text]
-            self._lose(part, kind_, rest, part.missing, "high").hop = hop
-        elif part.silenced:
+        if part.silenced:
             self.silenced.append((part.stream, rest, part.among))
         else:
             self.ends[id(part.stream)]["untold" if part.unled else "closed"] += rest

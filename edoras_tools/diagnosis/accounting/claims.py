@@ -162,6 +162,25 @@ def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int 
     _improve({(table.instance, table.kind): table for table in tables}, claims)
 
 
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Traffic that is not in the capture, and that a counter may have counted.
+
+    Attributes:
+        flow: what distinguishes it from other traffic, as in ``Claim``.
+        instance: cFS instance that may have counted it.
+        kind: kind of count.
+        start_ns: capture time from which on it may have been counted.
+        end_ns: capture time until which it may.
+    """
+
+    flow: int
+    instance: int
+    kind: PipeKind
+    start_ns: int
+    end_ns: int
+
+
 @dataclass(slots=True)
 class Shared:
     """Counts that are losses of several kinds of traffic together: nothing tells how many of each.
@@ -169,7 +188,7 @@ class Shared:
     Attributes:
         instance: cFS instance that counted them.
         kind: kind of count.
-        flows: traffic that shares them, ids of streams.
+        flows: traffic that shares them, as in ``Claim`` and ``Rival``.
         number: counts.
         start_ns: time of the sample before the first of them.
         end_ns: time of the sample behind the last of them.
@@ -183,11 +202,14 @@ class Shared:
     end_ns: int
 
 
-def settle_known(counts: Mapping[int, Counts], claims: Sequence[Claim], gaps: list[Claim]) -> list[Shared]:
+def settle_known(
+    counts: Mapping[int, Counts], claims: Sequence[Claim], gaps: list[Claim], rivals: Sequence[Rival]
+) -> list[Shared]:
     """Give counts to what surely is missing, then to what may be; see ``settle_possible``.
 
     Args:
         gaps: those of the claims that are of telemetry.
+        rivals: traffic that is not in the capture.
     """
     for ranks, slack_ns in (
         ((PRESSED, ABSENT, CLOSED), _APART_NS),
@@ -198,7 +220,7 @@ def settle_known(counts: Mapping[int, Counts], claims: Sequence[Claim], gaps: li
         settle(counts, sure)
         _move(counts, [claim for claim in gaps if claim.rank in ranks])
         settle(counts, sure, slack_ns)
-    return settle_possible(counts, claims)
+    return settle_possible(counts, claims, rivals)
 
 
 def _move(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
@@ -241,7 +263,9 @@ def settle_rest(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
     settle(counts, [claim for claim in claims if claim.rank == MISSING], _APART_NS)
 
 
-def settle_possible(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:
+def settle_possible(
+    counts: Mapping[int, Counts], claims: Sequence[Claim], rivals: Sequence[Rival] = ()
+) -> list[Shared]:
     """Give claims of messages that may be lost what is left, rank after rank, where one traffic alone can be.
 
     What several share is theirs only as far as nothing that surely is missing can be it: a count that may be
@@ -264,17 +288,23 @@ def settle_possible(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> li
                 asking = {at for at in table.asking if table.prefers(at, rank, place)}
                 for second in np.flatnonzero(table.left).tolist() if asking else ():
                     held = [at for at in table.within(second) if at in asking and claims[at].open]
-                    flows = frozenset(claims[at].flow for at in held)
+                    start_ns, end_ns = counts[table.instance].times[second : second + 2].tolist()
+                    flows = frozenset(claims[at].flow for at in held).union(
+                        rival.flow
+                        for rival in rivals
+                        if (rival.instance, rival.kind) == (table.instance, table.kind)
+                        and rival.start_ns <= end_ns
+                        and start_ns <= rival.end_ns
+                    )
                     if len(flows) > 1 and has_rest:
                         settle_rest(counts, claims)
                         has_rest = False
                     number = table.give(second, held, reserve=len(flows) > 1)
                     if len(flows) > 1 and number:
-                        times = counts[table.instance].times[second : second + 2].tolist()
                         key = table.instance, table.kind, flows
-                        item = found.setdefault(key, Shared(*key, 0, times[0], times[1]))
+                        item = found.setdefault(key, Shared(*key, 0, start_ns, end_ns))
                         item.number += number
-                        item.end_ns = times[1]
+                        item.end_ns = end_ns
     return list(found.values())
 
 

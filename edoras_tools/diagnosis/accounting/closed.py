@@ -422,6 +422,11 @@ class Stops:
         last_ns = times[fate.arrived & (times <= item.start_ns + WAITS_NS)].max(initial=0)
         inside = fate.open & (fate.stop < 0)
         inside &= (times > max(item.start_ns - WAITS_NS, last_ns)) & (times < until_ns)
+        if fate.keeps_newest:  # the rest of what it takes at once when it is back gave way
+            profile = self._case.profile
+            round_ns = profile.ci_wake_ns if fate.stream.link.only_to_cfs else profile.sbn_wake_ns
+            fate.newer |= inside & (times > until_ns - round_ns)
+            inside &= times <= until_ns - round_ns
         if item.app in executive_services.SCHEDULERS:
             inside &= ~fate.newer  # nobody woke the application: it kept the newest
         again = np.zeros(len(times), bool)
@@ -491,7 +496,10 @@ class Stops:
                 rows = np.flatnonzero(open_ & (fate.stop == place))
                 fate.claim(rows)
                 kind, hop, text = self._causes[place]
-                self.losses.append(loss_of(self._case, fate, kind, rows, [text], hop=hop))
+                evidence = [text]
+                if counted := fate.counted_in_stop[place]:
+                    evidence.append(f"0x803 counted {counted:,} of them: nobody read the pipe")
+                self.losses.append(loss_of(self._case, fate, kind, rows, evidence, hop=hop))
 
     def _unanswered(self, fate: Fate) -> None:
         """Mark what was sent after a command that stops an application, where no event answers (rule 10)."""

@@ -109,7 +109,8 @@ class Commands:
             pipes.claim(fate)
         hold_back(case, telemetry.claims)
         counts, claims = case.loss_counts, [*telemetry.claims, *pipes.claims]
-        shared = settle_known(counts, claims, telemetry.claims)
+        leftover = Leftover(case, self.fates, pipes)
+        shared = settle_known(counts, claims, telemetry.claims, leftover.rivals())
         settle_first(counts, claims, may_be_missed(case, claims))
         tails = {claim.flow: sum(claim.taken.values()) for claim in claims if claim.rank == POSSIBLE}
         pipes.tell()
@@ -118,7 +119,6 @@ class Commands:
         for account in case.ingests:
             before_ci.wait(account)
         self._end(fates, tails, shared)
-        leftover = Leftover(case, self.fates, pipes)
         leftover.share(shared)
         settle_rest(counts, claims)
         telemetry.tell()

@@ -106,6 +106,8 @@ class Ingest:
             its first count does not tell which of those just sent it has.
         older_until_ns: it read as fast as it can when the capture began: until then it may have read what was
             sent before.
+        ended: from the last sign of a cFS that went down until it would have given the next one: what was
+            sent then, it may have read or not.
         by_kernel: it has no count here; what its socket dropped, the kernel of its host counted.
     """
 
@@ -121,6 +123,7 @@ class Ingest:
     not_captured: int = 0
     unsure: int = 0
     older_until_ns: int = 0
+    ended: list[tuple[int, int]] = field(default_factory=list)
     by_kernel: bool = False
 
     def add(self, loss: Before) -> None:
@@ -338,7 +341,32 @@ class _Counted:
             and sooner.seen_ns <= item.end_ns
             for item in self._case.resets
         )
+        if down and self._arrived is None:
+            until_ns = min(self._next_sign_ns(sooner.instance, ended_ns), later.made_ns)
+            if restarts := self._restarts_ns(ended_ns - self._profile.ci_wake_ns, until_ns):
+                until_ns = max(ended_ns, restarts[0])
+                return ("down", until_ns), lost, int(self._sent_until(until_ns)) - lost
+            account.ended.append((ended_ns, until_ns))
+            before += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
+            ended_ns = until_ns
         return ("down" if down else "restart", ended_ns), lost, before
+
+    def _restarts_ns(self, start_ns: int, end_ns: int) -> list[int]:
+        """Return when its cFS was told to restart, of the commands to it between two times."""
+        rows, key = self._case.rows, (executive_services.COMMAND_MSG_ID, executive_services.RESTART)
+        found = [
+            int(rows.time_ns[item.row])
+            for item in self._case.payloads.commands
+            if (item.msg_id, item.function_code) == key and rows.destination[item.row] == self._endpoint
+        ]
+        return [when for when in found if start_ns < when <= end_ns]
+
+    def _next_sign_ns(self, instance: int, ended_ns: int) -> int:
+        """Return when a cFS that last gave a sign at a time would have given the next one."""
+        times = self._case.rows.time_ns[self._case.instances.of_row == instance]
+        steps = np.diff(times[times <= ended_ns])
+        steps = steps[steps > self._profile.to_wake_ns // 2]
+        return ended_ns + (int(np.quantile(steps, 0.9)) if len(steps) else 0)
 
     def _stop(self, account: Ingest) -> None:
         """Add what was sent since a CI was stopped, where it did not start again."""
@@ -557,9 +585,14 @@ class BeforeCi:
 
     def share(self, account: Ingest) -> None:
         """Share out all that was lost before a CI, or may have been where the capture begins amid it."""
+        fates = self._to(account)
+        for start_ns, end_ns in account.ended:
+            for fate in fates:
+                times = self._case.captured(fate.stream)
+                inside = np.flatnonzero(fate.open & (times > start_ns) & (times <= end_ns))
+                fate.ends["crowded"] += fate.claim(inside)
         for before in account.losses:
             self._before_ci(account, before)
-        fates = self._to(account)
         most = [int(fate.open.sum()) for fate in fates]
         for fate, share in zip(fates, shares(account.unsure, most, most), strict=True):
             fate.ends["unsure"] = fate.claim(np.flatnonzero(fate.open)[:share])

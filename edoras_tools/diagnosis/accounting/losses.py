@@ -141,7 +141,8 @@ End = Literal[
 ]
 """How messages into cFS end that are in no loss.
 
-At CI: ``queued`` may wait in its socket, ``crowded`` only if that holds more than usual; ``late`` were sent
+At CI: ``queued`` may wait in its socket, ``crowded`` only if that holds more than usual, or it may have read
+them just before it went down; ``late`` were sent
 after its last count; of ``unsure`` its first counts do not tell whether it read them; ``uncounted`` are not
 in its first count, and nothing tells why.
 
@@ -178,6 +179,7 @@ class Fate:
         passed: bool (rows,), it may have come out of the application and have been lost behind it.
         edge: bool (rows,), likewise, where no count behind it would show that.
         stop: i64 (rows,), place of the stop of an application that it was sent into; -1 for none.
+        counted_in_stop: place of a stop to how many of those 0x803 counted: nobody read the pipe.
     """
 
     stream: Stream
@@ -191,6 +193,7 @@ class Fate:
     unseen: NDArray[np.bool_]
     ends: Counter[End] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
+    counted_in_stop: Counter[int] = field(default_factory=Counter)
     unfollowed: NDArray[np.bool_] | None = None
     unfollowed_since: str = ""
     reached: int | None = None
@@ -207,6 +210,11 @@ class Fate:
     def seen(self) -> bool:
         """Whether it can be seen what comes out."""
         return bool(self.hops)
+
+    @property
+    def keeps_newest(self) -> bool:
+        """Whether the application sends only the newest of what it takes at once, over SBN."""
+        return any(hop.rewritten and hop.out.link.peers for hop in self.hops)
 
     @property
     def waiting(self) -> int:

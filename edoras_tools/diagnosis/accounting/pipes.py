@@ -23,6 +23,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     QUIET,
     Claim,
     Counts,
+    Rival,
     Shared,
     claimed_alike,
 )
@@ -42,6 +43,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     PipeKind,
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.links.table import carrying
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
@@ -63,6 +65,7 @@ _RANKS: Final = (ABSENT, POSSIBLE + 1, POSSIBLE + 3, POSSIBLE + 2, INTO_STOP, PO
 _FIRST: Final = "; its first value already had some"
 _MAY_WAIT: Final = 2
 _BLIND: Final = 3
+_INTO_STOP: Final = 4
 _OVER: Final = 1.02
 _OFTEN: Final = 1
 """A size of rounds that is met more often shows how deep a pipe is."""
@@ -160,6 +163,9 @@ class Pipes:
         """Make losses of what was given to the claims."""
         for claim in self.claims:
             own, at = self._whose[claim.key], 0
+            if own.standing == _INTO_STOP:  # that it was stopped is why; ``closed`` tells of them
+                own.fate.counted_in_stop[int(own.fate.stop[own.rows[0]])] += sum(claim.taken.values())
+                continue
             cut = own.fate.spans[own.span]
             rows = np.arange(cut.first, cut.last + 1)
             among = rows[_standing(own.fate)[own.standing][rows]] if claim.taken else rows
@@ -393,10 +399,10 @@ class Leftover:
         Args:
             shared: counts that several kinds of traffic share: each is a loss of its own.
         """
-        streams = {id(stream): stream for stream in self._case.streams}
+        names = {id(item): (item.link.label, item.msg_id, self._pipe(item)) for item in self._case.streams}
+        names |= {id(item): ("", item.msg_id, item.pipe) for item in self._case.reported_losses}
         for item in shared:
-            rivals = [streams[flow] for flow in item.flows]
-            self._together(item, {(rival.link.label, rival.msg_id, self._pipe(rival)) for rival in rivals})
+            self._together(item, {names[flow] for flow in item.flows})
         for instance, counts in self._counts.items():
             # What is counted now was sent up to a round of CI before.
             away = self._case.is_away(counts.times[:-1] - WAITS_NS - LEAD_NS, counts.times[1:])
@@ -406,6 +412,23 @@ class Leftover:
                     left[away] = 0
                 if left.any() or counts.first.get(kind, 0):
                     self._leftover(instance, counts, kind)
+
+    def rivals(self) -> list[Rival]:
+        """Return the traffic that events name and that is not in the capture, as a scheduler's wake-ups.
+
+        It may go on being lost after cFS has stopped its events.
+        """
+        reported = self._case.reported_losses
+        events = Counter[tuple[int, str]]()
+        for item, said in reported.items():
+            events[item.instance, item.kind] += said.count
+        found = []
+        for item, said in reported.items():
+            if item.kind in COUNTERS and not (self._seen_behind(item) or self._fed(item, item.instance)):
+                is_stopped = events[item.instance, item.kind] >= STOPS_AFTER - 2
+                end_ns = NEVER if is_stopped else said.last_ns + TAIL_NS
+                found.append(Rival(id(item), item.instance, item.kind, said.first_ns - TAIL_NS, end_ns))
+        return found
 
     def tell(self, gaps: Sequence[Loss]) -> None:
         """Make losses of what nothing explains.
@@ -489,13 +512,7 @@ class Leftover:
         for reported, said in case.reported_losses.items():
             if (reported.instance, reported.kind) != (instance, kind):
                 continue
-            out = [
-                stream
-                for stream in case.streams
-                if (reported.at_output or reported.at_peer)
-                and stream.msg_id == reported.msg_id
-                and stream.link.peers == reported.at_peer
-            ]
+            out = self._seen_behind(reported)
             # What leaves by a pipe and is seen behind it has gaps, which are counted there; what is lost
             # behind the last message that was seen leaves none.
             if any(case.captured(stream)[-1] > said.first_ns for stream in out):
@@ -509,6 +526,16 @@ class Leftover:
             elif not fate.seen:
                 found.append(self._candidate(fate.stream, reported.pipe, reported.sender, said))
         return found or (list(self._suspects(instance)) if kind == "limit" else [])
+
+    def _seen_behind(self, reported: ReportedLoss) -> list[Stream]:
+        """Return the streams of its MsgId behind the pipe that a reported loss was at."""
+        return [
+            stream
+            for stream in self._case.streams
+            if (reported.at_output or reported.at_peer)
+            and stream.msg_id == reported.msg_id
+            and stream.link.peers == reported.at_peer
+        ]
 
     def _candidate(
         self, stream: Stream, pipe: str, sender: str = "", said: LossEvents | None = None

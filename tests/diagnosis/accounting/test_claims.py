@@ -3,7 +3,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.diagnosis.accounting.claims import POSSIBLE, Claim, Counts, settle, settle_possible
+from edoras_tools.diagnosis.accounting.claims import (
+    POSSIBLE,
+    Claim,
+    Counts,
+    Rival,
+    settle,
+    settle_possible,
+)
 
 SECOND = 10**9
 KINDS = ("limit", "overflow")
@@ -114,3 +121,12 @@ def test_what_only_one_may_have_lost_is_its_own():
     (item,) = settle_possible({0: there}, claims)
     assert (claims[0].taken, item.number, item.flows) == ({(0, "limit", 0): 3}, 2, frozenset({7, 8}))
     assert (item.start_ns, item.end_ns) == (SECOND, 2 * SECOND)
+
+
+def test_what_traffic_that_is_not_in_the_capture_may_be_is_shared_with_it():
+    there = counts([3, 2], [0, 0])
+    claims = [claim(0, 0, 1, 9, KINDS, POSSIBLE, flow=7)]
+    rival = Rival(8, 0, "limit", 3 * SECOND // 2, 9 * SECOND)
+    (item,) = settle_possible({0: there}, claims, [rival])
+    assert (claims[0].taken, claims[0].reserved) == ({(0, "limit", 0): 3}, 2)
+    assert (item.number, item.flows) == (2, frozenset({7, 8}))

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import pytest
 from places import ROOT
-from scenarios import Flight, application, examined, fly, truth
+from scenarios import START_NS, Flight, application, examined, fly, truth
 
+from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.lab.emulator.account import LOST, socket
 from edoras_tools.cfs import executive_services as es
+from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
 from edoras_tools.wire.robot import ROBOT_PORT
 
 SENT, REACHED_THE_ROBOT = 310, 174
@@ -87,3 +94,39 @@ def test_what_an_application_keeps_while_nobody_wakes_it_gives_way_to_the_newest
     assert result["lost"] <= most
     assert result["unaccounted"] == 0
     assert [row["lost"] for row in rows.values()] == [0, 0, 0, 0]
+
+
+def lost_of(result, msg_id):
+    return sum((Counter(row["lost_by"]) for row in result["balance"] if row["msg_id"] == msg_id), Counter())
+
+
+def test_a_full_pipe_of_a_restarted_application_loses_by_its_restart_and_wake_ups_are_their_own():
+    ends = (application(12.0, es.RESTART_APP, "EDORAS_APP"),)
+    simulation, sent = fly(Flight("two-rovers", SimProfile(), 6.0, 3.0, 30, 8, ends))
+    result, lost = examined(sent), Counter()
+    for item in simulation.cfs.account.arrivals:
+        lost[item.msg_id] += item.end in LOST
+    for msg_id in (0x1827, 0x1828):
+        assert lost_of(result, f"0x{msg_id:04x}") == {"stopped": lost[msg_id]}
+    # Wake-ups are not in the capture: some of them no event names.
+    assert 0 < lost_of(result, "0x182b")["limit"] <= lost[0x182B]
+    assert result["lost"] <= lost.total()
+    assert result["unaccounted"] == 0
+
+
+@pytest.mark.parametrize("hertz", [6.0, 10.0])
+def test_what_a_cfs_may_have_read_just_before_it_was_killed_is_not_said_to_be_lost(hertz):
+    simulation = Simulation(SimProfile(), start_ns=START_NS, command_rate_hz=hertz, with_account=True)
+    cfs = simulation.cfs
+    sent = list(simulation.run(START_NS + 13 * SECOND))
+    cfs.halt()
+    sent += simulation.run(START_NS + 18 * SECOND)
+    cfs.boot()
+    enable = cfe.emit_command(
+        telemetry_output.COMMAND_MSG_ID, telemetry_output.ENABLE, b"127.0.0.1".ljust(16, b"\0")
+    )
+    simulation.feed(START_NS + 20 * SECOND, cfs.ci_endpoint, enable)
+    sent += simulation.run(START_NS + 34 * SECOND)
+    told = lost_of(examined(sent), "0x1827")["down"]
+    truth = sum(item.hop == socket(cfs.profile.ci_port) and item.end in LOST for item in cfs.account.arrivals)
+    assert truth - hertz <= told <= truth
