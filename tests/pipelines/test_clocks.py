@@ -205,3 +205,17 @@ def test_a_file_of_a_cfs_is_put_on_its_own_boot_or_on_none(tmp_path, boot, same)
         assert "not placed" in note
         assert "was started 2 times there, which fit equally" in note
         assert max(placed) < min(item.time_ns for item in kept) - 10**18
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_boots_in_two_files_that_follow_each_other_are_of_one_clock(tmp_path, turned):
+    traffic = datagrams(ROOT / "tests/captures/n3_cfs_restart.pcap.zst")
+    begin_ns = traffic[0].time_ns
+    parts = [
+        [item for item in traffic if (item.time_ns < begin_ns + 21 * 10**9) == first]
+        for first in (True, False)
+    ]
+    paths = [write(tmp_path / f"{at}.pcap", part) for at, part in enumerate(parts)]
+    found, notes = diagnosed(*(paths[::-1] if turned else paths))
+    assert notes == []
+    assert totals(found) == totals(diagnosed(write(tmp_path / "whole.pcap", traffic))[0])

@@ -200,6 +200,8 @@ _WAKE_NS: Final = 500 * MILLISECOND
 _MODULUS: Final = 1 << 14
 _SAME_NS: Final = 2 * SECOND
 """Steps of one offset lie within so much of each other, the longest delays taken off."""
+_APART_NS: Final = 5 * SECOND
+"""Clocks of files that follow each other are not so far apart."""
 _LONG_NS: Final = 300 * SECOND
 """In so long some packet was handed on at once."""
 _LOOSE_NS: Final = (0, 100_000, MILLISECOND, 10 * MILLISECOND, 100 * MILLISECOND)
@@ -427,6 +429,8 @@ def _mission_times(first: Side, second: Side) -> _Told | None:
     steps = np.array([theirs.items[j].offset_ns - ours.items[i].offset_ns for i, j in pairs])
     # How many packets a boot has says nothing of which boot it is: that both hold the same ones does.
     same_packets = [_same_packets(first, second, pair) for pair in pairs]
+    if not any(same_packets) and not all(_one_boot(first, second, pair) for pair in pairs):
+        return None
     weights = same_packets if any(same_packets) else [1] * len(pairs)
     order = np.argsort(steps, kind="stable")
     group = np.concatenate(([0], np.cumsum(np.diff(steps[order]) > 2 * _WAKE_NS)))
@@ -438,6 +442,31 @@ def _mission_times(first: Side, second: Side) -> _Told | None:
     told = _Told.of([_of_boot(first, second, pair) for pair in same], "the mission time of one cFS in both")
     alike = [step for pair in same for step in _same_ways(first, second, pair)]
     return replace(told, near=[int(np.median(alike))]) if told and alike else told
+
+
+def _one_boot(first: Side, second: Side, pair: tuple[int, int]) -> bool:
+    """Tell whether boots of two captures may be one.
+
+    They are not where both sent a MsgId on one link at the same mission times, and never the same packet. Nor
+    are they where one capture ended before the other began: so it is when a file follows another, and cFS was
+    started again.
+    """
+    keys, times = [], []
+    for side, index in zip((first, second), pair, strict=True):
+        rows = side.rows.take(np.flatnonzero(side.instances.of_row == index))
+        keys.append(rows.link.astype(np.int64) << 32 | rows.msg_id)
+        times.append(rows.mission_time_ns)
+    if np.isin(*times).any():
+        return True
+    for key in np.intersect1d(*keys).tolist():
+        made = [own[kinds == key] for own, kinds in zip(times, keys, strict=True)]
+        begin, end = max(item.min() for item in made), min(item.max() for item in made)
+        if min(((item >= begin) & (item <= end)).sum() for item in made) >= _LEAST:
+            return False
+    captured = [side.rows.time_ns for side in (first, second)]
+    is_apart = captured[0].max() < captured[1].min() or captured[1].max() < captured[0].min()
+    ahead = second.instances.items[pair[1]].offset_ns - first.instances.items[pair[0]].offset_ns
+    return not is_apart or abs(ahead) < _APART_NS
 
 
 def _same_packets(first: Side, second: Side, pair: tuple[int, int]) -> int:
