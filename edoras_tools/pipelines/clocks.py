@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs.time_services import EPOCH_S, START_S
-from edoras_tools.diagnosis.evidence.clocks.alignment import align, boot_offsets
+from edoras_tools.diagnosis.evidence.clocks.alignment import Alignment, align, boot_offsets
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 _MOST: Final = 1_000_000
 """Datagrams of each capture that are used to find the offset of its clock."""
+_SEAM_NS: Final = 2 * SECOND
 
 
 class Aligned(SourceOver):
@@ -146,6 +147,10 @@ def open_aligned(
                 "no loss is concluded from the order of events between the two"
             )
             continue
+        if _follows(tables[to], table, shift):
+            set_back[at] = set_back[to]
+            sources.append(Aligned(open_file(path), set_back[at], shift.shared))
+            continue
         set_back[at] = [shift.line, *set_back[to]]
         sources.append(Aligned(open_file(path), set_back[at], shift.shared))
         some = f"; {len(shift.shared):,} datagrams are in both, counted once" if len(shift.shared) else ""
@@ -220,6 +225,17 @@ def _readable(source: Source) -> Iterator[PacketBatch]:
     """Yield batches until an error; the error is reported when the file is judged."""
     with suppress(CaptureError):
         yield from source.batches()
+
+
+def _follows(first: Recorder, second: Recorder, shift: Alignment) -> bool:
+    """Return whether one capture goes on where the other ended, as files that are written in turn do.
+
+    Then they are of one clock: by their own times one begins behind the other, and soon after it, or nothing
+    tells that their clocks differ.
+    """
+    a, b = first.rows().time_ns, second.rows().time_ns
+    gap_ns = max(int(b.min()) - int(a.max()), int(a.min()) - int(b.max()))
+    return gap_ns >= 0 and (gap_ns < _SEAM_NS or shift.low_ns <= 0 <= shift.high_ns)
 
 
 def _overlap(first: Recorder, second: Recorder) -> bool:

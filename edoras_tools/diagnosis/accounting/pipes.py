@@ -424,10 +424,11 @@ class Leftover:
             events[item.instance, item.kind] += said.count
         found = []
         for item, said in reported.items():
-            if item.kind in COUNTERS and not (self._seen_behind(item) or self._fed(item, item.instance)):
-                is_stopped = events[item.instance, item.kind] >= STOPS_AFTER - 2
+            kind = next((kind for kind in COUNTERS if kind == item.kind), None)
+            if kind and not (self._seen_behind(item) or self._fed(item, item.instance)):
+                is_stopped = events[item.instance, kind] >= STOPS_AFTER - 2
                 end_ns = NEVER if is_stopped else said.last_ns + TAIL_NS
-                found.append(Rival(id(item), item.instance, item.kind, said.first_ns - TAIL_NS, end_ns))
+                found.append(Rival(id(item), item.instance, kind, said.first_ns - TAIL_NS, end_ns))
         return found
 
     def tell(self, gaps: Sequence[Loss]) -> None:

@@ -451,15 +451,15 @@ def _one_boot(first: Side, second: Side, pair: tuple[int, int]) -> bool:
     are they where one capture ended before the other began: so it is when a file follows another, and cFS was
     started again.
     """
-    keys, times = [], []
-    for side, index in zip((first, second), pair, strict=True):
-        rows = side.rows.take(np.flatnonzero(side.instances.of_row == index))
-        keys.append(rows.link.astype(np.int64) << 32 | rows.msg_id)
-        times.append(rows.mission_time_ns)
-    if np.isin(*times).any():
+    ours, theirs = (
+        side.rows.take(np.flatnonzero(side.instances.of_row == index))
+        for side, index in zip((first, second), pair, strict=True)
+    )
+    if np.isin(ours.mission_time_ns, theirs.mission_time_ns).any():
         return True
-    for key in np.intersect1d(*keys).tolist():
-        made = [own[kinds == key] for own, kinds in zip(times, keys, strict=True)]
+    kinds = [rows.link.astype(np.int64) << 32 | rows.msg_id for rows in (ours, theirs)]
+    for kind in np.intersect1d(kinds[0], kinds[1]).tolist():
+        made = ours.mission_time_ns[kinds[0] == kind], theirs.mission_time_ns[kinds[1] == kind]
         begin, end = max(item.min() for item in made), min(item.max() for item in made)
         if min(((item >= begin) & (item <= end)).sum() for item in made) >= _LEAST:
             return False
