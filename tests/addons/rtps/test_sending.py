@@ -5,13 +5,17 @@ import os
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 import pytest
+from cyclonedds.core import DDSException
+from cyclonedds.pub import DataWriter
 from dds_loopback import URI
 from mcap.reader import make_reader
 from places import ROOT, SUPPORT
-from waiting import until
+from waiting import Program, until
 
+from edoras_tools.addons.dds.graph import DdsGraph
 from edoras_tools.addons.rtps.wire.parameters import read_announcement
 
 CAPTURE = ROOT / "samples/rtps/cyclone_sender.pcap.gz"
@@ -78,6 +82,43 @@ def test_a_reader_of_another_program_hears_every_sample(call, recorded):
     assert counts == {"/cmd_vel": 100, "/chatter": 100, "/joint_states": 4}
     assert done.json()["sent"] == 204
     assert done.json()["notes"] == ["left out: 52 of no link (--to udp:HOST:PORT)"]
+
+
+@pytest.mark.own_network
+@pytest.mark.parametrize("name", ["jazzy", "kilted"])
+def test_a_reader_of_ros_hears_every_sample(call, recorded, name):
+    """rclpy with its default, Fast DDS."""
+    python = ROOT / ".ros" / name / "bin/python"
+    if not python.exists():
+        pytest.skip(f"ROS 2 {name} is not installed: make ros")
+    words = [python, SUPPORT / "ros_reader.py"]
+    for topic, type_name in TOPICS.items():
+        package = {"Twist": "geometry_msgs", "String": "std_msgs"}.get(type_name, "sensor_msgs")
+        quality = "best_effort" if topic == "/chatter" else "reliable"
+        words += [f"{package}/msg/{type_name}", topic, quality]
+    environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": "0"}
+    heard = {topic: [] for topic in TOPICS}
+    with Program(*words, env=environment, stdin=subprocess.PIPE) as reader:
+        assert json.loads(reader.line()) == {}
+        done = call("replay", CAPTURE, "--to", "rtps", "--timeout", "60s", "--json")
+        assert done.code == 0, done.err
+        for _ in range(sum(map(len, recorded.values()))):
+            line = json.loads(reader.line())
+            heard[line["heard"]].append(bytes.fromhex(line["cdr"]))
+    for topic, messages in recorded.items():
+        assert [item[4 : len(own)] for item, own in zip(heard[topic], messages, strict=True)] == [
+            item[4:] for item in messages
+        ]
+
+
+def test_what_is_not_acknowledged_yet_is_no_error(monkeypatch):
+    """As cyclonedds 11.0.1 answers while a reader has not acknowledged."""
+    graph = SimpleNamespace(_writers=[("/chatter", DataWriter.__new__(DataWriter))])
+    monkeypatch.setattr(DataWriter, "_wait_for_acks", lambda *_: DDSException.DDS_RETCODE_TIMEOUT)
+    monkeypatch.setattr(DataWriter, "_ref", 0, raising=False)
+    assert DdsGraph.acknowledged(graph) is False
+    monkeypatch.setattr(DataWriter, "_wait_for_acks", lambda *_: 0)
+    assert DdsGraph.acknowledged(graph) is True
 
 
 @pytest.mark.own_network
