@@ -125,3 +125,41 @@ def test_yamcs_takes_the_same_packets_out_of_frames_of_which_some_are_lost(tmp_p
 
         until(lambda: len(archived() or []) >= len(expected), "the packets in Yamcs's archive")
         assert archived() == sorted(expected)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not HERE, reason=WHY)
+@pytest.mark.parametrize("kind", ["AOS", "TM"])
+def test_yamcs_takes_every_packet_out_of_the_frames_that_replay_makes(kind, call, tmp_path):
+    (tmp_path / "rover.xml").write_bytes(
+        describe_packets(Settings([MISSIONS / "rover_ground.yaml"]).workbench()).text
+    )
+    packets = [
+        space_packet(0x27, bytes([number % 256]) * (5 + number % 300), number) for number in range(600)
+    ]
+    items = [
+        Udp(10**7 * at, ("127.0.0.1", 40000), ("127.0.0.1", 1235), packet)
+        for at, packet in enumerate(packets)
+    ]
+    capture = write(tmp_path / "packets.pcap", items)
+    http, port = free_ports(2)
+    form = {"port": port, "kind": kind.lower(), "length": 220, "ocf": kind == "AOS", "fecf": True}
+    told = ", ".join(f"{name}: {str(value).lower()}" for name, value in form.items())
+    mission = tmp_path / "frames.yaml"
+    mission.write_text(f"link: {{ros__parameters: {{frames: {{down: {{{told}}}}}}}}}")
+    link = LINK.format(
+        name="down", port=port, kind=kind, length=220, insert=0, check="CRC16", ocf=str(kind == "AOS").lower()
+    )
+    link = link.replace("spacecraftId: 42", "spacecraftId: 66").replace("vcId: 1", "vcId: 0")
+    with yamcs(tmp_path, http, INSTANCE.format(links=link, folder=tmp_path)):
+        done = call("replay", capture, "--to", "frames", "-c", mission, "-q")
+        assert done.code == 0, done.err
+
+        def archived():
+            with suppress(OSError, KeyError):
+                told = asked(f"{api(http)}/archive/edoras/packets?limit=1000")["packet"]
+                return sorted(base64.b64decode(item["packet"]) for item in told)
+            return None
+
+        until(lambda: len(archived() or []) >= len(packets), "the packets in Yamcs's archive")
+        assert archived() == sorted(packets)
