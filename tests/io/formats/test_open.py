@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import gc
 import gzip
 import os
 import random
@@ -153,8 +152,6 @@ def test_a_recording_from_a_pipe_or_packed_is_read_from_a_copy(tmp_path, monkeyp
         assert [row for batch in source.batches() for row in batch] == EXPECTED
     if way == "pipe":
         writer.join(PATIENCE_S)
-    del source
-    gc.collect()
     assert list((tmp_path / "temporary").iterdir()) == []
 
 

@@ -13,7 +13,7 @@ from bisect import bisect_left
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -75,7 +75,7 @@ class McapSource(SourceDefaults):
 
     Args:
         name: what it is called in messages; usually its path.
-        copy: a temporary file that is there as long as the source.
+        copy: a temporary file that is there until the source is closed.
 
     Attributes:
         info: resolution and snap length are those of the original capture; the attachments are its mission
@@ -86,7 +86,7 @@ class McapSource(SourceDefaults):
         CaptureError: it is not an MCAP file, or a complete one without datagrams.
     """
 
-    def __init__(self, path: str | Path, name: str = "", copy: object = None) -> None:
+    def __init__(self, path: str | Path, name: str = "", copy: Any = None) -> None:
         self._name, self._path, self._copy = name or str(path), Path(path), copy
         with os_errors(f"{path}: cannot be opened"):
             self._file = self._path.open("rb")
@@ -102,11 +102,9 @@ class McapSource(SourceDefaults):
         try:
             self._check(whole=self._read_front())
         except BaseException:
-            self.close()
+            self._file.close()  # the copy is still of use: what has no datagrams may have topics
             raise
-        values: dict[str, str] = {}
-        for kind in METADATA_NAMES:
-            values |= self._metadata.get(kind, {})
+        values = {key: item for kind in METADATA_NAMES for key, item in self._metadata.get(kind, {}).items()}
         self.info = SourceInfo(
             name=self._name,
             kind="mcap",
@@ -230,8 +228,10 @@ class McapSource(SourceDefaults):
         return values
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; a copy is gone then."""
         self._file.close()
+        if self._copy is not None:
+            self._copy.close()
 
     def _batch(self, parts: list[FrameBatch]) -> Iterator[PacketBatch]:
         """Make a batch of the frames of several chunks; nothing if there are none."""
