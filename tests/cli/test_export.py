@@ -171,6 +171,7 @@ def test_what_has_topics_only_is_not_chosen_from_by_link(call, rover, tmp_path):
     assert (done.code, len(done.err)) == (2, 1)
 
 
+@pytest.mark.long
 def test_without_pyarrow_the_way_out_is_told(rover, tmp_path):
     code = "import sys; sys.modules['pyarrow'] = None; from edoras_tools.cli.main import *; run(program())"
     done = subprocess.run(

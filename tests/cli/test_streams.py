@@ -140,6 +140,7 @@ def test_a_full_disk_is_one_line(options, command, captures):
         assert done.stderr.decode() == f"edoras: {told}\n"
 
 
+@pytest.mark.long
 def test_closed_streams(command, captures):
     line = f"'{command}' {{}} '{captures('a_rover')}' {{}}; echo $? >&3"
     cases = [

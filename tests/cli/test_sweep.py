@@ -10,6 +10,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.render import svg
 
 
+@pytest.mark.long
 def test_json_has_the_promised_shape(call, missions):
     done = call("sweep", "/cmd_vel", *missions("rover_ground"), "--sim", "rover", "--json")
     found = done.json()

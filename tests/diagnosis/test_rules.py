@@ -913,6 +913,7 @@ def test_a_file_that_arrives_is_no_verdict(lab):
     assert (found.end_ns - found.start_ns) == 3 * 10**9
 
 
+@pytest.mark.long("sbn_timeout", "to_pipe_overflow", "unreachable")
 @pytest.mark.parametrize("rule", IDS)
 def test_fires(rule, lab, tmp_path, msg_id):
     diagnosis = CASES[rule](lab, tmp_path, msg_id)

@@ -489,7 +489,7 @@ ONLY_0X803_COUNTS = 144
 SNAPS = (60, 64, 68, 72, 76, 80, 100, 120, 160, 172, 190)
 
 
-@pytest.mark.quick("72")
+@pytest.mark.long
 @pytest.mark.parametrize("snap", long_but(SNAPS[::3], SNAPS))
 def test_frames_that_are_cut_anywhere_say_no_more_than_whole_ones(whole, tmp_path, snap):
     """Two cFS that hand on each other's packets: of SBN 11 bytes less are left than of Telemetry Output."""

@@ -222,6 +222,7 @@ def test_a_connection_of_f_prime_whose_capture_begins_inside_a_frame(kind, first
     assert len([item for item in told.replace(",", "\n").splitlines() if item]) == len(down) - 1
 
 
+@pytest.mark.long
 def test_frames_that_the_capture_cut(agreed, write_pcap, tmp_path):
     frames = [
         (40000, 6000 + at, frame)

@@ -152,6 +152,7 @@ def test_sequence_counts_are_followed_within_the_same_limits():
     assert limits in COMMITTED.read_text()
 
 
+@pytest.mark.long
 def test_preferences_add_ports_and_headers(tshark, write_pcap, tmp_path):
     packet = bytes.fromhex("1827c000000b") + bytes.fromhex("00000000") + bytes([6, 0]) + bytes(6)
     beat = sbn.emit(sbn.MsgType.HEARTBEAT, Peer(66, 3))

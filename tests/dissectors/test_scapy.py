@@ -159,6 +159,7 @@ def test_sbn_of_older_sources():
     assert read[SBNProto].protocol_version == sbn.PROTOCOL_VERSION
 
 
+@pytest.mark.long
 def test_fuzzed_packets_can_be_built_and_read():
     for _ in range(100):
         for packet in (

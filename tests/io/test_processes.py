@@ -191,6 +191,7 @@ def test_each_answer_is_that_of_its_task(count, tasks, room, slot, steps):
         assert not expected
 
 
+@pytest.mark.long
 @settings(max_examples=examples(15, 4))
 @given(
     tasks=st.integers(1, 4),

@@ -20,7 +20,7 @@ def test_the_packages_are_there():
     assert {name.split("/")[0] for name in TYPES} == set(PACKAGES)
 
 
-@pytest.mark.each(5)
+@pytest.mark.each(11)
 @pytest.mark.parametrize("name", every(2, TYPES))
 @settings(max_examples=examples(25, least=3), deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), little=st.booleans())

@@ -103,6 +103,7 @@ def rows(index, sql):
         return opened.execute(sql).fetchall()
 
 
+@pytest.mark.long
 def test_it_says_what_info_and_doctor_say(made):
     index = made
     for name in NAMES:

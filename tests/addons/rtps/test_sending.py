@@ -84,6 +84,7 @@ def test_a_reader_of_another_program_hears_every_sample(call, recorded):
     assert done.json()["notes"] == ["left out: 52 of no link (--to udp:HOST:PORT)"]
 
 
+@pytest.mark.long
 @pytest.mark.own_network
 @pytest.mark.parametrize("name", ["jazzy", "kilted"])
 def test_a_reader_of_ros_hears_every_sample(call, recorded, name):

@@ -29,6 +29,7 @@ def recorded(path, target, **options):
         ]
 
 
+@pytest.mark.long
 def test_copies_are_known_over_any_number_of_holes():
     endpoints = Endpoints()
     endpoints.learn(Announcement(PREFIX + WRITER, "rt/cmd_vel", TWIST), 0)

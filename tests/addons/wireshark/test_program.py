@@ -134,6 +134,7 @@ def test_newer_versions_are_fine(tmp_path, monkeypatch):
     assert wireshark_program.find_program("tshark") == str(tmp_path / "tshark")
 
 
+@pytest.mark.long
 def test_the_page_shows_what_tshark_says():
     """Commands on files, as docs/wireshark.md shows them; columns may be laid out otherwise."""
     page = (ROOT / "docs/wireshark.md").read_text()

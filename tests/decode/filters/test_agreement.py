@@ -278,6 +278,7 @@ OPTIONS = st.sampled_from(
 )
 
 
+@pytest.mark.long
 @settings(max_examples=examples(100, 50, 2))
 @given(rows=ROWS, name=st.sampled_from(sorted(MISSIONS)), options=OPTIONS)
 @example(rows=[], name="lists", options=Options())

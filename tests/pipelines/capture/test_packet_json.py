@@ -72,6 +72,7 @@ def odd(values):
     return '%s "\\\n é 🛰'[: max(1, len(values))] if isinstance(values, str) else values
 
 
+@pytest.mark.long
 def test_every_type_is_told_alike(one, monkeypatch):
     """Those that hold lists of messages with lists are dissected, and no others."""
     routes, packets, nested = [], [], set()

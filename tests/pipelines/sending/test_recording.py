@@ -140,7 +140,7 @@ class LookingWire(FakeWire):
         return last - first
 
 
-@pytest.mark.quick("pacing2-400")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("pacing", "count"),
     [
