@@ -285,17 +285,18 @@ def _headline(found: Diagnosis, problems: Sequence[Problem]) -> str:
 def _total(found: Diagnosis, problems: Sequence[Problem]) -> str:
     proven = found.lost + found.unaccounted
     more = found.uncertain
-    doubt = f" Up to {more:,} more may be lost." if more else ""
     if proven:
+        doubt = f" Up to {more:,} more may be lost." if more else ""
         return f"{_lost(found, proven)}{_copies(found, proven)}{doubt}"
-    counts = _counts(item for item in problems if item.verdicts[0].rule != "not_examined")
-    but = f", but {' and '.join(counts)}:" if counts else "."
+    result = "No loss found with what is shown" if found.choice else "No loss found"
     if found.without_evidence:
         what = f"{sent(found.balance):,} {_names(found, found.balance)}"
-        warnings = f" {' and '.join(counts)}:" if counts else ""
-        return f"No evidence: nothing here counts what arrived of {what}.{doubt}{warnings}"
-    of = " with what is shown" if found.choice else ""
-    return f"No loss found{of}{but}{doubt}"
+        result = f"No evidence: nothing here counts what arrived of {what}"
+    counts = _counts(item for item in problems if item.verdicts[0].rule != "not_examined")
+    others = f" {' and '.join(counts)}:" if counts else ""
+    if more:
+        return f"{result}. Up to {plural(more, 'message')} may be lost.{others}"
+    return f"{result}{', but' if others and not found.without_evidence else '.'}{others}"
 
 
 def _copies(found: Diagnosis, proven: int) -> str:

@@ -12,6 +12,7 @@ from edoras_tools.cfs.sbn import NAME
 from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE, UNSEEN, Connection, PeerChange, PeerSilence
 from edoras_tools.diagnosis.evidence.table import peer_of
 from edoras_tools.diagnosis.rules.about import one_by_one, packet, subject
+from edoras_tools.diagnosis.rules.pipes import revival
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, note, verdict, warning
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, Finding
@@ -269,6 +270,8 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
             for item in case.outages
             if item.app == NAME and item.start_ns - SECOND < when < item.ended_ns + SECOND
         ]
+        restart = case.inject("es-restart-app", NAME)
+        look = f"look at the events of SBN around that time; to restart it: {restart}"
         yield verdict(
             Severity.WARNING if back else Severity.ERROR,
             f"{who} disconnected from its SBN peer {peer or 'there'} at {case.at(when)}"
@@ -277,8 +280,7 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
             *stops,
             place=("sbn", f"SBN peer {peer}"),
             span=(when, case.end_ns),
-            remedy="look at the events of SBN around that time; to restart it: "
-            f"{case.inject('es-restart-app', NAME)}",
+            remedy=revival(case, NAME) if stops else look,
         )
 
 
