@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs.time_services import EPOCH_S, START_S
-from edoras_tools.diagnosis.evidence.clocks.alignment import Alignment, align, boot_offsets
+from edoras_tools.diagnosis.evidence.clocks.alignment import MISSION_TIME, Alignment, align, boot_offsets
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 _MOST: Final = 1_000_000
 """Datagrams of each capture that are used to find the offset of its clock."""
 _SEAM_NS: Final = 2 * SECOND
+_APART_NS: Final = 5 * SECOND
 
 
 class Aligned(SourceOver):
@@ -147,7 +148,7 @@ def open_aligned(
                 "no loss is concluded from the order of events between the two"
             )
             continue
-        if _follows(tables[to], table, shift):
+        if not is_cfe_file(path) and _follows(tables[to], table, shift):
             set_back[at] = set_back[to]
             sources.append(Aligned(open_file(path), set_back[at], shift.shared))
             continue
@@ -231,11 +232,12 @@ def _follows(first: Recorder, second: Recorder, shift: Alignment) -> bool:
     """Return whether one capture goes on where the other ended, as files that are written in turn do.
 
     Then they are of one clock: by their own times one begins behind the other, and soon after it, or nothing
-    tells that their clocks differ.
+    tells that their clocks differ, or only mission times do, and by more than clocks: cFS was started again.
     """
     a, b = first.rows().time_ns, second.rows().time_ns
     gap_ns = max(int(b.min()) - int(a.max()), int(a.min()) - int(b.max()))
-    return gap_ns >= 0 and (gap_ns < _SEAM_NS or shift.low_ns <= 0 <= shift.high_ns)
+    is_restart = shift.by == MISSION_TIME and abs(shift.line.offset_ns) > _APART_NS
+    return gap_ns >= 0 and (gap_ns < _SEAM_NS or shift.low_ns <= 0 <= shift.high_ns or is_restart)
 
 
 def _overlap(first: Recorder, second: Recorder) -> bool:

@@ -200,13 +200,12 @@ _WAKE_NS: Final = 500 * MILLISECOND
 _MODULUS: Final = 1 << 14
 _SAME_NS: Final = 2 * SECOND
 """Steps of one offset lie within so much of each other, the longest delays taken off."""
-_APART_NS: Final = 5 * SECOND
-"""Clocks of files that follow each other are not so far apart."""
 _LONG_NS: Final = 300 * SECOND
 """In so long some packet was handed on at once."""
 _LOOSE_NS: Final = (0, 100_000, MILLISECOND, 10 * MILLISECOND, 100 * MILLISECOND)
 """By how much packets that overtake each other may contradict each other, tried one after the other."""
 _TENTH_NS: Final = MILLISECOND // 10
+MISSION_TIME: Final = "the mission time of one cFS in both"
 _BOTH: Final = "packets that both captured"
 
 
@@ -439,7 +438,7 @@ def _mission_times(first: Side, second: Side) -> _Told | None:
         return None  # several boots fit equally
     # Boots of one cFS follow each other: only pairs of the same boot agree with each other.
     same = [pairs[at] for at in order[group == int(votes.argmax())].tolist()]
-    told = _Told.of([_of_boot(first, second, pair) for pair in same], "the mission time of one cFS in both")
+    told = _Told.of([_of_boot(first, second, pair) for pair in same], MISSION_TIME)
     alike = [step for pair in same for step in _same_ways(first, second, pair)]
     return replace(told, near=[int(np.median(alike))]) if told and alike else told
 
@@ -447,9 +446,7 @@ def _mission_times(first: Side, second: Side) -> _Told | None:
 def _one_boot(first: Side, second: Side, pair: tuple[int, int]) -> bool:
     """Tell whether boots of two captures may be one.
 
-    They are not where both sent a MsgId on one link at the same mission times, and never the same packet. Nor
-    are they where one capture ended before the other began: so it is when a file follows another, and cFS was
-    started again.
+    They are not where both sent a MsgId on one link at the same mission times, and never the same packet.
     """
     ours, theirs = (
         side.rows.take(np.flatnonzero(side.instances.of_row == index))
@@ -463,10 +460,7 @@ def _one_boot(first: Side, second: Side, pair: tuple[int, int]) -> bool:
         begin, end = max(item.min() for item in made), min(item.max() for item in made)
         if min(((item >= begin) & (item <= end)).sum() for item in made) >= _LEAST:
             return False
-    captured = [side.rows.time_ns for side in (first, second)]
-    is_apart = captured[0].max() < captured[1].min() or captured[1].max() < captured[0].min()
-    ahead = second.instances.items[pair[1]].offset_ns - first.instances.items[pair[0]].offset_ns
-    return not is_apart or abs(ahead) < _APART_NS
+    return True
 
 
 def _same_packets(first: Side, second: Side, pair: tuple[int, int]) -> int:
