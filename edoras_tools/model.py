@@ -642,7 +642,7 @@ class SourceStatistics:
         position: bytes of the input consumed so far, on the scale of ``total_bytes``.
         warnings: one line each, for people.
         outages: when an interface was away, in order of time; the last may still go on.
-        passed_over: datagrams of a recording that were not read, because nothing asks for their time.
+        passed_over: datagrams of a recording that were not read, because nothing asks for them.
         cut: datagrams that never became whole, at most 16,384 and those that still wait; filled at the end.
     """
 
@@ -678,6 +678,8 @@ class SourceInfo:
         read_with: how its datagrams are read, as ``decode.Options.described``; a recording keeps it.
         damage: why not all of its topics are known, of a damaged recording of messages.
         links: labels of the links that a whole recording has; None where it does not say.
+        apart: whether each datagram of a recording can be read without the others, as it was recorded.
+        sound: whether none of its conversations is left out as another program's.
     """
 
     name: str
@@ -689,6 +691,8 @@ class SourceInfo:
     read_with: Mapping[str, str] = field(default_factory=dict)
     damage: str = ""
     links: frozenset[str] | None = None
+    apart: bool = False
+    sound: bool = False
 
 
 def concatenate(batches: Sequence[PacketBatch]) -> PacketBatch:

@@ -108,6 +108,10 @@ class ColumnDecoder:
         self._variants = Variants(context)
         self._nothing = Columns(**_blank(0))
 
+    def settle(self) -> None:
+        """Detect nothing: headers and envelopes are the usual ones, or what options and routes state."""
+        self._variants.settled = True
+
     def decode(self, batch: PacketBatch) -> Columns:
         """Read a batch; nothing in it can make this raise."""
         if not len(batch):  # live sources give many

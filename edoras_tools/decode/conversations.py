@@ -212,6 +212,12 @@ class Conversations:
         return self.flows.get(key)
 
 
+def all_sound(batch: PacketBatch, columns: Columns, context: Context) -> bool:
+    """Tell whether all datagrams of a batch that links with packets have are sound: none can be left out."""
+    rows = np.flatnonzero((batch.length > 0) & table.among(columns.link, lambda link: link.packets))
+    return bool(_marks(batch, columns, rows, context.known)["sound"].all())
+
+
 def foreign(flows: Iterable[Flow]) -> list[str]:
     """Return a line for each port whose traffic is left out because it is not cFS's."""
     counts: dict[int, int] = {}

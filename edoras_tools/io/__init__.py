@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     Room = Callable[[int], NDArray[np.uint8]]
     """Returns memory of a size, u8."""
+    Choice = Callable[[NDArray[np.uint8], NDArray[np.int32]], NDArray[np.bool_]]
+    """Tells which datagrams are chosen, by the link and the MsgId of each."""
 
 __all__ = ["Sink", "Source", "SourceDefaults", "SourceOver"]
 
@@ -79,6 +81,22 @@ class SourceDefaults(Protocol):
                 for, and the one after the last.
         """
         del period
+
+    def choose(self, choice: Choice) -> None:
+        """Take note of which datagrams are asked for: a recording that knows may pass over others.
+
+        Those of no link come too, the first of all, the earliest, the latest, and the first of each endpoint
+        that has an identity. Call it before the first batch.
+
+        Args:
+            choice: takes links and MsgIds.
+        """
+        del choice
+
+    def published(self, number: NDArray[np.int64]) -> NDArray[np.int64] | None:
+        """Return publish times of datagrams of the last batch, if others that they need were passed over."""
+        del number
+        return None
 
     def borrow(self, room: Room) -> None:
         """Read into memory from ``room(size)``, if that saves copying it.

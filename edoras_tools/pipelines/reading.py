@@ -6,6 +6,7 @@ keeps it for callers that report on what was read.
 
 from __future__ import annotations
 
+import json
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,11 +15,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.decode.conversations import Conversations
+from edoras_tools import __version__
+from edoras_tools.decode.conversations import LEFT_OUT, Conversations, all_sound
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.table import LinkStates
-from edoras_tools.model import OTHER, Columns, PacketBatch
+from edoras_tools.model import OTHER, Columns, Finding, PacketBatch
 from edoras_tools.pipelines.interrupt import interrupted, interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
 from edoras_tools.units import SECOND
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.decode.context import Context
     from edoras_tools.io import Source
     from edoras_tools.links.doors import OwnRows
     from edoras_tools.pipelines.workbench import Workbench
@@ -38,6 +42,8 @@ if TYPE_CHECKING:
 _ENDING_NS: Final = SECOND // 4
 """After Ctrl-C, what has arrived is shown for so long; the rest is counted."""
 _NEVER_NS: Final = 1 << 63
+_DOORS: Final = "rows", "unwrapper", "follow"
+"""Of a link, to what puts together, takes out and counts what several datagrams say."""
 _NO_CLOCK_NS: Final = 946_684_800 * SECOND
 """The year 2000: a machine whose clock shows less has not set it."""
 
@@ -214,7 +220,7 @@ class ReadLoop:
 
 
 @contextmanager
-def reading(
+def reading(  # noqa: PLR0913  see its arguments
     source: Source,
     bench: Workbench,
     selection: Selection | None = None,
@@ -224,6 +230,7 @@ def reading(
     keeps_failure: bool = False,
     conversing: bool = False,
     patient: bool = False,
+    selected: bool = False,
 ) -> Iterator[ReadLoop]:
     """Read a source: iterate over the loop that this yields. The source is closed at the end.
 
@@ -238,6 +245,7 @@ def reading(
         keeps_failure: see ``ReadLoop``.
         conversing: follow conversations; see ``ReadLoop``.
         patient: see ``on_interrupt``.
+        selected: only the selected rows are looked at: others need not be read.
 
     Raises:
         RouteError: the selection names a topic that is not configured.
@@ -246,8 +254,17 @@ def reading(
     with closing(source):
         ready = (selection or Selection()).over(bench)
         source.follow(bench.columns.context.framings)
-        if (period := examined or limits.period) and _stands_alone(source, bench):
-            source.narrow(partial(_span, period))
+        if period := examined or limits.period:
+            if not _keeps(source, bench, *_DOORS):
+                source.narrow(partial(_span, period))
+        elif (
+            selected
+            and reads_by_heads(source, bench)
+            and not (conversing and _talks(source, limits))
+            and (choice := ready.by_heads(bench.mission))
+        ):
+            bench.columns.settle()
+            source.choose(choice)
         with interruptible(source, patient=patient) as (batches, interrupt):
             spoken = Conversations(bench.columns.context)
             yield ReadLoop(
@@ -255,13 +272,62 @@ def reading(
             )
 
 
-def _stands_alone(source: Source, bench: Workbench) -> bool:
-    """Return whether a period needs nothing of before: no link of the recording remembers anything."""
+def _keeps(source: Source, bench: Workbench, *doors: str) -> bool:
+    """Return whether a link of the source may keep what its datagrams said, behind one of some doors.
+
+    What may do so needs what was before; of a source that does not say which links it has, one may.
+    """
     labels, context = source.info.links, bench.columns.context
     if labels is None or bench.unwrappers:
-        return False
-    links = [link for link in context.links if link.label in labels]
-    return all(door(context) is None for link in links for door in (link.rows, link.unwrapper, link.follow))
+        return True
+    inside = context.in_packets if len(context.pdu_msg_ids) else ()
+    links = [link for link in context.links if link.label in labels or link in inside]
+    return any(
+        getattr(type(link), door) is not getattr(LinkProtocol, door) for link in links for door in doors
+    )
+
+
+def _talks(source: Source, limits: Limits) -> bool:
+    """Return whether conversations may say something that reading a part of them would not.
+
+    Those of no link are read whole, though not up to the same datagram where a number of them ends it.
+    """
+    info = source.info
+    return not info.sound or bool(limits.count and OTHER.label in (info.links or ()))
+
+
+def reads_by_heads(source: Source, bench: Workbench) -> bool:
+    """Return whether a recording's datagrams are read as they were recorded, each without the others."""
+    info, context = source.info, bench.columns.context
+    same = bench.mission.files == info.attachments and context.described == info.read_with
+    return info.apart and same and not _keeps(source, bench, *_DOORS, "topics")
+
+
+class Apart:
+    """Finds out of what is recorded whether datagrams can be read without the others."""
+
+    def __init__(self, context: Context) -> None:
+        self._context, self._usual = context, context.detected
+        self._suspects = Conversations(context)
+        self._apart = True
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take a batch; they come in order."""
+        fragments = (columns.findings & np.uint32(Finding.FRAGMENT)).any()
+        self._apart = self._apart and batch.streams is None and not fragments
+        if self._apart and not all_sound(batch, columns, self._context):
+            self._suspects.add(batch, columns, columns.link != OTHER)
+
+    def metadata(self) -> dict[str, str]:
+        """Return what a recording says: nothing where something came in pieces, or was not the usual.
+
+        ``apart`` has the version that read it so; ``sound`` says that no conversation is left out.
+        """
+        if not self._apart or self._context.detected != self._usual:
+            return {}
+        # Where all were sound, more would only make a conversation sounder.
+        left_out = any(flow.kind in LEFT_OUT for flow in self._suspects.judge())
+        return {"apart": __version__, "sound": json.dumps(not left_out)}
 
 
 def _span(period: Period, begin_ns: int) -> tuple[int, int]:
@@ -297,7 +363,7 @@ def selected_rows(
         RouteError: the selection names a topic that is not configured.
         ConfigError: its filter has an error.
     """
-    with reading(source, bench, selection, limits, conversing=True) as loop:
+    with reading(source, bench, selection, limits, conversing=True, selected=True) as loop:
         try:
             for rows in loop:
                 started(rows.begin_ns)

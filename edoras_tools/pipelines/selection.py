@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, overload
 import numpy as np
 
 from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.model import NO_MSG_ID
 from edoras_tools.older import UTC
 from edoras_tools.pipelines.names import PacketKinds, find_packets
 from edoras_tools.units import SECOND
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.filters.filter import Where
+    from edoras_tools.io import Choice
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, Link, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
@@ -213,6 +215,23 @@ class Selection:
         if self.notable:
             mask &= (columns.findings & np.uint32(self.notable)) != 0
         return mask
+
+    def by_heads(self, mission: Mission) -> Choice | None:
+        """Return what tells by link and MsgId which datagrams may be selected; None: all may be.
+
+        It is of what :meth:`over` returned. Samples of DDS are not told so.
+        """
+        if not (self.links or self._packets) or any(key.port for item in self._packets for key in item.keys):
+            return None
+        links = np.zeros(256, bool)
+        links[[int(link) for link in self.links] if self.links else slice(None)] = True
+        groups = [
+            np.array([*item.msg_ids(mission), *[NO_MSG_ID] * bool(item.kinds)], np.int32)
+            for item in self._packets
+        ]
+        return lambda link, msg_id: np.logical_and.reduce(
+            [links[link], *(np.isin(msg_id, ids) for ids in groups)]
+        )
 
     def places(self) -> frozenset[int] | None:
         """Return the routes that are named, of what :meth:`over` returns; None where none is."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,6 +39,7 @@ class RecordingOptions:
         endpoints: of DDS, as they are learnt; None: samples of theirs have no topics.
         topics: of a recording without datagrams: places of the topics that are written; None: all.
         offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
+        apart: a ``pipelines.reading.Apart``, which takes all batches; None: its answer is not recorded.
     """
 
     filter: str = ""
@@ -54,6 +55,12 @@ class RecordingOptions:
     sequences: SequenceCounts | None = None
     endpoints: Endpoints | None = None
     topics: Collection[int] | None = None
+    apart: Any = None
+
+    @property
+    def is_part(self) -> bool:
+        """Whether a file may hold a part of the datagrams only."""
+        return self.splits or bool(self.filter)
 
     @property
     def splits(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Final
 
@@ -82,6 +83,12 @@ class LinkStatistics:
         self._second = 0
         self._end_ns = 0
         self._open = np.zeros(0, dtype=_GROUP)
+        self._total: Counter[int] = Counter()
+
+    @property
+    def flows(self) -> dict[str, int]:
+        """The datagrams of each flow so far, named ``LINK/MSG_ID``."""
+        return {self._named(flow): count for flow, count in self._total.items()}
 
     def messages(self, batch: PacketBatch, columns: Columns, channel_id: int) -> Messages:
         """Add a batch of at least one row; return the messages of the seconds that have ended.
@@ -130,6 +137,8 @@ class LinkStatistics:
             return no_messages(channel_id, _LINK_STATISTICS)
         flows, which = np.unique(groups["flow"], return_inverse=True)
         names = [self._name(flow) for flow in flows.tolist()]
+        for flow, count in zip(flows.tolist(), np.bincount(which, groups["count"]).tolist(), strict=True):
+            self._total[flow] += int(count)
         length = np.array([len(name) for name in names], dtype=np.int64)
         offset = (np.cumsum(length) - length)[which]
         heads = np.zeros(len(groups), dtype=_LINK_STATISTICS)
@@ -149,8 +158,12 @@ class LinkStatistics:
     def _name(self, flow: int) -> bytes:
         """Return the topic of a route, or ``LINK/MSG_ID``, NUL-terminated like CDR strings."""
         link, msg_id = table.link(flow >> _MSG_ID_BITS), (flow & _MSG_ID_MASK) - 1
-        other = f"{link.label}/0x{msg_id:04x}" if msg_id >= 0 else link.label
+        other = self._named(flow) if msg_id >= 0 else link.label
         return self._topics.get((int(link), msg_id), other.encode()) + b"\0"
+
+    @staticmethod
+    def _named(flow: int) -> str:
+        return f"{table.link(flow >> _MSG_ID_BITS).label}/{(flow & _MSG_ID_MASK) - 1:#06x}"
 
 
 def _merge(groups: NDArray[np.void]) -> NDArray[np.void]:

@@ -333,17 +333,25 @@ class Streams:
         return self.prepared_messages(batch, columns, prepared, datagrams=datagrams, transforms=transforms)
 
     def prepare(
-        self, batch: PacketBatch, columns: Columns, *, statistics: bool = True, transforms: bool = True
+        self,
+        batch: PacketBatch,
+        columns: Columns,
+        published: NDArray[np.int64] | None = None,
+        *,
+        statistics: bool = True,
+        transforms: bool = True,
     ) -> PreparedBatch:
         """Take note of a batch, in the order of the capture, and add the topics that it needs first.
 
         Args:
             batch: see ``messages``.
             columns: see ``messages``.
+            published: i64, publish times, ns since 1970, where they are not those of these batches.
             statistics: see ``messages``.
             transforms: see ``messages``.
         """
-        published = self.clock.publish_times(batch.time_ns, columns)
+        if published is None:
+            published = self.clock.publish_times(batch.time_ns, columns)
         messages = [self._statistics.messages(batch, columns, self._statistics_id)] if statistics else []
         for topics in self._own_topics.of(columns) if self._add else ():
             messages += topics.messages(batch, columns)
@@ -418,6 +426,11 @@ class Streams:
         self._new = self._new.unclaimed(
             key for key in keys if all(item.topic in self._added for item in self._new.bound_to(key))
         )
+
+    @property
+    def flows(self) -> dict[str, int]:
+        """How many datagrams of each link and MsgId there were, up to what ``finish`` returned."""
+        return self._statistics.flows
 
     def used_names(self) -> set[str]:
         """Return the names of topics that other messages have, or may have."""

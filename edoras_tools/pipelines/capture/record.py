@@ -23,7 +23,7 @@ from edoras_tools.io.outputs import (
 from edoras_tools.io.processors import jobs_for
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing, Waiting
 from edoras_tools.pipelines.capture.ledger import Ledger
-from edoras_tools.pipelines.reading import Limits, ReadLoop, reading
+from edoras_tools.pipelines.reading import Apart, Limits, ReadLoop, reading
 from edoras_tools.sessions.sequence import SequenceCounts
 
 if TYPE_CHECKING:
@@ -238,6 +238,7 @@ def open_sink(
         sequences=sequences,
         endpoints=bench.columns.context.endpoints,
         topics=topics,
+        apart=Apart(bench.columns.context),
     )
 
     def part(path: Path) -> CaptureFileSink:
@@ -298,7 +299,10 @@ def record(
     check_recorded(source, bench, target)
     selection = replace(selection, announced=True) if selection else None
     began = limits.clock()
-    with reading(source, bench, selection, limits, keeps_failure=True) as loop, ExitStack() as stack:
+    with (
+        reading(source, bench, selection, limits, keeps_failure=True, selected=True) as loop,
+        ExitStack() as stack,
+    ):
         if source.on_this_host:
 
             def over() -> bool:

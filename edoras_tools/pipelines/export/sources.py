@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from contextlib import ExitStack, closing, suppress
+from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,7 +28,7 @@ from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.judged import JUDGED, judged_block, judged_blocks
 from edoras_tools.pipelines.messages import open_inputs
-from edoras_tools.pipelines.reading import reading
+from edoras_tools.pipelines.reading import reading, reads_by_heads
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.ros.cdr.columns import TopicBlock
 from edoras_tools.units import SECOND
@@ -168,7 +169,9 @@ class TopicSource(ABC):
                     source.borrow(workers.lend)
             results = InOrder(work, workers)
             loop = ends.enter_context(
-                reading(source, bench, scope.selection, examined=scope.period, keeps_failure=True)
+                reading(
+                    source, bench, scope.selection, examined=scope.period, keeps_failure=True, selected=True
+                )
             )
             for rows in loop:
                 if progress is not None:
@@ -280,7 +283,8 @@ class CaptureTopics(TopicSource):
 
         def arguments(batch: PacketBatch, columns: Columns) -> tuple[Any, ...]:
             self.left_out += int(np.isin(columns.route, claimed).sum())
-            prepared = streams.prepare(batch, columns, statistics=statistics)
+            published = source.published(batch.number)
+            prepared = streams.prepare(batch, columns, published, statistics=statistics)
             selection = {*requested, *self._new} if self.wants_new else requested
             return batch, columns, prepared, selection, tuple(self._places), self.zero_ns
 
@@ -300,6 +304,9 @@ class CaptureTopics(TopicSource):
                 for block in self._blocks(of_topics, len(batch), selection, places)
             ]
 
+        if not (self.wants_new or scope.period or scope.selection.topics) and self._in_packets(requested):
+            selection = replace(scope.selection, topics=tuple(requested))
+            self._scope = replace(scope, selection=selection)
         for item in self._shared(arguments, work, progress, jobs):
             if item[0] in routed:
                 self.left_out -= item[1]
@@ -322,6 +329,12 @@ class CaptureTopics(TopicSource):
                     yield block.topic, len(block), make(block, self.zero_ns)
             except CaptureError as error:
                 self.failure = self.failure or error
+
+    def _in_packets(self, topics: Collection[str]) -> bool:
+        """Tell whether these are of packets alone, and a recording says where these are."""
+        packets = {item.topic for item in self._bench.mission.routes}
+        packets |= {item.topic for item in self._streams.structs.all if item.key.port is None}
+        return packets.issuperset(topics) and reads_by_heads(self._source, self._bench)
 
     def _add(self, topic: Topic) -> int:
         if topic.name not in self.topics:

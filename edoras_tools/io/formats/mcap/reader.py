@@ -10,8 +10,11 @@ import json
 import os
 import struct
 from bisect import bisect_left
+from collections import Counter
 from contextlib import suppress
+from dataclasses import replace
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -20,8 +23,9 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 
+from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, NoDatagramsError, WireError, os_errors
 from edoras_tools.io import SourceDefaults
 from edoras_tools.io.formats.mcap.index import (
@@ -36,22 +40,32 @@ from edoras_tools.io.formats.mcap.index import (
 from edoras_tools.io.formats.mcap.messages import scanned
 from edoras_tools.io.formats.mcap.unpack import chunk_records
 from edoras_tools.io.formats.table import TOPIC_READERS
-from edoras_tools.io.frames.frame_batch import FrameBatch, joined_frames
+from edoras_tools.io.frames.frame_batch import FrameBatch, frames_at, joined_frames, packed_frames
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.topics.cfe import FAULTS_TOPIC, fault_of
 from edoras_tools.io.topics.datagrams import DATAGRAM
 from edoras_tools.io.topics.rows import CDR_LE_WORD, DATAGRAMS_TOPIC, MAGIC, OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.statistics import HOST_TOPIC, host_counters_of
-from edoras_tools.model import HostCounters, InterfaceOutage, PacketBatch, SourceInfo, SourceStatistics
+from edoras_tools.links.table import links
+from edoras_tools.model import (
+    OTHER,
+    Columns,
+    HostCounters,
+    InterfaceOutage,
+    PacketBatch,
+    SourceInfo,
+    SourceStatistics,
+)
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping
 
     from numpy.typing import NDArray
 
+    from edoras_tools.io import Choice
     from edoras_tools.links.framing import Framing
     from edoras_tools.sessions.faults.fault import Fault
 
@@ -64,8 +78,11 @@ _LEAD_NS = 10 * SECOND
 """So much before a period is read too: a packet may have begun there, or its first copy come."""
 _BATCH_BYTES = 4 << 20
 """Chunks are small; several are joined to a batch of this size."""
+_AHEAD_BYTES = 256 << 10
+"""Records are small; so much of the file is read at once."""
 _MOST_INDEX_BYTES = 1 << 20
 """A larger record of the summary is no index."""
+_DESCRIBING = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.METADATA, Opcode.ATTACHMENT}
 _KIND = 0xFFFF
 """The bits of a CDR encapsulation that contain the byte order; the rest are options."""
 
@@ -96,7 +113,13 @@ class McapSource(SourceDefaults):
         self._attachments: dict[str, bytes] = {}
         self._definitions: dict[str, str] = {}
         self._chunks: list[bytes] = []
+        self._channels: dict[int, dict[str, str]] = {}
+        self._counts: dict[int, int] = {}
         self._period: Callable[[int], tuple[int, int]] | None = None
+        self._chosen: Choice | None = None
+        self._heads: list[NDArray[np.void]] = []
+        self._ahead = b""
+        self._ahead_at = 0
         self.statistics = SourceStatistics(total_bytes=self._size)
         self._demux = Demux()
         try:
@@ -105,6 +128,7 @@ class McapSource(SourceDefaults):
             self._file.close()  # the copy is still of use: what has no datagrams may have topics
             raise
         values = {key: item for kind in METADATA_NAMES for key, item in self._metadata.get(kind, {}).items()}
+        self._flows = _flows(values.get("flows", ""))
         self.info = SourceInfo(
             name=self._name,
             kind="mcap",
@@ -114,6 +138,8 @@ class McapSource(SourceDefaults):
             definitions=self._definitions,
             read_with=_words(values.get("read_with", "")),
             links=_labels(values.get("links", "")),
+            apart=values.get("apart") == __version__ and sum(self._flows.values()) == self._total,
+            sound=values.get("sound") == "true",
         )
 
     def batches(self) -> Iterator[PacketBatch]:
@@ -128,56 +154,66 @@ class McapSource(SourceDefaults):
         parts: list[FrameBatch] = []
         position = len(MAGIC)
         ended = False
-        needed: list[int] | None = None
+        size = 0
+        needed: list[int] | None = None if self._chosen is None else self._holding(self._chosen)
         while not ended and (record := self._prefix(position)) is not None:
             opcode, start, end = record
-            if needed and opcode == Opcode.CHUNK and position < needed[-1]:
-                later = needed[bisect_left(needed, position)]
-                if later > position:
-                    position = later
-                    continue
+            if opcode == Opcode.CHUNK and (later := _following(needed, position)) > position:
+                position = later
+                continue
             position = end
             try:
                 if opcode == Opcode.CHUNK:
                     offsets, position = self._index(end)
                     parts.append(self._frames(self._chunk(start, end), offsets, start))
+                    size += len(parts[-1].data)
                 elif opcode == Opcode.MESSAGE:
                     stray += self._read(start - RECORD_HEAD.size, end)
                     if len(stray) >= _BATCH_BYTES:
                         parts.append(self._frames(_array(stray), None, start))
+                        size += len(stray)
                         stray = bytearray()
                 else:
                     self._remember(opcode, start, end)
             except CaptureError as error:
                 failure = failure or error
-            if sum(len(part.data) for part in parts) >= _BATCH_BYTES:
+            if size >= _BATCH_BYTES:
                 self.statistics.position = position
                 for batch in self._batch(parts):
                     if self._period is not None and needed is None and len(batch):
-                        needed = self._needed(position, *self._period(int(batch.time_ns[0])))
+                        needed = self._needed(*self._period(int(batch.time_ns[0])))
                     yield batch
-                parts = []
+                parts, self._heads, size = [], [], 0
             ended = opcode == Opcode.DATA_END
         if stray:
             parts.append(self._frames(_array(stray), None, position))
         self.statistics.position = position
         yield from self._batch(parts)
+        yield from self._rest()
+        if needed or self._chosen is not None:
+            self.statistics.passed_over = max(0, self._total - self.statistics.frames)
+        if failure is None and not ended:
+            failure = self._early_end(position)
+        if failure is None and DATAGRAMS_TOPIC not in self._topics.values():
+            failure = self._no_datagrams()
+        if failure is not None:
+            raise failure
+        self.statistics.position = self._size
+
+    def _rest(self) -> Iterator[PacketBatch]:
+        """Yield what waited for more of a TCP stream."""
         rest = self._demux.finish()
         if rest is not None and len(rest):
             self.statistics.datagrams += len(rest)
             yield rest
-        if failure is not None:
-            raise failure
-        if not ended:
-            has_end = self._read(self._size - len(MAGIC), self._size) == MAGIC
-            raise CaptureError(
-                f"{self._name}: is {'damaged' if has_end else 'cut off'} at byte {position} of {self._size}; "
-                "everything before was read; "
-                f"`edoras recover {self._name}` repairs it"
-            )
-        if DATAGRAMS_TOPIC not in self._topics.values():
-            raise self._no_datagrams()
-        self.statistics.position = self._size
+
+    def _early_end(self, position: int) -> CaptureError:
+        has_end = self._read(self._size - len(MAGIC), self._size) == MAGIC
+        return CaptureError(
+            f"{self._name}: is {'damaged' if has_end else 'cut off'} at byte {position} of {self._size}; "
+            "everything before was read; "
+            f"`edoras recover {self._name}` repairs it"
+        )
 
     def follow(self, framings: Mapping[int, Framing]) -> None:
         """Read the TCP streams of these ports, and no others; call it before the first batch."""
@@ -187,26 +223,112 @@ class McapSource(SourceDefaults):
         """See ``SourceDefaults``; only a recording whose summary lists its chunks passes over any."""
         self._period = period if self._chunks else None
 
-    def _needed(self, position: int, start_ns: int, end_ns: int) -> list[int]:
-        """Return where the chunks after a position are that may hold a datagram of a time, and the last one.
+    def choose(self, choice: Choice) -> None:
+        """See ``SourceDefaults``."""
+        self._chosen = choice
 
-        Those of the others are counted. All are needed if the summary is damaged.
+    def decoded(self, batch: PacketBatch, decode: Callable[[PacketBatch], Columns]) -> Columns:
+        """Return the columns of a batch, with what others that were passed over made its datagrams be."""
+        columns = decode(batch)
+        heads = self._heads_of(batch.number)
+        return columns if heads is None else replace(columns, findings=heads["findings"])
+
+    def published(self, number: NDArray[np.int64]) -> NDArray[np.int64] | None:
+        """See ``SourceDefaults``."""
+        heads = self._heads_of(number)
+        return None if heads is None else heads["publish_time"].astype(np.int64)
+
+    def _heads_of(self, number: NDArray[np.int64]) -> NDArray[np.void] | None:
+        """Return what is recorded of datagrams of the last batch, if others were passed over."""
+        if self._chosen is None or not len(number):
+            return None
+        heads = self._heads[0] if len(self._heads) == 1 else np.concatenate(self._heads)
+        self._heads = [heads]
+        order = np.argsort(heads["number"], kind="stable")
+        return heads[order[np.searchsorted(heads["number"], number, sorter=order)]]
+
+    def _needed(self, start_ns: int, end_ns: int) -> list[int]:
+        """Return where the chunks are that may hold a datagram of a time, and the last one.
+
+        All are needed if the summary is damaged.
         """
-        datagrams = {key for key, topic in self._topics.items() if topic == DATAGRAMS_TOPIC}
-        needed: list[int] = []
+        chunks = self._indexes()
+        return [
+            item.position
+            for item in chunks
+            if item is chunks[-1] or (item.end_ns >= start_ns - _LEAD_NS and item.start_ns < end_ns)
+        ]
+
+    def _holding(self, choice: Choice) -> list[int]:
+        """Return where the chunks are that may hold a chosen datagram, the first and the last one.
+
+        None where that is not known: the messages of each chosen MsgId must be as many as its datagrams.
+        """
+        chunks, channels = self._indexes(), self._channels_of(choice)
+        if not channels or any(before.end_ns > after.start_ns for before, after in pairwise(chunks)):
+            return []
+        datagrams = self._datagrams
+        whole = [item for item in chunks if not datagrams.isdisjoint(item.places)]
+        needed = {item.position for item in whole[:1] + whole[-1:]}
+        for before, item in pairwise(chunks[:1] + chunks):
+            if not channels.isdisjoint(item.places):
+                needed.add(item.position)
+                # The datagram of its first message may end the chunk before.
+                if self._first(item, channels) < self._first(item, datagrams):
+                    needed.add(before.position)
+        return sorted(needed)
+
+    def _first(self, item: _Indexed, channels: Collection[int]) -> int:
+        """Return where in a chunk the first message of some channels is; beyond all where there is none."""
+        places = [place for key, place in item.places.items() if key in channels]
+        entries = [
+            os.pread(self._file.fileno(), INDEX_ENTRY.itemsize, min(place + INDEX_HEAD.itemsize, self._size))
+            for place in places
+        ]
+        return min((int.from_bytes(entry[8:], "little") for entry in entries), default=MAX_CHUNK_BYTES)
+
+    def _channels_of(self, choice: Choice) -> set[int]:
+        """Return the channels of the messages in chosen datagrams.
+
+        None if some are in no message, or if there are datagrams of no link, which always come.
+        """
+        codes = {link.label: int(link) for link in links()}
+        if not self._flows or any(label not in codes for label, _ in self._flows):
+            return set()
+        of_link = np.array([codes[label] for label, _ in self._flows], np.uint8)
+        mask = choice(of_link, np.array([msg_id for _, msg_id in self._flows], np.int32))
+        total = Counter[int]()
+        for (_, msg_id), count in self._flows.items():
+            total[msg_id] += count
+        channels: set[int] = set()
+        for (label, msg_id), asked in zip(self._flows, mask.tolist(), strict=True):
+            counts = {label: self._flows[label, msg_id], None: total[msg_id]}
+            whole = {
+                key
+                for key, values in self._channels.items()
+                if values.get("msg_id") == f"{msg_id:#06x}"
+                and self._counts.get(key) == counts.get(values.get("link"))
+            }
+            if asked and not whole:
+                return set()
+            channels |= whole if asked else set()
+        return channels
+
+    @property
+    def _datagrams(self) -> set[int]:
+        return {key for key, topic in self._topics.items() if topic == DATAGRAMS_TOPIC}
+
+    @property
+    def _total(self) -> int:
+        """How many datagrams there are; fewer than were recorded after a repair."""
+        return sum(self._counts.get(key, 0) for key in self._datagrams)
+
+    def _indexes(self) -> list[_Indexed]:
+        """Return what the summary says of the chunks, in the order of the file; nothing if it is damaged."""
         try:
-            chunks = sorted(_indexed(content) for content in self._chunks)
+            return sorted(map(_indexed, self._chunks))
         except (struct.error, ValueError):
-            return needed
-        for item in chunks[bisect_left(chunks, (position,)) :]:
-            if item is chunks[-1] or (item.end_ns >= start_ns - _LEAD_NS and item.start_ns < end_ns):
-                needed.append(item.position)
-                continue
-            for channel_id, place in item.indexes:
-                if channel_id in datagrams and (record := self._prefix(place)) is not None:
-                    entries = record[2] - record[1] - (INDEX_HEAD.itemsize - RECORD_HEAD.size)
-                    self.statistics.passed_over += entries // INDEX_ENTRY.itemsize
-        return needed
+            return []
 
     def faults(self) -> list[Fault]:
         """Return the faults that a proxy or a replay injected, as far as the recording is readable."""
@@ -271,7 +393,7 @@ class McapSource(SourceDefaults):
         )
         if not sound.all():
             raise damaged
-        return FrameBatch(
+        frames = FrameBatch(
             data=data,
             number=heads["number"].astype(np.int64),
             time_ns=heads["log_time"].astype(np.int64),
@@ -280,6 +402,13 @@ class McapSource(SourceDefaults):
             length=length.astype(np.int32),
             original_length=heads["original_length"].astype(np.int32),
         )
+        if self._chosen is None or not len(frames):
+            return frames
+        keep = self._chosen(heads["link"], heads["msg_id"]) | (heads["link"] == OTHER)
+        keep[[0, frames.time_ns.argmin(), frames.time_ns.argmax()]] = True
+        rows = np.flatnonzero(keep)
+        self._heads.append(heads[rows])
+        return packed_frames(frames_at(frames, rows))
 
     def _walk(self, data: NDArray[np.uint8]) -> NDArray[np.int64]:
         """Return the positions of datagram messages in records without an index; also learn channels."""
@@ -400,8 +529,7 @@ class McapSource(SourceDefaults):
                 yield opcode, start, position, content
 
     def _remember(self, opcode: int, start: int, end: int) -> None:
-        described = opcode in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT}
-        if described and end - start <= MAX_CHUNK_BYTES:  # none of ours is larger
+        if opcode in _DESCRIBING and end - start <= MAX_CHUNK_BYTES:  # none of ours is larger
             self._learn(opcode, self._read(start, end))
 
     def _learn(self, opcode: int, content: bytes) -> None:
@@ -414,7 +542,9 @@ class McapSource(SourceDefaults):
                     self._definitions[schema.name] = schema.data.decode()
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(stream)
-                self._topics[channel.id] = channel.topic
+                self._topics[channel.id], self._channels[channel.id] = channel.topic, channel.metadata
+            elif opcode == Opcode.STATISTICS:
+                self._counts = Statistics.read(stream).channel_message_counts
             elif opcode == Opcode.METADATA:
                 record = Metadata.read(stream)
                 if record.name == OUTAGE_METADATA_NAME:
@@ -450,9 +580,12 @@ class McapSource(SourceDefaults):
     def _read(self, start: int, end: int) -> bytes:
         if end - start > MAX_CHUNK_BYTES + CHUNK_HEAD_BYTES:
             raise CaptureError(f"{self._name}: the record at byte {start} is too large and was left out")
-        with os_errors(f"{self._name}: cannot be read"):
-            self._file.seek(min(start, self._size))  # an index may name any place
-            return self._file.read(max(end - start, 0))
+        start = min(start, self._size)  # an index may name any place
+        if start < self._ahead_at or end > self._ahead_at + len(self._ahead):
+            with os_errors(f"{self._name}: cannot be read"):
+                self._file.seek(start)
+                self._ahead, self._ahead_at = self._file.read(max(end - start, _AHEAD_BYTES)), start
+        return self._ahead[start - self._ahead_at : max(end, start) - self._ahead_at]
 
     def _no_datagrams(self) -> CaptureError:
         topics = ", ".join(sorted(set(self._topics.values()))) or "none"
@@ -469,19 +602,24 @@ class _Indexed(NamedTuple):
         position: of its record in the file.
         start_ns: smallest log time.
         end_ns: largest log time.
-        indexes: of each channel in it, the position of its MessageIndex record.
+        places: of each channel in it, the position of its MessageIndex record.
     """
 
     position: int
     start_ns: int
     end_ns: int
-    indexes: Sequence[tuple[int, int]]
+    places: Mapping[int, int]
 
 
 def _indexed(content: bytes) -> _Indexed:
     start_ns, end_ns, position, _, size = CHUNK_INDEX_HEAD.unpack_from(content)
     places = np.frombuffer(content, INDEX_PLACE, size // INDEX_PLACE.itemsize, CHUNK_INDEX_HEAD.size)
-    return _Indexed(position, start_ns, end_ns, places.tolist())
+    return _Indexed(position, start_ns, end_ns, dict(places.tolist()))
+
+
+def _following(needed: list[int] | None, position: int) -> int:
+    """Return where the next chunk is that is needed, from a position on; all are, behind the last one."""
+    return needed[bisect_left(needed, position)] if needed and position < needed[-1] else position
 
 
 def _array(data: bytes | bytearray | memoryview) -> NDArray[np.uint8]:
@@ -495,6 +633,15 @@ def _words(text: str) -> dict[str, str]:
     except ValueError:
         return {}
     return {str(name): str(value) for name, value in table.items()} if isinstance(table, dict) else {}
+
+
+def _flows(text: str) -> dict[tuple[str, int], int]:
+    """Return how many datagrams there are by link and MsgId, of a JSON object; empty if it is not one."""
+    try:
+        named = [(name.partition("/"), count) for name, count in _words(text).items()]
+        return {(label, int(msg_id, 16)): int(count) for (label, _, msg_id), count in named}
+    except ValueError:
+        return {}
 
 
 def _labels(text: str) -> frozenset[str] | None:

@@ -235,6 +235,8 @@ class McapSink(Sink):
             self._chunks.append([latched], 1)
         prepared = self._streams.prepare(batch, columns)
         self._links.update(np.flatnonzero(np.bincount(columns.link)).tolist())
+        if self._options.apart is not None:
+            self._options.apart.add(batch, columns)
         if int(batch.frame_length.sum()) >= _LARGE:
             last = self._live is not None and self._live.ended
             self._chunks.append_batch(batch, columns, prepared, last=last)
@@ -343,7 +345,13 @@ class McapSink(Sink):
             "datagrams": str(self._captured),
             "clock_offset_ns": offsets,
             "links": json.dumps(labels),
+            **self._standing(self._streams),
         }
+
+    def _standing(self, streams: Streams) -> dict[str, str]:
+        """Return whether datagrams can be read without the others, and how many there are of each kind."""
+        apart = self._options.apart.metadata() if self._options.apart and not self._options.is_part else {}
+        return {**apart, "flows": json.dumps(streams.flows)} if apart else {}
 
     def _note_outages(self) -> None:
         """Write outages of the source's interface since the last call: as messages and as metadata."""
