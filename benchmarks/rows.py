@@ -18,6 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import hostile
 import proxy
 from paths import EDORAS, HERE, MISSION, TWO_ROVERS, captured
 from rosbags.typesys import Stores, get_typestore
@@ -105,6 +106,41 @@ def window(folder: Path, packets: int) -> dict[str, object]:
     }
     found = alternated({name: partial(command, arguments) for name, arguments in ways.items()})
     return {"packets": packets, **found}
+
+
+TOPIC = """
+import sys
+from mcap.reader import make_reader
+with open(sys.argv[1], "rb") as file:
+    print(sum(1 for _ in make_reader(file).iter_messages([sys.argv[2]])))
+"""
+"""Counts the messages of a topic by the library."""
+RARE = "/cfs/CFE_SB_StatsTlm"
+
+
+def topic(folder: Path, packets: int) -> dict[str, object]:
+    """A rare topic out of a recording, beside the same by the mcap library."""
+    capture, target, out = captured(folder, packets), folder / "topic.mcap", folder / "topic.csv"
+    subprocess.run([EDORAS, "record", "-q", "--force", capture, *TWO_ROVERS, "-o", target], check=False)
+    ways = {
+        "export": [EDORAS, "export", "-q", "--force", target, "--topic", RARE, "-o", out],
+        "ten packets": [EDORAS, "sniff", "--json", target, "--topic", RARE, "-n", "10"],
+        "mcap library": [sys.executable, "-W", "ignore", "-c", TOPIC, target, RARE],
+    }
+    found = alternated({name: partial(command, arguments) for name, arguments in ways.items()})
+    return {"packets": packets, **found}
+
+
+def growth(folder: Path) -> dict[str, object]:
+    """The doctor on captures that are hard on it: CPU of 1,000 of a kind, and of 4,000."""
+    found: dict[str, object] = {}
+    for kind in ("sources", "telemetry_sources", "sbn_sources", "strangers", "msg_ids", "pairs", "overload"):
+        for number in (1_000, 4_000):
+            path = folder / f"{kind}.pcap"
+            hostile.write(path, hostile.KINDS[kind](number))
+            run = partial(command, [EDORAS, "doctor", "--json", path, *TWO_ROVERS])
+            found[f"{kind}, {number:,}"] = summed_up({"cpu_s": [run()["cpu_s"] for _ in range(3)]})
+    return found
 
 
 def files(folder: Path) -> dict[str, object]:
@@ -295,6 +331,8 @@ def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, obje
         "tcp": partial(tcp, folder, packets),
         "doctor": partial(doctor, folder, packets),
         "window": partial(window, folder, 3 * packets),
+        "topic": partial(topic, folder, 3 * packets),
+        "growth": partial(growth, folder),
         "files": partial(files, folder),
         "messages": messages,
         "inject": partial(inject, folder),
