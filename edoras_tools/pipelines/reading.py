@@ -303,7 +303,7 @@ def reads_by_heads(source: Source, bench: Workbench) -> bool:
     return info.apart and same and not _keeps(source, bench, *_DOORS, "topics")
 
 
-class Apart:
+class Independence:
     """Finds out of what is recorded whether datagrams can be read without the others."""
 
     def __init__(self, context: Context) -> None:

@@ -39,7 +39,7 @@ class RecordingOptions:
         endpoints: of DDS, as they are learnt; None: samples of theirs have no topics.
         topics: of a recording without datagrams: places of the topics that are written; None: all.
         offered: quality of service of every topic, as the YAML of ``ros2 bag``; empty if unknown.
-        apart: a ``pipelines.reading.Apart``, which takes all batches; None: its answer is not recorded.
+        apart: a ``pipelines.reading.Independence``, which takes all batches; None: not recorded.
     """
 
     filter: str = ""

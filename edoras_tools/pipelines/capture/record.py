@@ -23,7 +23,7 @@ from edoras_tools.io.outputs import (
 from edoras_tools.io.processors import jobs_for
 from edoras_tools.pipelines.capture.flushing import FLUSH_NS, Flushing, Waiting
 from edoras_tools.pipelines.capture.ledger import Ledger
-from edoras_tools.pipelines.reading import Apart, Limits, ReadLoop, reading
+from edoras_tools.pipelines.reading import Independence, Limits, ReadLoop, reading
 from edoras_tools.sessions.sequence import SequenceCounts
 
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ def open_sink(
         sequences=sequences,
         endpoints=bench.columns.context.endpoints,
         topics=topics,
-        apart=Apart(bench.columns.context),
+        apart=Independence(bench.columns.context),
     )
 
     def part(path: Path) -> CaptureFileSink:
