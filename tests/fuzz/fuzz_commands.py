@@ -10,6 +10,7 @@ import tempfile
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING
+from unittest.mock import patch
 
 from edoras_tools.cli import main
 
@@ -101,7 +102,7 @@ def run(words: list[str]) -> tuple[int, str, str]:
     out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", newline="\n") for _ in range(2))
     before, sys.argv = sys.argv, ["edoras", *words]
     try:
-        with redirect_stdout(out), redirect_stderr(err):
+        with patch.dict(os.environ, NO_COLOR="1", COLUMNS="100"), redirect_stdout(out), redirect_stderr(err):
             main.run(main.program(words[0]))
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
@@ -112,7 +113,6 @@ def run(words: list[str]) -> tuple[int, str, str]:
     return code, *(stream.buffer.getvalue().decode() for stream in (out, err))
 
 
-os.environ.update(NO_COLOR="1", COLUMNS="100")
 TARGETS: dict[str, Callable[[bytes], Hashable]] = {"commands": commands}
 
 

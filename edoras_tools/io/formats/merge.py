@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 _TOGETHER: Final = 512
 """So many small batches are handed over as one: each costs milliseconds, however few its rows are."""
+_MANY: Final = 16
+"""Of fewer sources the batches are handed over as they come."""
 
 
 def merge_sources(sources: Sequence[Source]) -> Source:
@@ -100,6 +102,7 @@ class MergedSource(SourceDefaults):
         errors: list[str] = []
         heads = [_Head(source, errors) for source in self._sources]
         number, touched = 1, [*range(len(heads))]
+        together = _TOGETHER if len(heads) >= _MANY else 1
         waiting: list[PacketBatch] = []
         ends: list[tuple[int, int]] = []
         begins: list[tuple[int, int]] = []
@@ -110,7 +113,7 @@ class MergedSource(SourceDefaults):
                     heappush(begins, (int(heads[place].keys[0]), place))
             while ends and ends[0][0] != heads[ends[0][1]].end:  # of what was taken meanwhile
                 heappop(ends)
-            if waiting and (not ends or max(len(waiting), len(waiting[-1])) >= _TOGETHER):
+            if waiting and (not ends or max(len(waiting), len(waiting[-1])) >= together):
                 batch = concatenate([_trim(part) for part in waiting])
                 yield replace(batch, number=np.arange(number, number + len(batch)))
                 number += len(batch)
