@@ -148,14 +148,12 @@ def open_aligned(
                 "no loss is concluded from the order of events between the two"
             )
             continue
-        if not is_cfe_file(path) and _follows(tables[to], table, shift):
-            set_back[at] = set_back[to]
-            sources.append(Aligned(open_file(path), set_back[at], shift.shared))
-            continue
-        set_back[at] = [shift.line, *set_back[to]]
+        is_one_clock = not is_cfe_file(path) and _follows(tables[to], table, shift)
+        set_back[at] = set_back[to] if is_one_clock else [shift.line, *set_back[to]]
         sources.append(Aligned(open_file(path), set_back[at], shift.shared))
-        some = f"; {len(shift.shared):,} datagrams are in both, counted once" if len(shift.shared) else ""
-        notes.append(f"{path}: its clock is {shift.told(str(paths[to]))}{some}")
+        if not is_one_clock:
+            some = f"; {len(shift.shared):,} datagrams are in both, counted once" if len(shift.shared) else ""
+            notes.append(f"{path}: its clock is {shift.told(str(paths[to]))}{some}")
     return OneByOne([merge_sources(sources), *alone]) if alone else merge_sources(sources), notes
 
 

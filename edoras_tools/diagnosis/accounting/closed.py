@@ -40,7 +40,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.cfs import command_ingest, executive_services, names, sbn, telemetry_output
+from edoras_tools.cfs import command_ingest, executive_services, names, queues, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import TAIL_NS, WAITS_NS, Fate, Loss, LossKind, loss_of
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, Way, reasons_for
@@ -423,8 +423,8 @@ class Stops:
         inside = fate.open & (fate.stop < 0)
         inside &= (times > max(item.start_ns - WAITS_NS, last_ns)) & (times < until_ns)
         if fate.keeps_newest:  # the rest of what it takes at once when it is back gave way
-            profile = self._case.profile
-            round_ns = profile.ci_wake_ns if fate.stream.link.only_to_cfs else profile.sbn_wake_ns
+            over_network = not fate.stream.link.only_to_cfs
+            round_ns = queues.application_pipe(self._case.profile, over_network=over_network).round_ns
             fate.newer |= inside & (times > until_ns - round_ns)
             inside &= times <= until_ns - round_ns
         if item.app in executive_services.SCHEDULERS:

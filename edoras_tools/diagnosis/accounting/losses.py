@@ -7,7 +7,7 @@ lost is in one loss and no more; the balance adds them up, and the rules explain
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping  # noqa: TC003  COUNTERS is annotated with it
+from collections.abc import Mapping, Sequence  # noqa: TC003  COUNTERS is annotated with it
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -214,7 +214,7 @@ class Fate:
     @property
     def keeps_newest(self) -> bool:
         """Whether the application sends only the newest of what it takes at once, over SBN."""
-        return any(hop.rewritten and hop.out.link.peers for hop in self.hops)
+        return _keep_newest(self.hops)
 
     @property
     def waiting(self) -> int:
@@ -231,6 +231,10 @@ class Fate:
         own = rows[self.open[rows] | self.blind[rows]]
         self.open[own] = self.blind[own] = False
         return len(own)
+
+
+def _keep_newest(hops: Sequence[Hop]) -> bool:
+    return any(hop.rewritten and hop.out.link.peers for hop in hops)
 
 
 def follow(case: Case, stream: Stream) -> Fate:
@@ -271,7 +275,7 @@ def _newer(
     CI has more than it reads, and for all of a time in which cFS stood still or nobody woke applications.
     """
     out = np.zeros(len(times), bool)
-    if not any(hop.rewritten and hop.out.link.peers for hop in hops):
+    if not _keep_newest(hops):
         return out
     came = np.flatnonzero(~absent)
     behind = np.searchsorted(came, np.flatnonzero(absent))
