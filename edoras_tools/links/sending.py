@@ -97,6 +97,9 @@ class LinkSending:
         del batch
         return np.asarray(columns.link == self.link)
 
+    def keep(self, batch: PacketBatch) -> None:
+        """Note the rows that are sent, in their order, of the batch that ``outgoing_rows`` had last."""
+
     def compose(self, name: str, values: Any, count: int, context: Any) -> list[bytes]:
         """Return messages that are made up, for ``inject``; a link of ``packets`` is given those of routes.
 

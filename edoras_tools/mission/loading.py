@@ -222,7 +222,7 @@ _LARGEST: Final = {"tm": 2048, "aos": 65507}
 _USUAL_LINK: Final = {"tm": "to", "aos": "to", "tc": "ci"}
 _KEYS: Final = ("port", "kind", "link", "fecf", "transport")
 _OWN_KEYS: Final = {
-    "tm": ("length",),
+    "tm": ("length", "ocf"),
     "aos": ("length", "ocf", "insert_zone", "header_error_control"),
     "tc": ("segment_header",),
 }

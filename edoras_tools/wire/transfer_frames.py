@@ -143,7 +143,7 @@ class FrameFormat:
         kind: ``tm``, ``aos`` or ``tc``.
         length: bytes of a whole TM or AOS frame; 0 for TC frames, which say theirs.
         fecf: the last two bytes are a CRC-16 of the frame.
-        ocf: AOS: an operational control field is behind the data; TM frames say so themselves.
+        ocf: TM, AOS: an operational control field is behind the data; read TM frames say so themselves.
         insert_zone: AOS: bytes of the insert zone behind the header.
         header_error_control: AOS: two bytes of it are behind the header.
         segment_header: TC: the data begins with a segment header.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator  # noqa: TC003
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -37,11 +38,31 @@ _TOGETHER_NS: Final = 50 * MILLISECOND
 _LARGEST_TC: Final = 1024
 _GENERATOR: Final = (3, 1, 3, 0)
 """The code's generator x^4 + a^3 x^3 + a x^2 + a^3 x + 1, as powers of a."""
-_SPACECRAFT: Final = 0x42
+
+
+class _Channel(NamedTuple):
+    """A virtual channel of a spacecraft."""
+
+    spacecraft_id: int
+    virtual_channel_id: int
+
+
+class _Content(NamedTuple):
+    """A frame: when it leaves, in which channel, its data, and where in it the first packet starts."""
+
+    time_ns: int
+    channel: _Channel
+    data: bytes
+    first: int = 0
+
+
+_USUAL: Final = _Channel(0x42, 0)
 
 
 class FrameSending(LinkSending):
-    """One virtual channel at a port; its ids are those of the first recorded frame there, if there is one.
+    """The virtual channels at a port: a packet goes in that in which it was recorded, at this port.
+
+    Others go in that of the first recorded frame there with packets, if there is one.
 
     Args:
         link: of the frames.
@@ -55,34 +76,68 @@ class FrameSending(LinkSending):
         super().__init__(link)
         self.port, self.form = port, form
         self.framing = TransferFraming(form) if form.stream else None
-        self._ids = {"spacecraft_id": _SPACECRAFT, "virtual_channel_id": 0}
-        self._count = 0
-        self._recorded = False
+        self._usual: _Channel | None = None
+        self._in_batch: dict[int, _Channel] = {}
+        self._channels: list[_Channel | None] = []
+        self._counts: Counter[_Channel | int] = Counter()
 
     def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
         """Tell which rows have packets that go this way."""
-        at = np.flatnonzero(super().outgoing_rows(batch, columns) & (batch.destination_port == self.port))
-        if len(at) and not self._recorded:
-            self._recorded = True
-            one = read_frames(batch.data, batch.offset[at[:1]], batch.length[at[:1]], self.form)
-            self._ids = {name: int(getattr(one, name)[0]) for name in self._ids}
+        frames = np.flatnonzero(super().outgoing_rows(batch, columns))
         up = self.form.kind == "tc"
         way = among(columns.link, lambda link: link.packets and link.to_cfs == up and link.from_cfs != up)
-        return way & (columns.packet_offset >= 0)
+        way &= columns.packet_offset >= 0
+        self._in_batch = self._recorded_channels(batch, frames, np.flatnonzero(way))
+        return way
+
+    def keep(self, batch: PacketBatch) -> None:
+        """Note in which channel each packet that is sent was recorded."""
+        self._channels += [self._in_batch.get(place) for place in batch.offset.tolist()]
+
+    def _recorded_channels(
+        self, batch: PacketBatch, frames: NDArray[np.intp], packets: NDArray[np.intp]
+    ) -> dict[int, _Channel]:
+        """Return the channel of packets that came out of frames at the port, by their place in the data."""
+        here = frames[batch.destination_port[frames] == self.port]
+        if not len(here):
+            return {}
+        read = read_frames(batch.data, batch.offset[here], batch.length[here], self.form)
+        names = zip(read.spacecraft_id.tolist(), read.virtual_channel_id.tolist(), strict=True)
+        channels = [_Channel(*item) for item in names]
+        if self._usual is None and not read.idle.all():
+            self._usual = channels[int(np.argmin(read.idle))]
+        packets = packets[batch.original_length[packets] == -1]
+        packets = packets[packets > frames[0]]
+        frame = frames[np.searchsorted(frames, packets) - 1]  # a packet stands behind its frame
+        inside = np.isin(frame, here)
+        which = np.searchsorted(here, frame[inside]).tolist()
+        places = batch.offset[packets[inside]].tolist()
+        return {place: channels[index] for place, index in zip(places, which, strict=True)}
 
     def renew(
         self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
     ) -> tuple[list[bytes], NDArray[np.int64]]:
         """Put packets in frames; a frame leaves with the packet that fills it."""
-        self._count = 0
-        made = [*(self._tc if self.form.kind == "tc" else self._filled)(messages, time_ns.tolist())]
-        return [frame for frame, _ in made], np.array([at for _, at in made], np.int64)
+        self._counts.clear()
+        usual = self._usual or _USUAL
+        channels = [item or usual for item in self._channels] or [usual] * len(messages)
+        packets = [*zip(time_ns.tolist(), channels, messages, strict=True)]
+        if self.form.kind == "tc":
+            contents = [*self._segments(packets)]
+        else:
+            contents = []
+            for channel in dict.fromkeys(channels):
+                contents += self._filled(channel, [item for item in packets if item[1] == channel])
+            contents.sort(key=lambda item: item.time_ns)
+        return [self._frame(item) for item in contents], np.array(
+            [item.time_ns for item in contents], np.int64
+        )
 
-    def _tc(self, packets: Sequence[bytes], times: Sequence[int]) -> Iterator[tuple[bytes, int]]:
-        """Yield a frame a packet; of a longer one a frame a segment, where the mission has segments."""
+    def _segments(self, packets: Sequence[tuple[int, _Channel, bytes]]) -> Iterator[_Content]:
+        """Yield a packet a TC frame; of a longer one a segment a frame, where the mission has segments."""
         form, left = self.form, 0
         room = _LARGEST_TC - form.smallest + 1
-        for packet, at in zip(packets, times, strict=True):
+        for at, channel, packet in packets:
             if len(packet) > room and not form.segment_header:
                 left += 1
                 continue
@@ -90,57 +145,59 @@ class FrameSending(LinkSending):
             for number, part in enumerate(parts):
                 flags = (number == 0) | (number == len(parts) - 1) << 1
                 segment = TC_SEGMENT.emit({"segment_sequence_flags": flags}) if form.segment_header else b""
-                yield (
-                    self._frame(segment + part, frame_length=form.smallest - 1 + len(part) - TC_LENGTH_BIAS),
-                    at,
-                )
+                yield _Content(at, channel, segment + part)
         text = f"packets are longer than the {room} bytes of a TC frame without segments"
         self.refusals = [f"{left:,} {text}"] if left else []
 
-    def _filled(self, packets: Sequence[bytes], times: Sequence[int]) -> Iterator[tuple[bytes, int]]:
-        """Yield TM or AOS frames: packets behind each other, an idle one where none comes soon."""
+    def _filled(
+        self, channel: _Channel, packets: Sequence[tuple[int, _Channel, bytes]]
+    ) -> Iterator[_Content]:
+        """Yield what TM or AOS frames hold: packets behind each other, an idle one where none comes soon."""
         room = self.form.length - self.form.smallest + 1
         data, starts = b"", []
-        for number, packet in enumerate(packets):
-            at = times[number]
+        for number, (at, _, packet) in enumerate(packets):
             starts.append(len(data))
             data += packet
-            ends = number == len(packets) - 1 or times[number + 1] - at > _TOGETHER_NS
+            ends = number == len(packets) - 1 or packets[number + 1][0] - at > _TOGETHER_NS
             while len(data) >= room or ends:
                 if len(data) < room:  # what an idle packet has too much begins the next frame
                     starts.append(len(data))
                     data += _idle(max(room - len(data), ccsds.PRIMARY.size + 1))
                     ends = False
                 first = next((start for start in starts if start < room), NO_PACKET_STARTS)
-                yield self._data_frame(data[:room], first), at
+                yield _Content(at, channel, data[:room], first)
                 data, starts = data[room:], [start - room for start in starts if start >= room]
                 ends = ends and len(data) > 0
 
-    def _data_frame(self, data: bytes, first: int) -> bytes:
-        if self.form.kind == "tm":
-            return self._frame(
-                data,
-                master_channel_frame_count=self._count % 256,
-                segment_length_id=3,
-                first_header_pointer=first,
-            )
-        zone = bytes(self.form.insert_zone) + AOS_PACKETS.emit({"first_header_pointer": first})
-        return self._frame(zone + data + bytes(OCF_BYTES * self.form.ocf))
-
-    def _frame(self, data: bytes, **values: int) -> bytes:
-        """Return a frame of the next count, with its CRC where the mission has one."""
-        kind, layout, ids = self.form.kind, self.form.layout, dict(self._ids)
-        if kind == "aos":
-            ids["spacecraft_id_high"], ids["spacecraft_id"] = divmod(ids["spacecraft_id"], 256)
-        name = "frame_sequence_number" if kind == "tc" else "virtual_channel_frame_count"
-        values[name] = self._count % count_modulus(kind)
-        values["transfer_frame_version_number"] = FRAME_VERSIONS[kind]
-        self._count += 1
-        head = layout.emit(ids | values)
-        if self.form.header_error_control:
+    def _frame(self, content: _Content) -> bytes:
+        """Return a frame of its channel's next count, with its CRC where the mission has one."""
+        form, kind, channel, data = self.form, self.form.kind, content.channel, content.data
+        count, of_all = self._counts[channel], self._counts[channel.spacecraft_id]
+        self._counts.update([channel, channel.spacecraft_id])
+        values: dict[str, Any] = {
+            **channel._asdict(),
+            "transfer_frame_version_number": FRAME_VERSIONS[kind],
+            "virtual_channel_frame_count": count % count_modulus(kind),
+        }
+        if kind == "tc":
+            values["frame_sequence_number"] = values.pop("virtual_channel_frame_count")
+            values["frame_length"] = form.data_start + len(data) + CRC16_BYTES * form.fecf - TC_LENGTH_BIAS
+        elif kind == "aos":
+            high, low = divmod(channel.spacecraft_id, 256)
+            values |= {"spacecraft_id_high": high, "spacecraft_id": low}
+            data = bytes(form.insert_zone) + AOS_PACKETS.emit({"first_header_pointer": content.first}) + data
+        else:
+            values |= {
+                "ocf_flag": int(form.ocf),
+                "master_channel_frame_count": of_all % count_modulus(kind),
+                "segment_length_id": 3,
+                "first_header_pointer": content.first,
+            }
+        head = form.layout.emit(values)
+        if form.header_error_control:
             head += header_check(head)
-        frame = head + data
-        return frame + crc16(frame).to_bytes(CRC16_BYTES, "big") if self.form.fecf else frame
+        frame = head + data + bytes(OCF_BYTES * form.ocf)
+        return frame + crc16(frame).to_bytes(CRC16_BYTES, "big") if form.fecf else frame
 
 
 def header_check(head: bytes) -> bytes:

@@ -92,10 +92,11 @@ class RacsBridgeLink(LinkProtocol):
     port_decides = False
     sends = True
 
-    def send(self, site: Site, *, up: bool) -> LinkSending | None:
-        """Return how its messages go to the ROS side; that side, the server, sends those to cFS."""
+    def send(self, site: Site, *, up: bool) -> LinkSending:
+        """Return how its messages go to the ROS side, the server; or, as that server, to the cFS side."""
         del site
-        return None if up else self.part("sending:BridgeSending")(self)
+        sending: LinkSending = self.part(f"sending:{'Server' if up else 'Bridge'}Sending")(self)
+        return sending
 
     def recognise(self, facts: Seen) -> Any:
         """Recognise the 32 bytes of a header; pings and handshakes are not of the link."""

@@ -1,14 +1,17 @@
-"""How messages of RACS2 are sent again: as the cFS side, the client of a WebSocket server (RFC 6455)."""
+"""How messages of RACS2 are sent again: as the cFS side, the client of a WebSocket, or as its server."""
 
 from __future__ import annotations
 
 import base64
+import hashlib
 import os
+import re
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.addons.racs2 import wire as racs2
+from edoras_tools.addons.racs2.serving import ServerTransmitter
 from edoras_tools.addons.racs2.streams import WebSocketFraming
 from edoras_tools.addons.racs2.websocket import Opcode
 from edoras_tools.links.sending import LinkSending, SendingSession
@@ -20,28 +23,44 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import Columns, Link, PacketBatch
+    from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
 
-_LARGEST: Final = 1 << 20
+LARGEST: Final = 1 << 20
 _REQUEST: Final = (
     "GET / HTTP/1.1\r\nHost: racs2\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     f"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: {racs2.SUBPROTOCOL}\r\nSec-WebSocket-Key: "
 )
+_SWITCH: Final = (
+    b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: "
+)
+_MAGIC: Final = b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
+_HEADER: Final = re.compile(rb"(?m)^([^:\r\n]+):([^\r\n]*)")
 _NORMAL: Final = (1000).to_bytes(2, "big")
+
+
+def frame(opcode: Opcode, payload: bytes) -> bytes:
+    """Return a frame of a server, which is not masked (section 5.2)."""
+    size = len(payload)
+    if size < 126:
+        head = bytes([size])
+    elif size < 1 << 16:
+        head = b"\x7e" + size.to_bytes(2, "big")
+    else:
+        head = b"\x7f" + size.to_bytes(8, "big")
+    return bytes([0x80 | opcode]) + head + payload
 
 
 def masked_frame(opcode: Opcode, payload: bytes) -> bytes:
     """Return a frame of a client, which is masked (section 5.3)."""
-    size = len(payload)
-    if size < 126:
-        head = bytes([0x80 | size])
-    elif size < 1 << 16:
-        head = b"\xfe" + size.to_bytes(2, "big")
-    else:
-        head = b"\xff" + size.to_bytes(8, "big")
-    key = os.urandom(4)
-    mask = np.resize(np.frombuffer(key, np.uint8), size)
-    return bytes([0x80 | opcode]) + head + key + (np.frombuffer(payload, np.uint8) ^ mask).tobytes()
+    bare, key = frame(opcode, payload), os.urandom(4)
+    at = len(bare) - len(payload)
+    return bytes([bare[0], 0x80 | bare[1]]) + bare[2:at] + key + mask(payload, key)
+
+
+def mask(payload: bytes, key: bytes) -> bytes:
+    """Return a payload with its mask, or without it."""
+    octets = np.frombuffer(payload, np.uint8)
+    return (octets ^ np.resize(np.frombuffer(key, np.uint8), len(octets))).tobytes()
 
 
 class BridgeClient(SendingSession):
@@ -77,31 +96,99 @@ class BridgeClient(SendingSession):
         return (f"the server refused: {self._refusal}",) if self._refusal else ()
 
 
-class BridgeSending(LinkSending):
-    """Messages to ROS, in new frames."""
+class BridgeServer(SendingSession):
+    """The ROS side's connection: the answer to the handshake, and to pings, the end.
+
+    Attributes:
+        place: where it listens.
+    """
+
+    def __init__(self) -> None:
+        self.connected, self.place, self._refusal = False, "", ""
+
+    def answer(self, data: bytes, *, now: int) -> Iterable[bytes]:
+        """Take the client's handshake, or a frame of its."""
+        del now
+        if data.startswith(b"GET "):
+            head = {name.strip().lower(): value.strip() for name, value in _HEADER.findall(data)}
+            if head.get(b"upgrade", b"").lower() != b"websocket" or b"sec-websocket-key" not in head:
+                self._refusal = "what connected asked for no WebSocket"
+                return (b"HTTP/1.1 426 Upgrade Required\r\nContent-Length: 0\r\n\r\n",)
+            self.connected = True
+            proof = hashlib.sha1(head[b"sec-websocket-key"] + _MAGIC, usedforsecurity=False).digest()
+            offered = head.get(b"sec-websocket-protocol", b"").partition(b",")[0].strip()
+            chosen = b"Sec-WebSocket-Protocol: " + offered + b"\r\n" if offered else b""
+            return (_SWITCH + base64.b64encode(proof) + b"\r\n" + chosen + b"\r\n",)
+        if data[0] & 15 == Opcode.PING:  # a client's frames are masked, and a ping's length is a byte
+            return (frame(Opcode.PONG, mask(data[6:], data[2:6])),)
+        return ()
+
+    def absence(self) -> str:
+        """Return who is missing."""
+        return self._refusal or f"no cFS side connected to the WebSocket server at {self.place}"
+
+    def goodbye(self) -> Iterable[bytes]:
+        """Close the WebSocket."""
+        return (frame(Opcode.CLOSE, _NORMAL),) if self.connected else ()
+
+
+class _Sending(LinkSending):
+    """Messages of one direction, in new frames."""
 
     port = racs2.BRIDGE_WEBSOCKET_PORT
-    framing = WebSocketFraming(_LARGEST)
     renews = True
-    instead = "edoras replay --to racs2 sends recorded messages; a new one comes from a node of cFS or ROS"
+    up = False
+    instead = "edoras replay sends recorded messages; a new one comes from a node of cFS or ROS"
+
+    def __init__(self, link: Link) -> None:
+        super().__init__(link)
+        self._other_way = 0
+
+    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+        """Tell which messages go this way: those to ROS name a topic, those to cFS have a MsgId."""
+        own = super().outgoing_rows(batch, columns)
+        this_way: NDArray[np.bool_] = own & (
+            (gather(batch.data, batch.offset, 1)[:, 0] <= cfe.HIGHEST_MSG_ID >> 8) == self.up
+        )
+        self._other_way += int(np.count_nonzero(own & ~this_way))
+        text = "go to ROS: --to racs2" if self.up else "go to cFS: --to racs2:up"
+        self.refusals = [f"{self._other_way:,} of them {text} sends those"] if self._other_way else []
+        return this_way
+
+
+class BridgeSending(_Sending):
+    """Messages to ROS."""
+
+    framing = WebSocketFraming(LARGEST)
 
     def __init__(self, link: Link) -> None:
         super().__init__(link)
         self.session = BridgeClient()
-        self._other_way = 0
-
-    def outgoing_rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
-        """Tell which messages name a topic; those with a MsgId are the server's to send."""
-        own = super().outgoing_rows(batch, columns)
-        first = gather(batch.data, batch.offset, 1)[:, 0]
-        to_ros = own & (first > cfe.HIGHEST_MSG_ID >> 8)
-        self._other_way += int(np.count_nonzero(own & ~to_ros))
-        text = "of them go to cFS: the ROS side sends those, which is the server"
-        self.refusals = [f"{self._other_way:,} {text}"] if self._other_way else []
-        return to_ros
 
     def renew(
         self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
     ) -> tuple[list[bytes], NDArray[np.int64]]:
         """Put each message in a frame."""
         return [masked_frame(Opcode.BINARY, item) for item in messages], time_ns
+
+
+class ServerSending(_Sending):
+    """Messages to cFS, whose side connects to us."""
+
+    own_transport = up = True
+
+    def __init__(self, link: Link) -> None:
+        super().__init__(link)
+        self._server = self.session = BridgeServer()
+
+    def transmitter(self, target: Endpoint) -> ServerTransmitter:
+        """Listen at the target."""
+        transmitter = ServerTransmitter(target, WebSocketFraming(LARGEST))
+        self._server.place = str(transmitter.local)
+        return transmitter
+
+    def renew(
+        self, messages: Sequence[bytes], time_ns: NDArray[np.int64]
+    ) -> tuple[list[bytes], NDArray[np.int64]]:
+        """Put each message in a frame."""
+        return [frame(Opcode.BINARY, item) for item in messages], time_ns

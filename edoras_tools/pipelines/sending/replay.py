@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io import Source
-    from edoras_tools.links.sending import LinkSending
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.ros import TypeStore
@@ -106,6 +105,8 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
                 remaining -= len(mask)
             if len(mask):
                 packets = bool(sending and sending.packets)
+                if sending:
+                    sending.keep(mask)
                 parts.append(Outgoing.of(options.to.link, mask, columns, packets=packets))
                 cut += int(np.count_nonzero(mask.capture_findings & np.uint32(Finding.CAPTURE_CUT)))
                 over_tcp += 0 if mask.streams is None else int(np.count_nonzero(mask.streams))
@@ -126,18 +127,13 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
         notes.append(
             f"{over_tcp:,} of them came over TCP, and are sent as datagrams; --tcp sends them over TCP"
         )
-    out = _anew(join_datagrams(parts), sending)
+    out = join_datagrams(parts)
+    if sending and sending.renews:
+        out = Outgoing.bare(out.link, *sending.renew([out[row] for row in range(len(out))], out.time_ns))
     notes += sending.refusals if sending else ()
     if any(link.bridge != options.to.link.bridge or not link.bridge for link in others):
         notes.append(f"left out: {listed([*others.values()])}")
     return Loaded(out, tuple(sorted(subscriptions)), tuple(notes))
-
-
-def _anew(out: Outgoing, sending: LinkSending | None) -> Outgoing:
-    """Return what is sent for recorded messages."""
-    if sending is None or not sending.renews:
-        return out
-    return Outgoing.bare(out.link, *sending.renew([out[row] for row in range(len(out))], out.time_ns))
 
 
 def _towards(

@@ -5,16 +5,20 @@ import struct
 import pytest
 import yaml
 from places import SAMPLES
-from rewriting import datagrams
+from rewriting import Udp, datagrams, write
 from spacepackets.ccsds.tm_frame import TmTransferFrame
+from transfer_frames import CRAFT, GROUND, Maker, batch_of, packets_of, space_packet
 from waiting import Ear
 
 from edoras_tools.addons.frames.sending import header_check
+from edoras_tools.addons.frames.unframer import Unframer
+from edoras_tools.wire.transfer_frames import FrameFormat
 
 ROVER = SAMPLES / "captures/a_rover.pcap"
 FORMS = {
     "tm": {"kind": "tm", "length": 128},
     "tm_whole": {"kind": "tm", "length": 1115, "fecf": False},
+    "tm_ocf": {"kind": "tm", "length": 128, "ocf": True},
     "aos": {"kind": "aos", "length": 200, "ocf": True, "insert_zone": 4},
     "tc": {"kind": "tc"},
     "tc_segments": {"kind": "tc", "segment_header": True},
@@ -23,16 +27,18 @@ FORMS = {
 
 @pytest.fixture
 def sent(tmp_path, call):
-    """A function: the frames that replay sends of the rover, by a mission's form."""
+    """A function: the frames that replay sends of the rover, or of another capture, by a mission's form."""
 
-    def send(form, *words):
+    def send(form, capture=ROVER):
         mission = tmp_path / "frames.yaml"
         with Ear() as ear:
             entry = {"port": ear.port, **form}
             node = {"ros__parameters": {"frames": {"f": entry}}}
             mission.write_text(yaml.safe_dump({"ground_bridge_node": node}))
             to = "frames:up" if form["kind"] == "tc" else "frames"
-            done = call("replay", ROVER, "--to", to, "-c", mission, "--max", "-q", *words)
+            target = f"127.0.0.1:{ear.port}"
+            words = ("--to", to, "-c", mission, "--target", target, "--max", "-q")
+            done = call("replay", capture, *words)
             assert done.code == 0, done.err
             return ear.take()
 
@@ -61,7 +67,7 @@ def packets_in(zones):
     return found
 
 
-@pytest.mark.parametrize("kind", ["tm", "tm_whole"])
+@pytest.mark.parametrize("kind", ["tm", "tm_whole", "tm_ocf"])
 def test_tm_frames_as_spacepackets_reads_them(kind, sent):
     form = FORMS[kind]
     frames = [TmTransferFrame.unpack(item, form["length"], form.get("fecf", True)) for item in sent(form)]
@@ -71,6 +77,7 @@ def test_tm_frames_as_spacepackets_reads_them(kind, sent):
     assert packets_in(zones) == packets_to(1235)
     assert [item.vc_frame_count for item in heads] == [at % 256 for at in range(len(frames))]
     assert [item.master_ch_frame_count for item in heads] == [at % 256 for at in range(len(frames))]
+    assert {item.op_ctrl_field for item in frames} == {bytes(4) if form.get("ocf") else None}
 
 
 def test_aos_frames_byte_by_byte(sent):
@@ -89,6 +96,33 @@ def test_tc_frames_byte_by_byte(kind, sent):
     assert [int.from_bytes(item[2:4], "big") & 0x3FF for item in frames] == [len(item) - 1 for item in frames]
     assert [item[4] for item in frames] == [at % 256 for at in range(len(frames))]
     assert kind == "tc" or {item[5] for item in frames} == {3 << 6}
+
+
+@pytest.mark.parametrize("kind", ["tm", "aos", "tc"])
+def test_a_packet_goes_in_the_virtual_channel_in_which_it_was_recorded(kind, sent, tmp_path):
+    """Two channels of one spacecraft and one of another, in turns; every count is the channel's own."""
+    makers = [Maker(kind, 100, channel=channel, craft=craft) for channel, craft in ((1, 42), (3, 42), (1, 7))]
+    apid, packets, items = 0x1027 if kind == "tc" else 0x27, {}, []
+    for number in range(30):
+        maker = makers[number % 3]
+        packet = space_packet(apid, bytes([number]) * 60, number)
+        packets.setdefault((maker.craft, maker.channel), []).append(packet)
+        items += [Udp(number * 10**9, CRAFT, GROUND, frame) for frame, _ in maker.carry([packet])]
+    form = makers[0].format() | {"port": GROUND[1]}
+    frames = sent(form, capture=write(tmp_path / "channels.pcap", items))
+    reader = Unframer({GROUND[1]: FrameFormat(**makers[0].format())})
+    found = {}
+    reader.take(batch_of(frames))
+    for number, frame in enumerate(frames):
+        single = Unframer({GROUND[1]: FrameFormat(**makers[0].format())})
+        inside = packets_of(single.take(batch_of([frame], number + 1)))
+        channel = single.channels[0]
+        found.setdefault((channel.spacecraft_id, channel.virtual_channel_id), []).extend(
+            packet for packet, _ in inside
+        )
+    assert found == packets
+    assert [(item.frames, item.lost) for item in reader.channels] == [(10, 0)] * 3
+    assert [(item.frames, item.lost) for item in reader.masters] == [(20, 0), (10, 0)] * (kind == "tm")
 
 
 def test_without_a_mission_it_is_said(call):

@@ -2,12 +2,15 @@
 
 import socket
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import pytest
 from racs2_peer import Talk, to_cfs, to_ros
 from streams import frames as frames_of
 from waiting import HOST
+from websockets.sync.client import connect
 from websockets.sync.server import serve
 
 from edoras_tools.io.formats.pcapng.writer import PcapngSink
@@ -57,7 +60,7 @@ def test_a_server_gets_every_message_to_ros_and_a_clean_end(recording, call):
     assert done.code == 0, done.err
     assert taken == SAID
     assert ends == [1000]
-    assert done.json()["notes"][0] == ("4 of them go to cFS: the ROS side sends those, which is the server")
+    assert done.json()["notes"][0] == "4 of them go to cFS: --to racs2:up sends those"
 
 
 def test_a_server_of_something_else_is_told(recording, call):
@@ -78,7 +81,63 @@ def test_a_server_of_something_else_is_told(recording, call):
     assert "did not answer as a receiver of RACS2" in done.err[-1]
 
 
-def test_nothing_is_sent_towards_cfs(recording, call):
-    done = call("replay", recording, "--to", "racs2:up")
-    assert (done.code, len(done.err)) == (2, 1)
-    assert "nothing is sent on racs2 towards the flight software" in done.err[0]
+def cfs_side(url, options=None):
+    """Connect as cFS does, once somebody listens; return what came, until the end."""
+    give_up = time.monotonic() + 10
+    while True:
+        try:
+            with connect(url, **options or {}) as client:
+                client.ping().wait(5)
+                return list(client), client.protocol.close_code
+        except ConnectionRefusedError:
+            assert time.monotonic() < give_up
+            time.sleep(0.02)
+
+
+@pytest.mark.parametrize("subprotocols", [["example-protocol"], None])
+def test_the_cfs_side_gets_every_message_to_it_and_a_clean_end(recording, call, subprotocols):
+    with socket.create_server((HOST, 0)) as free:
+        place = f"{HOST}:{free.getsockname()[1]}"
+    with ThreadPoolExecutor(1) as pool:
+        heard = pool.submit(cfs_side, f"ws://{place}/", {"subprotocols": subprotocols})
+        done = call("replay", recording, "--to", "racs2:up", "--target", place, "--max", "--json")
+    assert done.code == 0, done.err
+    assert heard.result() == ([to_cfs(0x1894, b"up")] * 4, 1000)
+    assert done.json()["notes"][0] == "40 of them go to ROS: --to racs2 sends those"
+
+
+def test_a_cfs_side_that_does_not_come_is_told(recording, call):
+    words = ("--to", "racs2:up", "--target", f"{HOST}:0", "--timeout", "200ms")
+    done = call("replay", recording, *words)
+    assert done.code == 1
+    assert f"no cFS side connected to the WebSocket server at {HOST}:" in done.err[-1]
+
+
+def test_what_asks_for_no_websocket_is_told(recording, call):
+    with socket.create_server((HOST, 0)) as free:
+        port = free.getsockname()[1]
+
+    def ask():
+        give_up = time.monotonic() + 10
+        while time.monotonic() < give_up:
+            try:
+                with socket.create_connection((HOST, port)) as client:
+                    client.sendall(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+                    return client.recv(4096)
+            except ConnectionRefusedError:
+                time.sleep(0.02)
+        return b""
+
+    with ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(ask)
+        done = call("replay", recording, "--to", "racs2:up", "--target", f"{HOST}:{port}", "--timeout", "2s")
+    assert done.code == 1
+    assert answer.result().startswith(b"HTTP/1.1 426 ")
+
+
+def test_a_taken_port_is_told(recording, call):
+    with socket.create_server((HOST, 0)) as taken:
+        place = f"{HOST}:{taken.getsockname()[1]}"
+        done = call("replay", recording, "--to", "racs2:up", "--target", place)
+    assert (done.code, len(done.err)) == (1, 1)
+    assert "choose another with --target" in done.err[0]
