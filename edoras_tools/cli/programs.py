@@ -1,7 +1,5 @@
 """The entry points of the programs, which make start and end fast."""
 
-from __future__ import annotations
-
 import _signal as signal  # type: ignore[import-not-found]  # no file: it is there at once
 
 _HEEDED = signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -45,15 +43,16 @@ def _start(alone: str = "") -> NoReturn:
     try:
         if _HEEDED:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-        main.run(made)
+        try:
+            main.run(made)
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else 0
+            with suppress(OSError):
+                sys.stdout.flush()
+                sys.stderr.flush()
     except KeyboardInterrupt:
-        os._exit(endings.INTERRUPTED)
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else 0
-        with suppress(OSError):
-            sys.stdout.flush()
-            sys.stderr.flush()
-        os._exit(code)
+        code = endings.INTERRUPTED
+    os._exit(code)
 
 
 def main() -> NoReturn:

@@ -26,7 +26,7 @@ class AtOnce:
         if not name.startswith("edoras_tools"):
             os.kill(os.getpid(), signal.SIGINT)
 
-for name in ("typing", "gc", "contextlib"):
+for name in ("__future__", "importlib", "warnings", "typing", "gc", "contextlib"):
     sys.modules.pop(name, None)
 sys.meta_path.insert(0, AtOnce())
 import edoras_tools.cli.programs

@@ -580,12 +580,12 @@ class McapSource(SourceDefaults):
     def _read(self, start: int, end: int) -> bytes:
         if end - start > MAX_CHUNK_BYTES + CHUNK_HEAD_BYTES:
             raise CaptureError(f"{self._name}: the record at byte {start} is too large and was left out")
-        start = min(start, self._size)  # an index may name any place
+        start, end = min(start, self._size), min(end, self._size)  # an index may name any place
         if start < self._ahead_at or end > self._ahead_at + len(self._ahead):
             with os_errors(f"{self._name}: cannot be read"):
                 self._file.seek(start)
                 self._ahead, self._ahead_at = self._file.read(max(end - start, _AHEAD_BYTES)), start
-        return self._ahead[start - self._ahead_at : max(end, start) - self._ahead_at]
+        return self._ahead[start - self._ahead_at : end - self._ahead_at]
 
     def _no_datagrams(self) -> CaptureError:
         topics = ", ".join(sorted(set(self._topics.values()))) or "none"
