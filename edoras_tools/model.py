@@ -329,6 +329,7 @@ class PacketBatch:
         frame_end = frame_offset + int(self.frame_length[index])
         payload_end = offset + int(self.length[index])
         inside = frame_offset <= offset and payload_end <= frame_end
+        source, destination = self.ends(index)
         return Datagram(
             number=int(self.number[index]),
             time_ns=int(self.time_ns[index]),
@@ -337,22 +338,24 @@ class PacketBatch:
             payload=self.data[offset:payload_end].tobytes(),
             payload_offset=offset - frame_offset if inside else -1,
             original_length=int(self.original_length[index]),
-            source=Endpoint(
-                self.address(int(self.source_address[index]), index), int(self.source_port[index])
-            ),
-            destination=Endpoint(
-                self.address(int(self.destination_address[index]), index), int(self.destination_port[index])
-            ),
+            source=source,
+            destination=destination,
             findings=Finding(int(self.capture_findings[index])),
             stream=self.streams is not None and bool(self.streams[index]),
             topic=NO_ROUTE if self.recorded is None else int(self.recorded["topic"][index]),
         )
 
+    def ends(self, index: int) -> tuple[Endpoint, Endpoint]:
+        """Return where a row's datagram came from, and where it went."""
+        source = Endpoint(self.address(int(self.source_address[index]), index), int(self.source_port[index]))
+        address = self.address(int(self.destination_address[index]), index)
+        return source, Endpoint(address, int(self.destination_port[index]))
+
     def address(self, value: int, index: int) -> str:
         """Return an element of an address column of row ``index`` as text."""
         if self.ip_version[index] == 6:
             return str(ipaddress.IPv6Address(self.ipv6[value]))
-        return str(ipaddress.IPv4Address(value))
+        return ".".join(map(str, value.to_bytes(4, "big")))  # a tenth of the time of ``ipaddress``
 
     @property
     def captured(self) -> Self:

@@ -186,8 +186,8 @@ class _Pass:
                 over = np.flatnonzero((link == item) & (length > item.receive_buffer))
                 if item.to_cfs:  # cFS takes what the header says: what is cut behind that is no loss
                     head = gather(self.batch.data, self.batch.offset[over], ccsds.PRIMARY.size)
-                    total = ccsds.PRIMARY.column("packet_data_length", head) + ccsds.LENGTH_BIAS
-                    over = over[total > item.receive_buffer]
+                    size = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int32)
+                    over = over[size + ccsds.LENGTH_BIAS > item.receive_buffer]
                 self.out["findings"][over] |= np.uint32(item.over_receive_buffer)
         return self.locate()
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -120,11 +120,11 @@ class Conversations:
 
     Attributes:
         context: MsgIds that are known.
-        flows: by (IP version, address, port, address, port).
+        flows: by source and destination.
     """
 
     context: Context
-    flows: dict[tuple[Any, ...], Flow] = field(default_factory=dict)
+    flows: dict[tuple[Endpoint, Endpoint], Flow] = field(default_factory=dict)
     _last: tuple[NDArray[np.intp], NDArray[np.intp], list[Flow | None]] = field(
         default_factory=lambda: (np.zeros(0, np.intp), np.zeros(0, np.intp), [])
     )
@@ -148,19 +148,23 @@ class Conversations:
         alike = link[rows[first]] != OTHER
         alike |= sums["commands"] + sums["telemetry"] + sums["network"] > 0
         flows: list[Flow | None] = []
-        for at, row in enumerate(rows[first].tolist()):
-            flow = self._flow(batch, row, table.link(int(link[row])), make=bool(alike[at]))
+        at = rows[first]
+        each = (at, link[at], alike, first_ns, last_ns, *sums.values())
+        for row, label, make, begin, end, *counts in zip(*(item.tolist() for item in each), strict=True):
+            flow = self._flow(batch, row, table.link(label), make=make)
             flows.append(flow)
             if flow is not None:
-                flow.first_ns = min(flow.first_ns or int(first_ns[at]), int(first_ns[at]))
-                flow.last_ns = max(flow.last_ns, int(last_ns[at]))
-                for name, values in sums.items():
-                    setattr(flow, name, getattr(flow, name) + int(values[at]))
+                flow.first_ns = min(flow.first_ns or begin, begin)
+                flow.last_ns = max(flow.last_ns, end)
+                for name, count in zip(sums, counts, strict=True):
+                    setattr(flow, name, getattr(flow, name) + count)
         self._last = rows, which, flows
 
     def left_out(self) -> NDArray[np.intp]:
         """Return the rows of the last batch whose conversation is, by all that came so far, left out."""
         rows, which, flows = self._last
+        if all(flow is None or flow.is_sound or not flow.link.packets for flow in flows):
+            return rows[:0]  # the time of a batch; to judge them takes that of all flows
         self.judge()
         out = [flow is not None and flow.kind in LEFT_OUT for flow in flows]
         members: NDArray[np.intp] = rows[np.array(out, bool)[which]]
@@ -203,12 +207,9 @@ class Conversations:
         return sum(item.datagrams for item in unnamed(self.judge()) if item.port not in listened)
 
     def _flow(self, batch: PacketBatch, row: int, link: Link, *, make: bool) -> Flow | None:
-        addresses = int(batch.source_address[row]), int(batch.destination_address[row])
-        texts = tuple(batch.address(item, row) for item in addresses)
-        ports = int(batch.source_port[row]), int(batch.destination_port[row])
-        key = (*texts, *ports)
+        key = batch.ends(row)
         if make and key not in self.flows:
-            self.flows[key] = Flow(Endpoint(texts[0], ports[0]), Endpoint(texts[1], ports[1]), link)
+            self.flows[key] = Flow(*key, link)
         return self.flows.get(key)
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from edoras_tools.decode.builds import LOOKED_AT, PLACES, Fitting, conversations
 from edoras_tools.links.table import accepted
-from edoras_tools.model import NO_ROUTE, Endpoint, PacketBatch
+from edoras_tools.model import NO_ROUTE, PacketBatch
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import by_value
@@ -290,8 +290,5 @@ def _goes_on(sample: _Kept) -> NDArray[np.bool_]:
 
 def _endpoint_names(batch: PacketBatch, row: int) -> str:
     """Return how people are told of a row's conversation."""
-    source = Endpoint(batch.address(int(batch.source_address[row]), row), int(batch.source_port[row]))
-    target = Endpoint(
-        batch.address(int(batch.destination_address[row]), row), int(batch.destination_port[row])
-    )
+    source, target = batch.ends(row)
     return f"{source} > {target}"
