@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.addons.frames.link import TransferFraming
+from edoras_tools.addons.frames.reading import read_frames
 from edoras_tools.links.sending import LinkSending
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND
@@ -23,7 +24,6 @@ from edoras_tools.wire.transfer_frames import (
     TC_SEGMENT,
     FrameFormat,
     count_modulus,
-    read_frames,
 )
 
 if TYPE_CHECKING:

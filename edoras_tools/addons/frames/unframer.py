@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.addons.frames.link import frame_rows, framed_ports
+from edoras_tools.addons.frames.reading import FrameFields, read_frames
 from edoras_tools.io.frames.build import packets_behind
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
@@ -36,10 +37,8 @@ from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 from edoras_tools.wire.transfer_frames import (
     LATE,
-    FrameFields,
     FrameFormat,
     count_modulus,
-    read_frames,
 )
 from edoras_tools.words import plural
 

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from spacepackets.ccsds import tm_frame
 from transfer_frames import Maker
 
+from edoras_tools.addons.frames.reading import read_frames
 from edoras_tools.wire import transfer_frames
-from edoras_tools.wire.transfer_frames import NO_FIRST, FrameFormat, count_modulus, read_frames
+from edoras_tools.wire.transfer_frames import NO_FIRST, FrameFormat, count_modulus
 
 AOS = {
     "transfer_frame_version_number": 1,

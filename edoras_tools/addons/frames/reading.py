@@ -1,0 +1,119 @@
+"""Many transfer frames read at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16_rows
+from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.transfer_frames import (
+    AOS_IDLE_CHANNEL,
+    AOS_PACKETS,
+    FIRST_PART,
+    NO_FIRST,
+    NO_PACKET_STARTS,
+    OCF_BYTES,
+    ONLY_IDLE_DATA,
+    TC_SEGMENT,
+    TM_SECONDARY,
+    FrameFormat,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameFields:
+    """What frames say, (n,) each; positions are in the data that was read.
+
+    Attributes:
+        fits: bool, headers, first header pointer and trailers fit the frame.
+        error: bool, the CRC at its end is not that of the frame.
+        spacecraft_id: u32.
+        virtual_channel_id: u8.
+        map_id: u8, of a TC segment; else 0.
+        has_count: bool, it has a count of its channel; TC frames of Type-B have none.
+        count: u32, of the virtual channel.
+        master_count: u8, of the master channel; 0 where the kind has none.
+        start: i64, first byte of the data.
+        end: i64, one past its last byte; that of ``start`` where there are no packets.
+        first: i64, where the first packet starts; ``NO_FIRST`` for none.
+        idle: bool, sent without packets.
+    """
+
+    fits: NDArray[np.bool_]
+    error: NDArray[np.bool_]
+    spacecraft_id: NDArray[np.uint32]
+    virtual_channel_id: NDArray[np.uint8]
+    map_id: NDArray[np.uint8]
+    has_count: NDArray[np.bool_]
+    count: NDArray[np.uint32]
+    master_count: NDArray[np.uint8]
+    start: NDArray[np.int64]
+    end: NDArray[np.int64]
+    first: NDArray[np.int64]
+    idle: NDArray[np.bool_]
+
+
+def read_frames(
+    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], form: FrameFormat
+) -> FrameFields:
+    """Read many frames of one kind; nothing in them can make this raise.
+
+    Args:
+        data: u8, contiguous.
+        offset: i64 (n,), where each begins.
+        length: i32 (n,), bytes of each; at least those of the primary header.
+        form: of all of them.
+    """
+    head = form.layout.columns(gather(data, offset, form.layout.size))
+    none = np.zeros(len(offset), np.uint8)
+    start = offset + form.data_start
+    end = offset + length - CRC16_BYTES * form.fecf
+    has_count, map_id, master = np.ones(len(offset), bool), none, none
+    spacecraft = head["spacecraft_id"].astype(np.uint32)
+    # Positions past the end of the data are not read: the window of a short frame is filled with zeros.
+    behind = gather(data, np.minimum(start, len(data)), 2)
+    if form.kind == "tm":
+        second = TM_SECONDARY.column("secondary_header_length", behind) + np.int64(1)
+        start = start + second * head["secondary_header_flag"]
+        end = end - OCF_BYTES * head["ocf_flag"].astype(np.int64)
+        pointer, count = head["first_header_pointer"], head["virtual_channel_frame_count"]
+        idle = (pointer == ONLY_IDLE_DATA) | (head["synchronization_flag"] == 1)
+        master = head["master_channel_frame_count"]
+    elif form.kind == "aos":
+        start = start + AOS_PACKETS.size
+        end = end - OCF_BYTES * form.ocf
+        pointer = AOS_PACKETS.column("first_header_pointer", behind)
+        idle = (head["virtual_channel_id"] == AOS_IDLE_CHANNEL) | (pointer == ONLY_IDLE_DATA)
+        count = head["virtual_channel_frame_count"]
+        spacecraft |= head["spacecraft_id_high"].astype(np.uint32) << 8
+    else:
+        idle, has_count = head["control_command_flag"] == 1, head["bypass_flag"] == 0
+        count, pointer = head["frame_sequence_number"], none
+        if form.segment_header:
+            start = start + TC_SEGMENT.size
+            map_id = TC_SEGMENT.column("map_id", behind)
+            flags = TC_SEGMENT.column("segment_sequence_flags", behind)
+            pointer = np.where(flags & FIRST_PART, 0, NO_PACKET_STARTS)
+    starts = ~idle & (pointer != NO_PACKET_STARTS)
+    first = np.where(starts, start + pointer, NO_FIRST)
+    fits = (idle & (form.kind == "tc")) | (start <= end) & (first < np.maximum(end, start + 1))
+    return FrameFields(
+        fits,
+        crc16_rows(data, offset, length) != 0 if form.fecf else np.zeros(len(offset), bool),
+        spacecraft,
+        head["virtual_channel_id"],
+        map_id,
+        has_count,
+        count.astype(np.uint32),
+        master,
+        start,
+        np.where(idle, start, end),
+        first,
+        idle,
+    )
