@@ -31,6 +31,7 @@ from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.render.units import TimeFormat
 from edoras_tools.words import plural
@@ -231,6 +232,8 @@ class Panes(App[None]):
         """Register both themes and choose that of the terminal, as far as it tells; else the dark one."""
         for theme in (themes.DARK, themes.LIGHT):
             self.register_theme(theme)
+        palette.SHADES.clear()  # the themes have sixteen colours of their own
+        palette.escapes.cache_clear()
         self.ansi_theme_dark, self.ansi_theme_light = themes.DARK_SIXTEEN, themes.LIGHT_SIXTEEN
         self.theme = themes.of_terminal(os.environ.get("COLORFGBG", "")).name
         self.packets.focus()

@@ -3,15 +3,23 @@
 Red, green, yellow, magenta, cyan and bright blue; dim, bold and reverse. Not plain blue, which is too dark on
 black, and no other bright colour: cyan and yellow vanish on white, and Solarized's background is its bright
 black. What a colour says is told by a word or a mark, too.
+
+xterm's own yellow, cyan and green vanish on white (1.7 to 2.2 to 1). Where a terminal has 256 colours they
+are shades with 3.1 to 6.3 to 1 on white, black and both grounds of Solarized.
 """
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 from typing import Final
 
 from rich.color import ColorSystem
 from rich.style import Style
+
+_WIDE: Final = "256color" in os.environ.get("TERM", "") or "COLORTERM" in os.environ
+SHADES: Final = {"yellow": "color(136)", "cyan": "color(30)", "green": "color(64)"} if _WIDE else {}
+"""What stands for a name; empty where there are sixteen colours, and in views with a theme of their own."""
 
 DIM: Final = "dim"
 STRONG: Final = "bold"
@@ -44,7 +52,8 @@ def layer(name: str) -> str:
 @lru_cache(maxsize=256)
 def escapes(style: str) -> tuple[str, str]:
     """Return the ANSI sequences that begin and end a rich style such as ``bold red``."""
-    before, _, after = Style.parse(style).render("|", color_system=ColorSystem.STANDARD).partition("|")
+    style = " ".join(SHADES.get(word, word) for word in style.split())
+    before, _, after = Style.parse(style).render("|", color_system=ColorSystem.EIGHT_BIT).partition("|")
     return before, after
 
 

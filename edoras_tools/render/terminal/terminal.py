@@ -8,6 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TextIO
 
 from rich.console import Console
+from rich.theme import Theme
+
+from edoras_tools.render.terminal.palette import SHADES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,7 +31,8 @@ def _console(stream: TextIO) -> Console:
     return Console(
         file=stream,
         width=None if terminal.interactive else terminal.width,
-        color_system="standard" if terminal.colour else None,
+        color_system="256" if terminal.colour else None,
+        theme=Theme(SHADES),
         force_terminal=terminal.colour or terminal.interactive,
         highlight=False,
         markup=False,
