@@ -32,6 +32,11 @@ def listed(items: Sequence[str], most: int = 8) -> str:
     return ", ".join(items[:most]) + (", ..." if len(items) > most else "")
 
 
+def either(items: Sequence[str]) -> str:
+    """Return ``a``, ``a or b``, ``a, b or c``."""
+    return " or ".join([", ".join(items[:-1]), items[-1]] if items[1:] else items)
+
+
 def did_you_mean(word: str, names: Iterable[str], most: int = 3, cutoff: float = 0.6) -> str:
     """Return ``did you mean a or b?`` with the nearest names, in either case; nothing if none is near.
 
@@ -40,4 +45,4 @@ def did_you_mean(word: str, names: Iterable[str], most: int = 3, cutoff: float =
     """
     lower = {item.lower(): item for item in names}
     near = [lower[item] for item in get_close_matches(word.lower(), lower, most, cutoff)]
-    return f"did you mean {' or '.join(near)}?" if near else ""
+    return f"did you mean {either(near)}?" if near else ""

@@ -99,6 +99,11 @@ class Arrivals:
         last = np.searchsorted(self.time_ns, self.time_ns + int(window_ns))
         return int((last - np.arange(len(last))).max(initial=0))
 
+    def rate(self) -> int:
+        """Return the most that arrive in a second; steady ones that come a little early do not add one."""
+        step_ns = np.median(np.diff(self.time_ns)) if len(self.time_ns) > 1 else 0
+        return self.most(SECOND - step_ns / 2)
+
     def lost(self, way: tuple[queues.Queue, ...], msg_id: int) -> list[int]:
         """Return how many of a MsgId a way through queues loses, at each of several phases."""
         return [own for own, _ in self.lost_of(way, msg_id)]
@@ -252,9 +257,9 @@ def _spread(
         return f"see what keeps {reader} from its pipe (its console, the load of its host)"
     while_ns = min(_WHILE_NS, case.end_ns - case.start_ns)
     if own.most(while_ns) * SECOND <= queue.rate_hz(limit) * while_ns:
-        every = f"{queue.round_ns // MILLISECOND} ms"
-        return f"spread what is {did}: at most {limit} in {every} (up to {most:,} were)"
-    return f"{slower} (up to {own.most(SECOND):,} a second were {did})"
+        every_ms = queue.round_ns // MILLISECOND
+        return f"spread what is {did}: at most {limit} in {every_ms} ms (up to {most:,} were)"
+    return f"{slower} (up to {own.rate():,} a second were {did})"
 
 
 def _published(case: Case, stream: Stream) -> Arrivals:
@@ -284,7 +289,8 @@ def _raised(case: Case, msg_id: int, limit: int) -> str:
     """Return how more of a MsgId may wait: one that is in the table already keeps its limit."""
     remove = case.inject("to-remove", f"0x{msg_id:04x}")
     add = case.inject("to-add", f"0x{msg_id:04x}", "--limit", str(limit))
-    return f"let TO keep {limit}: in its table (to_lab_sub), and until it restarts by {remove}; {add}"
+    lasting = "in its table (to_lab_sub)"
+    return f"raise TO's limit for it to {limit}: {lasting}, or until TO restarts with {remove}; {add}"
 
 
 def _at_application(case: Case, loss: Loss) -> Advice:

@@ -336,7 +336,7 @@ def _lost(found: Diagnosis, proven: int) -> str:
     parts = [f"{item.missing:,} of {item.sent:,} {item.name}" for item in lines]
     if lines and (other := len(routes) - len(lines)):
         rest = proven - sum(item.missing for item in lines)
-        parts.append(f"{rest:,} of {plural(other, 'other MsgId')}")
+        parts.append(f"{rest:,} with {plural(other, 'other MsgId')}")
     return f"{proven:,} {noun} {were} lost: {', '.join(parts) or _names(found, rows)}."
 
 

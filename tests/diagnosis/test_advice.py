@@ -13,6 +13,7 @@ from edoras_tools.cfs.commands import NAMED
 from edoras_tools.cfs.queues import Queue
 from edoras_tools.diagnosis.advice import Arrivals
 from edoras_tools.diagnosis.summary import summarize
+from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import Endpoint
 from edoras_tools.render.doctor.doctor import screen
 from edoras_tools.wire import cfe
@@ -208,7 +209,9 @@ def test_what_was_stopped_comes_again(name, argument, lines, lab, pasted):
     traffic = ordered(lab, name, argument)
     assert came(lab, traffic, 5, 8, POSE, 1235) > 1
     assert not came(lab, traffic, 16, 24, POSE, 1235)
-    done = ordered(lab, name, argument, pasted(lab.examine(traffic, drops=0), 15, *lines))
+    found = lab.examine(traffic, drops=0)
+    assert sum(item.severity >= Severity.WARNING for item in found.verdicts) == 1
+    done = ordered(lab, name, argument, pasted(found, 15, *lines))
     assert came(lab, done, 17, 24, POSE, 1235) > 5
 
 

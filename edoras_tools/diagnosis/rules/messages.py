@@ -22,7 +22,7 @@ from edoras_tools.ros.fitting import types_that_fit, types_that_fit_each
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.order import by_value, groups
-from edoras_tools.words import listed, plural
+from edoras_tools.words import either, listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -362,7 +362,7 @@ def wrong_type(case: Case) -> Iterator[Verdict]:
             case,
             bad,
             f"{'do not decode as' if refused else 'are longer than'} {route.type}"
-            + (f"; {' or '.join(fits[:_MOST])} would fit" if fits else ""),
+            + (f"; {either(fits[:_MOST])} would fit" if fits else ""),
             f"{route.file}:{route.line}: type {route.type}",
             f"CDR of {sizes} bytes",
             *([f"types that fit these bytes: {', '.join(fits)}"] if fits else ()),

@@ -297,6 +297,10 @@ def _ended(case: Case) -> Iterator[Verdict]:
         item.msg_id < 0 and abs(int(rows.time_ns[item.row]) - last_ns) < _WAIT_NS
         for item in case.payloads.outputs(*telemetry_output.STOPS)
     )
+    # That it was stopped is said by itself.
+    removed |= any(
+        item.app.startswith("TO_") and abs(item.start_ns - last_ns) < _WAIT_NS for item in case.outages
+    )
     if removed or not commands or length < max(_ENDS_NS, _ENDS_ROUNDS * int(np.median(rounds))):
         return
     robot = int(((rows.link == ROBOT) & (rows.time_ns > last_ns + SECOND)).sum())

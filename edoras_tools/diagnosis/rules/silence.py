@@ -365,10 +365,9 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
     names = [case.name(item.stream.msg_id) for item in members]
     rate = first.rate if len(members) == 1 else None
     who = names[0] if len(names) == 1 else f"{len(names)} topics ({', '.join(names)})"
-    came = f" came at {_hz(rate.hz, 2)} and" if rate else ""
-    until = (
-        f", for {(first.end_ns - first.start_ns) / SECOND:.1f} s" if first.until_ns else " and came no more"
-    )
+    before = f" ({_hz(rate.hz, 2)} before)" if rate else ""
+    seconds = (first.end_ns - first.start_ns) / SECOND
+    until = f" for {seconds:.1f} s" if first.until_ns else " and did not come back"
     why = "; ".join(causes) if causes else "the capture cannot show why"
     counted = all(item.stream.counted for item in members)
     evidence = [
@@ -386,7 +385,7 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
     evidence += _sent_before(case, first.start_ns)
     return verdict(
         Severity.NOTE if all(item.rate is None for item in members) else Severity.WARNING,
-        f"{who}{came} stopped at {case.at(first.start_ns)}{until}: {why}",
+        f"{who} stopped at {case.at(first.start_ns)}{until}{before}: {why}",
         *evidence,
         msg_id=first.stream.msg_id if len(members) == 1 else None,
         place=(first.stream.link.label, "source"),
