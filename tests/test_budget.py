@@ -39,10 +39,10 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(55_799, 150, 58_000),
-    "lines with code, all": Limit(82_850, 150, 84_000),  # with what is still to come
-    "files": Limit(556, 10, 450),
-    "files below 170 lines, of 1,000": Limit(426, 10, 500),  # a median of 170 lines or more
+    "lines with code, core": Limit(55_747, 150, 58_000),
+    "lines with code, all": Limit(82_883, 150, 84_000),  # with what is still to come
+    "files": Limit(557, 10, 450),
+    "files below 170 lines, of 1,000": Limit(427, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
     "files that record runs through": Limit(118, 2, 80),
     "files that sniff --where runs through": Limit(111, 2, 80),
