@@ -14,7 +14,7 @@ QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis rend
 SEARCHES := $(addprefix --ignore=tests/,$(addprefix diagnosis/,test_variants.py test_cuts.py test_truth.py) \
 	$(addprefix io/formats/,mcap/test_recover.py test_split.py))
 
-.PHONY: help venv demo test tests same-bytes check long lint format bench kill explore fuzz soak lock sbom judges ros fprime npm yamcs cosmos docs dist clean
+.PHONY: help venv demo test tests same-bytes check long lint format bench kill explore fuzz growth soak lock sbom judges ros fprime npm yamcs cosmos docs dist clean
 
 help:  ## Show what there is to make.
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -91,6 +91,9 @@ explore: venv  ## Run the tests with new random examples.
 
 fuzz: venv  ## Feed garbage to commands and decoders for FUZZ_SECONDS.
 	$(BIN)/python tests/fuzz/fuzz.py --seconds $(FUZZ_SECONDS)
+
+growth: venv  ## Run commands on N and 4 N of what there may be much of; a table of processor time and memory: minutes.
+	$(BIN)/python tests/support/growth.py
 
 soak: venv  ## Run everything that runs for long at load for SOAK_SECONDS: memory, open files, losses.
 	$(BIN)/python benchmarks/soak.py --seconds $(SOAK_SECONDS) --rate $(SOAK_RATE)

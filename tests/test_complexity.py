@@ -4,16 +4,12 @@
 whole commands on each input of ``many``, whose memory it measures too.
 """
 
-import json
 import random
 import struct
-import subprocess
-import sys
 import time
 
-import many
+import growth
 import pytest
-import warm
 from effort import LONG
 from streams import SYN, Segment, sbn_messages, write_segments
 
@@ -129,76 +125,7 @@ def test_many_msg_ids_are_not_dissected_one_by_one(tmp_path, monkeypatch):
     assert len(seen) < 100
 
 
-MOST_MIB = 512
-DRIVER = """
-import json, os, sys
-child = os.fork()
-if not child:
-    os.dup2(os.open(os.devnull, os.O_RDWR), 1)
-    os.execv(sys.argv[1], sys.argv[1:])
-_, status, used = os.wait4(child, 0)
-spent = used.ru_utime + used.ru_stime
-print(json.dumps([os.waitstatus_to_exitcode(status), spent, used.ru_maxrss / 1024]))
-"""
-"""Runs a command from a small process: what a process used of memory counts that of its parent."""
-COMMANDS = {
-    many.pairs: ["info", "info --json", "sniff"],
-    many.msg_ids: ["sniff --json"],
-    many.telemetry_pairs: ["info", "doctor", "check --init", "archive index --index OUT.duckdb"],
-    many.gaps: ["doctor", "export --format csv -o OUT/"],
-    many.strangers: ["info"],
-    many.fragments: ["info"],
-    many.errors: ["info"],
-    many.robots: ["info"],
-    many.peers: ["info", "doctor"],
-    many.subscriptions: ["info", "doctor"],
-    many.holes: ["info"],
-    many.connections: ["info"],
-    many.web_topics: ["info", "export -o OUT/"],
-    many.fprime: ["info", "doctor"],
-    many.channels: ["info -c FRAMES"],
-    many.writers: ["info", "doctor"],
-    many.sample_pieces: ["info", "doctor"],
-    many.interfaces: ["info"],
-    many.packed: ["info"],
-    many.damaged: ["recover -o OUT.pcap"],
-    many.topics: ["info", "check --init"],
-    many.tiny_messages: ["info"],
-}
-SUFFIXES = {
-    many.interfaces: ".pcapng",
-    many.packed: ".pcap.gz",
-    many.topics: ".mcap",
-    many.tiny_messages: ".mcap",
-}
-
-
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("make", "line"),
-    [
-        pytest.param(make, line, id=f"{make.__name__}-{line.replace(' ', '_').replace('/', '')}")
-        for make, lines in COMMANDS.items()
-        for line in lines
-    ],
-)
-def test_commands_are_not_quadratic_and_keep_their_memory(make, line, tmp_path):
-    """The processor time that a command takes to start is that of twenty; it is taken off both others."""
-    (tmp_path / "frames.yaml").write_text(many.FRAMES)
-    begun, less, more = (_used(make, line, tmp_path, count) for count in (20, 1000, 4000))
-    assert more[0] in {0, 3}, "the command failed"
-    assert max(less[2], more[2]) < MOST_MIB
-    assert more[1] - begun[1] < 6 * max(less[1] - begun[1], 0.1)
-
-
-def _used(make, line, folder, count):
-    """Return exit code, processor time in s, and most memory in MiB of a command."""
-    place = folder / str(count)
-    place.mkdir()
-    path = place / f"x{SUFFIXES.get(make, '.pcap')}"
-    make(path, count)
-    names = {"FRAMES": str(folder / "frames.yaml"), "OUT/": f"{place / 'out'}/"}
-    words = [names.get(word, word.replace("OUT", str(place / "out"))) for word in line.split()]
-    run = [sys.executable, "-I", "-S", "-c", DRIVER, str(warm.EDORAS), *words, str(path)]
-    done = subprocess.run(run, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
+@pytest.mark.parametrize("case", growth.CASES, ids=str)
+def test_commands_are_not_quadratic_and_keep_their_memory(case, tmp_path):
+    assert not growth.measure(case, tmp_path).wrong

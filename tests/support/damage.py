@@ -9,6 +9,7 @@ from io import BytesIO
 from random import Random
 
 import zstandard
+from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
 from edoras_tools.errors import CaptureError
@@ -82,13 +83,14 @@ WAYS = {
 
 def damaged(wholes, count, seed=SEED):
     """Yield so many damaged files: the way, the bytes, and the messages of what they were made of."""
+    inside = {whole: messages(whole) for whole in wholes}
     for number in range(count):
         way = list(WAYS)[number % len(WAYS)]
         random = Random(f"{seed} {number}")
         first, second = random.choice(wholes), random.choice(wholes)
         data = bytearray(first)
         two = WAYS[way](data, second, random)
-        yield way, bytes(data), messages(first) + messages(second) if two else messages(first)
+        yield way, bytes(data), inside[first] + inside[second] if two else inside[first]
 
 
 def messages(data):
@@ -100,6 +102,12 @@ def messages(data):
         elif type(record).__name__ == "Message":
             found[(channels[record.channel_id], *_told(record))] += 1
     return found
+
+
+def indexed(path):
+    """How many messages the mcap library finds by the index of a file; every checksum must be right."""
+    with path.open("rb") as file:
+        return sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
 
 
 def plain_scan(data):
@@ -149,21 +157,22 @@ def tried(command, wholes, count, folder, seed=SEED):
     """Damage files and recover them; return a row of each way.
 
     Args:
-        command: given source and target, returns the exit code.
+        command: given source and target, returns the exit code, and how many messages it says were kept.
         wholes: the bytes of sound files.
         count: how many files to damage.
         folder: for the files.
 
     Returns:
         By way: files, messages before, in sound chunks, kept; files where a plain scan finds more,
-        where a message was altered or foreign, where the exit code is wrong.
+        where a message was altered or foreign, where the exit code is wrong; files written, and those of them
+        in which a reader that goes by their index sees another number of messages than the report says.
     """
     rows = {way: Counter() for way in WAYS}
     source, target = folder / "damaged.mcap", folder / "recovered.mcap"
     for number, (way, data, before) in enumerate(damaged(wholes, count, seed)):
         source.write_bytes(data)
         target.unlink(missing_ok=True)
-        code = command(source, target)
+        code, said = command(source, target)
         kept = messages(target.read_bytes()) if target.exists() else before if code == 0 else Counter()
         scanned = plain_scan(data)
         row = rows[way]
@@ -171,7 +180,9 @@ def tried(command, wholes, count, folder, seed=SEED):
         row["before"] += before.total()
         row["in sound chunks"] += (scanned & without_topics(before)).total()
         row["kept"] += kept.total()
+        row["written"] += target.exists()
         wrong = {
+            "unlike its index": target.exists() and indexed(target) != said,
             "less than a scan": bool((scanned & without_topics(before)) - without_topics(kept)),
             "altered": altered(kept, before),
             "exit code": not right_code(code, way, before, kept, target.exists()),
@@ -200,10 +211,10 @@ def right_code(code, way, before, kept, written):
 
 
 def by_library(source, target):
-    """Recover, and return what the command ends with; verifying says the same."""
+    """Recover; return what the command ends with, and how many messages it says it kept."""
     try:
         report = recover(source, target)
     except CaptureError:
-        return 1
+        return 1, 0
     assert verify(source) == report
-    return 3 if report.lost else 0
+    return 3 if report.lost else 0, sum(report.messages.values())

@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import gzip
 import random
+import sqlite3
 import struct
 from binascii import crc32
+from contextlib import closing
+from pathlib import Path
 
 from mcap.writer import Writer
 
+ROVER = Path(__file__).parents[2] / "samples/captures/a_rover.pcap"
 BASE_S = 1_700_000_000
 BASE_NS = BASE_S * 10**9
 HERE, THERE = 0x0A000001, 0x0A000002
@@ -269,3 +273,82 @@ def tiny_messages(path, count):
     for n in range(count):
         writer.add_message(channel, BASE_NS + n, b"\0\1\0\0\7", BASE_NS + n)
     writer.finish()
+
+
+def chunks(path, count):
+    """An MCAP with as many chunks, a message in each."""
+    writer = _mcap(path, chunk_size=1)
+    schema = writer.register_schema("std_msgs/msg/UInt8", "ros2msg", b"uint8 data")
+    channel = writer.register_channel("/t", "cdr", schema)
+    for n in range(count):
+        writer.add_message(channel, BASE_NS + n, b"\0\1\0\0\7", BASE_NS + n)
+    writer.finish()
+
+
+def attachments(path, count):
+    """An MCAP with as many attachments and pieces of metadata."""
+    writer = _mcap(path)
+    schema = writer.register_schema("std_msgs/msg/UInt8", "ros2msg", b"uint8 data")
+    writer.add_message(writer.register_channel("/t", "cdr", schema), BASE_NS, b"\0\1\0\0\7", BASE_NS)
+    for n in range(count):
+        writer.add_attachment(BASE_NS, BASE_NS, f"a{n}", "text/plain", b"x")
+        writer.add_metadata(f"m{n}", {"a": "b"})
+    writer.finish()
+
+
+def bag(path, count):
+    """A file of rosbag2 with as many messages, each on a topic of its own."""
+    with closing(sqlite3.connect(path)) as file, file:
+        columns = "id INTEGER PRIMARY KEY, name, type, serialization_format, offered_qos_profiles"
+        file.execute(f"CREATE TABLE topics({columns})")
+        file.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp INTEGER, data BLOB)")
+        named = ((n, f"/t{n}", "std_msgs/msg/UInt8", "cdr", "") for n in range(count))
+        file.executemany("INSERT INTO topics VALUES(?, ?, ?, ?, ?)", named)
+        said = ((n, n, BASE_NS + n, b"\0\1\0\0\7") for n in range(count))
+        file.executemany("INSERT INTO messages VALUES(?, ?, ?, ?)", said)
+
+
+def captures(path, count):
+    """A folder with a tenth as many captures of one datagram."""
+    path.mkdir()
+    for n in range(count // 10):
+        write(path / f"{n:05}.pcap", [udp(command(0x1827, n))])
+
+
+def times(path, count):
+    """A real capture, again and again, of which every third time is any at all."""
+    chosen, data, at, real = random.Random(2), ROVER.read_bytes(), 24, []
+    while at < len(data):
+        size = 16 + struct.unpack_from("<I", data, at + 8)[0]
+        real.append(data[at + 4 : at + size])
+        at += size
+    out = [data[:24]]
+    for n in range(count):
+        second = chosen.getrandbits(32) if n % 3 == 0 else BASE_S + n // 50
+        out += struct.pack("<I", second), real[n % len(real)]
+    path.write_bytes(b"".join(out))
+
+
+def unit(kind, number, body):
+    """Return a datagram with a unit of CFDP that nobody acknowledges: 0 for file data, else a directive."""
+    body = body if not kind else bytes([kind]) + body
+    return udp(struct.pack(">BHBBIB", 0x24 | (not kind) << 4, len(body), 3, 1, number, 2) + body, 5111)
+
+
+def _named(size, name=b"x"):
+    return struct.pack(">BIB", 0, size, len(name)) + name + bytes([len(name)]) + name
+
+
+def transactions(path, count):
+    """As many files that CFDP sends, of four bytes each."""
+    parts = ((7, _named(4, b"f")), (0, bytes(4) + b"abcd"), (4, b"\0abcd" + struct.pack(">I", 4)))
+    write(path, (unit(kind, n, body) for n in range(count) for kind, body in parts))
+
+
+def pieces(path, count):
+    """One file of CFDP in as many pieces, in random order, of which every second one is missing."""
+    order = list(range(0, 2 * count, 2))
+    random.Random(3).shuffle(order)
+    sent = [unit(0, 1, struct.pack(">I", 64 * n) + bytes(64)) for n in order]
+    end = unit(4, 1, bytes(5) + struct.pack(">I", 128 * count))
+    write(path, [unit(7, 1, _named(128 * count)), *sent, end])

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.addons.cfdp.transactions import FileEvidence, Transaction
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.outputs import check_folder, check_links
+from edoras_tools.io.outputs import check_folder, check_links, lock_older
 from edoras_tools.pipelines.reading import Limits, reading
 
 if TYPE_CHECKING:
@@ -170,13 +170,18 @@ class _Spool:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._files: dict[Transaction, Path] = {}
+        self._names: Counter[tuple[Path, bool]] = Counter()  # how many more files have one
+        self._open = folder / ".edoras.part"
         check_folder(folder)
         try:
-            check_links(folder)
+            check_links(self._open)
             folder.mkdir(parents=True, exist_ok=True)
-            if any(folder.iterdir()):
+            if any(item != self._open for item in folder.iterdir()):
                 raise CaptureError(f"{folder}: is not empty; name a new folder")
-            self._open = Path(tempfile.mkdtemp(prefix=".edoras-", dir=folder))
+            self._open.mkdir(mode=0o700, exist_ok=True)
+            self._lock = lock_older(self._open)
+            for left in self._open.iterdir():  # by a program that was killed
+                left.unlink()
         except OSError as error:
             raise self._failed(error) from error
 
@@ -185,6 +190,8 @@ class _Spool:
 
     def __exit__(self, *error: object) -> None:
         shutil.rmtree(self._open, ignore_errors=True)
+        if self._lock >= 0:
+            os.close(self._lock)
 
     def _failed(self, error: OSError) -> CaptureError:
         return CaptureError(f"{self._folder}: cannot be written: {error.strerror or error}")
@@ -236,8 +243,9 @@ class _Spool:
         """Return a path where nothing is, and make its folder."""
         path = self._folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        number, free = 2, path
         suffix = "" if complete else ".incomplete"
-        while (candidate := free.with_name(free.name + suffix)).exists():
-            free, number = path.with_name(f"{path.name}.{number}"), number + 1
+        candidate = path.with_name(path.name + suffix)
+        while candidate.exists():
+            self._names[path, complete] += 1
+            candidate = path.with_name(f"{path.name}.{self._names[path, complete] + 1}{suffix}")
         return candidate

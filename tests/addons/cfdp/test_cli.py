@@ -1,6 +1,7 @@
 """``edoras files``: EDORAS's own CFDP entity at both ends of ``edoras proxy`` with losses; hostile names."""
 
 import json
+import os
 import random
 import threading
 import time
@@ -18,6 +19,7 @@ from waiting import HOST, Program, free_ports, until
 
 from edoras_tools.addons.cfdp.taking import safe_path, take_out
 from edoras_tools.addons.cfdp.wire import Directive
+from edoras_tools.io.outputs import lock_older
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.wire import cfe
 
@@ -218,10 +220,10 @@ def test_names_that_lead_outside_are_refused(call, capture, tmp_path):
 
 def test_the_same_name_again_and_a_file_where_a_folder_is_needed(call, capture, tmp_path):
     first, again = transfer(b"a", b"one", 1), transfer(b"a", b"two", 2)
-    path = capture(*first, *again, *transfer(b"a/b", b"three", 3))
+    path = capture(*first, *again, *transfer(b"a/b", b"three", 3), *transfer(b"a", b"four", 4))
     assert call("files", path, "-o", tmp_path / "out").code == 0
     found = {item.name: item.read_bytes() for item in (tmp_path / "out").iterdir()}
-    assert found == {"a": b"one", "a.2": b"two", "1_3": b"three"}
+    assert found == {"a": b"one", "a.2": b"two", "1_3": b"three", "a.3": b"four"}
 
 
 CHECKSUMS = (
@@ -266,6 +268,19 @@ def test_a_pdu_with_a_wrong_crc_is_counted_and_not_taken(call, capture, tmp_path
     assert (tmp_path / "out/a").read_bytes() == b"content"
     alone = call("files", capture(wrong)).out
     assert alone == "no CFDP transaction\n1 PDU with a wrong CRC not taken\n"
+
+
+def test_what_a_killed_program_left_is_in_nobody_s_way(call, capture, tmp_path):
+    left = tmp_path / "out/.edoras.part"
+    left.mkdir(parents=True)
+    (left / "0").write_bytes(b"left")
+    path = capture(*transfer(b"a", b"x"))
+    lock = lock_older(left)
+    result = call("files", path, "-o", tmp_path / "out")
+    assert (result.code, "another program is writing it" in result.err[0]) == (1, True)
+    os.close(lock)
+    assert call("files", path, "-o", tmp_path / "out").code == 0
+    assert [(item.name, item.read_bytes()) for item in (tmp_path / "out").iterdir()] == [("a", b"x")]
 
 
 def test_a_folder_that_is_not_empty_is_left_alone(call, capture, tmp_path):
