@@ -192,7 +192,8 @@ class _Printer:
 def hz(
     *,
     arguments: Annotated[
-        list[str] | None, Argument(metavar="[FILE]... TOPIC", help=f"{READ_PACKED}; a topic or MsgId.")
+        list[str] | None,
+        Argument(metavar="[FILE]... [TOPIC]", help=f"{READ_PACKED}; a topic or MsgId, else every topic."),
     ] = None,
     topic: Annotated[str | None, Option(hidden=True)] = None,
     interface: Annotated[
@@ -215,14 +216,12 @@ def hz(
     from edoras_tools.pipelines.doctor.doctor import Pace, examine, profile_with
 
     words = list(arguments or ())
-    if topic is None:
-        if not words:
-            raise ConfigError("name the topic: edoras hz FILE /cmd_vel")
+    if topic is None and words and not (words[-1] == "-" or Path(words[-1]).exists()):
         topic = words.pop()
     inputs = InputOptions(FileOptions([Path(item) for item in words]), LiveOptions(interface, listen))
     is_live = bool(interface or listen)
     if not is_live and not words:
-        raise ConfigError(f"name the input: edoras hz FILE {topic}, or -i IFACE")
+        raise ConfigError(f"name an input that exists: edoras hz FILE {topic or '/cmd_vel'}, or -i IFACE")
     quiet = printing.quiet or printing.json or is_live
     with file_progress(words, quiet=quiet) as bar:
         source, bench = open_input(inputs, decoding.settings(constants=True), aligned=True, progress=bar)
@@ -238,7 +237,8 @@ def hz(
         print_json({"source": source.info.name, "topics": [item.as_json() for item in tracing.rates]})
     else:
         for rates in tracing.rates:
-            sys.stdout.write("\n".join([*rate_lines(rates), ""]))
+            lines = rate_lines(rates)
+            sys.stdout.write("\n".join([*(lines if topic else lines[:1]), ""]))
     for warning in findings.diagnosis.capture.warnings:
         tell(warning)
     if findings.failure is not None:

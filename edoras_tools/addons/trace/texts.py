@@ -255,7 +255,9 @@ def diagram(timing: Timing, zero_ns: int, width: int) -> list[Text]:
 def rate_lines(rates: TopicRates) -> list[str]:
     """Return the rates of a topic: all of them in one line, then a line for each hop."""
     every = ", ".join(f"{hop.hop} {_hertz(hop)}" for hop in rates.hops)
-    lines = [clean(f"{rates.topic} (0x{rates.msg_id:04x} on {rates.link.upper()}): {every}")]
+    msg_id, link = f"0x{rates.msg_id:04x}", rates.link.upper()
+    name = f"{msg_id} on {link}" if rates.topic == msg_id else f"{rates.topic} ({msg_id} on {link})"
+    lines = [clean(f"{name}: {every}")]
     head = "".join(item.rjust(11) for item in ("rate", "min", "max", "std dev", "messages"))
     lines.append(f"{'':<24}{head}")
     for hop in rates.hops:

@@ -41,7 +41,7 @@ class TraceRequest:
         topic: a topic, or a name or MsgId that tables show.
         nth: which of its messages, from 1.
         lost: which of those that were lost, of the topic or of all, from 1.
-        window: the rates of so many messages of the topic are asked for.
+        window: the rates of so many messages of the topic are asked for; without one of every topic.
     """
 
     packet: int | None = None
@@ -100,7 +100,8 @@ class Tracing(Examination):
         if self._passed:
             raise RouteError(f"--nth {request.nth}: {request.topic} has {plural(self._passed, 'message')}")
         hint = did_you_mean(request.topic or "", list(self._names), 3) or "edoras info shows what is there"
-        raise RouteError(f"no message of {request.topic!r} is there; {hint}")
+        what = repr(request.topic) if request.topic else "any topic"
+        raise RouteError(f"no message of {what} is there; {hint}")
 
     def _look(self, case: Case) -> None:
         request = self.request
@@ -118,8 +119,8 @@ class Tracing(Examination):
             self.trace = Tracer(case).nth(streams, request.nth - self._passed) if streams else None
             self._passed += sum(messages_in(item) for item in streams)
         elif request.window is not None:
-            names = request.topic or "", request.window
-            self.rates = [topic_rates(case, item, *names) for item in streams] or self.rates
+            found = [(item, request.topic) for item in streams] if request.topic else self._every(case)
+            self.rates = [topic_rates(case, *item, request.window) for item in found] or self.rates
         elif streams:
             timings = [_timing(case, item, request.topic or "") for item in streams]
             best = max([*timings, *filter(None, [self.timing])], key=lambda item: item.lost)
@@ -132,6 +133,12 @@ class Tracing(Examination):
         behind = {id(hop.out) for hop in case.hops}
         streams.sort(key=lambda item: (id(item) in behind, int(item.rows[0])))
         return [item for item in streams if item.link is streams[0].link]
+
+    def _every(self, case: Case) -> list[tuple[Stream, str]]:
+        """Return the streams of each topic, where there is none of each MsgId, with its name."""
+        ids = list(dict.fromkeys(stream.msg_id for stream in case.streams))
+        names = [topic for item in ids if (topic := case.topic(item))] or [f"0x{item:04x}" for item in ids]
+        return [(stream, name) for name in dict.fromkeys(names) for stream in self._streams(case, name)]
 
     @staticmethod
     def _lost(case: Case, item: Missing) -> MessageTrace:

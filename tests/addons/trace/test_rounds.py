@@ -61,6 +61,18 @@ def test_of_a_file(call, rover):
     assert (topic["window"], [hop["count"] for hop in topic["hops"][:2]]) == (100, [100, 100])
 
 
+def test_of_every_topic(call, rover):
+    """Without a topic there is a line for each; without a mission for each MsgId."""
+    path, mission = rover
+    assert call("hz", path, *mission).out.splitlines() == [
+        "/cmd_vel (0x1827 on CI): publisher 10.0, CI 10.0, application 8.5",
+        "/telemetry_pose (0x0827 on TO): application 1.0, TO_LAB_TLM_PIPE 1.0, capture 1.0",
+    ]
+    lines = call("hz", path).out.splitlines()
+    assert lines[0] == "0x1827 on CI: publisher 10.0, CI 10.0, application 8.5"
+    assert len(lines) == len({line.split(":")[0] for line in lines}) == 12
+
+
 def test_of_telemetry(call, rover):
     path, mission = rover
     out = call("hz", path, "/telemetry_pose", *mission).out
@@ -72,8 +84,9 @@ def test_of_telemetry(call, rover):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "name the topic: edoras hz FILE /cmd_vel"),
-        (["/cmd_vel"], "name the input: edoras hz FILE /cmd_vel, or -i IFACE"),
+        ([], "name an input that exists: edoras hz FILE /cmd_vel, or -i IFACE"),
+        (["/pose"], "name an input that exists: edoras hz FILE /pose, or -i IFACE"),
+        (["no.pcap"], "name an input that exists: edoras hz FILE no.pcap, or -i IFACE"),
     ],
 )
 def test_what_is_missing(call, words, said):
