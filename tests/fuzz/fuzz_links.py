@@ -130,7 +130,7 @@ def dictionary(data: bytes) -> Hashable:
     try:
         layout = parse_layout(data, "fuzz.json")
         made = Structs([layout])
-        entries = len(layout.entries)
+        entries = len(layout.entries or ())
         assert made.dictionary is None or made.types is not None
     except ConfigError as error:
         text = str(error).split("\n", 1)[0]

@@ -66,7 +66,7 @@ COMMANDS = {
     many.sample_pieces: ["info", "doctor"],
     many.interfaces: ["info"],
     many.packed: ["info"],
-    many.damaged: ["info", "recover -o OUT.pcap"],
+    many.damaged: ["recover -o OUT.pcap"],
     many.captures: ["info"],
     many.topics: ["info", "check --init", "export --format csv -o OUT/"],
     many.tiny_messages: ["info"],
