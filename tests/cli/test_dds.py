@@ -50,7 +50,7 @@ def test_fields_of_a_type_that_only_the_capture_names(call):
     found = numbers(path, "/cmd_vel", "--where", "linear.x >= 5", call=call)
     assert found == set(range(51, 101))  # of sample n it is (n - 1) / 10
     told = call("sniff", path, "--where", "linear.q > 5").err[0]
-    assert "'linear.q' is not a field; did you mean linear.z or linear.y or linear.x?" in told
+    assert "'linear.q' is not a field; did you mean linear.z, linear.y or linear.x?" in told
     plotted = call("plot", path, "/cmd_vel.linear.x", "--json").json()
     (line,) = plotted["panels"][0]["lines"]
     assert (line["read"], line["least"], line["greatest"]) == (100, 0.0, 9.9)

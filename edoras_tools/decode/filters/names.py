@@ -17,7 +17,7 @@ from edoras_tools.ros.types.schema import full_name
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.wire import cfe
-from edoras_tools.words import listed
+from edoras_tools.words import either, listed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -116,7 +116,7 @@ class Names:
         short = [] if name.startswith("ros.") else self._short.get(name, [])
         if len(short) + bool(messages) > 1:
             clear = short + [f"ros.{name}"] * bool(messages)
-            raise Unknown(lambda: f"{name!r} is more than one field; write {' or '.join(clear)}")
+            raise Unknown(lambda: f"{name!r} is more than one field; write {either(clear)}")
         layers = [self._layers[item] for item in short]
         # A name of the mission's messages has precedence over the same name of a C struct.
         if messages or (layers and short[0].partition(".")[0] not in OWN_LAYERS):
@@ -159,7 +159,7 @@ class Names:
         why = f"{text!r} is not a field; "
         with_mission = "the fields of messages are known once a mission is named with -c"
         if near:
-            why += f"did you mean {' or '.join(spellings[item] for item in near)}?"
+            why += f"did you mean {either([spellings[item] for item in near])}?"
             return why if self._messages else f"{why} ({with_mission})"
         if self._unread and not self._messages:
             return why + listed(self._unread, 3)

@@ -215,7 +215,11 @@ MISTAKES = [
     ("sbn.mgs_type == 1", "sbn.mgs_type", "did you mean sbn.msg_type"),
     ("ros.linear.z2 == 1", "ros.linear.z2", "did you mean ros.linear.z"),
     ("zzzz", "zzzz", "there are number, "),
-    ("spare == 00", "spare", "more than one field; write cfe_command.spare or cfe_telemetry.spare"),
+    (
+        "spare == 00",
+        "spare",
+        "more than one field; write cfe_command.spare, cfe_telemetry.spare, cfe_event.spare or",
+    ),
     ("header.frame_id < 3", "<", "header.frame_id is text, and 3 is a number; < compares numbers"),
     ("header.frame_id >= world", ">=", "text takes ==, !=, in, contains and matches"),
     ('length > "3"', '"3"', 'length is a number, and "3" is text'),
