@@ -162,7 +162,7 @@ def ingests(case: Case) -> list[Ingest]:
             if account.lost_on_network or (account.lost and account.not_captured):
                 late = counted.account(_UNDER_WAY_NS)
                 # What a slow network explains altogether is no loss: rule 8.
-                account = account if late.lost_on_network else late
+                account = account if late.lost_on_network else replace(late, unsure=account.unsure)
             found.append(account)
     return [*found, *_by_kernel(case, to_ci, {item.endpoint for item in found})]
 

@@ -224,14 +224,14 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
     # What cFS says beats what it usually does.
     accepted = bool(events) and telemetry_output.ENABLED.phrase in events[0].message
     # Without a word from cFS it may be built with a longer header, and the length be right.
-    unheard = not events and _events_cut(case, start_ns)
-    unsure = kind.finding is Finding.COMMAND_LENGTH and (unheard or not case.has_telemetry)
+    unheard = "" if events else _unheard(case, start_ns)
+    unsure = kind.finding is Finding.COMMAND_LENGTH and (bool(unheard) or not case.has_telemetry)
     lost = None if accepted or unsure or not (kind.refused or refused) else len(members)
     done = "accepted" if accepted else "CI drops it" if refused else kind.done
     return verdict(
         Severity.ERROR if lost else Severity.NOTE if kind.finding in _HARMLESS else Severity.WARNING,
         f"{which}{kind.what}; {done}",
-        *_evidence(case, members, kind, events, unheard=unheard),
+        *_evidence(case, members, kind, events, unheard),
         **subject(case, members),
         hop="CI_LAB_APP" if kind.finding is Finding.TRUNCATED or refused else None,
         lost=lost,
@@ -243,7 +243,7 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
 
 
 def _evidence(
-    case: Case, members: list[int], kind: BadCommandKind, events: list[EventRecord], *, unheard: bool
+    case: Case, members: list[int], kind: BadCommandKind, events: list[EventRecord], unheard: str
 ) -> Iterator[str]:
     """Yield what the capture has of some commands: the first one, and what cFS said."""
     rows, first = case.rows, members[0]
@@ -255,16 +255,20 @@ def _evidence(
     yield size
     yield from (f"cFS said: {record}" for record in events)
     if kind.event and unheard:
-        yield "the capture cut the events of that time: what cFS said about it is not there"
+        yield unheard
     elif kind.event and not events and case.has_telemetry:
         yield "no event about it in the capture: suppressed, filtered, or not asked for"
 
 
-def _events_cut(case: Case, start_ns: int) -> bool:
-    """Tell whether the capture cut off what cFS said within the time of an answer."""
-    rows = case.rows
-    there = (rows.time_ns >= start_ns) & (rows.time_ns <= start_ns + _ANSWERED_NS)
-    return bool((there & (rows.known_id == cfe.EVENT_MSG_ID) & rows.has(Finding.CAPTURE_CUT)).any())
+def _unheard(case: Case, start_ns: int) -> str:
+    """Return why what cFS said of a command cannot be in the capture; empty where it can."""
+    rows, until_ns = case.rows, start_ns + _ANSWERED_NS
+    there = (rows.time_ns >= start_ns) & (rows.time_ns <= until_ns)
+    if (there & (rows.known_id == cfe.EVENT_MSG_ID) & rows.has(Finding.CAPTURE_CUT)).any():
+        return "the capture cut the events of that time: what cFS said about it is not there"
+    if case.has_telemetry and until_ns > case.end_ns:
+        return "the capture ends before what cFS says about it is due"
+    return ""
 
 
 def refusals(case: Case, row: int, length: int) -> list[EventRecord]:
