@@ -110,6 +110,7 @@ class Commands:
         hold_back(case, telemetry.claims)
         counts, claims = case.loss_counts, [*telemetry.claims, *pipes.claims]
         leftover = Leftover(case, self.fates, pipes)
+        leftover.take_named()
         shared = settle_known(counts, claims, telemetry.claims, leftover.rivals())
         settle_first(counts, claims, may_be_missed(case, claims))
         tails = {claim.flow: sum(claim.taken.values()) for claim in claims if claim.rank == POSSIBLE}

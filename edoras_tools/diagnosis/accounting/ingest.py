@@ -11,8 +11,8 @@ Rules:
    ran on.
 5. Loss while more wait than two wake-ups read, or while it mostly reads all that it can, is its full
    socket; at a rate that it can read, the network.
-6. CI takes datagrams in the order in which they came. What it takes before the first one of the capture
-   comes out was sent before the capture began.
+6. CI takes datagrams in the order in which they came. What it takes before it reads the first one of the
+   capture, as that comes out, was sent before the capture began.
 7. Within these bounds the smallest number is lost. The rest waits.
 8. Datagrams and counts may be under way for long, as over a radio link: if that explains all that seem to be
    lost on the network, nothing is.
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.crossing import Hop
 
 Cause = Literal["socket", "network", "down", "restart", "ci_stopped", "unknown"]
 _SLACK_NS: Final = 100 * MILLISECOND
@@ -52,6 +53,8 @@ _ONE_NS: Final = 15 * SECOND
 _ENDS_NS: Final = 750 * MILLISECOND
 """An application that is told to stop runs on for up to a second and a half."""
 _NAMED: Final = re.compile(rf"\b(?:{'|'.join(map(re.escape, command_ingest.NAMES))})\b")
+_HELD_NS: Final = 2 * SECOND
+"""So long an application may keep what it does not send at once, and the link behind it."""
 DRAINS_NS: Final = 15 * SECOND
 """So long after it was sent CI may read a datagram: what waits in its socket then."""
 _MODULUS: Final = 1 << 32
@@ -263,8 +266,8 @@ class _Counted:
         sent = [case.captured(hop.into)[hop.arrived] for hop in hops]
         self._arrived = np.sort(np.concatenate(sent)) if sent else None
         """When commands to it were sent that came out of cFS again, in order; None where nothing shows it."""
-        self._first_out = min((hop.first for hop in hops if hop.first is not None), default=(0, 0))
-        """When the first of those came out, and when it had been sent."""
+        self._first_out = min((_first_read(hop) for hop in hops if hop.first is not None), default=(0, 0))
+        """Until when CI surely had not read the first of those, and when it had been sent."""
 
     def account(self, under_way_ns: int = 0) -> Ingest:
         """Hold what was sent against the counts, if that was under way for so long at the most."""
@@ -477,6 +480,15 @@ class _Counted:
             for sooner, later in pairwise(own)
         ]
         return own[-1].count + ceil(seconds * max(rates)) + 2 * self._most
+
+
+def _first_read(hop: Hop) -> tuple[int, int]:
+    """Return before when CI had not read the first message of a hop that came out, and when that was sent.
+
+    A robot is sent it at once; before it leaves elsewhere the application and the link may keep it.
+    """
+    out_ns, sent_ns = hop.first or (0, 0)
+    return out_ns - (0 if hop.out.link.last_hop else _HELD_NS), sent_ns
 
 
 def _anew(before: _Sample, after: _Sample) -> bool:

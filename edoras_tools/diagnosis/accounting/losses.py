@@ -119,6 +119,8 @@ class Loss:
         return (self.of - 1) / seconds if self.of and seconds > 0 else 0.0
 
 
+_READY_NS: Final = 5 * SECOND
+"""An application that was started may take so long until it does its work."""
 WAITS_NS: Final = SECOND
 """What was sent so short before the end may still come out."""
 
@@ -283,11 +285,16 @@ def _newer(
     first = np.where(behind > 0, came[behind - 1] + 1, 0)
     next_ns = times[came[behind]]
     out[rows] = next_ns - times[first] <= 2 * WAITS_NS
+    left_ns = np.sort(np.concatenate([case.captured(hop.out) for hop in hops]))
     for system, owner in case.timeline.subjects:
         sleeps = owner.kind == "app" and owner.name in executive_services.SCHEDULERS
         states = ("stopped", "restarting") if sleeps else ("stalled",)
         for span in (span for state in states for span in case.timeline.spans(owner, state, system)):
-            out[rows] |= (times[rows] > span.start_lo - SECOND) & (next_ns <= span.end_hi + SECOND)
+            until_ns = span.end_hi + SECOND
+            if sleeps:  # it wakes applications when it is ready: the first one that sends shows it
+                awake = left_ns[(left_ns > span.end_lo) & (left_ns <= span.end_hi + _READY_NS)]
+                until_ns = max([until_ns, *awake[:1].tolist()])
+            out[rows] |= (times[rows] > span.start_lo - SECOND) & (next_ns <= until_ns)
     return out
 
 

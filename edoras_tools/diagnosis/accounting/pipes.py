@@ -26,6 +26,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     Rival,
     Shared,
     claimed_alike,
+    settle,
 )
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
 from edoras_tools.diagnosis.accounting.losses import (
@@ -47,6 +48,7 @@ from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.links.table import carrying
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -392,6 +394,7 @@ class Leftover:
         self._pipes, self._losses = pipes, pipes.losses
         self._older_ns = {item.endpoint: item.older_until_ns for item in case.ingests}
         self.uncaptured = Counter[int]()
+        self._without_span: dict[tuple[str, str, int, int, str], Loss] = {}
 
     def share(self, shared: Sequence[Shared]) -> None:
         """Share out what nothing has taken: to what events name, else to what is sent too fast for a pipe.
@@ -413,22 +416,40 @@ class Leftover:
                 if left.any() or counts.first.get(kind, 0):
                     self._leftover(instance, counts, kind)
 
-    def rivals(self) -> list[Rival]:
-        """Return the traffic that events name and that is not in the capture, as a scheduler's wake-ups.
-
-        It may go on being lost after cFS has stopped its events.
-        """
-        reported = self._case.reported_losses
-        events = Counter[tuple[int, str]]()
-        for item, said in reported.items():
-            events[item.instance, item.kind] += said.count
-        found = []
-        for item, said in reported.items():
+    def _absent(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind]]:
+        """Yield what events name at a pipe and the capture lacks, as a scheduler's wake-ups."""
+        for item, said in self._case.reported_losses.items():
             kind = next((kind for kind in COUNTERS if kind == item.kind), None)
             if kind and not (self._seen_behind(item) or self._fed(item, item.instance)):
-                is_stopped = events[item.instance, kind] >= STOPS_AFTER - 2
-                end_ns = NEVER if is_stopped else said.last_ns + TAIL_NS
-                found.append(Rival(id(item), item.instance, kind, said.first_ns - TAIL_NS, end_ns))
+                yield item, said, kind
+
+    def take_named(self) -> None:
+        """Give such traffic the counts that its events tell of: each of them is one."""
+        made_ns, absent = self._case.instances.made_ns, list(self._absent())
+        claims = []
+        for key, (item, said, kind) in enumerate(absent):
+            if (own := self._counts.get(item.instance)) is not None:
+                times = made_ns[[record.row for record in said.records]]
+                for _, members in by_value(own.seconds(times)):
+                    span, of = (int(times[members].min()), int(times[members].max())), (item.instance,)
+                    claims.append(Claim(key, *span, len(members), (kind,), of, PRESSED, id(item)))
+        for slack_ns in (0, WAITS_NS):
+            settle(self._counts, claims, slack_ns)
+        for claim in claims:
+            if number := sum(claim.taken.values()):
+                item, said, kind = absent[claim.key]
+                self._blame(self._named(item, said), 0, item.instance, kind, number, (claim.low_ns, claim.high_ns))
+
+    def rivals(self) -> list[Rival]:
+        """Return such traffic: it may go on being lost after cFS has stopped its events."""
+        events = Counter[tuple[int, str]]()
+        for item, said in self._case.reported_losses.items():
+            events[item.instance, item.kind] += said.count
+        found = []
+        for item, said, kind in self._absent():
+            is_stopped = events[item.instance, kind] >= STOPS_AFTER - 2
+            end_ns = NEVER if is_stopped else said.last_ns + TAIL_NS
+            found.append(Rival(id(item), item.instance, kind, said.first_ns - TAIL_NS, end_ns))
         return found
 
     def tell(self, gaps: Sequence[Loss]) -> None:
@@ -520,13 +541,15 @@ class Leftover:
                 continue
             fate = self._fed(reported, instance)
             if fate is None:
-                lost_from = out[0] if len(out) == 1 else None
-                found.append(
-                    _Candidate(reported.msg_id, reported.pipe, None, lost_from, (), 0, reported.sender, said)
-                )
+                found.append(self._named(reported, said))
             elif not fate.seen:
                 found.append(self._candidate(fate.stream, reported.pipe, reported.sender, said))
         return found or (list(self._suspects(instance)) if kind == "limit" else [])
+
+    def _named(self, reported: ReportedLoss, said: LossEvents) -> _Candidate:
+        out = self._seen_behind(reported)
+        lost_from = out[0] if len(out) == 1 else None
+        return _Candidate(reported.msg_id, reported.pipe, None, lost_from, (), 0, reported.sender, said)
 
     def _seen_behind(self, reported: ReportedLoss) -> list[Stream]:
         """Return the streams of its MsgId behind the pipe that a reported loss was at."""
@@ -597,7 +620,7 @@ class Leftover:
         if item.said is not None:
             first = item.said.records[0].message
             evidence = [f"event CFE_SB {PIPE_EVENTS[kind]} x{item.said.count}: {first}", text]
-        self._losses.append(
+        self._add(
             Loss(
                 kind,
                 item.pipe,
@@ -614,3 +637,14 @@ class Leftover:
                 among=among,
             )
         )
+
+    def _add(self, loss: Loss) -> None:
+        """Take a loss; what an event names and the capture lacks is one."""
+        key = loss.kind, loss.hop, loss.instance, loss.msg_id, loss.sender
+        before = self._without_span.setdefault(key, loss) if loss.span is None else loss
+        if before is loss:
+            self._losses.append(loss)
+            return
+        before.lost += loss.lost
+        before.start_ns, before.end_ns = min(before.start_ns, loss.start_ns), max(before.end_ns, loss.end_ns)
+        before.evidence += loss.evidence[-1:]
