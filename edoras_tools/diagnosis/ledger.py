@@ -481,7 +481,8 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
     echoes = find_echoes(case.rows, stream.rows)
     copies = int((np.isin(stream.rows, case.prepared.duplicates) | echoes).sum()) + doubled
-    copies += sum(item.not_captured for item in case.ingests if item.endpoint == stream.receiver)
+    if not fate.seen:  # else those that are lost are datagrams of the capture
+        copies += sum(item.not_captured for item in case.ingests if item.endpoint == stream.receiver)
     entered = len(stream) + len(dropped) - doubled
     way = LedgerWay(traffic, entered, doubtful=case.perhaps_doubled(stream), copies=copies)
     if dropped or doubled:

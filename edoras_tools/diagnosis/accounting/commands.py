@@ -120,6 +120,8 @@ class Commands:
         for account in case.ingests:
             before_ci.wait(account)
         self._end(fates, tails, shared)
+        for account in case.ingests:
+            before_ci.outnumbered(account)
         leftover.share(shared)
         settle_rest(counts, claims)
         telemetry.tell()

@@ -16,6 +16,8 @@ Rules:
 7. Within these bounds the smallest number is lost. The rest waits.
 8. Datagrams and counts may be under way for long, as over a radio link: if that explains all that seem to be
    lost on the network, nothing is.
+9. Copies that a network makes hide in the count what it loses. Where all goes to a robot, no more were lost
+   behind CI than it read and did not come out; the others that did not come out were lost before it.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services
 from edoras_tools.diagnosis.accounting.claims import shares
-from edoras_tools.diagnosis.accounting.losses import LOST_AT, Fate, Loss, loss_of
+from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, Fate, Loss, loss_of
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
@@ -681,6 +683,25 @@ class BeforeCi:
             else:
                 self.losses.append(loss_of(self._case, fate, before.cause, chosen, evidence, among=inside))
         return sum(parts)
+
+    def outnumbered(self, account: Ingest) -> None:
+        """Tell lost before CI what did not come out and CI cannot have read: others came out for it (rule 9)."""
+        fates = [fate for fate in self._to(account) if fate.seen]
+        outs = {id(hop.out): hop.out for fate in fates for hop in fate.hops}.values()
+        if not account.not_captured or not all(out.link.last_hop for out in outs):
+            return
+        until_ns = account.last_ns - _HELD_NS  # what came out until then is in its last count
+        came_out = sum(int((self._case.captured(out) <= until_ns).sum()) for out in outs)
+        read, streams = account.taken + account.not_captured, [fate.stream for fate in fates]
+        on_bus = sum(loss.lost for loss in self.losses if loss.stream in streams and loss.kind in COUNTERS)
+        text = f"CI read {read:,}, of which {came_out:,} came out of the application: so many others did not"
+        for fate in fates:
+            number = fate.ends["unaccounted"] - max(0, read - came_out - on_bus)
+            inside = np.flatnonzero(fate.open & (self._case.captured(fate.stream) <= until_ns))
+            if chosen := inside[: max(0, number)].tolist():
+                rows = np.array(chosen)
+                fate.ends["unaccounted"] -= fate.claim(rows)
+                self.losses.append(loss_of(self._case, fate, "network", rows, [text], among=inside))
 
     def wait(self, account: Ingest) -> None:
         """Tell which messages may wait in CI's socket at its last count, once all else is told: the latest.

@@ -309,7 +309,7 @@ def host_drops(case: Case) -> Iterator[Verdict]:
 
 
 def lost_before_ci(case: Case) -> Iterator[Verdict]:
-    """Commands that were sent and that CI never counted, at a rate that it can read: lost on the network.
+    """Commands that were sent and that CI never read, at a rate that it can read: lost on the network.
 
     Name the route; and what CI counted that is not in the capture.
     """
@@ -318,7 +318,7 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
             yield loss_verdict(
                 case,
                 loss,
-                f"{lost_at(case, loss, 'commands')}: CI counted fewer than were sent, and it reads so many",
+                f"{lost_at(case, loss, 'commands')}: CI did not read them, and it can read so many",
                 link="ci",
                 remedy="look at the uplink: a capture on the cFS host shows which of them arrive there",
             )
