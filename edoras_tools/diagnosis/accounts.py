@@ -113,6 +113,8 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
     to_cfs = route.to_cfs if route else stream.is_command
     assumed_hz, _, _ = limit(stream.link, stream.msg_id, case.profile, to_cfs=to_cfs)
+    if lost_at_pipe and assumed_hz and (shown_hz := case.shown_hz(stream, assumed_hz)):
+        return round(shown_hz, 1), "measured"
     fate = case.commands.fates.get(id(stream))
     arrives = fate.seen if fate is not None else stream.link.only_from_cfs
     fastest_hz = max((span.offered_hz for span in case.spans(stream)), default=0.0)

@@ -309,6 +309,11 @@ def _at_application(case: Case, loss: Loss) -> Advice:
             f"{why} (assumed)", f"send at most {_safe(clean):g} Hz, or {_subscribed('a higher limit')}"
         )
     stream = loss.stream
+    if loss.kind != "socket" and (shown := case.shown_hz(stream, clean)):
+        return Advice(
+            f"{shown:.0f} Hz got through here, {loss.offered_hz:.0f} Hz did not (measured)",
+            f"send at most {_safe(shown):g} Hz, evenly",
+        )
     rows = np.flatnonzero((case.rows.link == stream.link) & (case.rows.destination == stream.receiver))
     arrivals = Arrivals(case.rows.time_ns[rows], case.rows.msg_id[rows].astype(np.int64))
     arrivals = arrivals.around(loss, pipe.round_ns)

@@ -92,6 +92,8 @@ if TYPE_CHECKING:
     from edoras_tools.model import CutDatagram
 
 _MOST: Final = 0.5
+_CLEAN_NS: Final = 10 * SECOND
+_HIGHER: Final = 1.1
 OfLink = TypeVar("OfLink")
 
 
@@ -520,6 +522,20 @@ class Case:
     def losses_of(self, stream: Stream) -> list[Loss]:
         """Return what was lost of a stream."""
         return self._losses_of.get(id(stream), [])
+
+    def shown_hz(self, stream: Stream, assumed_hz: float) -> float:
+        """Return the highest rate at which a stream lost nothing for ten seconds, in Hz; 0 unless it is higher.
+
+        It shows then that the constants are others than the assumed ones.
+        """
+        lost = [(item.start_ns, item.end_ns) for item in self.losses_of(stream)]
+        clean = [
+            span.offered_hz
+            for span in self.spans(stream)
+            if span.end_ns - span.start_ns >= _CLEAN_NS
+            and not any(span.start_ns <= end_ns and start_ns <= span.end_ns for start_ns, end_ns in lost)
+        ]
+        return max((rate for rate in clean if rate > _HIGHER * assumed_hz), default=0.0)
 
     @cached_property
     def ledger(self) -> MessageLedger:

@@ -105,7 +105,8 @@ class Ingest:
         taken: by how much its count grew, starts anew included.
         losses: what was lost before it.
         waiting: datagrams that were sent before ``last_ns`` and may be waiting in its socket then.
-        more: of those, as many may have been lost with the last of ``losses``: counts alone cannot tell.
+        unread: of those, the ones that were sent before its last count was made.
+        more: of ``waiting``, as many may have been lost with the last of ``losses``: counts alone cannot tell.
         not_captured: datagrams that it counted and the capture does not show.
         unsure: datagrams that may have been lost beside ``losses``: the capture begins amid datagrams, and
             its first count does not tell which of those just sent it has.
@@ -124,6 +125,7 @@ class Ingest:
     taken: int = 0
     losses: list[Before] = field(default_factory=list)
     waiting: int = 0
+    unread: int = 0
     more: int = 0
     not_captured: int = 0
     unsure: int = 0
@@ -316,6 +318,7 @@ class _Counted:
             account.waiting = max(0, int(run.high[-1]) - lost)
             last = first
         account.taken = int(sent[-1]) - lost - account.waiting
+        account.unread = max(0, account.waiting - int(sent[-1] - self._sent_until(own[-1].made_ns)))
         self._stop(account)
         return account
 

@@ -67,6 +67,15 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
             link=None,
             remedy="see whether the application that reads this pipe runs",
         )
+    if loss.stream is not None and (shown := case.shown_hz(loss.stream, clean)):
+        return loss_verdict(
+            case,
+            loss,
+            f"{least}{lost_at(case, loss, 'commands')}: more of one MsgId came at once than may wait there",
+            link="sbn" if over_network else "ci",
+            evidence=(*loss.evidence, f"at {shown:.1f} Hz none was lost here"),
+            remedy=advise(case, loss),
+        )
     every = f"{period // 1_000_000} ms"
     measured = not over_network and {"ci_wake_ns", "app_msg_limit"} <= case.constants.learned
     known_by = "measured" if measured else "assumed"
@@ -366,9 +375,9 @@ def ci_backlog(case: Case) -> Iterator[Verdict]:
             evidence = (*loss.evidence, *_counted(case))
             yield loss_verdict(case, loss, reason, link="ci", remedy=advise(case, loss), evidence=evidence)
     for account in case.ingests:
-        if account.waiting > socket.reads:
+        if account.unread > socket.reads:
             yield warning(
-                f"{plural(account.waiting, 'datagram')} wait in CI's socket at its last count, or were "
+                f"{plural(account.unread, 'datagram')} wait in CI's socket at its last count, or were "
                 f"dropped: {reads}",
                 f"0x884: CI took {account.taken:,}",
                 f"a socket holds about {case.profile.socket_queue:,}, unless it was given more room",
