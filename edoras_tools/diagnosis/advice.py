@@ -24,6 +24,7 @@ from edoras_tools.diagnosis.accounting.pipes import measured_depth
 from edoras_tools.diagnosis.evidence.copies import crowding
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
+from edoras_tools.diagnosis.matching.streams import full_where_lacking
 from edoras_tools.diagnosis.verdict import Advice, Verdict, error
 from edoras_tools.links.sbn import SBN
 from edoras_tools.units import MILLISECOND, SECOND
@@ -128,11 +129,19 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
     output = loss.hop == telemetry_output.PIPE
     queue = queues.telemetry_pipe(case.profile) if output else queues.peer_pipe(case.profile)
     rounds, near = loss.comb, 10 if output else 5
-    if rounds and rounds.share >= _FULL and abs(rounds.period_ns - queue.round_ns) < queue.round_ns // near:
+    is_round = rounds and abs(rounds.period_ns - queue.round_ns) < queue.round_ns // near
+    if rounds and is_round and rounds.share >= _FULL and _is_full(case, loss, rounds.most):
         return replace(queue, round_ns=rounds.period_ns), rounds.most, True
     command = limit_command(case, loss)
     limit = command.value if command and isinstance(command.value, int) else queue.limit(loss.msg_id)
     return queue, limit, False
+
+
+def _is_full(case: Case, loss: Loss, most: int) -> bool:
+    if loss.stream is None or loss.span is None:
+        return False
+    own = slice(loss.span.first, loss.span.last + 1)
+    return full_where_lacking(case.captured(loss.stream)[own], loss.stream.missing[own], most)
 
 
 def limit_command(case: Case, loss: Loss) -> Change | None:

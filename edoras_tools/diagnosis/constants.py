@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs.profile import SimProfile
+from edoras_tools.diagnosis.matching.streams import full_where_lacking
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
 
@@ -136,9 +137,11 @@ def _limits(
         limit = assumed.to_limits.get(stream.msg_id)
         if not stream.link.only_from_cfs or limit != _USUAL.to_limits.get(stream.known_id):
             continue
-        most = _kept(rows.time_ns[stream.rows])
+        times = rows.time_ns[stream.rows]
+        most = _kept(times)
         # Fewer came, and many are missing: no more are kept. More came: more are.
         scarce = stream.msg_id in at_output and int(stream.missing.sum()) > _ALIKE * len(stream)
+        scarce = scarce and full_where_lacking(times, stream.missing, most)
         if most and (scarce or most > (limit or assumed.to_default_limit)):
             found[stream.msg_id] = most
     return found

@@ -150,7 +150,7 @@ def _losses(found: Diagnosis) -> tuple[list[Problem], set[int]]:
         for cause, number in parts.items():
             if not number:
                 continue
-            place = cause, row.msg_id, row.hop if row.hop.startswith(_OF_ONE_HOP) else ""
+            place = cause, row.msg_id, row.hop
             if place not in explained:
                 explained[place] = _explaining(found.verdicts, cause, row)
             own = explained[place]
@@ -170,7 +170,7 @@ def _losses(found: Diagnosis) -> tuple[list[Problem], set[int]]:
 
 
 def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdict]:
-    """Return the verdicts that explain a cause at a row: those of its MsgId, if there are such."""
+    """Return the verdicts that explain a cause at a row: those of its MsgId and hop, if there are such."""
     known = CAUSES.get(cause)
     rules = (known and known.rules) or (cause,)
     own = [
@@ -181,7 +181,8 @@ def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdi
         and (item.lost is None) == (cause == "unaccounted")
         and (row.hop == item.hop or not row.hop.startswith(_OF_ONE_HOP))
     ]
-    return [item for item in own if item.msg_id is not None] or own
+    own = [item for item in own if item.msg_id is not None] or own
+    return [item for item in own if item.hop == row.hop] or own
 
 
 def _problem(

@@ -62,6 +62,8 @@ DRAINS_NS: Final = 15 * SECOND
 _MODULUS: Final = 1 << 32
 _BUSY: Final = 0.9
 """Of what CI can read at the most; whoever reads so much may have left something."""
+_FULL: Final = 0.8
+"""Of what a socket holds: datagrams differ in length."""
 _MOSTLY: Final = 0.5
 """More than so many of the samples."""
 
@@ -339,8 +341,9 @@ class _Counted:
         most_read = before + self._most_read(self._own[last:first], ended_ns)
         before = int(self._sent_until(ended_ns)) - lost
         if before > most_read:
-            # What waited in its socket is gone with it; where it could not keep up it was lost before.
-            cause: Cause = "socket" if account.waiting > 2 * self._most else "restart"
+            # What waited in its socket is gone with it; where that was full it was lost before.
+            is_full = account.waiting > _FULL * self._profile.socket_queue
+            cause: Cause = "socket" if is_full else "restart"
             account.losses.append(Before(cause, before - most_read, self._own[last].seen_ns, ended_ns))
             lost, before = lost + before - most_read, most_read
         down = sooner.instance != later.instance or any(

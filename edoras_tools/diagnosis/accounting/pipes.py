@@ -438,7 +438,9 @@ class Leftover:
         for claim in claims:
             if number := sum(claim.taken.values()):
                 item, said, kind = absent[claim.key]
-                self._blame(self._named(item, said), 0, item.instance, kind, number, (claim.low_ns, claim.high_ns))
+                self._blame(
+                    self._named(item, said), 0, item.instance, kind, number, (claim.low_ns, claim.high_ns)
+                )
 
     def rivals(self) -> list[Rival]:
         """Return such traffic: it may go on being lost after cFS has stopped its events."""

@@ -306,6 +306,7 @@ _USUAL: Final = 600
 _SILENT: Final = 10
 """and of a silence only so many seconds count."""
 _LEAST_HZ: Final = 4.0
+_LEAST_FULL: Final = 3
 _BURST_NS: Final = 60_000_000
 _FEW: Final = 4
 _WINDOW_NS: Final = 2 * SECOND
@@ -450,3 +451,16 @@ def comb(times: NDArray[np.int64]) -> Comb:
     period = int(np.median(np.diff(times[begins]))) if len(begins) > 2 else 0
     share = float((sizes >= most).mean()) if len(sizes) else 0.0
     return Comb(period, max(most, 1), share)
+
+
+def full_where_lacking(times: NDArray[np.int64], missing: NDArray[np.int64], most: int) -> bool:
+    """Tell whether rounds behind which messages are missing are full: else fewer came, and more may wait.
+
+    Args:
+        times: i64 (n,), ns, of at least one message.
+        missing: (n,), how many are missing behind each.
+        most: how many a full round has.
+    """
+    which = np.cumsum(np.diff(times, prepend=times[0] - SECOND) > _BURST_NS) - 1
+    sizes, lacking = np.bincount(which), np.unique(which[missing > 0])
+    return len(lacking) >= _LEAST_FULL and bool(np.median(sizes[lacking]) >= most)

@@ -36,22 +36,12 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
     Find boots of the same name, one after the other; and one whose counts alone began again.
     """
     for reset in case.resets:
-        told = [
-            f"packet {case.rows.number[row]}: the processor was told to restart"
-            for row in np.flatnonzero(
-                (case.rows.known_id == ES_COMMAND_MSG_ID)
-                & (case.rows.function_code == RESTART)
-                & (case.rows.time_ns > reset.start_ns - SECOND)
-                & (case.rows.time_ns < reset.end_ns)
-            ).tolist()
-        ]
         yield _restarted(
             case,
             case.label(reset.instance),
             (reset.start_ns, reset.end_ns),
             "its clock went on, as after a processor reset: most MsgIds count from lower on, and come from "
             "another port of Telemetry Output",
-            told,
         )
     items, systems = case.instances.items, case.instances.systems
     order = sorted(range(len(items)), key=lambda index: items[index].first_ns)
@@ -99,15 +89,27 @@ def _down(case: Case, start_ns: int, end_ns: int) -> list[Loss]:
     ]
 
 
-def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, told: Sequence[str] = ()) -> Verdict:
-    """Return that a cFS was started again; ``how`` it shows, and what is known beside that."""
-    down = _down(case, *span)
+def _restarted(case: Case, whose: str, span: tuple[int, int], how: str) -> Verdict:
+    """Return that a cFS was started again; ``how`` it shows."""
+    rows, down = case.rows, _down(case, *span)
+    commanded = (rows.known_id == ES_COMMAND_MSG_ID) & (rows.function_code == RESTART)
+    commanded &= (rows.time_ns > span[0] - SECOND) & (rows.time_ns < span[1])
+    told = [
+        f"packet {rows.number[row]}: the processor was told to restart"
+        for row in np.flatnonzero(commanded).tolist()
+    ]
     lost = sum(loss.lost for loss in down)
     what = "command" if all(loss.stream is None or loss.stream.is_command for loss in down) else "message"
-    meanwhile = f"{plural(lost, what)} sent meanwhile reached nobody" if lost else "counts begin again"
+    between, meanwhile = span, "counts begin again"
+    remedy = f"enable Telemetry Output again as soon as cFS runs: {case.inject(ENABLE_OUTPUT)}"
+    if lost:
+        span = min(loss.start_ns for loss in down), max(loss.end_ns for loss in down)
+        times = f"from {case.at(span[0])} to {case.at(span[1])}"
+        meanwhile = f"{plural(lost, what)} sent {times} reached nobody"
+        remedy = f"send nothing until cFS runs again; then {remedy}"
     return verdict(
         Severity.ERROR if lost else Severity.WARNING,
-        f"{whose} restarted between {case.at(span[0])} and {case.at(span[1])}: {meanwhile}",
+        f"{whose} restarted between {case.at(between[0])} and {case.at(between[1])}: {meanwhile}",
         how,
         *told,
         *(line for loss in down for line in loss.evidence),
@@ -117,7 +119,7 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, told: Se
         lost=lost or None,
         of=sum(loss.of or 0 for loss in down) or None,
         span=span,
-        remedy=f"enable Telemetry Output again as soon as cFS runs: {case.inject(ENABLE_OUTPUT)}",
+        remedy=remedy,
     )
 
 

@@ -267,6 +267,7 @@ def stale_tail(case: Case) -> Iterator[Verdict]:
 
 _LEAST: Final = 20
 _OVER: Final = 1.05
+_ASKED: Final = 20
 
 
 def rate_over_limit(case: Case) -> Iterator[Verdict]:
@@ -299,8 +300,12 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
 
 
 def _watched(case: Case, stream: Stream) -> bool:
-    middle = int(case.rows.time_ns[stream.rows[len(stream) // 2]])
-    return any(track.watches(middle) for track in case.tracks.values())
+    fate = case.commands.fates.get(id(stream))
+    if fate is not None and fate.seen:
+        return True
+    times = case.captured(stream)[:: max(1, len(stream) // _ASKED)].tolist()
+    watched = sum(any(track.watches(when) for track in case.tracks.values()) for when in times)
+    return watched > len(times) // 2
 
 
 def wrong_direction(case: Case) -> Iterator[Verdict]:
