@@ -524,9 +524,9 @@ class Case:
         return self._losses_of.get(id(stream), [])
 
     def shown_hz(self, stream: Stream, assumed_hz: float) -> float:
-        """Return the highest rate at which a stream lost nothing for ten seconds, in Hz; 0 unless it is higher.
+        """Return the highest rate, Hz, at which a stream lost nothing for ten seconds; 0 if that is not higher.
 
-        It shows then that the constants are others than the assumed ones.
+        Where it is, the constants are others than the assumed ones.
         """
         lost = [(item.start_ns, item.end_ns) for item in self.losses_of(stream)]
         clean = [

@@ -108,7 +108,7 @@ class Ingest:
         losses: what was lost before it.
         waiting: datagrams that were sent before ``last_ns`` and may be waiting in its socket then.
         unread: of those, the ones that were sent before its last count was made.
-        more: of ``waiting``, as many may have been lost with the last of ``losses``: counts alone cannot tell.
+        more: of ``waiting``, as many may have been lost with the last of ``losses``: counts do not tell.
         not_captured: datagrams that it counted and the capture does not show.
         unsure: datagrams that may have been lost beside ``losses``: the capture begins amid datagrams, and
             its first count does not tell which of those just sent it has.
@@ -691,7 +691,7 @@ class BeforeCi:
         return sum(parts)
 
     def outnumbered(self, account: Ingest) -> None:
-        """Tell lost before CI what did not come out and CI cannot have read: others came out for it (rule 9)."""
+        """Tell lost before CI what did not come out and CI cannot have read (rule 9)."""
         fates = [fate for fate in self._to(account) if fate.seen]
         outs = {id(hop.out): hop.out for fate in fates for hop in fate.hops}.values()
         if not account.not_captured or not all(out.link.last_hop for out in outs):
