@@ -524,7 +524,7 @@ class Case:
         return self._losses_of.get(id(stream), [])
 
     def shown_hz(self, stream: Stream, assumed_hz: float) -> float:
-        """Return the highest rate, Hz, at which a stream lost nothing for ten seconds; 0 if that is not higher.
+        """Return the highest rate, Hz, at which a stream lost nothing for ten seconds; 0 if it is not higher.
 
         Where it is, the constants are others than the assumed ones.
         """

@@ -112,9 +112,14 @@ class Quality:
 
     @cached_property
     def groups(self) -> list[tuple[int, int]]:
-        """The numbers of datagrams checked and missing, in each group of evidence that bounds by itself."""
+        """The numbers of datagrams checked and missing, in each group of evidence that bounds by itself.
+
+        Frames that are dropped in bursts take their neighbours with them, which then check nothing: where
+        answers show that datagrams were missed, only answers bound.
+        """
         found: dict[tuple[int, str], tuple[int, int]] = {}
-        for item in self.evidence:
+        answers = [item for item in self.evidence if item.kind in _ANSWERED]
+        for item in answers if any(item.missing for item in answers) else self.evidence:
             checked, missing = found.get((item.sender, item.kind), (0, 0))
             found[item.sender, item.kind] = checked + item.checked, missing + item.missing
         return sorted({group for group in found.values() if group[0]})
