@@ -422,11 +422,8 @@ class Stops:
         last_ns = times[fate.arrived & (times <= item.start_ns + WAITS_NS)].max(initial=0)
         inside = fate.open & (fate.stop < 0)
         inside &= (times > max(item.start_ns - WAITS_NS, last_ns)) & (times < until_ns)
-        if fate.keeps_newest:  # the rest of what it takes at once when it is back gave way
-            over_network = not fate.stream.link.only_to_cfs
-            round_ns = queues.application_pipe(self._case.profile, over_network=over_network).round_ns
-            fate.newer |= inside & (times > until_ns - round_ns)
-            inside &= times <= until_ns - round_ns
+        if fate.keeps_newest:
+            inside = self._held(fate, item, inside, until_ns)
         if item.app in executive_services.SCHEDULERS:
             inside &= ~fate.newer  # nobody woke the application: it kept the newest
         again = np.zeros(len(times), bool)
@@ -434,6 +431,30 @@ class Stops:
             again = times > item.end_ns  # it runs, and passes nothing on
         self._add(fate, inside & ~again, _Cause("stopped", item.app, item.witness))
         self._add(fate, inside & again, _Cause("restart_failed", item.app, item.witness))
+
+    def _held(self, fate: Fate, item: Outage, inside: NDArray[np.bool_], until_ns: int) -> NDArray[np.bool_]:
+        """Return which messages an application that keeps the newest surely did not take.
+
+        What it takes at once when it is back gave way. What was on its way to it when it was told to end, and
+        when it was back, it may have taken, as others that gave way.
+
+        Args:
+            inside: messages that did not come out of it around its stop.
+            until_ns: when the first one was sent that came out behind it.
+        """
+        times, over_network = self._case.captured(fate.stream), not fate.stream.link.only_to_cfs
+        round_ns = queues.application_pipe(self._case.profile, over_network=over_network).round_ns
+        back_ns = until_ns - round_ns
+        if item.end_ns is not None and until_ns <= item.end_ns + TAIL_NS:
+            back_ns = min(back_ns, item.end_ns)
+        fate.newer |= inside & (times > back_ns)
+        inside = inside & (times <= back_ns)
+        held = inside & ((times <= item.start_ns + round_ns) | (times > back_ns - round_ns))
+        if item.app not in executive_services.SCHEDULERS:
+            fate.open &= ~held
+            fate.ends["held"] += int(held.sum())
+            inside = inside & ~held
+        return inside
 
     def _mark_closed(self, fate: Fate) -> None:
         """Mark the messages that came over SBN, or were to leave over it, when that was closed (rule 11)."""

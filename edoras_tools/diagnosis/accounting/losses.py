@@ -139,6 +139,7 @@ End = Literal[
     "elsewhere",
     "uncertain",
     "missed",
+    "held",
     "beyond",
 ]
 """How messages into cFS end that are in no loss.
@@ -154,8 +155,9 @@ be among these.
 
 At the application: ``passed_on`` came out, and were lost behind that; ``superseded`` gave way to a newer
 one; of ``unaccounted`` nothing tells what became; ``uncertain`` may yet come out, and their pipe lost others
-to the end; ``missed`` may have come out, and the capture may have missed them; ``beyond`` were sent before
-the first that came out or behind the last, by a way whose end may be behind the application."""
+to the end; ``missed`` may have come out, and the capture may have missed them; ``held`` it may have taken
+just before it was stopped, or when it was back, and they gave way; ``beyond`` were sent before the first that
+came out or behind the last, by a way whose end may be behind the application."""
 
 
 @dataclass(slots=True)
