@@ -647,6 +647,8 @@ class BeforeCi:
         spans = [(seen, before.since_ns), (fates, before.since_ns), (fates, 0)][: 2 if before.said else None]
         if before is account.losses[0] and not before.said:
             spans.insert(1, (seen, 0))
+        # What an ICMP error quotes is that one.
+        left -= self._spread(fates, before, before.since_ns, left, evidence, refused=True)
         for those, since_ns in spans:
             left -= self._spread(those, before, since_ns, left, evidence)
         if left and before.cause != "unknown":  # of no stream, as those without a MsgId
@@ -668,10 +670,25 @@ class BeforeCi:
         return missing
 
     def _spread(
-        self, fates: Sequence[Fate], before: Before, since_ns: int, number: int, evidence: list[str]
+        self,
+        fates: Sequence[Fate],
+        before: Before,
+        since_ns: int,
+        number: int,
+        evidence: list[str],
+        *,
+        refused: bool = False,
     ) -> int:
-        """Tell up to so many messages of some streams lost before CI; return how many were."""
-        windows = [np.flatnonzero(fate.open & self._within(fate, before, since_ns)) for fate in fates]
+        """Tell up to so many messages of some streams lost before CI; return how many were.
+
+        Args:
+            refused: only those that an ICMP error quotes.
+        """
+        may = [fate.open & self._within(fate, before, since_ns) for fate in fates]
+        if refused:
+            closed = self._case.unreachable.closed
+            may = [own & closed[fate.stream.rows] for own, fate in zip(may, fates, strict=True)]
+        windows = [np.flatnonzero(own) for own in may]
         most = [len(inside) for inside in windows]
         parts = shares(number, most, most)
         for fate, inside, share in zip(fates, windows, parts, strict=True):
