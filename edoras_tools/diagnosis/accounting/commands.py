@@ -146,18 +146,22 @@ class Commands:
     def _down(self, fate: Fate) -> None:
         """Tell lost what came over SBN while its cFS was down: from its last packet to its next boot."""
         case, times = self._case, self._case.captured(fate.stream)
-        if case.network.crossing(fate.stream.sender, fate.stream.receiver):
+        connection = case.network.crossing(fate.stream.sender, fate.stream.receiver)
+        if connection and (connection.restarts or any(connection.silences(case.end_ns))):
             return  # its silence as a peer tells of that
         items, systems = case.instances.items, case.instances.systems
+        said_ns = case.rows.time_ns[case.rows.source == fate.stream.receiver]
         for index, later in enumerate(items):
-            boot_ns = later.boot_ns(case.profile)
             before = [
                 item.last_ns
                 for item, system in zip(items, systems, strict=True)
-                if system == systems[index] and item.last_ns < min(boot_ns, later.first_ns)
+                if system == systems[index] and item.last_ns < later.first_ns
             ]
             if before and case.goes_to(fate.stream, index):
-                chosen = np.flatnonzero(fate.open & (times > max(before)) & (times < boot_ns))
+                ended_ns, boot_ns = max(before), later.boot_ns(case.profile)
+                if not ended_ns < boot_ns <= later.first_ns:  # its clock begins elsewhere: its first word tells
+                    boot_ns = int(said_ns[said_ns > ended_ns].min(initial=later.first_ns))
+                chosen = np.flatnonzero(fate.open & (times > ended_ns) & (times < boot_ns))
                 text = f"{plural(len(chosen), 'message')} over SBN while it was not running"
                 self._lose(fate, "down", chosen, text)
 
