@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -555,7 +556,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     lost = "0x803" if owner in case.tracks else "not counted: no 0x803 is here"
     way.hop(case.pipe_of(stream), {"in": by, "lost": lost})
     way.lose(losses, _AT_PIPE)
-    way.end("not_captured", telemetry.ended(stream, "closed"))
+    way.end("not_captured", max(0, telemetry.ended(stream, "closed") - _told_before(case, stream)))
     silenced = [(number, among) for of, number, among in telemetry.silenced if of is stream and number]
     if silenced:
         way.hop(telemetry_output.SOCKET, {"in": f"{_COUNT}, less what 0x803 counts", "out": _SEEN})
@@ -575,6 +576,13 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     way.end("uncertain", telemetry.ended(stream, "uncertain"))
     way.close(len(stream))
     return way
+
+
+def _told_before(case: Case, stream: Stream) -> int:
+    """Return how many that a way out did not take are told lost of what they were made of."""
+    made_of = {id(hop.into): hop.into for hop in case.hops if hop.out is stream}.values()
+    losses = chain.from_iterable(map(case.losses_of, made_of))
+    return sum(loss.lost for loss in losses if loss.kind in _BEHIND_BUS)
 
 
 def _to_peer(case: Case, way: LedgerWay, stream: Stream, silent: Unheard) -> None:

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.losses import Fate, LossKind
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.timeline.table import Timeline
+    from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
 
 
@@ -462,9 +463,9 @@ class Stops:
         system, peer = case.system(stream), case.network.identity_of.get
         ways = [(Way(stream.msg_id, stream.link, system, to_cfs=True), np.ones(len(stream), bool))]
         if all(hop.out.link.peers for hop in fate.hops):
-            for out in (hop.out for hop in fate.hops):
-                way = Way(out.msg_id, out.link, system, peer=peer(out.receiver, ""))
-                ways.append((way, _newest(case, fate, out)))
+            for each in fate.hops:
+                way = Way(each.out.msg_id, each.out.link, system, peer=peer(each.out.receiver, ""))
+                ways.append((way, _newest(case, fate, each)))
         times = case.captured(stream)
         closed = [
             (_CLOSED[reason.span.change.subject.kind], reason, newest)
@@ -479,6 +480,7 @@ class Stops:
                 inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
                 fate.newer |= inside & ~newest
                 inside &= newest
+                fate.unread |= inside & (stream.link.peers and hop == sbn.NAME)
                 cause = _Cause(kind, hop, text)
                 if cause in self._causes:
                     fate.stop[inside] = self._causes.index(cause)
@@ -562,13 +564,25 @@ class Stops:
         fate.unfollowed_since = first.witness
 
 
-def _newest(case: Case, fate: Fate, out: Stream) -> NDArray[np.bool_]:
-    """Tell which messages an application that keeps the newest would send: the last of each of its rounds."""
+def _newest(case: Case, fate: Fate, hop: Hop) -> NDArray[np.bool_]:
+    """Tell which messages an application that keeps the newest would send: the last of each of its rounds.
+
+    Where it counts what it sends, as many as are missing there, spread evenly.
+    """
+    out = hop.out
     times, left = case.captured(fate.stream), case.captured(out)
     steps = np.diff(left)[out.missing[:-1] == 0]
     period = int(np.median(steps)) if len(steps) >= _LEAST_ROUNDS else 0
-    if not fate.newer.any() or period < _FASTER * float(np.median(np.diff(times))):
-        return np.ones(len(times), bool)
-    before = left[np.maximum(np.searchsorted(left, times) - 1, 0)]
-    turn = (times - before) // period
-    return np.append((np.diff(before) != 0) | (np.diff(turn) != 0), True)
+    newest = np.ones(len(times), bool)
+    if fate.newer.any() and period >= _FASTER * float(np.median(np.diff(times))):
+        before = left[np.maximum(np.searchsorted(left, times) - 1, 0)]
+        turn = (times - before) // period
+        newest = np.append((np.diff(before) != 0) | (np.diff(turn) != 0), True)
+    if fate.keeps_newest and out.counted:
+        made_of = dict(zip(hop.out_rows.tolist(), hop.in_rows.tolist(), strict=True))
+        for at in np.flatnonzero(out.missing[:-1]).tolist():
+            if at in made_of and at + 1 in made_of:
+                first, last = made_of[at], made_of[at + 1]
+                newest[first + 1 : last] = False
+                newest[np.linspace(first, last, int(out.missing[at]) + 2).round().astype(int)[1:-1]] = True
+    return newest

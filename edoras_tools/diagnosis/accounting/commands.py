@@ -159,7 +159,7 @@ class Commands:
             ]
             if before and case.goes_to(fate.stream, index):
                 ended_ns, boot_ns = max(before), later.boot_ns(case.profile)
-                if not ended_ns < boot_ns <= later.first_ns:  # its clock begins elsewhere: its first word tells
+                if not ended_ns < boot_ns <= later.first_ns:  # its clock begins elsewhere
                     boot_ns = int(said_ns[said_ns > ended_ns].min(initial=later.first_ns))
                 chosen = np.flatnonzero(fate.open & (times > ended_ns) & (times < boot_ns))
                 text = f"{plural(len(chosen), 'message')} over SBN while it was not running"

@@ -182,6 +182,7 @@ class Fate:
         commanded: commands to Telemetry Output that 0x880 counts; None where it does not tell.
         passed: bool (rows,), it may have come out of the application and have been lost behind it.
         edge: bool (rows,), likewise, where no count behind it would show that.
+        unread: bool (rows,), it waited in the socket of an application that was stopped: no bus has it.
         stop: i64 (rows,), place of the stop of an application that it was sent into; -1 for none.
         counted_in_stop: place of a stop to how many of those 0x803 counted: nobody read the pipe.
     """
@@ -204,10 +205,11 @@ class Fate:
     commanded: int | None = None
     passed: NDArray[np.bool_] = field(init=False)
     edge: NDArray[np.bool_] = field(init=False)
+    unread: NDArray[np.bool_] = field(init=False)
     stop: NDArray[np.int64] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.passed, self.edge = (np.zeros(len(self.stream), bool) for _ in range(2))
+        self.passed, self.edge, self.unread = (np.zeros(len(self.stream), bool) for _ in range(3))
         self.stop = np.full(len(self.stream), -1)
 
     @property

@@ -77,8 +77,8 @@ _FULL: Final = 0.3
 
 def _standing(fate: Fate) -> tuple[NDArray[np.bool_], ...]:
     """Return which messages lack, may have gone on, may yet come, nobody sees, were sent to nobody, end."""
-    into_stop = fate.open & (fate.stop >= 0)
-    others = fate.open & ~into_stop
+    into_stop = fate.open & (fate.stop >= 0) & ~fate.unread
+    others = fate.open & (fate.stop < 0)
     sure = others & ~fate.newer & ~fate.passed & ~fate.edge & fate.seen
     return sure, others & ~sure & ~fate.edge, fate.waits, fate.blind, into_stop, others & fate.edge
 
