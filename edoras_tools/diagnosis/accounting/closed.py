@@ -480,7 +480,7 @@ class Stops:
                 inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
                 fate.newer |= inside & ~newest
                 inside &= newest
-                fate.unread |= inside & (stream.link.peers and hop == sbn.NAME)
+                fate.unread |= inside
                 cause = _Cause(kind, hop, text)
                 if cause in self._causes:
                     fate.stop[inside] = self._causes.index(cause)

@@ -182,7 +182,7 @@ class Fate:
         commanded: commands to Telemetry Output that 0x880 counts; None where it does not tell.
         passed: bool (rows,), it may have come out of the application and have been lost behind it.
         edge: bool (rows,), likewise, where no count behind it would show that.
-        unread: bool (rows,), it waited in the socket of an application that was stopped: no bus has it.
+        unread: bool (rows,), SBN did not take it, from its socket or from the application: no pipe lost it.
         stop: i64 (rows,), place of the stop of an application that it was sent into; -1 for none.
         counted_in_stop: place of a stop to how many of those 0x803 counted: nobody read the pipe.
     """
