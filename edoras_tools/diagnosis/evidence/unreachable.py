@@ -8,8 +8,8 @@
 3. A host may send few errors: Linux sends six at once and one a second to each receiver, but on loopback. A
    datagram without an error says that the port is open only where the host would have sent one. Of the rest,
    what lies between two errors is lost, and what comes after the last is uncertain.
-4. What came to the port after its last own datagram and before the first error may not have been read: it is
-   uncertain, where the port speaks regularly.
+4. What came to the port just before the first error, and after its last own datagram, may not have been read:
+   it is uncertain, where the port speaks regularly.
 5. An error of another host, or of another kind, is about its own datagram alone.
 """
 
@@ -42,6 +42,8 @@ _DISORDER_NS: Final = 50 * MILLISECOND
 """A capture may put an error so long before its datagram, where its identification tells that one."""
 _PATIENCE_NS: Final = 1200 * MILLISECOND
 """So long after its last error a host sends another one."""
+_UNREAD_NS: Final = 600 * MILLISECOND
+"""A program that ends has read what came so long before: it wakes up twice a second, or at once."""
 _BURST: Final = 7
 """A host that counts its errors sends fewer within a second."""
 _DATAGRAM, _ERROR, _VOICE = range(3)
@@ -264,5 +266,6 @@ def _spans(
         found.uncertain[row[free]] = True
         if span.step_ns and span.start_ns - times[before[-1]] <= _REGULAR * span.step_ns:
             late = np.arange(before[-1], first)
+            late = late[times[late] >= span.start_ns - _UNREAD_NS]
             found.uncertain[row[late[events.unanswered[late]]]] = True
     return spans
