@@ -137,7 +137,7 @@ CAUSES: Final[Mapping[str, LossCause]] = {
     PROXY_HOP: LossCause("dropped on purpose by the proxy", rules=("proxy_faults",)),
     "host_drops": LossCause("at a full socket (kernel's counter)"),
     "unaccounted": LossCause(
-        "in cFS, for a cause that the capture does not show",
+        "for a cause that the capture does not show",
         rules=("crossing_loss", "lost_before_ci", "unexplained_gap", UNHEARD),
     ),
 }

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 _AT_QUEUES: Final = frozenset({"limit", "overflow", "socket"})
 """The verdict says what its queue takes."""
+_HARM: Final = frozenset({"struct_overrun", "ci_cut", "ground_bridge_buffer", "flight_bridge_length"})
+"""What these rules tell of arrives in part, or damaged."""
 _NAMES: Final = 2
 """So many topics are named."""
 _MOMENT_S: Final = 0.1
@@ -326,8 +328,8 @@ def _lost(found: Diagnosis, proven: int) -> str:
         noun, were = noun.removesuffix("s"), "was"
     routes, of = {_route(row) for row in rows}, sent_of(found, rows)
     if len(routes) == 1 and rows[0].link and of > 1:
-        whole = all(cause in CAUSES for row in rows for cause in row.lost)
-        arrived = "never arrived" if whole else "never arrived whole"
+        harmed = any(cause in _HARM for row in rows for cause in row.lost)
+        arrived = "never arrived whole" if harmed else "never arrived"
         name = _name(found, rows[0])
         return f"{_share(proven, of, noun)} {arrived}: {proven:,} of {of:,} {name} {were} lost."
     lines = sorted(found.headlines, key=lambda item: -item.missing)

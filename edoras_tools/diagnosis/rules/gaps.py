@@ -80,7 +80,10 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     accounts = [item for item in case.ingests if item.endpoint == stream.receiver]
     last_ns = max((item.last_ns for item in accounts), default=case.end_ns)
     behind = int((missing > last_ns).sum())
-    if visible and behind < len(missing):
+    uncounted = visible and not accounts and stream.link.only_to_cfs
+    if uncounted:
+        evidence.append("0x803 has none of them, and 0x884 is not here: CI may never have read them")
+    elif visible and behind < len(missing):
         evidence.append("cFS's counters (0x803, 0x884) do not explain these")
     elif not visible:
         evidence.append("0x803 is not in the capture, so the software bus cannot be cleared or blamed")
@@ -105,7 +108,9 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
         place=(stream.link.label, "application"),
         of=len(stream),
         span=(int(missing[0]), int(missing[-1])),
-        remedy="look at the application's own counters and console; a capture on the cFS host, from before "
+        remedy="let Telemetry Output send 0x884, CI's counts: they tell whether the uplink lost these"
+        if uncounted
+        else "look at the application's own counters and console; a capture on the cFS host, from before "
         "the traffic, shows which of them arrive there",
         confidence="medium" if visible else "low",
     )

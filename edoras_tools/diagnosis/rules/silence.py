@@ -164,6 +164,8 @@ _IRREGULAR: Final = 3
 """What comes irregularly is silent when it is so for so many times its longest pause before,"""
 _LONG_NS: Final = 10 * SECOND
 """and for so long."""
+_PUBLISHER: Final = "the peer that sends them is there, so what publishes them ended"
+_LOOK_AT_NODE: Final = "see whether the ROS 2 node that publishes them runs"
 _SLACK_NS: Final = SECOND
 _ALIKE: Final = 1.5
 
@@ -252,9 +254,14 @@ def _together(found: Sequence[Silence]) -> Iterator[list[Silence]]:
 
 
 def _causes(case: Case, members: Sequence[Silence]) -> list[str]:
-    """Return what was stopped just before they fell silent: a half sentence each."""
+    """Return what was stopped, or closed, just before they fell silent: a half sentence each."""
     first, last = members[0].start_ns, members[-1].start_ns
-    return [
+    closed = [
+        f"nobody listened on {span.port} from {case.at(span.start_ns)} on"
+        for span in case.unreachable.spans
+        if first - _NEAR_NS < span.start_ns < last + _NEAR_NS
+    ]
+    return closed + [
         f"{item.app} was {'restarted' if item.restarted else 'stopped'} at {case.at(item.start_ns)}"
         for item in case.outages
         if item.start_ns - _NEAR_NS < last
@@ -368,7 +375,8 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
     before = f" ({_hz(rate.hz, 2)} before)" if rate else ""
     seconds = (first.end_ns - first.start_ns) / SECOND
     until = f" for {seconds:.1f} s" if first.until_ns else " and did not come back"
-    why = "; ".join(causes) if causes else "the capture cannot show why"
+    fed = all(item.stream.link.peers and item.stream.is_command for item in members)
+    why = "; ".join(causes) or (_PUBLISHER if fed else "the capture cannot show why")
     counted = all(item.stream.counted for item in members)
     evidence = [
         "no sequence count is missing: nothing was published meanwhile, or nobody asked for it"
@@ -384,13 +392,13 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
     evidence += [item.witness for item in outages]
     evidence += _sent_before(case, first.start_ns)
     return verdict(
-        Severity.NOTE if all(item.rate is None for item in members) else Severity.WARNING,
+        Severity.NOTE if fed or all(item.rate is None for item in members) else Severity.WARNING,
         f"{who} stopped at {case.at(first.start_ns)}{until}{before}: {why}",
         *evidence,
         msg_id=first.stream.msg_id if len(members) == 1 else None,
         place=(first.stream.link.label, "source"),
         span=(first.start_ns, max(item.end_ns for item in members)),
-        remedy=_remedy(case, outages, first),
+        remedy=_LOOK_AT_NODE if fed and not outages else _remedy(case, outages, first),
         confidence="medium" if causes else "low",
     )
 
