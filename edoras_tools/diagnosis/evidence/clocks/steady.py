@@ -100,11 +100,7 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> NDArray[np
         output = np.flatnonzero(rows.known_id[own] == telemetry_output.HOUSEKEEPING_MSG_ID)
         if len(output) >= _SURE and np.median(np.abs(np.diff(delay[output]))) < _ALIKE_NS:
             moved[own] = _by_output(delay, output)
-            steps = np.diff(moved[own])
-            jumps += [
-                Jump(instance.name or "cFS", int(own[at + 1]), -int(steps[at]))
-                for at in np.flatnonzero(np.abs(steps) > 2 * _CYCLE_NS)[:_MOST].tolist()
-            ]
+            jumps += _slips(moved[own], own, instance.name)
             continue
         # A window with too few packets to tell is as the one before it; one that differs from both beside it
         # had packets that were kept waiting.
@@ -115,10 +111,20 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> NDArray[np
         # Where the clock slipped within a window, each packet goes by the level that it fits.
         here = beside[:, np.repeat(np.arange(len(edges)), np.diff(np.append(edges, len(own))))]
         moved[own] = np.where(here <= delay + _JITTER_NS, np.minimum(here, delay), 0).max(axis=0)
-        for at in np.flatnonzero(np.abs(np.diff(level)) > 2 * _CYCLE_NS)[:_MOST].tolist():
-            step = int(level[at] - level[at + 1])
-            jumps.append(Jump(instance.name or "cFS", int(own[edges[at + 1]]), step))
+        jumps += _slips(level, own[edges], instance.name)
     return moved
+
+
+def _slips(level: NDArray[np.int64], rows: NDArray[np.intp], name: str) -> list[Jump]:
+    """Return where the level of delays steps for good: one that it comes back from is a queue on the way.
+
+    Args:
+        level: i64 (n,), ns.
+        rows: (n,), the first row of each.
+    """
+    places = np.flatnonzero(np.abs(np.diff(level)) > 2 * _CYCLE_NS)[:_MOST].tolist()
+    lasting = [at for at in places if not (np.abs(level[at + 2 :] - level[at]) < _CYCLE_NS).any()]
+    return [Jump(name or "cFS", int(rows[at + 1]), int(level[at] - level[at + 1])) for at in lasting]
 
 
 def _neighbours(values: NDArray[np.int64]) -> NDArray[np.int64]:
