@@ -719,10 +719,10 @@ class BeforeCi:
         on_bus = sum(loss.lost for loss in self.losses if loss.stream in streams and loss.kind in COUNTERS)
         text = f"CI read {read:,}, of which {came_out:,} came out of the application: so many others did not"
         for fate in fates:
-            number = fate.ends["unaccounted"] - max(0, read - came_out - on_bus)
             inside = np.flatnonzero(fate.open & (self._case.captured(fate.stream) <= until_ns))
-            if chosen := inside[: max(0, number)].tolist():
-                rows = np.array(chosen)
+            number = fate.ends["unaccounted"] - max(0, read - came_out - on_bus)
+            if (number := min(number, len(inside))) > 0:
+                rows = inside[np.linspace(0, len(inside) - 1, number).round().astype(np.intp)]
                 fate.ends["unaccounted"] -= fate.claim(rows)
                 self.losses.append(loss_of(self._case, fate, "network", rows, [text], among=inside))
 

@@ -206,7 +206,7 @@ def _without_subscriber(case: Case) -> dict[tuple[int, int], list[int]]:
         inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
         own = dict(by_value(rows.msg_id[inside])) if counts[-1] else {}
         every = list(chain.from_iterable(combinations(own, size) for size in _UNKNOWN))
-        fits = []
+        fits: list[tuple[int, ...]] = []
         for lag_ns in (_COUNTED_NS, DRAINS_NS):  # what waits in CI's socket is counted late
             fits = fits or [
                 chosen

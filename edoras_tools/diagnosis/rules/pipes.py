@@ -439,7 +439,7 @@ def app_outage(case: Case) -> Iterator[Verdict]:
 
     Name every outage, and what was lost in it.
     """
-    told = []
+    told = [loss for loss in case.losses if loss.closed]
     for loss in case.losses:
         if loss.kind in _KINDS:
             told.append(loss)
@@ -454,8 +454,10 @@ def app_outage(case: Case) -> Iterator[Verdict]:
     for item in case.outages:
         start_ns = max(item.start_ns, case.start_ns)
         end_ns = max(start_ns, item.end_ns if item.end_ns is not None else case.end_ns)
+        output = item.app in telemetry_output.NAMES
         if any(
-            case.called(loss.hop) == item.app and loss.start_ns <= end_ns + case.profile.ci_wake_ns
+            (loss.closed if output else case.called(loss.hop) == item.app)
+            and loss.start_ns <= end_ns + case.profile.ci_wake_ns
             for loss in told
         ):
             continue

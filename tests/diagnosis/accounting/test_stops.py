@@ -106,8 +106,11 @@ def test_a_full_pipe_of_a_restarted_application_loses_by_its_restart_and_wake_up
     result, lost = examined(sent), Counter()
     for item in simulation.cfs.account.arrivals:
         lost[item.msg_id] += item.end in LOST
-    for msg_id in (0x1827, 0x1828):
-        assert lost_of(result, f"0x{msg_id:04x}") == {"stopped": lost[msg_id]}
+    for msg_id in (0x1827, 0x1828):  # what it held when it was told to end is no proven loss
+        told, rows = lost_of(result, f"0x{msg_id:04x}"), result["balance"]
+        perhaps = sum(row["uncertain"] for row in rows if row["msg_id"] == f"0x{msg_id:04x}")
+        assert set(told) == {"stopped"}
+        assert told.total() <= lost[msg_id] <= told.total() + perhaps <= 1.2 * lost[msg_id]
     # Wake-ups are not in the capture: some of them no event names.
     assert 0 < lost_of(result, "0x182b")["limit"] <= lost[0x182B]
     assert result["lost"] <= lost.total()
