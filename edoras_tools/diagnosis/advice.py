@@ -51,6 +51,8 @@ _LATE: Final = 1.01
 _FITS: Final = 0.5, 1.2
 _FEW: Final = 5
 """What was lost is explained by a model if it is between these shares of what the model loses, or so near."""
+_PAUSE: Final = 2
+"""A pause is longer than so many rounds."""
 _MOST: Final = 255
 """Telemetry Output's table takes no higher limit."""
 _WHILE_NS: Final = 10 * SECOND
@@ -291,7 +293,15 @@ def published_at(case: Case, stream: Stream) -> NDArray[np.int64]:
         when = np.maximum.accumulate(mission + case.instances.items[stream.instance].offset_ns)
     counts = stream.counts
     at = np.cumsum(counts) - counts
-    return np.interp(np.arange(int(counts.sum())), at, when.astype(np.float64)).astype(np.int64)
+    place = np.arange(int(counts.sum()))
+    times = np.interp(place, at, when.astype(np.float64)).astype(np.int64)
+    # Spread over a long pause they would fit: they came at once, with the one before them.
+    round_ns = case.profile.to_wake_ns
+    pauses = np.append(np.diff(when), 0) > _PAUSE * round_ns
+    inside = np.repeat(pauses & (counts > 1), counts)
+    nth = place - np.repeat(at, counts)
+    closely = np.repeat(when, counts) + nth * (round_ns // 2) // np.maximum(np.repeat(counts, counts), 1)
+    return np.where(inside, closely, times)
 
 
 def _raised(case: Case, msg_id: int, limit: int) -> str:

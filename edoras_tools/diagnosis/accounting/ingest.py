@@ -343,7 +343,8 @@ class _Counted:
         if before > most_read:
             # What waited in its socket is gone with it; where that was full it was lost before.
             is_full = account.waiting > _FULL * self._profile.socket_queue
-            cause: Cause = "socket" if is_full else "restart"
+            ended: Cause = "restart" if sooner.instance == later.instance else "down"
+            cause: Cause = "socket" if is_full else ended
             account.losses.append(Before(cause, before - most_read, self._own[last].seen_ns, ended_ns))
             lost, before = lost + before - most_read, most_read
         down = sooner.instance != later.instance or any(
