@@ -454,12 +454,12 @@ def app_outage(case: Case) -> Iterator[Verdict]:
     for item in case.outages:
         start_ns = max(item.start_ns, case.start_ns)
         end_ns = max(start_ns, item.end_ns if item.end_ns is not None else case.end_ns)
-        output = item.app in telemetry_output.NAMES
-        if any(
-            (loss.closed if output else case.called(loss.hop) == item.app)
-            and loss.start_ns <= end_ns + case.profile.ci_wake_ns
-            for loss in told
-        ):
+        here = [loss for loss in told if loss.start_ns <= end_ns + case.profile.ci_wake_ns]
+        if item.app in telemetry_output.NAMES:
+            here = [loss for loss in here if loss.closed and loss.end_ns >= start_ns]
+        else:
+            here = [loss for loss in here if case.called(loss.hop) == item.app]
+        if here:
             continue
         since = f"stopped at {case.at(item.start_ns)}" if item.start_ns >= case.start_ns else "not running"
         until = "" if item.end_ns is None else f" and started again at {case.at(item.end_ns)}"
