@@ -116,7 +116,9 @@ class WaySum:
     @property
     def messages_lost(self) -> int:
         """Messages that surely never came out: of its arrivals that were lost, those that are no copies."""
-        return max(0, self._proven - self.hops[0].copies)
+        first = self.hops[0]
+        before = first.proven if first.duplicated else 0  # where the copies were made
+        return before + max(0, self._proven - before - first.copies)
 
     @property
     def messages_uncertain(self) -> int:

@@ -26,7 +26,15 @@ import numpy as np
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT
-from edoras_tools.diagnosis.accounting.losses import BEHIND, BUS, COUNTERS, SBN_SOCKET, Among, Loss
+from edoras_tools.diagnosis.accounting.losses import (
+    BEHIND,
+    BUS,
+    COUNTERS,
+    RELAY,
+    SBN_SOCKET,
+    Among,
+    Loss,
+)
 from edoras_tools.diagnosis.evidence.copies import find_echoes
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
@@ -485,11 +493,19 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     if not fate.seen:  # else those that are lost are datagrams of the capture
         copies += sum(item.not_captured for item in case.ingests if item.endpoint == stream.receiver)
     entered = len(stream) + len(dropped) - doubled
+    losses, relayed = list(losses), case.commands.relayed.get(id(stream))
+    if relayed is not None:
+        entered += len(relayed.lost_ns) - relayed.doubled
     way = LedgerWay(traffic, entered, doubtful=case.perhaps_doubled(stream), copies=copies)
+    if relayed is not None:
+        hop = f"{RELAY} {relayed.relay}"
+        way.hop(hop, {"in": _SEEN, "out": _SEEN}, duplicated=relayed.doubled)
+        way.lose([loss for loss in losses if loss.hop == hop], frozenset({"network"}))
+        losses = [loss for loss in losses if loss.hop != hop]
     if dropped or doubled:
         _by_proxy(way, dropped, len(dropped), doubled)
     all_out = {"out": "all of them came out of cFS again"} if fate.seen and fate.arrived.all() else {}
-    _taken_in(case, fate, way, all_out)
+    _taken_in(case, fate, way, all_out, losses)
     lost = {"lost": "0x803, and what cFS refuses by itself"} if case.tracks else all_out or {"lost": _NO_BUS}
     way.hop(BUS, {"in": way.counted_by, **lost})
     if not fate.seen:
@@ -513,9 +529,11 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     return way
 
 
-def _taken_in(case: Case, fate: Fate, way: LedgerWay, all_out: Mapping[str, str]) -> None:
+def _taken_in(
+    case: Case, fate: Fate, way: LedgerWay, all_out: Mapping[str, str], losses: Sequence[Loss]
+) -> None:
     """Go on to what reads datagrams: CI, or SBN where it did not read all."""
-    stream, losses = fate.stream, case.losses_of(fate.stream)
+    stream = fate.stream
     if stream.link.only_to_cfs:
         accounts = [item for item in case.ingests if item.endpoint == stream.receiver]
         by = "the kernel's counter of its socket" if any(item.by_kernel for item in accounts) else "0x884"

@@ -33,6 +33,7 @@ from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, Stops
 from edoras_tools.diagnosis.accounting.ingest import BeforeCi
 from edoras_tools.diagnosis.accounting.losses import (
     COUNTERS,
+    RELAY,
     SBN_SOCKET,
     TAIL_NS,
     WAITS_NS,
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.claims import Claim, Shared
     from edoras_tools.diagnosis.accounting.losses import LossKind
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.preparation import LostInRelay
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Verdict
 
@@ -76,6 +78,7 @@ class Commands:
         unplaced: id of a refusal to how many of its messages no stream here has.
         placed: id of a refusal to how many of its messages are of a stream, and of which of that.
         refused_of: id of a stream to the refusals of its messages, each with what ``placed`` has.
+        relayed: id of a stream to what a relay in front of cFS did to it, of which both sides were captured.
         uncaptured: instance to what it counted lost while the capturing interface was away, and is told of
             nothing that was captured.
     """
@@ -84,6 +87,7 @@ class Commands:
         self._case, self.telemetry = case, telemetry
         self.losses: list[Loss] = []
         self.unplaced: dict[int, int] = {}
+        self.relayed: dict[int, LostInRelay] = {}
         self.placed: dict[int, tuple[int, Among]] = {}
         self.fates = {
             id(stream): follow(case, stream)
@@ -139,6 +143,7 @@ class Commands:
                 open_ = int((fate.open & fate.unfollowed).sum())
                 fate.ends["unaccounted"] = min(open_, self._untold(fate))
         self._number(fates)
+        self._relayed(fates)
         for fate in fates:
             if fate.stream.known_id == telemetry_output.COMMAND_MSG_ID and fate.stream.link.only_to_cfs:
                 self._commanded(fate)
@@ -164,6 +169,26 @@ class Commands:
                 chosen = np.flatnonzero(fate.open & (times > ended_ns) & (times < boot_ns))
                 text = f"{plural(len(chosen), 'message')} over SBN while it was not running"
                 self._lose(fate, "down", chosen, text)
+
+    def _relayed(self, fates: Sequence[Fate]) -> None:
+        """Tell lost what went into a relay and did not come out of it: its other side is in the capture."""
+        rows = self._case.rows
+        for item in self._case.prepared.passed:
+            own = [
+                fate
+                for fate in fates
+                if (fate.stream.link.code, fate.stream.msg_id) == (item.link, item.msg_id)
+                and rows.destination[fate.stream.rows[0]] == item.receiver
+            ]
+            stream = own[0].stream if own else None
+            if stream is not None:
+                self.relayed[id(stream)] = item
+            if number := len(item.lost_ns):
+                span = int(item.lost_ns.min()), int(item.lost_ns.max())
+                text = f"{number:,} of {item.of:,} went into {item.relay} and did not come out of it"
+                loss = Loss("network", f"{RELAY} {item.relay}", number, *span, "high", msg_id=item.msg_id)
+                loss.stream, loss.of, loss.evidence = stream, item.of, [text]
+                self.losses.append(loss)
 
     def _lose(self, fate: Fate, kind: LossKind, rows: NDArray[np.intp], text: str) -> None:
         """Tell messages lost, those of them that are open: before CI, or in SBN's socket."""

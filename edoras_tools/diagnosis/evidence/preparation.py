@@ -15,6 +15,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -22,7 +23,7 @@ import numpy as np
 from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind, Flow
 from edoras_tools.diagnosis.evidence.copies import BY_CAPTURE, BY_NETWORK, find_copies, who_doubled
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
-from edoras_tools.diagnosis.evidence.relays import before_proxy, one_name
+from edoras_tools.diagnosis.evidence.relays import before_proxy, find_relayed, one_name
 from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, followed
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
@@ -31,12 +32,12 @@ from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.payloads import Payloads
-    from edoras_tools.diagnosis.evidence.relays import Proxied, RouteWay
+    from edoras_tools.diagnosis.evidence.relays import Proxied, RelayedWay, RouteWay
 
 _MOST_SET: Final = 16
 """A clock is set back now and then; records that go back more often are out of order."""
@@ -54,6 +55,7 @@ class Prepared:
         foreign: datagrams of other programs, left out.
         copies: datagrams that were captured before.
         relayed: datagrams that were captured in front of a proxy, and are counted behind it.
+        passed: what relays did to messages without a sequence count, of which the capture has both sides.
         duplicates: i64, rows that the network doubled.
         doubled: rows that were captured twice, or sent twice: nothing tells. They are left out.
         disordered: records that stood behind a later one.
@@ -66,10 +68,46 @@ class Prepared:
     foreign: int
     copies: int
     relayed: int
+    passed: tuple[LostInRelay, ...]
     duplicates: NDArray[np.intp]
     doubled: Rows
     disordered: int
     translated: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class LostInRelay:
+    """What a relay did to the messages of one MsgId to one receiver.
+
+    Attributes:
+        relay: where it takes datagrams.
+        link: code of their link.
+        msg_id: MsgId.
+        receiver: number of the endpoint that they go to behind it.
+        lost_ns: i64, when those came to it that did not leave it.
+        of: messages that came to it.
+        doubled: datagrams that left it more than once.
+    """
+
+    relay: Endpoint
+    link: int
+    msg_id: int
+    receiver: int
+    lost_ns: NDArray[np.int64]
+    of: int
+    doubled: int
+
+
+def _lost_in(rows: Rows, item: RelayedWay) -> Iterator[LostInRelay]:
+    """Yield what a relay did to each MsgId that has no sequence count to show it."""
+    commands = item.before[rows.function_code[item.before] >= 0]
+    lost, doubled = item.before[item.lost], item.behind[item.doubled]
+    for msg_id, own in by_value(rows.msg_id[commands]):
+        gone = lost[rows.msg_id[lost] == msg_id]
+        again = int((rows.msg_id[doubled] == msg_id).sum())
+        receiver, link = int(rows.destination[item.behind[0]]), int(rows.link[item.before[0]])
+        if len(gone) or again:
+            yield LostInRelay(item.relay, link, msg_id, receiver, rows.time_ns[gone], len(own), again)
 
 
 def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared:
@@ -90,6 +128,14 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
     names = one_name(told, recorder.endpoints)
     if (names != np.arange(len(names))).any():
         told = followed(replace(told, source=names[told.source], destination=names[told.destination]))
+    passed = tuple(find_relayed(told, recorder.endpoints))
+    lost = [_lost_in(told, item) for item in passed]
+    if passed:
+        source, behind = told.source.copy(), np.ones(len(told), bool)
+        for item in passed:
+            source[item.behind] = item.sources(told)
+            behind[item.before] = False
+        kept, told = kept[behind], followed(replace(told, source=source).take(np.flatnonzero(behind)))
     way = told.way()
     relayed = before_proxy(told, proxied)
     if relayed.any():
@@ -121,6 +167,7 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
         foreign=int(foreign.sum()),
         copies=int(copy.sum()) - len(doubled),
         relayed=int(relayed.sum()),
+        passed=tuple(chain.from_iterable(lost)),
         duplicates=np.flatnonzero(duplicate),
         doubled=doubled,
         disordered=disordered,

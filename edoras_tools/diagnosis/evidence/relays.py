@@ -25,6 +25,14 @@ The same datagrams may be on both sides of an address translation, as a Docker h
    addresses are known to be two names of one.
 10. Each endpoint gets the name of the inner side: a source's before it is translated, a destination's behind
     it. Many may share the outer address.
+
+A relay takes datagrams at an address of its own and sends them anew. A capture of both its sides has each of
+them twice.
+
+11. If nearly all that one conversation brings came to the address of its sender in another conversation of
+    that link, and at least eight did, the first is the other one behind a relay. It is kept, with the senders
+    of the other one, which is left out.
+12. What went into the relay and did not come out is lost there; what came out again is a copy.
 """
 
 from __future__ import annotations
@@ -35,12 +43,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
+from edoras_tools.diagnosis.evidence.fingerprint import latest_equal, paired
 from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import MODULUS
-from edoras_tools.units import MILLISECOND
+from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
+from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
@@ -232,3 +241,77 @@ def _ends(one: int, other: int) -> set[tuple[int, int]]:
     """
     source, destination = (one >> 32, other >> 32), (other & 0xFFFFFFFF, one & 0xFFFFFFFF)
     return {ends for ends in (source, destination) if ends[0] != ends[1]}
+
+
+_RELAY_NS: Final = 10 * SECOND
+"""A relay holds a datagram for so long at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class RelayedWay:
+    """What came to a relay and what left it again, of which the capture has both.
+
+    Attributes:
+        relay: where it takes datagrams.
+        before: rows in front of it.
+        behind: rows behind it, in order of time.
+        made_of: of those behind, which of ``before`` each may be: the latest equal one; -1 where none fits.
+        lost: bool, of ``before``, which did not come out again.
+        doubled: bool, of ``behind``, which are copies.
+    """
+
+    relay: Endpoint
+    before: NDArray[np.intp]
+    behind: NDArray[np.intp]
+    made_of: NDArray[np.intp]
+    lost: NDArray[np.bool_]
+    doubled: NDArray[np.bool_]
+
+    def sources(self, rows: Rows) -> NDArray[np.int32]:
+        """Return who sent each of those behind: of one that fits none, who sent the one before it."""
+        last = np.maximum.accumulate(np.where(self.made_of >= 0, np.arange(len(self.behind)), -1))
+        last[last < 0] = int(np.flatnonzero(self.made_of >= 0)[0])
+        return np.asarray(rows.source[self.before[self.made_of[last]]])
+
+
+def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
+    """Return what passed a relay on both sides of which the rows were captured.
+
+    Args:
+        rows: in order of time.
+        endpoints: what their ``source`` and ``destination`` index.
+    """
+    host = numbered(np.array([hash(item.address) for item in endpoints]))[1] if len(endpoints) else []
+    source, destination = (np.asarray(host)[end] for end in (rows.source, rows.destination))
+    if not len(rows) or len(np.unique(source)) < 2:
+        return []
+    leaving: dict[int, list[NDArray[np.intp]]] = {}
+    for _, behind in by_value(source.astype(np.int64) << 32 | rows.destination):
+        leaving.setdefault(int(source[behind[0]]), []).append(behind)
+    found = []
+    for relay, before in by_value(rows.destination):
+        at = int(destination[before[0]])
+        if len(before) < _LEAST_DATAGRAMS or (source[before] == at).any():
+            continue
+        found += [
+            item
+            for behind in leaving.get(at, ())
+            if rows.link[behind[0]] == rows.link[before[0]] and int(destination[behind[0]]) != at
+            if (item := _relayed(rows, endpoints[relay], before, behind)) is not None
+        ]
+    return found
+
+
+def _relayed(
+    rows: Rows, relay: Endpoint, before: NDArray[np.intp], behind: NDArray[np.intp]
+) -> RelayedWay | None:
+    """Hold what came to an address against what left it; None where that is not the same."""
+    into, out = ((rows.bytes_print[own], rows.time_ns[own]) for own in (before, behind))
+    made_of = latest_equal(*into, *out)
+    made_of[out[1] - into[1][made_of] > _RELAY_NS] = -1
+    if (made_of >= 0).sum() < max(_LEAST_DATAGRAMS, _NEARLY_ALL * len(behind)):
+        return None
+    one = paired(*into, *out)
+    lost = np.ones(len(before), bool)
+    lost[one[one >= 0]] = False
+    return RelayedWay(relay, before, behind, made_of, lost, one < 0)

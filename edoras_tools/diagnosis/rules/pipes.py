@@ -11,7 +11,7 @@ from edoras_tools.cfs import command_ingest, queues, telemetry_output
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
+from edoras_tools.diagnosis.accounting.losses import CI_SOCKET, RELAY
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
 from edoras_tools.diagnosis.advice import (
     advise,
@@ -324,12 +324,15 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
     """
     for loss in case.losses:
         if loss.kind == "network":
+            relay = loss.hop.startswith(RELAY)
+            why = "they did not come out" if relay else "CI did not read them, and it can read so many"
+            uplink = "look at the uplink: a capture on the cFS host shows which of them arrive there"
             yield loss_verdict(
                 case,
                 loss,
-                f"{lost_at(case, loss, 'commands')}: CI did not read them, and it can read so many",
-                link="ci",
-                remedy="look at the uplink: a capture on the cFS host shows which of them arrive there",
+                f"{lost_at(case, loss, 'commands')}: {why}",
+                link=loss.stream.link.label if loss.stream else "ci",
+                remedy="look at its log and its queue" if relay else uplink,
             )
     for fate in case.commands.fates.values():
         if number := fate.ends["uncounted"]:
