@@ -490,7 +490,8 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
     echoes = find_echoes(case.rows, stream.rows)
     copies = int((np.isin(stream.rows, case.prepared.duplicates) | echoes).sum()) + doubled
-    if not fate.seen:  # else those that are lost are datagrams of the capture
+    # Else those that are lost are datagrams of the capture, or those that it lacks.
+    if not fate.seen and not case.quality.missing:
         copies += sum(item.not_captured for item in case.ingests if item.endpoint == stream.receiver)
     entered = len(stream) + len(dropped) - doubled
     losses, relayed = list(losses), case.commands.relayed.get(id(stream))

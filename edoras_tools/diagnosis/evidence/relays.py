@@ -29,9 +29,9 @@ The same datagrams may be on both sides of an address translation, as a Docker h
 A relay takes datagrams at an address of its own and sends them anew. A capture of both its sides has each of
 them twice.
 
-11. If nearly all that one conversation brings came to the address of its sender in another conversation of
-    that link, and at least eight did, the first is the other one behind a relay. It is kept, with the senders
-    of the other one, which is left out.
+11. If nearly all that one conversation brings came before to the address of its sender, or to one that never
+    says anything, and at least eight did, it is behind a relay. It is kept, with the senders of what is in
+    front of that, which is left out.
 12. What went into the relay and did not come out is lost there; what came out again is a copy.
 """
 
@@ -243,6 +243,8 @@ def _ends(one: int, other: int) -> set[tuple[int, int]]:
     return {ends for ends in (source, destination) if ends[0] != ends[1]}
 
 
+_CLOCKS_NS: Final = 50 * MILLISECOND
+"""Two captures of its sides may be so far apart."""
 _RELAY_NS: Final = 10 * SECOND
 """A relay holds a datagram for so long at most."""
 
@@ -293,10 +295,13 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
         at = int(destination[before[0]])
         if len(before) < _LEAST_DATAGRAMS or (source[before] == at).any():
             continue
+        # An address that says nothing itself is of a relay that sends from another one.
+        others = (item for host, own in leaving.items() for item in own if host not in source[before])
         found += [
             item
-            for behind in leaving.get(at, ())
+            for behind in leaving.get(at) or others
             if rows.link[behind[0]] == rows.link[before[0]] and int(destination[behind[0]]) != at
+            if at in leaving or int(destination[behind[0]]) in leaving
             if (item := _relayed(rows, endpoints[relay], before, behind)) is not None
         ]
     return found
@@ -307,6 +312,7 @@ def _relayed(
 ) -> RelayedWay | None:
     """Hold what came to an address against what left it; None where that is not the same."""
     into, out = ((rows.bytes_print[own], rows.time_ns[own]) for own in (before, behind))
+    out = out[0], out[1] + _CLOCKS_NS
     made_of = latest_equal(*into, *out)
     made_of[out[1] - into[1][made_of] > _RELAY_NS] = -1
     if (made_of >= 0).sum() < max(_LEAST_DATAGRAMS, _NEARLY_ALL * len(behind)):
