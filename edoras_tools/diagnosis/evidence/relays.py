@@ -283,8 +283,8 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
         rows: in order of time.
         endpoints: what their ``source`` and ``destination`` index.
     """
-    host = numbered(np.array([hash(item.address) for item in endpoints]))[1] if len(endpoints) else []
-    source, destination = (np.asarray(host)[end] for end in (rows.source, rows.destination))
+    host = numbered(np.array([hash(item.address) for item in endpoints], np.int64))[1]
+    source, destination = (host[end] for end in (rows.source, rows.destination))
     if not len(rows) or len(np.unique(source)) < 2:
         return []
     leaving: dict[int, list[NDArray[np.intp]]] = {}

@@ -1,0 +1,87 @@
+"""What the doctor says of flights of the public applications, held to what was counted at their bridges."""
+
+from collections import Counter
+
+import pytest
+import truth
+from places import ROOT
+
+from edoras_tools.diagnosis.summary import summarize
+
+FOLDER = ROOT / "tests/captures/flights"
+TOGETHER = "diagnoses"
+UPLINK = ("--port", "ci:5234")
+# Messages lost, and of those by cause.
+FLIGHTS = {
+    "scheduler_stopped": (1, {"limit": 1}),
+    "relay_uplink": (28, {"network": 26, "limit": 2}),
+    "relay_downlink": (124, {"after": 120, "limit": 4}),
+    "sbn_restarted": (309, {"stopped": 99, "limit": 210}),
+    "unsubscribed": (14, {"unsubscribed": 14}),
+    "frames_in_bursts": (0, {}),
+    "ci_woken_often": (206, {"limit": 206}),
+    "nobody_subscribes": (477, {"no_subscriber": 160, "limit": 308, "unknown": 9}),
+    "killed_with_peers": (125, {"down": 81, "disabled": 44}),
+    "stood_still": (49, {"limit": 49}),
+    "killed_with_backlog": (129, {"limit": 39, "down": 67, "unaccounted": 23}),
+    "bursts": (160, {"limit": 151, "unknown": 9}),
+    "slow_downlink": (56, {"after": 56}),
+    "processor_reset": (56, {"down": 56}),
+}
+
+
+def examined(name):
+    return truth.examined(FOLDER / f"{name}.pcap.zst", UPLINK if name == "relay_uplink" else ())
+
+
+def by_cause(found):
+    lost = sum((Counter(row.lost) for row in found.balance), Counter())
+    return lost + Counter(unaccounted=found.unaccounted)
+
+
+def first_screen(found):
+    return " ".join(item.text + " " + item.remedy for item in summarize(found).problems)
+
+
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_the_doctor_says_how_many_were_lost_and_why(name):
+    lost, causes = FLIGHTS[name]
+    found = examined(name)
+    assert by_cause(found) == causes
+    assert found.lost + found.unaccounted == lost
+    assert all(row.adds_up for row in found.balance)
+
+
+def test_what_a_restarted_application_may_have_held_is_a_range():
+    found = examined("application_restarted")
+    proven = found.lost + found.unaccounted
+    assert proven <= 124 <= proven + found.uncertain <= 1.1 * 124
+
+
+def test_frames_that_the_capture_lost_in_bursts_are_no_loss():
+    found = examined("frames_in_bursts")
+    assert found.uncertain > 0
+    assert not found.bad
+
+
+def test_a_queue_on_the_way_is_no_clock_that_was_set():
+    assert not [item for item in examined("slow_downlink").verdicts if item.rule == "clock_jump"]
+
+
+def test_a_rate_that_is_clean_here_beats_the_assumed_one():
+    text = first_screen(examined("ci_woken_often"))
+    assert "14 Hz got through here" in text
+    assert "assumed" not in text
+
+
+def test_bursts_are_told_with_their_size():
+    text = first_screen(examined("bursts"))
+    assert "at most 4 in 500 ms (up to 15 were)" in text
+    assert "to-add 0x0829 --limit 16" in text
+    assert "to-add 0x082d --limit 11" in text
+
+
+def test_a_limit_is_measured_only_where_rounds_are_full():
+    text = first_screen(examined("stood_still"))
+    assert "TO keeps 4 of this MsgId" in text
+    assert "at EDORAS_APP_PIPE" in text
