@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.closed import Unheard, Unreached
     from edoras_tools.diagnosis.accounting.losses import Fate
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.preparation import LostInRelay
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Verdict
 
@@ -482,8 +483,8 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
 
 def _sent(case: Case, fate: Fate) -> LedgerWay:
     """Return the way of what goes into cFS: to CI or SBN, over the software bus, through the application."""
-    stream, losses = fate.stream, case.losses_of(fate.stream)
-    done = case.done_to(stream)
+    stream, losses = fate.stream, list(case.losses_of(fate.stream))
+    done, relayed = case.done_to(stream), case.commands.relayed.get(id(stream))
     # What a proxy did to a MsgId is told once, whoever else gets that MsgId.
     first = next(item for item in case.streams if case.done_to(item) is done)
     dropped, doubled = (done.dropped, min(done.doubled, len(stream))) if first is stream else ([], 0)
@@ -494,15 +495,10 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     if not fate.seen and not case.quality.missing:
         copies += sum(item.not_captured for item in case.ingests if item.endpoint == stream.receiver)
     entered = len(stream) + len(dropped) - doubled
-    losses, relayed = list(losses), case.commands.relayed.get(id(stream))
-    if relayed is not None:
-        entered += len(relayed.lost_ns) - relayed.doubled
+    entered += relayed.more if relayed else 0
     way = LedgerWay(traffic, entered, doubtful=case.perhaps_doubled(stream), copies=copies)
-    if relayed is not None:
-        hop = f"{RELAY} {relayed.relay}"
-        way.hop(hop, {"in": _SEEN, "out": _SEEN}, duplicated=relayed.doubled)
-        way.lose([loss for loss in losses if loss.hop == hop], frozenset({"network"}))
-        losses = [loss for loss in losses if loss.hop != hop]
+    if relayed:
+        losses = _by_relay(way, relayed, losses)
     if dropped or doubled:
         _by_proxy(way, dropped, len(dropped), doubled)
     all_out = {"out": "all of them came out of cFS again"} if fate.seen and fate.arrived.all() else {}
@@ -515,6 +511,20 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     for item, number, among in case.commands.refused_of.get(id(stream), ()):
         _refuse(way, item, number, among)
     way.end("shared", min(fate.ends["shared"], way.left))
+    _behind_bus(case, fate, way)
+    return way
+
+
+def _by_relay(way: LedgerWay, relayed: LostInRelay, losses: Sequence[Loss]) -> list[Loss]:
+    """Go on through a relay with both its sides in the capture; return what else was lost."""
+    hop = f"{RELAY} {relayed.relay}"
+    way.hop(hop, {"in": _SEEN, "out": _SEEN}, duplicated=relayed.doubled)
+    way.lose([loss for loss in losses if loss.hop == hop], frozenset({"network"}))
+    return [loss for loss in losses if loss.hop != hop]
+
+
+def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
+    """Go on to what shows what became of what the software bus did not lose."""
     if not (fate.seen or fate.reached is not None or fate.commanded is not None):
         way.end("uncertain", min(fate.ends["earlier"] + fate.ends["unaccounted"], way.left))
     if fate.commanded is not None and fate.ends["unaccounted"]:
@@ -527,7 +537,6 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
         way.end("waiting", way.left - fate.reached)
     if fate.seen:
         _applied(case, fate, way)
-    return way
 
 
 def _taken_in(

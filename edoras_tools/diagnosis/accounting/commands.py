@@ -138,10 +138,7 @@ class Commands:
             number, among = self.placed.get(id(item), (0, None))
             if among is not None:
                 self.refused_of.setdefault(id(among.stream), []).append((item, number, among))
-        for fate in fates:
-            if fate.unfollowed is not None:
-                open_ = int((fate.open & fate.unfollowed).sum())
-                fate.ends["unaccounted"] = min(open_, self._untold(fate))
+        self._follow_on(fates)
         self._number(fates)
         self._relayed(fates)
         for fate in fates:
@@ -268,6 +265,13 @@ class Commands:
             nth = np.arange(len(behind)) - np.searchsorted(behind, behind)
             fate.passed[open_[nth < room[behind]]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
+
+    def _follow_on(self, fates: Sequence[Fate]) -> None:
+        """Tell unaccounted what was sent after an application stopped, and may not be taken by another."""
+        for fate in fates:
+            if fate.unfollowed is not None:
+                open_ = int((fate.open & fate.unfollowed).sum())
+                fate.ends["unaccounted"] = min(open_, self._untold(fate))
 
     def _untold(self, fate: Fate) -> int:
         """Return of how many messages nothing has told what became of them."""

@@ -97,6 +97,11 @@ class LostInRelay:
     of: int
     doubled: int
 
+    @property
+    def more(self) -> int:
+        """How many more went in than came out."""
+        return len(self.lost_ns) - self.doubled
+
 
 def _lost_in(rows: Rows, item: RelayedWay) -> Iterator[LostInRelay]:
     """Yield what a relay did to each MsgId that has no sequence count to show it."""

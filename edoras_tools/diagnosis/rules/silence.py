@@ -377,30 +377,31 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
     until = f" for {seconds:.1f} s" if first.until_ns else " and did not come back"
     fed = all(item.stream.link.peers and item.stream.is_command for item in members)
     why = "; ".join(causes) or (_PUBLISHER if fed else "the capture cannot show why")
-    counted = all(item.stream.counted for item in members)
-    evidence = [
-        "no sequence count is missing: nothing was published meanwhile, or nobody asked for it"
-        if counted
-        else "no sequence count: nothing shows whether any were sent"
-    ]
-    evidence += [
-        f"{name}: {_hz(item.rate.hz, 3)} from {case.at(item.rate.start_ns)} to {case.at(item.rate.end_ns)}"
-        for name, item in zip(names, members, strict=True)
-        if item.rate
-    ]
     outages = [item for item in case.outages if any(line.startswith(item.app) for line in causes)]
-    evidence += [item.witness for item in outages]
-    evidence += _sent_before(case, first.start_ns)
     return verdict(
         Severity.NOTE if fed or all(item.rate is None for item in members) else Severity.WARNING,
         f"{who} stopped at {case.at(first.start_ns)}{until}{before}: {why}",
-        *evidence,
+        *_evidence(case, members),
+        *(item.witness for item in outages),
+        *_sent_before(case, first.start_ns),
         msg_id=first.stream.msg_id if len(members) == 1 else None,
         place=(first.stream.link.label, "source"),
         span=(first.start_ns, max(item.end_ns for item in members)),
         remedy=_LOOK_AT_NODE if fed and not outages else _remedy(case, outages, first),
         confidence="medium" if causes else "low",
     )
+
+
+def _evidence(case: Case, members: Sequence[Silence]) -> Iterator[str]:
+    """Yield whether counts are missing, and how often each came before."""
+    if all(item.stream.counted for item in members):
+        yield "no sequence count is missing: nothing was published meanwhile, or nobody asked for it"
+    else:
+        yield "no sequence count: nothing shows whether any were sent"
+    for item in members:
+        if item.rate:
+            times = f"from {case.at(item.rate.start_ns)} to {case.at(item.rate.end_ns)}"
+            yield f"{case.name(item.stream.msg_id)}: {_hz(item.rate.hz, 3)} {times}"
 
 
 def _remedy(case: Case, outages: Sequence[Outage], silence: Silence) -> str:
