@@ -26,7 +26,7 @@ FLIGHTS = {
     "killed_with_backlog": (129, {"limit": 39, "down": 67, "unaccounted": 23}),
     "bursts": (160, {"limit": 151, "unknown": 9}),
     "slow_downlink": (56, {"after": 56}),
-    "processor_reset": (56, {"down": 56}),
+    "processor_restarted": (56, {"down": 56}),
 }
 
 
