@@ -38,7 +38,7 @@ print(json.dumps([os.waitstatus_to_exitcode(status), spent, used.ru_maxrss / 102
 """
 """Runs a command from a small process: what a process used of memory counts that of its parent."""
 COMMANDS = {
-    many.pairs: ["info", "info --json", "sniff", "doctor", "mission draft", "check --init"],
+    many.pairs: ["info", "info --json", "sniff", "doctor", "check --init"],
     many.msg_ids: ["sniff --json", "record -o OUT.mcap"],
     many.telemetry_pairs: [
         "info",

@@ -542,7 +542,7 @@ class _Assembly:
         self._begin()
         record, length = piece.record, piece.end - piece.start
         if record is not None:
-            part.names.append(record.name)
+            part.names[record.name] += 1
         if isinstance(record, Metadata):
             self._metadata[record.name] = record.metadata
         if self._out is None:

@@ -304,19 +304,21 @@ class _Mcap(TopicFile):
             key=lambda item: (item.message_start_time, item.chunk_start_offset),
         )
         parts: list[SelectedMessages] = []
+        size = 0
         failure: CaptureError | None = None
         with readable(self._file.path), self._file.path.open("rb") as file:
             for place, index in enumerate(indexes, 1):
                 try:
                     parts.append(chunk_content(file, self._file.name, index, selection))
+                    size += len(parts[-1].data)
                 except CaptureError as error:
                     failure = failure or error
                 self.position += index.chunk_length
-                size = sum(len(part.data) for part in parts)
                 if size < _BATCH_BYTES and place < len(indexes):
                     continue
                 until = indexes[place].message_start_time if place < len(indexes) else None
                 ready, parts = _released(parts, None if size > _MOST_HELD else until)
+                size = sum(len(part.data) for part in parts)
                 if ready is not None:
                     yield ready
         if failure is not None:

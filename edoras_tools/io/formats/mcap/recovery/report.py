@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TYPE_CHECKING
@@ -44,7 +45,7 @@ class FilePart:
     ended: bool = False
     checked: bool = False
     gap_bytes: int = 0
-    names: list[str] = field(default_factory=list)
+    names: Counter[str] = field(default_factory=Counter)
     loose: int = 0
     last_ns: int | None = None
 
@@ -69,11 +70,8 @@ class FilePart:
     @property
     def missing_records(self) -> list[str]:
         """Names of attachments and metadata that are not kept; a later record repeats the opening one."""
-        names = [*self.section.names] if self.section else []
-        for name in self.names:
-            if name in names:
-                names.remove(name)
-        return [name for name in names if name != OPENING_METADATA_NAME or METADATA_NAME in names]
+        names = self.section.names - self.names if self.section else Counter[str]()
+        return [name for name in names.elements() if name != OPENING_METADATA_NAME or METADATA_NAME in names]
 
     def absorb(self, start: FilePart) -> None:
         """Add what was read before it was known to belong to this file."""

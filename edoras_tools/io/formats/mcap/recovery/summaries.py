@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -61,7 +62,7 @@ class FoundSummary:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     statistics: Statistics | None = None
-    names: list[str] = field(default_factory=list)
+    names: Counter[str] = field(default_factory=Counter)
     chunks: dict[ChunkKey, list[ChunkIndex]] = field(default_factory=dict)
 
     def owns(self, place: int) -> bool:
@@ -71,11 +72,9 @@ class FoundSummary:
     def may_hold(self, name: str) -> bool:
         """Return whether an attachment or metadata record of this name may belong to this file."""
         statistics = self.statistics
-        every = (
-            statistics is not None
-            and len(self.names) == statistics.attachment_count + statistics.metadata_count
-        )
-        return not every or name in self.names
+        if name in self.names or statistics is None:
+            return True
+        return self.names.total() != statistics.attachment_count + statistics.metadata_count
 
     def listed(self, walked: Walked, head: tuple[int, int] | None, packed: int) -> list[ChunkIndex]:
         """Return the index of a chunk, if it belongs to this file; several if chunks cannot be distinguished.
@@ -145,7 +144,7 @@ def _read(data: bytes) -> FoundSummary | None:
         elif isinstance(record, Statistics):
             section.statistics = record
         elif isinstance(record, AttachmentIndex | MetadataIndex):
-            section.names.append(record.name)
+            section.names[record.name] += 1
         elif isinstance(record, ChunkIndex):
             times = record.message_start_time, record.message_end_time
             sizes = record.compressed_size, record.uncompressed_size
