@@ -100,7 +100,9 @@ def test_the_cfs_side_gets_every_message_to_it_and_a_clean_end(recording, call, 
         place = f"{HOST}:{free.getsockname()[1]}"
     with ThreadPoolExecutor(1) as pool:
         heard = pool.submit(cfs_side, f"ws://{place}/", {"subprotocols": subprotocols})
-        done = call("replay", recording, "--to", "racs2:up", "--target", place, "--max", "--json")
+        done = call(
+            "replay", recording, "--to", "racs2:up", "--target", place, "--linger", "300ms", "--max", "--json"
+        )
     assert done.code == 0, done.err
     assert heard.result() == ([to_cfs(0x1894, b"up")] * 4, 1000)
     assert done.json()["notes"][0] == "40 of them go to ROS: --to racs2 sends those"

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from functools import cache
 
 import pytest
 from places import ROOT
@@ -37,6 +38,7 @@ def luminance(colour):
     return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
 
 
+@cache
 def shades(term):
     """Return what stands for names of colours in a terminal, and how one of them is written."""
     code = "from edoras_tools.render.terminal import palette as p; print(p.SHADES, p.escapes('bold yellow'))"
