@@ -202,6 +202,7 @@ ADDONS: Final = (
             "rules": _rules("dds_no_samples", "dds_lost", "dds_not_captured", "dds_resent"),
         },
     ),
+    Addon("snapshot", adds={"parts": {"snapshots": "cli"}}),
     Addon(
         "trace",
         commands={

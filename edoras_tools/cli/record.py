@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import shlex
 import sys
-from contextlib import ExitStack
 from pathlib import Path
 from time import strftime
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import BadParameter, Option, echo
 
+from edoras_tools import doors
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import finish, tell
@@ -20,18 +20,12 @@ from edoras_tools.cli.output import print_json
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES, WRITTEN, Format, written_as
 from edoras_tools.io.outputs import STDOUT
-from edoras_tools.words import listed, plural
+from edoras_tools.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.record import Target
-    from edoras_tools.pipelines.capture.snapshot import SnapshotPlan
-    from edoras_tools.pipelines.capture.triggers import Triggers
-    from edoras_tools.pipelines.reading import Limits
-    from edoras_tools.pipelines.selection import Selection
-    from edoras_tools.pipelines.workbench import Workbench
 
 
 _KINDS = ("finding", "rule", "where")
@@ -102,44 +96,6 @@ class SnapshotOptions(NamedTuple):
             raise ConfigError("--snapshot writes a file for each trigger: leave the --split options out")
         if (self.before_size or dict(self.before or ()).get("size", _LEAST_BYTES)) < _LEAST_BYTES:
             raise ConfigError("--before is less than 1M: a batch of datagrams would not fit")
-
-    def plan(self) -> SnapshotPlan | None:
-        """Return these options in the form that pipelines take; None without --snapshot."""
-        if not self.snapshot:
-            return None
-        from edoras_tools.model import Finding
-        from edoras_tools.pipelines.capture.snapshot import SnapshotPlan
-        from edoras_tools.render.severity import NOTABLE
-
-        given, before = self.trigger or [], dict(self.before or ())
-        labels = {item.label: int(item) for item in Finding}
-        usual = SnapshotPlan()
-        findings = 0
-        for kind, rest in given:
-            if kind == "finding":
-                findings |= labels[rest] if rest else int(NOTABLE)
-        return SnapshotPlan(
-            before.get("time", usual.before_ns),
-            usual.after_ns if self.after is None else self.after,
-            self.before_size or before.get("size", usual.before_bytes),
-            findings,
-            tuple(rest for kind, rest in given if kind == "where"),
-            frozenset(rest for kind, rest in given if kind == "rule" and rest),
-            ("rule", "") in given,
-        )
-
-    def triggers(self, stack: ExitStack) -> Triggers:
-        """Open the triggers of this machine; a stack closes them.
-
-        Raises:
-            CaptureError: the socket cannot be made.
-        """
-        from edoras_tools.pipelines.capture.triggers import listening
-        from edoras_tools.pipelines.interrupt import Keys
-
-        is_terminal = sys.stdin is not None and sys.stdin.isatty()
-        keys = stack.enter_context(Keys()) if is_terminal else None
-        return stack.enter_context(listening(keys, self.socket))
 
 
 _FORMATS = ", ".join(suffix[1:] for suffix in FILE_SUFFIXES)
@@ -222,7 +178,7 @@ def record(
     Several inputs become one recording in time order. It can be converted back: record -r a.mcap -o b.pcap.
     """
     if snapshots.fire:
-        _fire(snapshots.fire)
+        echo(doors.part("snapshots").fire(snapshots.fire))
         return
     from edoras_tools.pipelines.capture.record import check_output
     from edoras_tools.pipelines.capture.record import record as run
@@ -233,23 +189,23 @@ def record(
         raise ConfigError("--all chooses what -i IFACE captures; files and --listen are recorded whole")
     files = files.merged()
     snapshots.check(splits=bool(files.split_size or files.split_time or files.split_count))
-    plan = snapshots.plan()
-    target = _target(files, printing, "snapshot" if plan else strftime("edoras_%Y%m%d_%H%M%S"))
-    if plan and files.rosbag2:
+    around = doors.part("snapshots") if snapshots.snapshot else None
+    target = _target(files, printing, "snapshot" if around else strftime("edoras_%Y%m%d_%H%M%S"))
+    if around and files.rosbag2:
         raise ConfigError("--snapshot writes files, and --rosbag2 a directory: leave one of them out")
     if files.tf and target.format is not None and not target.format.messages:
         raise ConfigError(f"{target.path}: --tf writes a topic, and {target.format.name} has none: use .mcap")
     _check_named_last(given.paths, files.output)
-    check_output(target, given.paths, snapshots=plan is not None)
+    check_output(target, given.paths, snapshots=snapshots.snapshot)
     written = None if target.stream else target.path
     source, bench = open_input(given, decoding.settings(), every_port=every, messages=True, output=written)
-    if plan and bench.mission.recorded:
+    if around and bench.mission.recorded:
         source.close()
         raise ConfigError(
             f"{source.info.name}: has messages and no datagrams, and a snapshot is of datagrams"
         )
-    if plan:
-        _record_snapshots(source, bench, target, plan, snapshots, chosen.selection(), limits, printing)
+    if around:
+        around.record(source, bench, target, snapshots, chosen.selection(), limits, printing)
         return
     with watcher(source, written, quiet=printing.quiet or printing.json, live=live) as watch:
         report = run(
@@ -314,57 +270,6 @@ def _stream(files: TargetOptions, printing: options.PrintOptions) -> Format | No
     if sys.stdout.isatty():
         raise ConfigError("-o - writes the recording to a pipe or a file, and this is a terminal")
     return written_as(Path(f"x.{files.stream or 'mcap'}"))
-
-
-def _fire(path: Path) -> None:
-    from edoras_tools.pipelines.capture.triggers import ask
-
-    echo(ask(path))
-
-
-def _record_snapshots(
-    source: Source,
-    bench: Workbench,
-    target: Target,
-    plan: SnapshotPlan,
-    asked: SnapshotOptions,
-    selection: Selection,
-    limits: Limits,
-    printing: options.PrintOptions,
-) -> None:
-    from edoras_tools.pipelines.capture.snapshot import record_snapshots
-    from edoras_tools.render.capture.watch import watcher
-
-    with ExitStack() as stack:
-        stack.callback(source.close)
-        triggers = asked.triggers(stack)
-        watch = stack.enter_context(
-            watcher(source, None, quiet=printing.quiet or printing.json, live=source.live)
-        )
-        report, sink = record_snapshots(
-            source,
-            bench,
-            target,
-            plan,
-            selection=selection,
-            limits=limits,
-            watcher=watch,
-            triggers=triggers,
-        )
-    if printing.json:
-        print_json(
-            {
-                **report.summary(),
-                "outputs": [str(item) for item in report.outputs],
-                "snapshots": [item.as_json() for item in sink.snapshots],
-                "dropped": sink.dropped,
-                "deleted": {"files": report.keep.deleted, "datagrams": report.keep.datagrams},
-            }
-        )
-    elif not printing.quiet:
-        files = plural(len(sink.snapshots), "snapshot") if sink.snapshots else "no trigger fired, no file"
-        sys.stderr.write(f"{files}; {report.ledger.datagrams:,} datagrams were seen\n")
-    finish(report, live=source.live)
 
 
 def _target(files: TargetOptions, printing: options.PrintOptions, usual: str) -> Target:

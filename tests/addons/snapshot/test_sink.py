@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import ROOT
 
+from edoras_tools.addons.snapshot.sink import SnapshotPlan, SnapshotSink, record_snapshots
+from edoras_tools.addons.snapshot.triggers import Triggers
 from edoras_tools.errors import ConfigError
 from edoras_tools.io import Sink
 from edoras_tools.io.formats.watched import Keep
 from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.record import Target, check_output
-from edoras_tools.pipelines.capture.snapshot import SnapshotPlan, SnapshotSink, record_snapshots
-from edoras_tools.pipelines.capture.triggers import Triggers
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.recorder import PushedSource
 from edoras_tools.pipelines.workbench import Settings, open_files
@@ -184,7 +184,7 @@ def test_a_quiet_link_ends_a_snapshot(tmp_path, monkeypatch):
     recorder = Recorder(tmp_path, live=True)
     now = [0]
     recorder.sink._clock = lambda: now[0]
-    monkeypatch.setattr("edoras_tools.pipelines.capture.snapshot.time.time_ns", lambda: ZERO_NS + now[0])
+    monkeypatch.setattr("edoras_tools.addons.snapshot.sink.time.time_ns", lambda: ZERO_NS + now[0])
     recorder.sink.write(*made([0]))
     recorder.sink.fire(ZERO_NS, "now")
     now[0] = 9 * SECOND

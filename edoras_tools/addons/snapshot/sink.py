@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.addons.snapshot.triggers import RuleTrigger, Triggers
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.errors import os_errors
 from edoras_tools.io import Sink
@@ -29,7 +30,6 @@ from edoras_tools.io.outputs import path_beside
 from edoras_tools.model import Columns, Finding, PacketBatch, SourceStatistics
 from edoras_tools.pipelines.capture.flushing import ROW_BYTES, compact
 from edoras_tools.pipelines.capture.record import CaptureReport, Target, open_sink, pour
-from edoras_tools.pipelines.capture.triggers import RuleTrigger, Triggers
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.words import plural

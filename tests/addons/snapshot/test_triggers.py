@@ -9,8 +9,8 @@ import threading
 import pytest
 from waiting import until
 
+from edoras_tools.addons.snapshot.triggers import Triggers, ask, listening
 from edoras_tools.errors import CaptureError
-from edoras_tools.pipelines.capture.triggers import Triggers, ask, listening
 
 
 class Keys:

@@ -1,0 +1,1 @@
+"""``edoras record --snapshot``: only what is around a trigger is written, each to a file of its own."""

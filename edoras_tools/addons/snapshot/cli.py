@@ -1,0 +1,111 @@
+"""What ``edoras record`` calls for its options on snapshots."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from edoras_tools.addons.snapshot.sink import SnapshotPlan, record_snapshots
+from edoras_tools.addons.snapshot.triggers import Triggers, ask, listening
+from edoras_tools.cli.endings import finish
+from edoras_tools.cli.output import print_json
+from edoras_tools.model import Finding
+from edoras_tools.pipelines.interrupt import Keys
+from edoras_tools.render.capture.watch import watcher
+from edoras_tools.render.severity import NOTABLE
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from edoras_tools.cli.options import PrintOptions
+    from edoras_tools.cli.record import SnapshotOptions
+    from edoras_tools.io import Source
+    from edoras_tools.pipelines.capture.record import Target
+    from edoras_tools.pipelines.reading import Limits
+    from edoras_tools.pipelines.selection import Selection
+    from edoras_tools.pipelines.workbench import Workbench
+
+
+def fire(path: Path) -> str:
+    """Ask the recorder at a socket for a snapshot; return its answer."""
+    return ask(path)
+
+
+def plan(asked: SnapshotOptions) -> SnapshotPlan:
+    """Return the options in the form that the sink takes."""
+    given, before = asked.trigger or [], dict(asked.before or ())
+    labels = {item.label: int(item) for item in Finding}
+    usual = SnapshotPlan()
+    findings = 0
+    for kind, rest in given:
+        if kind == "finding":
+            findings |= labels[rest] if rest else int(NOTABLE)
+    return SnapshotPlan(
+        before.get("time", usual.before_ns),
+        usual.after_ns if asked.after is None else asked.after,
+        asked.before_size or before.get("size", usual.before_bytes),
+        findings,
+        tuple(rest for kind, rest in given if kind == "where"),
+        frozenset(rest for kind, rest in given if kind == "rule" and rest),
+        ("rule", "") in given,
+    )
+
+
+def _triggers(asked: SnapshotOptions, stack: ExitStack) -> Triggers:
+    """Open the triggers of this machine; a stack closes them.
+
+    Raises:
+        CaptureError: the socket cannot be made.
+    """
+    is_terminal = sys.stdin is not None and sys.stdin.isatty()
+    keys = stack.enter_context(Keys()) if is_terminal else None
+    return stack.enter_context(listening(keys, asked.socket))
+
+
+def record(
+    source: Source,
+    bench: Workbench,
+    target: Target,
+    asked: SnapshotOptions,
+    selection: Selection,
+    limits: Limits,
+    printing: PrintOptions,
+) -> None:
+    """Record snapshots, and print what was recorded.
+
+    Raises:
+        EdorasError: the source ended early, or a file cannot be written.
+        typer.Exit: with code 3, if packets were lost.
+    """
+    with ExitStack() as stack:
+        stack.callback(source.close)
+        triggers = _triggers(asked, stack)
+        watch = stack.enter_context(
+            watcher(source, None, quiet=printing.quiet or printing.json, live=source.live)
+        )
+        report, sink = record_snapshots(
+            source,
+            bench,
+            target,
+            plan(asked),
+            selection=selection,
+            limits=limits,
+            watcher=watch,
+            triggers=triggers,
+        )
+    if printing.json:
+        print_json(
+            {
+                **report.summary(),
+                "outputs": [str(item) for item in report.outputs],
+                "snapshots": [item.as_json() for item in sink.snapshots],
+                "dropped": sink.dropped,
+                "deleted": {"files": report.keep.deleted, "datagrams": report.keep.datagrams},
+            }
+        )
+    elif not printing.quiet:
+        files = plural(len(sink.snapshots), "snapshot") if sink.snapshots else "no trigger fired, no file"
+        sys.stderr.write(f"{files}; {report.ledger.datagrams:,} datagrams were seen\n")
+    finish(report, live=source.live)
