@@ -74,6 +74,7 @@ class Flow:
         last_ns: capture time of the last.
         begins: how many begin as the link's datagrams do.
         sound: how many are sound.
+        always_sound: whether it looked like its link's traffic after each datagram.
         commands: of no link, that are commands by their lengths.
         telemetry: of no link, that are telemetry by their lengths.
         network: of no link, that are SBN messages by their sizes.
@@ -88,6 +89,7 @@ class Flow:
     last_ns: int = 0
     begins: int = 0
     sound: int = 0
+    always_sound: bool = True
     commands: int = 0
     telemetry: int = 0
     network: int = 0
@@ -141,6 +143,7 @@ class Conversations:
         first, which = numbered(key)
         size = len(first)
         total = np.bincount(which, minlength=size)
+        sound = marks["sound"]
         sums = {name: _count(which, marks[name], total) for name in _SUMS}
         sums["datagrams"] = total
         first_ns, last_ns = _spans(batch.time_ns[rows], first, which)
@@ -149,13 +152,21 @@ class Conversations:
         alike |= sums["commands"] + sums["telemetry"] + sums["network"] > 0
         flows: list[Flow | None] = []
         at = rows[first]
-        each = (at, link[at], alike, first_ns, last_ns, *sums.values())
-        for row, label, make, begin, end, *counts in zip(*(item.tolist() for item in each), strict=True):
+        each = (
+            *(at, link[at], alike, first_ns, last_ns),
+            *(sound[first].astype(np.intp), total - sums["sound"], *sums.values()),
+        )
+        for row, label, make, begin, end, sound_first, odd, *counts in zip(
+            *(item.tolist() for item in each), strict=True
+        ):
             flow = self._flow(batch, row, table.link(label), make=make)
             flows.append(flow)
             if flow is not None:
                 flow.first_ns = min(flow.first_ns or begin, begin)
                 flow.last_ns = max(flow.last_ns, end)
+                # Those that are not may come before all others of the batch.
+                unsound = flow.datagrams - flow.sound + odd
+                flow.always_sound &= (flow.sound + sound_first) * (_SHARE - 1) >= unsound
                 for name, count in zip(sums, counts, strict=True):
                     setattr(flow, name, getattr(flow, name) + count)
         self._last = rows, which, flows
@@ -213,10 +224,12 @@ class Conversations:
         return self.flows.get(key)
 
 
-def all_sound(batch: PacketBatch, columns: Columns, context: Context) -> bool:
-    """Tell whether all datagrams of a batch that links with packets have are sound: none can be left out."""
-    rows = np.flatnonzero((batch.length > 0) & table.among(columns.link, lambda link: link.packets))
-    return bool(_marks(batch, columns, rows, context.known)["sound"].all())
+def links_in_doubt(batch: PacketBatch, columns: Columns, context: Context) -> NDArray[np.bool_]:
+    """Return which links with packets have a datagram in a batch that is not sound, bool (256,), by code."""
+    _, sound = _soundness(columns, slice(None), context.known)
+    doubt = np.zeros(1 << 8, np.bool_)
+    doubt[columns.link[~sound & (batch.length > 0)]] = True
+    return doubt & table.accepted(lambda link: link.packets)
 
 
 def foreign(flows: Iterable[Flow]) -> list[str]:
@@ -292,6 +305,19 @@ def _marks(
     batch: PacketBatch, columns: Columns, rows: NDArray[np.intp], described: NDArray[np.bool_]
 ) -> dict[str, NDArray[np.bool_]]:
     """Return what each of some datagrams looks like, by the names of ``Flow``."""
+    begins, sound = _soundness(columns, rows, described)
+    marks = {"begins": begins, "sound": sound}
+    other = np.flatnonzero(columns.link[rows] == OTHER)
+    for name, mark in _alike(batch, rows[other]).items():
+        marks[name] = np.zeros(len(rows), bool)
+        marks[name][other] = mark
+    return marks
+
+
+def _soundness(
+    columns: Columns, rows: NDArray[np.intp] | slice, described: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which of some datagrams begin as their link's do, and which are sound."""
     msg_id, findings = columns.msg_id[rows], columns.findings[rows]
     first = cfe.known_ids(msg_id, columns.headers[rows])
     begins = (msg_id >= 0) & ((first & _BEGINNING[0]) == _BEGINNING[1])
@@ -300,12 +326,7 @@ def _marks(
     peer = columns.sbn_msg_type[rows] >= 0
     begins |= peer & ((findings & np.uint32(Finding.SBN_UNKNOWN_TYPE)) == 0)
     sound |= peer & ((findings & np.uint32(_NO_MESSAGE)) == 0)
-    marks = {"begins": begins, "sound": sound}
-    other = np.flatnonzero(columns.link[rows] == OTHER)
-    for name, mark in _alike(batch, rows[other]).items():
-        marks[name] = np.zeros(len(rows), bool)
-        marks[name][other] = mark
-    return marks
+    return begins, sound
 
 
 def _alike(batch: PacketBatch, rows: NDArray[np.intp]) -> dict[str, NDArray[np.bool_]]:

@@ -109,6 +109,10 @@ class SourceDefaults(Protocol):
         """Return the columns of the batch that was yielded last, by ``decode`` if they are not there yet."""
         return decode(batch)
 
+    def counted(self) -> str:
+        """Return what its recorder counted, as JSON, of a recording that is just as it was completed."""
+        return ""
+
     def faults(self) -> list[Fault]:
         """Return the faults that a proxy or a replay injected, of a recording that has them."""
         return []

@@ -11,13 +11,14 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from time import monotonic_ns
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from edoras_tools import __version__
-from edoras_tools.decode.conversations import LEFT_OUT, Conversations, all_sound
+from edoras_tools.decode.conversations import LEFT_OUT, Conversations, links_in_doubt
 from edoras_tools.decode.filters.rows import ColumnRows
+from edoras_tools.diagnosis.evidence.copies import Apart
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.table import LinkStates
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.links.doors import OwnRows
     from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.sessions.sequence import SequenceCounts
 
 
 _ENDING_NS: Final = SECOND // 4
@@ -304,19 +306,34 @@ def reads_by_heads(source: Source, bench: Workbench) -> bool:
 
 
 class Independence:
-    """Finds out of what is recorded whether datagrams can be read without the others."""
+    """Finds out of what is recorded whether datagrams can be read without the others.
 
-    def __init__(self, context: Context) -> None:
+    Args:
+        context: of the decoder.
+        sequences: of all that is recorded; None: nobody counts it.
+
+    Attributes:
+        counts: what ``info`` is to answer of the recording, once all of it is counted; None before.
+    """
+
+    def __init__(self, context: Context, sequences: SequenceCounts | None = None) -> None:
         self._context, self._usual = context, context.detected
         self._suspects = Conversations(context)
         self._apart = True
+        self._sequences, self._once = sequences, Apart()
+        self.counts: dict[str, Any] | None = None
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch; they come in order."""
         fragments = (columns.findings & np.uint32(Finding.FRAGMENT)).any()
         self._apart = self._apart and batch.streams is None and not fragments
-        if self._apart and not all_sound(batch, columns, self._context):
-            self._suspects.add(batch, columns, columns.link != OTHER)
+        if self._apart and (doubt := links_in_doubt(batch, columns, self._context)).any():
+            self._suspects.add(batch, columns, doubt[columns.link])
+        if self._apart and self._once.sure and self._sequences is not None:
+            # What was captured twice in a stream that only goes on would have come twice in it.
+            streams = self._sequences.follow(batch, columns).stream
+            goes_on = np.array([*(item.goes_on for item in self._sequences.streams), False])
+            self._once.add(batch, np.flatnonzero(~goes_on[streams] & (columns.link != OTHER)))
 
     def metadata(self) -> dict[str, str]:
         """Return what a recording says: nothing where something came in pieces, or was not the usual.
@@ -328,6 +345,12 @@ class Independence:
         # Where all were sound, more would only make a conversation sounder.
         left_out = any(flow.kind in LEFT_OUT for flow in self._suspects.judge())
         return {"apart": __version__, "sound": json.dumps(not left_out)}
+
+    def answers(self) -> str:
+        """Return ``counts`` as JSON; empty where reading the recording may count otherwise."""
+        always = all(flow.always_sound for flow in self._suspects.flows.values() if flow.link.packets)
+        sure = self._once.sure and always and self.metadata().get("sound") == "true"
+        return json.dumps(self.counts) if sure and self.counts is not None else ""
 
 
 def _span(period: Period, begin_ns: int) -> tuple[int, int]:

@@ -252,6 +252,11 @@ class SequenceStream:
         return self.moved and self.leaps * 4 <= self.packets + 4
 
     @property
+    def goes_on(self) -> bool:
+        """Whether it moved, and each packet so far was the next, or ahead of it."""
+        return self.moved and len(self._strands) == 1 and not (self.repeated or self.late or self.leaps)
+
+    @property
     def gaps(self) -> int:
         """Counts that never came; 0 where the sender does not count, as for the two below."""
         return self.missing if self.has_count else 0

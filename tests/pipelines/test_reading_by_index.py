@@ -96,3 +96,37 @@ def test_what_needs_the_beginning_is_read_whole(name, recordings, monkeypatch):
         monkeypatch.setattr(reader, "_labels", lambda _: None)
     path = recordings.get(name, recordings["rover"])
     assert shown(path, Period(2 * SECOND, 3 * SECOND))[1].passed_over == 0
+
+
+def read(path):
+    """Read a time of a recording; return the counts, and its failure."""
+    source = open_files([path])
+    with reading(
+        source, SETTINGS.workbench(), limits=Limits(period=Period(6 * SECOND, 9 * SECOND)), keeps_failure=True
+    ) as loop:
+        assert sum(map(len, loop)) > 50
+    return source.statistics, loop.failure
+
+
+def test_damage_where_nothing_was_asked_for_is_told(recordings, tmp_path):
+    octets = bytearray(recordings["rover"].read_bytes())
+    octets[len(octets) * 7 // 10] ^= 4
+    path = tmp_path / "a.mcap"
+    path.write_bytes(octets)
+    counts, failure = read(path)
+    assert counts.passed_over
+    assert failure is None
+    (line,) = counts.warnings
+    assert line.startswith(f"{path}: is damaged, perhaps only where nothing was asked for")
+    assert not read(recordings["rover"])[0].warnings
+
+
+def test_a_damaged_summary_is_not_relied_on(recordings, tmp_path):
+    octets = bytearray(recordings["rover"].read_bytes())
+    index = octets.rindex(b"/edoras/datagrams")
+    for place in range(index, len(octets) - 600, 50):  # times and places of chunks among them
+        octets[place] ^= 0x80
+    path = tmp_path / "a.mcap"
+    path.write_bytes(octets)
+    counts, _ = read(path)
+    assert (counts.frames, counts.passed_over) == (1827, 0)

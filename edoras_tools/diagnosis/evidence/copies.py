@@ -154,10 +154,8 @@ class Once:
         if len(rows) < len(batch):
             batch = batch.take(rows)
         network, identification, life = network_headers(batch)
-        ends = batch.source_address.astype(np.uint64) << np.uint64(32) | batch.destination_address
-        ports = batch.source_port.astype(np.uint64) << np.uint64(16) | batch.destination_port
-        conversation = ((ends * MIX ^ ports) >> np.uint64(1)).astype(np.int64)
-        short = _glance(batch) ^ conversation.astype(np.uint64) * MIX ^ identification
+        conversation = _conversation(batch)
+        short = _glance(batch, conversation, identification)
         told: tuple[NDArray[Any], ...] = batch.time_ns, identification, conversation
 
         def whole(chosen: NDArray[np.intp] | slice) -> tuple[NDArray[Any], ...]:
@@ -182,15 +180,51 @@ class Once:
         return [f"{self.copies:,} datagrams were captured twice, and are counted once"] * bool(self.copies)
 
 
-def _glance(batch: PacketBatch) -> NDArray[np.uint64]:
-    """Return a number for each datagram by its length and 16 of its bytes: equal ones have the same."""
-    long = batch.length >= _LEAST_BYTES
-    offset = np.where(long, batch.offset, 0)
-    early = gather(batch.data, offset + long * 8, 8).view(np.uint64)[:, 0]
-    late = gather(batch.data, offset + long * (batch.length - 8), 8).view(np.uint64)[:, 0]
+class Apart:
+    """Takes batch after batch, and tells whether two that are near each other may be equal.
+
+    Attributes:
+        sure: no two are, so far.
+    """
+
+    def __init__(self) -> None:
+        self.sure = True
+        self._last = np.zeros(0, np.uint64), np.zeros(0, np.int64)
+
+    def add(self, batch: PacketBatch, some: NDArray[np.intp]) -> None:
+        """Take those of a batch that may be equal to another one, also of the batch before."""
+        late = np.flatnonzero(batch.time_ns > batch.time_ns.max(initial=0) - _WITHIN_NS)
+        own, newest = ((rows, _alone(rows)) for rows in (batch.take(some), batch.take(late)))
+        glances = np.append(self._last[0], own[1])
+        self.sure = self.sure and not _perhaps_again(glances, np.append(self._last[1], own[0].time_ns))
+        self._last = newest[1], newest[0].time_ns
+
+
+def _alone(batch: PacketBatch) -> NDArray[np.uint64]:
+    return _glance(batch, _conversation(batch), network_headers(batch)[1])
+
+
+def _conversation(batch: PacketBatch) -> NDArray[np.int64]:
+    """Return a number for each datagram by its endpoints."""
+    ends = batch.source_address.astype(np.uint64) << np.uint64(32) | batch.destination_address
+    ports = batch.source_port.astype(np.uint64) << np.uint64(16) | batch.destination_port
+    return ((ends * MIX ^ ports) >> np.uint64(1)).astype(np.int64)
+
+
+def _glance(
+    batch: PacketBatch, conversation: NDArray[np.int64], identification: NDArray[np.uint16]
+) -> NDArray[np.uint64]:
+    """Return a number for each datagram that equal ones share: by its headers; without a number by bytes."""
+    number = batch.length.astype(np.uint64) << np.uint64(16) | identification
+    number ^= conversation.astype(np.uint64) * MIX
+    rows = np.flatnonzero((identification == 0) & (batch.length >= _LEAST_BYTES))
+    offset, length = batch.offset[rows], batch.length[rows]
+    early, late = (
+        gather(batch.data, at, 8).view(np.uint64)[:, 0] for at in (offset + 8, offset + length - 8)
+    )
     total = early * MIX ^ late
-    stirred = np.where(long, (total ^ total >> np.uint64(29)) * MIX, np.uint64(0))
-    return np.asarray(stirred ^ batch.length.astype(np.uint64), np.uint64)
+    number[rows] ^= (total ^ total >> np.uint64(29)) * MIX
+    return number
 
 
 def _perhaps_again(number: NDArray[np.uint64], time_ns: NDArray[np.int64]) -> bool:

@@ -113,7 +113,8 @@ def network_headers(batch: PacketBatch) -> tuple[NDArray[np.int64], NDArray[np.u
         size = _PROTOCOL_FIELD[kind][0]
         ahead = size + _MADE_BYTES
         # No payload begins sooner: so there are no tags. One that begins where its frame was cut may.
-        if (batch.offset - batch.frame_offset == ahead).all() and (batch.frame_length > ahead).all():
+        whole = (batch.frame_length > ahead) | (batch.frame_length == batch.original_length)
+        if (batch.offset - batch.frame_offset == ahead).all() and whole.all():
             place = batch.frame_offset + size
             late = read_at(batch.data, place + _IDENTIFICATION, _LATE_IPV4)
             return place, late["identification"].astype(np.uint16), late["time_to_live"].copy()

@@ -22,6 +22,8 @@ RECORD_PREFIX_BYTES: Final = 9
 DATAGRAMS_TOPIC: Final = "/edoras/datagrams"
 OUTAGE_METADATA_NAME: Final = "edoras_outage"
 """A metadata record when an interface went away, and another when it returned."""
+COUNTS_METADATA_NAME: Final = "edoras_counts"
+"""What ``info`` counts in a recording; with the version, and length and CRC-32 of the bytes that it is of."""
 APART: Final = "/dds"
 """Put before a topic of DDS that the mission has too, or that two types have: its messages are not mixed."""
 

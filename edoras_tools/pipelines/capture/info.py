@@ -11,7 +11,7 @@ from edoras_tools.pipelines.ahead import read_ahead
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import CaptureReport
 from edoras_tools.pipelines.names import fits_topic
-from edoras_tools.pipelines.reading import Limits, ReadLoop, reading
+from edoras_tools.pipelines.reading import Limits, ReadLoop, reading, reads_by_heads
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.wire.arrays.order import by_value
 
@@ -60,6 +60,19 @@ class Counting:
         return self.report
 
 
+def _recorded_counts(source: Source, bench: Workbench) -> CaptureReport | None:
+    """Return what the recorder counted and ``Counting`` would count again; None where that is not known."""
+    context = bench.columns.context
+    if context.structs.dictionary is not None or not (reads_by_heads(source, bench) and source.info.sound):
+        return None
+    report = CaptureReport(Ledger(bench.mission, context), source, notes=context.notes)
+    if not report.ledger.adopt(source.counted()):
+        return None
+    source.statistics.datagrams = report.ledger.datagrams
+    source.close()
+    return report
+
+
 def inspect(
     source: Source,
     bench: Workbench,
@@ -81,6 +94,8 @@ def inspect(
         RouteError: the selection names a topic that is not configured.
         ConfigError: its filter has an error.
     """
+    if not selection and limits == Limits() and (report := _recorded_counts(source, bench)) is not None:
+        return report
     if not selection and not bench.mission.recorded:
         source = read_ahead(source, bench.columns, jobs)
     counting = Counting(source, bench)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
@@ -34,6 +35,10 @@ LONGEST_NOTE: Final = 300
 """Characters of a note on a topic that cannot be read."""
 _TOLD_NS: Final = MILLISECOND
 """When several processors capture, packets that are some microseconds apart may come in any order."""
+_HALF: Final = 20
+_LARGE_NS: Final = 1 << 43
+"""Squares of larger intervals are summed one by one; of smaller ones 130,000 fit into 64 bits."""
+_LABELS: Final = [item.label for item in Finding]
 
 
 @cache
@@ -46,9 +51,9 @@ def _bits(findings: int) -> tuple[tuple[np.uint32, str], ...]:
 class Account:
     """The counts of one stream: one MsgId (or SBN message type) of one processor on one link.
 
-    Times are ns. ``interval_squares`` is in seconds squared, so that a day of traffic keeps its precision.
+    Times are ns. ``interval_squares`` is in ns squared, exact, so that it does not depend on the batches.
     ``kind`` is the link's own message type, -1 for none.
-    ``longest_ns`` is the longest time between two messages.
+    ``newest_ns`` is the time of the message that came last, ``longest_ns`` the longest between two.
     ``sequences`` has the sequence counts of each sender.
     """
 
@@ -60,7 +65,8 @@ class Account:
     count: int = 0
     first_ns: int = 0
     last_ns: int = 0
-    interval_squares: float = 0.0
+    newest_ns: int = 0
+    interval_squares: int = 0
     longest_ns: int = 0
     sequences: list[SequenceStream] = field(default_factory=list)
     bytes_min: int = 1 << 31
@@ -95,8 +101,32 @@ class Account:
         """Standard deviation of the time between messages."""
         if self.count < 3:
             return 0.0
-        mean = (self.last_ns - self.first_ns) / 1e9 / (self.count - 1)
-        return 1e3 * math.sqrt(max(0.0, self.interval_squares / (self.count - 1) - mean * mean))
+        steps, span_ns = self.count - 1, self.last_ns - self.first_ns
+        return math.sqrt(max(0, steps * self.interval_squares - span_ns * span_ns)) / steps / MILLISECOND
+
+    def as_json(self) -> list[Any]:
+        """Return plain values, from which ``of_json`` makes an account that says the same."""
+        values = [getattr(self, name) for name in _PLAIN]
+        return [int(self.link), *values, [self.gaps, self.duplicates, self.reordered], self.findings]
+
+    @classmethod
+    def of_json(cls, values: list[Any]) -> Account:
+        """Return the account of some values.
+
+        Raises:
+            ValueError: they are none of ours; so do ``TypeError`` and ``AttributeError``.
+        """
+        link, *plain, (gaps, duplicates, reordered), findings = values
+        numbers = dict(zip(_PLAIN, plain, strict=True))
+        stream = SequenceStream(missing=gaps, repeated=duplicates, late=reordered, moved=True)
+        if {*map(type, (link, *plain, gaps, duplicates, reordered, *findings.values()))} != {int}:
+            raise ValueError("a count is a whole number")
+        return cls(table.link(link), **numbers, sequences=[stream], findings=findings)
+
+
+_PLAIN: Final = [item.name for item in fields(Account) if item.name not in {"link", "sequences", "findings"}]
+"""The numbers of an account."""
+_TOTALS: Final = "datagrams", "start_ns", "end_ns", "behind", "behind_ns"
 
 
 class Ledger:
@@ -108,6 +138,7 @@ class Ledger:
 
     Attributes:
         followers: what links count of themselves.
+        sequences: their sequence counts.
         listed: routes that have a row also without a message.
         taken_out: of the datagrams, packets that were taken out of transfer frames.
         behind: datagrams whose time is before that of the previous one.
@@ -124,7 +155,7 @@ class Ledger:
         self._counted: dict[Link, int] = {}
         """How many of a follower's sequence counts belong to accounts."""
         self.accounts: dict[tuple[int, int, int, int], Account] = {}
-        self._sequences = sequences or SequenceCounts()
+        self.sequences = sequences or SequenceCounts()
         self.listed: Sequence[int] = ()
         self._known = 0
         """How many of its streams belong to accounts."""
@@ -135,6 +166,33 @@ class Ledger:
         self.behind = 0
         self.behind_ns = 0
         self._newest_ns = 0
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values, from which ``adopt`` takes the same counts; without those of links."""
+        accounts = [item.as_json() for item in self.accounts.values()]
+        return {**{name: getattr(self, name) for name in _TOTALS}, "accounts": accounts}
+
+    def adopt(self, text: str) -> bool:
+        """Take over counts that another one wrote, as JSON; return whether they are such."""
+        try:
+            values = json.loads(text)
+            totals = [int(values[name]) for name in _TOTALS]
+            accounts = [Account.of_json(item) for item in values["accounts"]]
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            return False
+        counted = sum(item.count for item in accounts) == totals[0]
+        if not counted or not all(self._fits(item) for item in accounts):
+            return False
+        for name, value in zip(_TOTALS, totals, strict=True):
+            setattr(self, name, value)
+        self.accounts = {
+            (int(item.link), item.processor_id, item.msg_id, item.kind): item for item in accounts
+        }
+        return True
+
+    def _fits(self, account: Account) -> bool:
+        """Return whether an account may be of this mission."""
+        return account.route < len(self.mission.routes) and NO_MSG_ID <= account.msg_id < 1 << 16
 
     def tally(self, batch: PacketBatch) -> None:
         """Count only the number and the times of a batch's datagrams."""
@@ -168,14 +226,14 @@ class Ledger:
         starts = np.append(0, np.flatnonzero((keys[:, 1:] != keys[:, :-1]).any(axis=0)) + 1)
         accounts = [self._account(columns, int(own[row]), row) for row in order[starts].tolist()]
         self._count(accounts, batch, columns, order, starts)
-        stream = self._sequences.follow(batch, columns, order).stream
-        if len(self._sequences.streams) > self._known:
+        stream = self.sequences.follow(batch, columns, order).stream
+        if len(self.sequences.streams) > self._known:
             streams, first = np.unique(stream, return_index=True)
             for index, row in zip(streams.tolist(), first.tolist(), strict=True):
                 if index >= self._known:
                     account = self._account(columns, int(own[row]), row)
-                    account.sequences.append(self._sequences.streams[index])
-            self._known = len(self._sequences.streams)
+                    account.sequences.append(self.sequences.streams[index])
+            self._known = len(self.sequences.streams)
         self._follow(batch, columns)
 
     def _follow(self, batch: PacketBatch, columns: Columns) -> None:
@@ -252,20 +310,21 @@ class Ledger:
         times, lengths, findings = batch.time_ns[order], batch.length[order], columns.findings[order]
         counts = np.diff(np.append(starts, len(order))).tolist()
         first, last = (each.reduceat(times, starts).tolist() for each in (np.minimum, np.maximum))
+        begin, newest = times[starts].tolist(), times[np.append(starts[1:], len(order)) - 1].tolist()
         times_apart = np.diff(times, prepend=times[0])
         times_apart[starts] = 0
         longest = np.maximum.reduceat(times_apart, starts).tolist()
-        intervals = times_apart / 1e9
-        squares = np.add.reduceat(intervals * intervals, starts).tolist()
+        squares = _squares(times_apart, starts)
         total = np.add.reduceat(lengths, starts, dtype=np.int64).tolist()
         smallest = np.minimum.reduceat(lengths, starts).tolist()
         largest = np.maximum.reduceat(lengths, starts).tolist()
         for index, account in enumerate(accounts):
-            apart_ns = first[index] - account.last_ns if account.count else 0
-            account.interval_squares += squares[index] + (apart_ns / 1e9) ** 2
+            apart_ns = begin[index] - account.newest_ns if account.count else 0
+            account.interval_squares += squares[index] + apart_ns * apart_ns
             account.longest_ns = max(account.longest_ns, longest[index], apart_ns)
             account.first_ns = min(account.first_ns, first[index]) if account.count else first[index]
             account.last_ns = max(account.last_ns, last[index])
+            account.newest_ns = newest[index]
             account.count += counts[index]
             account.bytes += total[index]
             account.bytes_min = min(account.bytes_min, smallest[index])
@@ -321,5 +380,21 @@ class Ledger:
             "bytes": account.bytes,
             "bytes_min": account.bytes_min,
             "bytes_max": account.bytes_max,
-            "findings": account.findings,
+            "findings": {label: account.findings[label] for label in _LABELS if label in account.findings},
         }
+
+
+def _squares(times_apart: NDArray[np.int64], starts: NDArray[np.int64]) -> list[int]:
+    """Return the sum of the squares of each stretch of intervals, exactly: each in two halves."""
+    large = np.flatnonzero((times_apart >= _LARGE_NS) | (times_apart <= -_LARGE_NS))
+    small = times_apart
+    if len(large):
+        small = times_apart.copy()
+        small[large] = 0
+    high, low = small >> _HALF, small & (1 << _HALF) - 1
+    sums = [np.add.reduceat(item, starts).tolist() for item in (high * high, high * low, low * low)]
+    totals = [(a << 2 * _HALF) + (b << _HALF + 1) + c for a, b, c in zip(*sums, strict=True)]
+    owners = np.searchsorted(starts, large, side="right") - 1
+    for owner, apart_ns in zip(owners.tolist(), times_apart[large].tolist(), strict=True):
+        totals[owner] += apart_ns * apart_ns
+    return totals

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from edoras_tools.errors import ConfigError, EdorasError, os_errors
 from edoras_tools.io.formats.pcapng import LISTENED
 from edoras_tools.io.formats.split import RecordingOptions, SplitCaptureSink
-from edoras_tools.io.formats.table import FILE_SUFFIXES, PCAP, PCAPNG, ROSBAG2, Format, written_as
+from edoras_tools.io.formats.table import FILE_SUFFIXES, MCAP, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import FileSink, Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import (
     Patience,
@@ -73,6 +73,11 @@ class Target:
     transforms: bool = False
     jobs: int = 0
     on_warning: Callable[[str], None] = field(default=lambda _: None, compare=False, repr=False)
+
+    @property
+    def splits(self) -> bool:
+        """Whether it is written in parts."""
+        return bool(self.split_bytes or self.split_ns or self.split_count)
 
     @property
     def format(self) -> Format | None:
@@ -167,7 +172,7 @@ def check_output(target: Target, inputs: Sequence[Path], *, snapshots: bool = Fa
     """
     if target.format is None:
         raise ConfigError(f"{target.path}: unknown suffix; use {', '.join(FILE_SUFFIXES)}, or --rosbag2")
-    split = bool(target.split_bytes or target.split_ns or target.split_count)
+    split = target.splits
     if target.stream is not None:
         if split or snapshots or target.rosbag2 or target.sync_ns or target.replace:
             raise ConfigError(
@@ -209,6 +214,7 @@ def open_sink(
     selection: str = "",
     sequences: SequenceCounts | None = None,
     topics: Collection[int] | None = None,
+    apart: Independence | None = None,
 ) -> WatchedSink:
     """Open a sink for a target that was checked.
 
@@ -216,6 +222,7 @@ def open_sink(
         selection: the selection, in words.
         sequences: see ``RecordingOptions``.
         topics: see ``RecordingOptions``.
+        apart: see ``RecordingOptions``; by default one that nobody counts for.
 
     Raises:
         CaptureError: it cannot be written.
@@ -238,7 +245,7 @@ def open_sink(
         sequences=sequences,
         endpoints=bench.columns.context.endpoints,
         topics=topics,
-        apart=Independence(bench.columns.context),
+        apart=apart or Independence(bench.columns.context),
     )
 
     def part(path: Path) -> CaptureFileSink:
@@ -312,16 +319,27 @@ def record(
             stack.enter_context(waiting_for_room(Patience(target.on_warning, over)))
         sequences = SequenceCounts()
         topics = loop.selection.places() if bench.mission.recorded else None
+        # A recording of all that was read says what ``info`` counts in it.
+        whole = not (loop.selection or limits.period or bench.mission.recorded or target.splits)
+        counts = whole and target.format is MCAP
+        apart = Independence(bench.columns.context, sequences if counts else None)
         sink = open_sink(
-            target, source, bench, selection=str(loop.selection), sequences=sequences, topics=topics
+            target,
+            source,
+            bench,
+            selection=str(loop.selection),
+            sequences=sequences,
+            topics=topics,
+            apart=apart,
         )
         report = pour(
             loop,
             sink,
             watcher=watcher,
             tap=tap,
-            by_route=by_route,
+            by_route=by_route or counts,
             sequences=sequences,
+            apart=apart if counts else None,
             patient=source.on_this_host and watcher is None and tap is None,
         )
     report.outputs, report.losses, report.keep = list(sink.paths), sink.losses, sink.keep
@@ -336,6 +354,7 @@ def pour(
     tap: Callable[[PacketBatch, Columns], None] | None = None,
     by_route: bool = True,
     sequences: SequenceCounts | None = None,
+    apart: Independence | None = None,
     patient: bool = False,
 ) -> CaptureReport:
     """Write everything from a loop to an open sink; the source and the sink are closed. See ``record``.
@@ -347,6 +366,7 @@ def pour(
         tap: see ``record``.
         by_route: see ``record``.
         sequences: shared with the sink, see ``RecordingOptions``.
+        apart: the sink's, that is told what was counted.
         patient: see ``Waiting``.
 
     Raises:
@@ -355,6 +375,7 @@ def pour(
     source, bench = loop.source, loop.bench
     context = bench.columns.context
     report = CaptureReport(Ledger(bench.mission, context, sequences), source, notes=context.notes)
+    silent = len(context.notes)
     live = not source.statistics.total_bytes  # without flushes, a file always gives the same recording
     flushing = Flushing(sink, loop.limits.clock, time_ns if source.on_this_host else None)
     host = None
@@ -401,6 +422,8 @@ def pour(
             sink.write_host(host.now())
         report.failure = loop.failure
         report.notes = [*report.notes, *loop.conversations.recorded()]
+        if apart is not None and len(report.notes) == silent:
+            apart.counts = report.ledger.as_json()
         ended = not report.failure
     finally:
         source.close()

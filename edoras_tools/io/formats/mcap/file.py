@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +33,6 @@ from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.mcap.index import (
     CHUNK_HEAD,
-    CHUNK_INDEX_HEAD,
     INDEX_ENTRY,
     INDEX_HEAD,
     RECORD_HEAD,
@@ -97,7 +96,7 @@ class Summary:
         name = head.compression.encode()
         index = b"".join(
             [
-                CHUNK_INDEX_HEAD.pack(head.start_ns, head.end_ns, *place, len(records)),
+                struct.pack("<QQQQI", head.start_ns, head.end_ns, *place, len(records)),
                 records,
                 struct.pack("<QI", length, len(name)) + name,
                 struct.pack("<QQ", head.length, head.size),
@@ -235,6 +234,7 @@ class McapFile:
 
     Attributes:
         output: the file itself.
+        checksum: CRC-32 of what was written so far.
 
     Raises:
         CaptureError: from every method: the file cannot be written.
@@ -243,10 +243,12 @@ class McapFile:
     def __init__(self, path: Path, header: bytes | None = None, offered: str = "") -> None:
         self._offered = offered
         self.summary = Summary()
-        self._checksum = 0
+        self.checksum = 0
         self._again = 0
         """Size of the file from which on the next chunk begins with all schemas and channels."""
-        self._news: list[McapRecord] = []
+        self._described: tuple[list[bytes], list[bytes]] = [], []
+        """The records of all schemas, and of all channels."""
+        self._news: list[bytes] = []
         """Those that no chunk has yet; from the second chunk after them on one has."""
         self._news_from = 0
         with os_errors(f"{path}: cannot be created"):
@@ -293,8 +295,10 @@ class McapFile:
 
     def _describe(self, record: Schema | Channel) -> None:
         """Write a record where it is first needed, and once more in the second chunk from here on."""
-        self.add_bytes(record_bytes(record))
-        self._news.append(record)
+        data = record_bytes(record)
+        self.add_bytes(data)
+        self._described[isinstance(record, Channel)].append(data)
+        self._news.append(data)
         self._news_from = self.summary.chunks + 1
 
     def add_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
@@ -340,21 +344,19 @@ class McapFile:
 
     def _due(self, size: int) -> bytes:
         """Return the schemas and channels that the chunk at a position begins with; mostly none."""
-        every = [*self.summary.schemas.values(), *self.summary.channels.values()]
-        if self._again and size >= self._again:
-            records: list[McapRecord] = [*every]
-        elif self._news and self.summary.chunks >= self._news_from:
-            records = self._news
-        else:
+        whole = bool(self._again and size >= self._again)
+        if not whole and not (self._news and self.summary.chunks >= self._news_from):
             return b""
+        every = [*chain(*self._described)]
+        records = b"".join(every if whole else self._news)
+        if whole or len(self._news) == len(every):
+            self._again = size + _REPEATED * len(records)
         self._news = []
-        if len(records) == len(every):
-            self._again = size + _REPEATED * len(record_bytes(*every))
-        return record_bytes(*records)
+        return records
 
     def finish(self) -> None:
         """Write the summary and close the file; it replaces an older one."""
-        self.add_bytes(self.summary.tail(self.size, self._checksum))
+        self.add_bytes(self.summary.tail(self.size, self.checksum))
         try:
             self.output.finish()
         except OSError as error:
@@ -367,7 +369,7 @@ class McapFile:
     def add_bytes(self, *pieces: bytes | memoryview) -> None:
         """Write bytes that need no entry in the summary; when this returns, the operating system has them."""
         for piece in pieces:
-            self._checksum = crc32(piece, self._checksum)
+            self.checksum = crc32(piece, self.checksum)
         try:
             self.output.write(*pieces)
         except OSError as error:

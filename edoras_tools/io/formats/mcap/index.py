@@ -29,8 +29,10 @@ INDEX_HEAD: Final = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel_id"
 INDEX_ENTRY: Final = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 INDEX_PLACE: Final = np.dtype([("channel_id", "<u2"), ("offset", "<u8")])
 """In a ChunkIndex record: the position of a channel's MessageIndex record."""
-CHUNK_INDEX_HEAD: Final = struct.Struct("<QQQQI")
-"""Start time, end time, position and length of the chunk, bytes of ``INDEX_PLACE`` entries."""
+CHUNK_INDEX: Final = np.dtype(
+    [("start_ns", "<u8"), ("end_ns", "<u8"), ("position", "<u8"), ("length", "<u8"), ("places", "<u4")]
+)
+"""A ChunkIndex record up to its ``INDEX_PLACE`` entries, of which it says how many bytes they are."""
 MAX_CHUNK_BYTES: Final = 128 << 20
 """A chunk, or another record, that holds more is not read: some three times its size are in memory."""
 CHUNK_HEAD_BYTES: Final = CHUNK_HEAD.size + 16 + 8

@@ -14,9 +14,8 @@ from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -30,7 +29,7 @@ from edoras_tools.errors import CaptureError, NoDatagramsError, WireError, os_er
 from edoras_tools.io import SourceDefaults
 from edoras_tools.io.formats.mcap.index import (
     CHUNK_HEAD_BYTES,
-    CHUNK_INDEX_HEAD,
+    CHUNK_INDEX,
     INDEX_ENTRY,
     INDEX_HEAD,
     INDEX_PLACE,
@@ -44,7 +43,13 @@ from edoras_tools.io.frames.frame_batch import FrameBatch, frames_at, joined_fra
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.topics.cfe import FAULTS_TOPIC, fault_of
 from edoras_tools.io.topics.datagrams import DATAGRAM
-from edoras_tools.io.topics.rows import CDR_LE_WORD, DATAGRAMS_TOPIC, MAGIC, OUTAGE_METADATA_NAME
+from edoras_tools.io.topics.rows import (
+    CDR_LE_WORD,
+    COUNTS_METADATA_NAME,
+    DATAGRAMS_TOPIC,
+    MAGIC,
+    OUTAGE_METADATA_NAME,
+)
 from edoras_tools.io.topics.statistics import HOST_TOPIC, host_counters_of
 from edoras_tools.links.table import links
 from edoras_tools.model import (
@@ -58,6 +63,7 @@ from edoras_tools.model import (
 )
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.crc import crc32
 from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:
@@ -82,7 +88,12 @@ _AHEAD_BYTES = 256 << 10
 """Records are small; so much of the file is read at once."""
 _MOST_INDEX_BYTES = 1 << 20
 """A larger record of the summary is no index."""
+_CHECKED_BYTES = 256 << 20
+"""Of so much of a file a checksum takes less than the start of a command."""
 _DESCRIBING = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.METADATA, Opcode.ATTACHMENT}
+_DATA_END = struct.Struct("<BQI")
+"""The record in front of the summary, with the CRC of all before it."""
+_CRC = struct.Struct("<I")
 _KIND = 0xFFFF
 """The bits of a CDR encapsulation that contain the byte order; the rest are options."""
 
@@ -120,6 +131,7 @@ class McapSource(SourceDefaults):
         self._heads: list[NDArray[np.void]] = []
         self._ahead = b""
         self._ahead_at = 0
+        self._data_end = 0
         self.statistics = SourceStatistics(total_bytes=self._size)
         self._demux = Demux()
         try:
@@ -252,40 +264,61 @@ class McapSource(SourceDefaults):
 
         All are needed if the summary is damaged.
         """
-        chunks = self._indexes()
-        return [
-            item.position
-            for item in chunks
-            if item is chunks[-1] or (item.end_ns >= start_ns - _LEAD_NS and item.start_ns < end_ns)
-        ]
+        heads, _, _ = self._indexes()
+        needed = (heads["end_ns"] >= max(start_ns - _LEAD_NS, 0)) & (heads["start_ns"] < max(end_ns, 0))
+        needed[-1:] = True
+        return self._passing_over(heads, needed)
 
     def _holding(self, choice: Choice) -> list[int]:
         """Return where the chunks are that may hold a chosen datagram, the first and the last one.
 
         None where that is not known: the messages of each chosen MsgId must be as many as its datagrams.
         """
-        chunks, channels = self._indexes(), self._channels_of(choice)
-        if not channels or any(before.end_ns > after.start_ns for before, after in pairwise(chunks)):
+        (heads, owner, places), channels = self._indexes(), self._channels_of(choice)
+        if not channels or (heads["end_ns"][:-1] > heads["start_ns"][1:]).any():
             return []
-        datagrams = self._datagrams
-        whole = [item for item in chunks if not datagrams.isdisjoint(item.places)]
-        needed = {item.position for item in whole[:1] + whole[-1:]}
-        for before, item in pairwise(chunks[:1] + chunks):
-            if not channels.isdisjoint(item.places):
-                needed.add(item.position)
-                # The datagram of its first message may end the chunk before.
-                if self._first(item, channels) < self._first(item, datagrams):
-                    needed.add(before.position)
-        return sorted(needed)
+        datagrams, needed = self._datagrams, np.zeros(len(heads), np.bool_)
+        whole = owner[np.isin(places["channel_id"], [*datagrams])]
+        needed[whole[:1]] = needed[whole[-1:]] = True
+        holding = np.unique(owner[np.isin(places["channel_id"], [*channels])])
+        needed[holding] = True
+        first, end = (np.searchsorted(owner, holding, side).tolist() for side in ("left", "right"))
+        for chunk, begin, beyond in zip(holding.tolist(), first, end, strict=True):
+            inside = dict(places[begin:beyond].tolist())
+            # The datagram of its first message may end the chunk before.
+            if self._first(inside, channels) < self._first(inside, datagrams):
+                needed[max(chunk - 1, 0)] = True
+        return self._passing_over(heads, needed)
 
-    def _first(self, item: _Indexed, channels: Collection[int]) -> int:
-        """Return where in a chunk the first message of some channels is; beyond all where there is none."""
-        places = [place for key, place in item.places.items() if key in channels]
+    def _passing_over(self, heads: NDArray[np.void], needed: NDArray[np.bool_]) -> list[int]:
+        """Return where the needed chunks are; warn where a checksum says that any is damaged, also of others.
+
+        Of a large file that would take longer than what is asked for.
+        """
+        _, _, crc = _DATA_END.unpack(self._pread(self._data_end, _DATA_END.size))
+        small = self._data_end <= _CHECKED_BYTES and crc and not needed.all()
+        if small and crc != self._checksum(0, self._data_end):
+            told = "is damaged, perhaps only where nothing was asked for"
+            self.statistics.warnings.append(f"{self._name}: {told}; `edoras info --verify` says where")
+        positions: list[int] = heads["position"][needed].tolist()
+        return positions
+
+    def _first(self, inside: Mapping[int, int], channels: Collection[int]) -> int:
+        """Return where in a chunk the first message of some channels is; beyond all where there is none.
+
+        Args:
+            inside: where the MessageIndex record of each channel in the chunk is.
+        """
+        places = [place for key, place in inside.items() if key in channels]
         entries = [
-            os.pread(self._file.fileno(), INDEX_ENTRY.itemsize, min(place + INDEX_HEAD.itemsize, self._size))
+            self._pread(min(place + INDEX_HEAD.itemsize, self._size), INDEX_ENTRY.itemsize)
             for place in places
         ]
         return min((int.from_bytes(entry[8:], "little") for entry in entries), default=MAX_CHUNK_BYTES)
+
+    def _pread(self, position: int, size: int) -> bytes:
+        with os_errors(f"{self._name}: cannot be read"):
+            return os.pread(self._file.fileno(), size, position)
 
     def _channels_of(self, choice: Choice) -> set[int]:
         """Return the channels of the messages in chosen datagrams.
@@ -323,12 +356,48 @@ class McapSource(SourceDefaults):
         """How many datagrams there are; fewer than were recorded after a repair."""
         return sum(self._counts.get(key, 0) for key in self._datagrams)
 
-    def _indexes(self) -> list[_Indexed]:
-        """Return what the summary says of the chunks, in the order of the file; nothing if it is damaged."""
-        try:
-            return sorted(map(_indexed, self._chunks))
-        except (struct.error, ValueError):
-            return []
+    def _indexes(self) -> tuple[NDArray[np.void], NDArray[np.intp], NDArray[np.void]]:
+        """Return what the summary says of the chunks, in the order of the file; nothing if it is damaged.
+
+        Returns:
+            ``CHUNK_INDEX`` of each; which of them each list of messages is of; and ``INDEX_PLACE`` of each.
+        """
+        size = CHUNK_INDEX.itemsize
+        chunks = sorted(self._chunks, key=lambda item: int.from_bytes(item[16:24], "little"))
+        if not self._listed() or any(len(item) < size for item in chunks):
+            chunks = []
+        heads = np.frombuffer(b"".join(item[:size] for item in chunks), CHUNK_INDEX)
+        counts = (heads["places"] // INDEX_PLACE.itemsize).tolist()
+        lists = [
+            np.frombuffer(item, INDEX_PLACE, min(count, (len(item) - size) // INDEX_PLACE.itemsize), size)
+            for item, count in zip(chunks, counts, strict=True)
+        ]
+        places = np.concatenate([np.zeros(0, INDEX_PLACE), *lists])
+        return heads, np.repeat(np.arange(len(heads)), [*map(len, lists)]), places
+
+    def _listed(self) -> bool:
+        """Return whether the summary is as it was written; one without a checksum may be."""
+        start, end = self._data_end + _DATA_END.size, self._size - len(MAGIC) - _CRC.size
+        (value,) = _CRC.unpack(self._pread(end, _CRC.size))
+        return value in {0, self._checksum(start, end)}
+
+    def _checksum(self, start: int, end: int, value: int = 0) -> int:
+        """Return the CRC-32 of a part of the file, going on from that of what is in front of it."""
+        while start < end and (block := self._pread(start, min(end - start, _AHEAD_BYTES))):
+            value = crc32(block, value)
+            start += len(block)
+        return value
+
+    def counted(self) -> str:
+        """See ``SourceDefaults``; every byte up to the summary is compared with the checksums."""
+        values = self._metadata.get(COUNTS_METADATA_NAME, {})
+        if values.get("version") != __version__ or not self._data_end:
+            return ""
+        covered, end = min(_positive(values, "covers", 0), self._data_end), self._data_end
+        value = self._checksum(0, covered)
+        last = _DATA_END.pack(Opcode.DATA_END, _CRC.size, self._checksum(covered, end, value))
+        whole = str(value) == values.get("crc") and self._pread(end, _DATA_END.size) == last
+        return values.get("counts", "") if whole else ""
 
     def faults(self) -> list[Fault]:
         """Return the faults that a proxy or a replay injected, as far as the recording is readable."""
@@ -503,6 +572,7 @@ class McapSource(SourceDefaults):
         summary = int.from_bytes(self._read(tail + RECORD_HEAD.size, tail + RECORD_HEAD.size + 8), "little")
         if not 0 < summary <= tail:
             return False
+        self._data_end = max(0, summary - _DATA_END.size)
         for opcode, start, end, content in self._summary(summary, tail):
             if opcode == Opcode.CHUNK_INDEX:
                 self._chunks.append(content)
@@ -515,18 +585,28 @@ class McapSource(SourceDefaults):
         return True
 
     def _summary(self, position: int, until: int) -> Iterator[tuple[int, int, int, bytes]]:
-        """Yield opcode, start, end and content of records, read in one go; without that of a large one."""
-        with os_errors(f"{self._name}: cannot be read"), self._path.open("rb") as file:
-            file.seek(position)
-            while len(head := file.read(RECORD_HEAD.size)) == RECORD_HEAD.size:
-                opcode, length = RECORD_HEAD.unpack(head)
-                start = position + RECORD_HEAD.size
-                position = start + length
-                if position > until:
-                    return
-                content = file.read(length) if length <= _MOST_INDEX_BYTES else b""
-                file.seek(position)
-                yield opcode, start, position, content
+        """Yield opcode, start, end and content of records, many read at once; without that of a large one."""
+        piece, at = b"", 0
+        while position + RECORD_HEAD.size <= until:
+            if at + RECORD_HEAD.size > len(piece):
+                piece, at = self._piece(position, until), 0
+            opcode, length = RECORD_HEAD.unpack_from(piece, at)
+            start, end = position + RECORD_HEAD.size, position + RECORD_HEAD.size + length
+            if end > until:
+                return
+            if length > _MOST_INDEX_BYTES:
+                content, piece, at = b"", b"", 0
+            else:
+                if at + RECORD_HEAD.size + length > len(piece):
+                    piece, at = self._piece(position, until), 0
+                at += RECORD_HEAD.size + length
+                content = piece[at - length : at]
+            yield opcode, start, end, content
+            position = end
+
+    def _piece(self, position: int, until: int) -> bytes:
+        """Read some of the summary; no record of an index is larger."""
+        return self._pread(position, min(until - position, 2 * _MOST_INDEX_BYTES))
 
     def _remember(self, opcode: int, start: int, end: int) -> None:
         if opcode in _DESCRIBING and end - start <= MAX_CHUNK_BYTES:  # none of ours is larger
@@ -593,28 +673,6 @@ class McapSource(SourceDefaults):
             f"{self._name}: contains no {DATAGRAMS_TOPIC}, so no datagrams can be read, and its topics are "
             f"{topics}; {TOPIC_READERS}"
         )
-
-
-class _Indexed(NamedTuple):
-    """A chunk, as the summary lists it.
-
-    Attributes:
-        position: of its record in the file.
-        start_ns: smallest log time.
-        end_ns: largest log time.
-        places: of each channel in it, the position of its MessageIndex record.
-    """
-
-    position: int
-    start_ns: int
-    end_ns: int
-    places: Mapping[int, int]
-
-
-def _indexed(content: bytes) -> _Indexed:
-    start_ns, end_ns, position, _, size = CHUNK_INDEX_HEAD.unpack_from(content)
-    places = np.frombuffer(content, INDEX_PLACE, size // INDEX_PLACE.itemsize, CHUNK_INDEX_HEAD.size)
-    return _Indexed(position, start_ns, end_ns, dict(places.tolist()))
 
 
 def _following(needed: list[int] | None, position: int) -> int:

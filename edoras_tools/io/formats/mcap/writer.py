@@ -18,7 +18,7 @@ from edoras_tools.io.formats.split import RecordingOptions, part_path
 from edoras_tools.io.processes import Workers, writer_killed
 from edoras_tools.io.topics.cfe import fault_messages
 from edoras_tools.io.topics.recorded import RecordedStreams
-from edoras_tools.io.topics.rows import OUTAGE_METADATA_NAME
+from edoras_tools.io.topics.rows import COUNTS_METADATA_NAME, OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.statistics import host_messages
 from edoras_tools.io.topics.streams import (
     FAULTS,
@@ -333,6 +333,9 @@ class McapSink(Sink):
                 **{key: str(value) for key, value in metadata.items() if value is not None},
             },
         )
+        if self._options.apart and (answers := self._options.apart.answers()):
+            covers = {"covers": str(file.size), "crc": str(file.checksum)}
+            file.add_metadata(COUNTS_METADATA_NAME, {"version": __version__, **covers, "counts": answers})
         file.finish()
         self.complete.append((file.output, self._captured))
 
