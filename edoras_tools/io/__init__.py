@@ -109,7 +109,7 @@ class SourceDefaults(Protocol):
         """Return the columns of the batch that was yielded last, by ``decode`` if they are not there yet."""
         return decode(batch)
 
-    def counted(self) -> str:
+    def recorder_counts(self) -> str:
         """Return what its recorder counted, as JSON, of a recording that is just as it was completed."""
         return ""
 

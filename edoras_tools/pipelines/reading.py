@@ -18,7 +18,6 @@ import numpy as np
 from edoras_tools import __version__
 from edoras_tools.decode.conversations import LEFT_OUT, Conversations, links_in_doubt
 from edoras_tools.decode.filters.rows import ColumnRows
-from edoras_tools.diagnosis.evidence.copies import Apart
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.table import LinkStates
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
+    from edoras_tools.diagnosis.evidence.copies import Repeats
     from edoras_tools.io import Source
     from edoras_tools.links.doors import OwnRows
     from edoras_tools.pipelines.workbench import Workbench
@@ -320,7 +320,12 @@ class Independence:
         self._context, self._usual = context, context.detected
         self._suspects = Conversations(context)
         self._apart = True
-        self._sequences, self._once = sequences, Apart()
+        self._sequences = sequences
+        self._repeats: Repeats | None = None
+        if sequences is not None:
+            from edoras_tools.diagnosis.evidence.copies import Repeats
+
+            self._repeats = Repeats()
         self.counts: dict[str, Any] | None = None
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
@@ -329,11 +334,11 @@ class Independence:
         self._apart = self._apart and batch.streams is None and not fragments
         if self._apart and (doubt := links_in_doubt(batch, columns, self._context)).any():
             self._suspects.add(batch, columns, doubt[columns.link])
-        if self._apart and self._once.sure and self._sequences is not None:
+        if self._apart and self._repeats and self._sequences and not self._repeats.possible:
             # What was captured twice in a stream that only goes on would have come twice in it.
             streams = self._sequences.follow(batch, columns).stream
             goes_on = np.array([*(item.goes_on for item in self._sequences.streams), False])
-            self._once.add(batch, np.flatnonzero(~goes_on[streams] & (columns.link != OTHER)))
+            self._repeats.add(batch, np.flatnonzero(~goes_on[streams] & (columns.link != OTHER)))
 
     def metadata(self) -> dict[str, str]:
         """Return what a recording says: nothing where something came in pieces, or was not the usual.
@@ -349,7 +354,8 @@ class Independence:
     def answers(self) -> str:
         """Return ``counts`` as JSON; empty where reading the recording may count otherwise."""
         always = all(flow.always_sound for flow in self._suspects.flows.values() if flow.link.packets)
-        sure = self._once.sure and always and self.metadata().get("sound") == "true"
+        alone = self._repeats is not None and not self._repeats.possible
+        sure = alone and always and self.metadata().get("sound") == "true"
         return json.dumps(self.counts) if sure and self.counts is not None else ""
 
 

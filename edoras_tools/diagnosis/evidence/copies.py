@@ -180,15 +180,15 @@ class Once:
         return [f"{self.copies:,} datagrams were captured twice, and are counted once"] * bool(self.copies)
 
 
-class Apart:
+class Repeats:
     """Takes batch after batch, and tells whether two that are near each other may be equal.
 
     Attributes:
-        sure: no two are, so far.
+        possible: two may be, so far.
     """
 
     def __init__(self) -> None:
-        self.sure = True
+        self.possible = False
         self._last = np.zeros(0, np.uint64), np.zeros(0, np.int64)
 
     def add(self, batch: PacketBatch, some: NDArray[np.intp]) -> None:
@@ -196,7 +196,7 @@ class Apart:
         late = np.flatnonzero(batch.time_ns > batch.time_ns.max(initial=0) - _WITHIN_NS)
         own, newest = ((rows, _alone(rows)) for rows in (batch.take(some), batch.take(late)))
         glances = np.append(self._last[0], own[1])
-        self.sure = self.sure and not _perhaps_again(glances, np.append(self._last[1], own[0].time_ns))
+        self.possible |= _perhaps_again(glances, np.append(self._last[1], own[0].time_ns))
         self._last = newest[1], newest[0].time_ns
 
 

@@ -66,7 +66,7 @@ def _recorded_counts(source: Source, bench: Workbench) -> CaptureReport | None:
     if context.structs.dictionary is not None or not (reads_by_heads(source, bench) and source.info.sound):
         return None
     report = CaptureReport(Ledger(bench.mission, context), source, notes=context.notes)
-    if not report.ledger.adopt(source.counted()):
+    if not report.ledger.adopt(source.recorder_counts()):
         return None
     source.statistics.datagrams = report.ledger.datagrams
     source.close()

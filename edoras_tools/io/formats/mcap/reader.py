@@ -298,8 +298,10 @@ class McapSource(SourceDefaults):
         _, _, crc = _DATA_END.unpack(self._pread(self._data_end, _DATA_END.size))
         small = self._data_end <= _CHECKED_BYTES and crc and not needed.all()
         if small and crc != self._checksum(0, self._data_end):
-            told = "is damaged, perhaps only where nothing was asked for"
-            self.statistics.warnings.append(f"{self._name}: {told}; `edoras info --verify` says where")
+            self.statistics.warnings.append(
+                f"{self._name}: is damaged, perhaps only where nothing was asked for; "
+                "`edoras info --verify` says where"
+            )
         positions: list[int] = heads["position"][needed].tolist()
         return positions
 
@@ -388,7 +390,7 @@ class McapSource(SourceDefaults):
             start += len(block)
         return value
 
-    def counted(self) -> str:
+    def recorder_counts(self) -> str:
         """See ``SourceDefaults``; every byte up to the summary is compared with the checksums."""
         values = self._metadata.get(COUNTS_METADATA_NAME, {})
         if values.get("version") != __version__ or not self._data_end:
