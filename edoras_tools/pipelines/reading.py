@@ -311,21 +311,22 @@ class Independence:
     Args:
         context: of the decoder.
         sequences: of all that is recorded; None: nobody counts it.
+        repeats: finds what may be there twice; where all is counted.
 
     Attributes:
         counts: what ``info`` is to answer of the recording, once all of it is counted; None before.
     """
 
-    def __init__(self, context: Context, sequences: SequenceCounts | None = None) -> None:
+    def __init__(
+        self,
+        context: Context,
+        sequences: SequenceCounts | None = None,
+        repeats: Repeats | None = None,
+    ) -> None:
         self._context, self._usual = context, context.detected
         self._suspects = Conversations(context)
         self._apart = True
-        self._sequences = sequences
-        self._repeats: Repeats | None = None
-        if sequences is not None:
-            from edoras_tools.diagnosis.evidence.copies import Repeats
-
-            self._repeats = Repeats()
+        self._sequences, self._repeats = sequences, repeats
         self.counts: dict[str, Any] | None = None
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from time import time_ns
 from typing import TYPE_CHECKING, Any
 
+from edoras_tools.diagnosis.evidence.copies import Repeats
 from edoras_tools.errors import ConfigError, EdorasError, os_errors
 from edoras_tools.io.formats.pcapng import LISTENED
 from edoras_tools.io.formats.split import RecordingOptions, SplitCaptureSink
@@ -322,7 +323,7 @@ def record(
         # A recording of all that was read says what ``info`` counts in it.
         whole = not (loop.selection or limits.period or bench.mission.recorded or target.splits)
         counts = whole and target.format is MCAP
-        apart = Independence(bench.columns.context, sequences if counts else None)
+        apart = Independence(bench.columns.context, *((sequences, Repeats()) if counts else ()))
         sink = open_sink(
             target,
             source,
