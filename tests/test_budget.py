@@ -39,12 +39,12 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(56_079, 150, 58_000),
-    "lines with code, all": Limit(83_230, 150, 84_000),  # with what is still to come
-    "files": Limit(557, 10, 450),
-    "files below 170 lines, of 1,000": Limit(427, 10, 500),  # a median of 170 lines or more
+    "lines with code, core": Limit(55_765, 150, 58_000),
+    "lines with code, all": Limit(83_434, 150, 84_000),  # with what is still to come
+    "files": Limit(558, 10, 450),
+    "files below 170 lines, of 1,000": Limit(428, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
-    "files that record runs through": Limit(118, 2, 80),
+    "files that record runs through": Limit(119, 2, 80),
     "files that sniff --where runs through": Limit(111, 2, 80),
     "modules that host loads": Limit(132, 2, 40),
     "bare participles among 1,000 names": Limit(13.9, 1, 3),
