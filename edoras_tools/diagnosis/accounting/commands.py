@@ -339,6 +339,8 @@ class Commands:
         for fate in fates:
             if fate.seen or fate.stream.receiver not in counting:
                 closed = np.flatnonzero(fate.open & self._case.unreachable.closed[fate.stream.rows])
+                if (silent := self._case.unheard.get(id(fate.stream))) is not None:
+                    closed = np.setdiff1d(closed, [*silent.lost, *silent.restarted])  # told by its silence
                 self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
             own = [at for at, item in enumerate(shared) if id(fate.stream) in item.flows]
             fate.ends["shared"] = sum(shared[at].number for at in own)

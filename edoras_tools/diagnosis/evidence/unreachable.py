@@ -257,7 +257,7 @@ def _spans(
             int(times[last]),
             int(times[end]) if back else NEVER,
             len(own),
-            int(np.median(steps)) if silent else 0,
+            int(steps.mean()) if silent else 0,
         )
         spans.append(span)
         free = np.flatnonzero(events.unanswered[first:end]) + first
