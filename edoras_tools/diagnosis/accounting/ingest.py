@@ -648,6 +648,9 @@ class BeforeCi:
         spans = [(seen, before.since_ns), (fates, before.since_ns), (fates, 0)][: 2 if before.said else None]
         if before is account.losses[0] and not before.said:
             spans.insert(1, (seen, 0))
+        if before.cause == "restart":
+            before = self._just_before(before, fates, left)
+            spans.insert(0, (fates, before.start_ns))
         # What an ICMP error quotes is that one.
         left -= self._spread(fates, before, before.since_ns, left, evidence, refused=True)
         for those, since_ns in spans:
@@ -656,6 +659,19 @@ class BeforeCi:
             span = before.start_ns, before.end_ns
             hop = LOST_AT[before.cause]
             self.losses.append(Loss(before.cause, hop, left, *span, "medium", evidence=evidence))
+
+    def _just_before(self, before: Before, fates: Sequence[Fate], number: int) -> Before:
+        """Return the time in which a CI that was started again lost so many: just before it had a socket."""
+        ends = [item.end_ns for item in self._case.outages if item.app in command_ingest.NAMES]
+        until_ns = max((end for end in ends if end and before.since_ns < end < before.end_ns), default=None)
+        if until_ns is None:
+            return before
+        times = [self._case.captured(fate.stream)[fate.open & self._within(fate, before)] for fate in fates]
+        sent = np.sort(np.concatenate(times))
+        sent = sent[sent < until_ns]
+        if len(sent) < number:
+            return before
+        return replace(before, start_ns=int(sent[-number]) - 1, end_ns=until_ns)
 
     def _within(self, fate: Fate, before: Before, since_ns: int | None = None) -> NDArray[np.bool_]:
         """Tell which messages were sent while something was lost, or since a time."""
