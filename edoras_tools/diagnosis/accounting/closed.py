@@ -277,8 +277,11 @@ def unreached(case: Case) -> list[Unreached]:
                 np.minimum.at(best, hop.in_rows, fate_of[rows])
                 np.maximum.at(sent_ns, hop.in_rows, times[rows])
                 out += _at(stream, np.unique(hop.in_rows), best, hop.out.receiver, sent_ns)
-        if fate is None and id(stream) not in case.unheard:
-            for endpoint, rows in by_value(case.rows.destination[stream.rows]):
+        if fate is None:
+            silent = case.unheard.get(id(stream))
+            told = [*silent.lost, *silent.restarted] if silent else []  # by its silence: rule 6
+            for endpoint, members in by_value(case.rows.destination[stream.rows]):
+                rows = np.setdiff1d(members, told)
                 out += _at(stream, rows, fate_of[stream.rows], endpoint, times[stream.rows])
     for stream in find_robots(case.rows):
         rows = np.flatnonzero(~covered[stream.rows])
