@@ -14,7 +14,7 @@ QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis rend
 SEARCHES := $(addprefix --ignore=tests/,$(addprefix diagnosis/,test_variants.py test_cuts.py test_truth.py) \
 	$(addprefix io/formats/,mcap/test_recover.py test_split.py))
 
-.PHONY: help venv demo test tests same-bytes check long lint format bench kill explore fuzz growth soak lock sbom judges ros fprime npm yamcs cosmos docs dist clean
+.PHONY: help venv demo test tests same-bytes check long lint style types format bench kill explore fuzz growth soak lock sbom judges ros fprime npm yamcs cosmos docs dist clean
 
 help:  ## Show what there is to make.
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -55,8 +55,8 @@ yamcs: venv  ## Install Yamcs and a Java runtime from their wheels, a judge of t
 cosmos: venv  ## Install OpenC3 COSMOS's Python package, a judge of the tests, where it can be had.
 	@.ci/install-cosmos $(BIN)/python
 
-test: venv judges ros fprime npm cosmos  ## Run every check and test, the checks beside the tests.
-	@$(MAKE) --no-print-directory -j2 tests lint
+test: venv judges ros fprime npm cosmos  ## Run every test, and the style beside them; `make check` has the types.
+	@$(MAKE) --no-print-directory -j2 tests style
 
 tests: venv
 	$(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
@@ -70,11 +70,15 @@ check: lint  ## Run the checks and the quick tests, in less than a minute.
 long: venv judges ros fprime npm yamcs cosmos  ## Run every test with all examples and all combinations: many minutes.
 	EDORAS_LONG=1 $(BIN)/python .ci/with_raw_sockets.py $(BIN)/pytest $(WORKERS)
 
-lint: venv  ## Style, types, and which way imports point.
+lint: style types  ## Style, types, and which way imports point.
+
+style: venv
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+types: venv
+	$(BIN)/mypy
 
 format: venv  ## Lay the code out.
 	$(BIN)/ruff check --fix

@@ -103,6 +103,7 @@ def test_what_is_asked_for_comes_as_if_all_was_read(name, monkeypatch, tmp_path)
     assert passed or name not in BY_HEADS
 
 
+@pytest.mark.long
 def test_cut_split_and_repaired_recordings_and_several(monkeypatch, tmp_path):
     whole, cut, parts = tmp_path / "a.mcap", tmp_path / "cut.mcap", tmp_path / "parts.mcap"
     record(open_files([FILES["f_sbn_disconnect"]]), SETTINGS.workbench(), Target(whole))
