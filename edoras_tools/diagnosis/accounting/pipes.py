@@ -7,8 +7,7 @@ name, else to what is sent faster than a pipe takes; what is left is lost, and n
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -350,7 +349,7 @@ class _Candidate:
         since_ns: until then what was counted may have been sent before the capture began.
         sender: who sends it, as an event names it.
         said: the events that name it.
-        sent_ns: i64, when its traffic was sent.
+        sent_ns: i64, when its traffic was sent; None where that is not here.
         queue: the pipe; None where it is not known what it takes.
         counted_ns: a loss is counted so long after it was sent at most.
     """
@@ -363,7 +362,7 @@ class _Candidate:
     since_ns: int
     sender: str = ""
     said: LossEvents | None = None
-    sent_ns: NDArray[np.int64] = field(default_factory=partial(np.zeros, 0, np.int64))
+    sent_ns: NDArray[np.int64] | None = None
     queue: queues.Queue | None = None
     counted_ns: int = DRAINS_NS
 
@@ -381,10 +380,10 @@ class _Candidate:
         """Return how many of a span can have been lost: of each round what fits is taken."""
         if not self.spans:
             return int(np.iinfo(np.int32).max)
-        sent = self.sent_ns[self.spans[span].first : self.spans[span].last + 1]
-        if self.queue is None or not len(sent):
+        if self.queue is None or self.sent_ns is None:
             return self.spans[span].count
-        in_round = np.bincount((sent - sent[0]) // self.queue.round_ns)
+        sent = self.sent_ns[self.spans[span].first : self.spans[span].last + 1]
+        _, in_round = np.unique((sent - sent[0]) // self.queue.round_ns, return_counts=True)
         over = int(np.maximum(in_round - self.queue.limit(self.msg_id), 0).sum())
         return min(self.spans[span].count, int(_LATE * over) + self.queue.limit(self.msg_id))
 
