@@ -243,6 +243,8 @@ def _ends(one: int, other: int) -> set[tuple[int, int]]:
     return {ends for ends in (source, destination) if ends[0] != ends[1]}
 
 
+_MOST_HOSTS: Final = 64
+"""Of more hosts nobody looks for one that sends on for another."""
 _CLOCKS_NS: Final = 50 * MILLISECOND
 """Two captures of its sides may be so far apart."""
 _RELAY_NS: Final = 10 * SECOND
@@ -295,11 +297,14 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
         at = int(destination[before[0]])
         if len(before) < _LEAST_DATAGRAMS or (source[before] == at).any():
             continue
-        # An address that says nothing itself is of a relay that sends from another one.
-        others = (item for host, own in leaving.items() for item in own if host not in source[before])
+        behinds = leaving.get(at)
+        if behinds is None:  # it says nothing itself: a relay may send from another address
+            senders = set(source[before].tolist())
+            near = len(leaving) <= _MOST_HOSTS
+            behinds = [item for host in leaving if near and host not in senders for item in leaving[host]]
         found += [
             item
-            for behind in leaving.get(at) or others
+            for behind in behinds
             if rows.link[behind[0]] == rows.link[before[0]] and int(destination[behind[0]]) != at
             if at in leaving or int(destination[behind[0]]) in leaving
             if (item := _relayed(rows, endpoints[relay], before, behind)) is not None
