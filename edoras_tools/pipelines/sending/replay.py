@@ -27,7 +27,7 @@ from edoras_tools.wire import cfe, sbn
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -82,7 +82,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
     parts: list[Outgoing] = []
     subscriptions: set[int] = set()
     links = np.zeros(256, np.int64)
-    remaining, size, seen_towards, over_tcp, cut = choice.count, 0, 0, 0, 0
+    remaining, size, seen_towards, harm = choice.count, 0, 0, np.zeros(2, np.int64)
     sending = options.to.sending
     with reading(source, bench) as loop:
         selection = choice.selection.over(bench)
@@ -108,8 +108,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
                 if sending:
                     sending.keep(mask)
                 parts.append(Outgoing.of(options.to.link, mask, columns, packets=packets))
-                cut += int(np.count_nonzero(mask.capture_findings & np.uint32(Finding.CAPTURE_CUT)))
-                over_tcp += 0 if mask.streams is None else int(np.count_nonzero(mask.streams))
+                harm += _harm(mask)
                 size += len(parts[-1].data)
             if size > _MOST_BYTES:
                 raise CaptureError(
@@ -122,11 +121,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
     others = _others(options.to.link, links, sending_options())
     if not parts:
         raise CaptureError(f"{source.info.name}: {_nothing(options.to, others, seen_towards)}")
-    notes = [f"{cut:,} datagrams were cut by the capture, and are sent cut"] if cut else []
-    if over_tcp and not options.over_tcp:
-        notes.append(
-            f"{over_tcp:,} of them came over TCP, and are sent as datagrams; --tcp sends them over TCP"
-        )
+    notes = list(_changed(*harm.tolist(), options))
     out = join_datagrams(parts)
     if sending and sending.renews:
         out = Outgoing.bare(out.link, *sending.renew([out[row] for row in range(len(out))], out.time_ns))
@@ -134,6 +129,20 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
     if any(link.bridge != options.to.link.bridge or not link.bridge for link in others):
         notes.append(f"left out: {listed([*others.values()])}")
     return Loaded(out, tuple(sorted(subscriptions)), tuple(notes))
+
+
+def _harm(batch: PacketBatch) -> NDArray[np.int64]:
+    """Return how many datagrams the capture cut, and how many came over TCP."""
+    cut = np.count_nonzero(batch.capture_findings & np.uint32(Finding.CAPTURE_CUT))
+    return np.array([cut, 0 if batch.streams is None else np.count_nonzero(batch.streams)])
+
+
+def _changed(cut: int, over_tcp: int, options: SendOptions) -> Iterator[str]:
+    """Yield what does not leave as it came."""
+    if cut:
+        yield f"{cut:,} datagrams were cut by the capture, and are sent cut"
+    if over_tcp and not options.over_tcp:
+        yield f"{over_tcp:,} of them came over TCP, and are sent as datagrams; --tcp sends them over TCP"
 
 
 def _towards(
