@@ -39,8 +39,8 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(55_807, 150, 58_000),
-    "lines with code, all": Limit(83_476, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(55_810, 150, 58_000),
+    "lines with code, all": Limit(83_479, 150, 84_000),  # with what is still to come
     "files": Limit(558, 10, 450),
     "files below 170 lines, of 1,000": Limit(428, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
@@ -48,7 +48,7 @@ LIMITS = {
     "files that sniff --where runs through": Limit(111, 2, 80),
     "modules that host loads": Limit(132, 2, 40),
     "bare participles among 1,000 names": Limit(13.9, 1, 3),
-    "functions of complexity over 25": Limit(1, 0, 0),
+    "functions of complexity over 25": Limit(0, 0, 0),
 }
 
 BARE = re.compile(
