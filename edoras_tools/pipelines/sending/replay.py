@@ -121,7 +121,7 @@ def load_datagrams(source: Source, bench: Workbench, options: SendOptions, choic
     others = _others(options.to.link, links, sending_options())
     if not parts:
         raise CaptureError(f"{source.info.name}: {_nothing(options.to, others, seen_towards)}")
-    notes = list(_changed(*harm.tolist(), options))
+    notes = list(_changed(int(harm[0]), int(harm[1]), options))
     out = join_datagrams(parts)
     if sending and sending.renews:
         out = Outgoing.bare(out.link, *sending.renew([out[row] for row in range(len(out))], out.time_ns))
