@@ -84,7 +84,7 @@ KEPT = {
 }
 """Options that name a file that is neither only read nor written anew."""
 READS = {
-    *("FILE", "[FILE]...", "GOOD", "BAD", "--read", "--config", "--msg-path", "--structs", "--include"),
+    *("FILE", "[FILE]...", "[FILE]... [TOPIC]", "GOOD", "BAD", "--read", "--config", "--msg-path", "--structs", "--include"),
     *(
         "--against",
         "--bag",
