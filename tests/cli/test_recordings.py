@@ -84,7 +84,18 @@ KEPT = {
 }
 """Options that name a file that is neither only read nor written anew."""
 READS = {
-    *("FILE", "[FILE]...", "[FILE]... [TOPIC]", "GOOD", "BAD", "--read", "--config", "--msg-path", "--structs", "--include"),
+    *(
+        "FILE",
+        "[FILE]...",
+        "[FILE]... [TOPIC]",
+        "GOOD",
+        "BAD",
+        "--read",
+        "--config",
+        "--msg-path",
+        "--structs",
+        "--include",
+    ),
     *(
         "--against",
         "--bag",
