@@ -120,11 +120,15 @@ class Program:
         return True
 
     def end(self, how=signal.SIGINT, code=0):
-        """End it as Ctrl-C does, or let it end by itself (None); return what it wrote and nobody took."""
+        """End it as Ctrl-C does, or let it end by itself (None); return what it wrote and nobody took.
+
+        Its exit code is ``code``, or one of those.
+        """
         if how is not None:
             self.process.send_signal(how)
         until(lambda: self.process.poll() is not None, lambda: f"its end: {self._told()}")
-        assert self.process.returncode == code, self._told()
+        codes = code if isinstance(code, tuple) else (code,)
+        assert self.process.returncode in codes, self._told()
         return self.out.rest(), self.err.rest()
 
     def _told(self):
