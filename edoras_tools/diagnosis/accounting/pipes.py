@@ -587,8 +587,9 @@ class Leftover:
         seen = stream.link.only_to_cfs and not any(item.not_captured for item in ingests)
         queue = queues.application_pipe(case.profile) if seen else None
         late = [item for item in ingests if item.waiting or item.older_until_ns or item.lost]
-        counted_ns = DRAINS_NS if late or not ingests else LATE_NS
-        times = case.captured(stream)
+        times, reads = case.captured(stream), case.profile.ci_datagrams_per_wake
+        crowded = most_at_once(times, case.profile.ci_wake_ns) > reads  # it waits in CI's socket
+        counted_ns = DRAINS_NS if late or crowded or not ingests else LATE_NS
         about = (sender, said, times, queue, counted_ns)
         return _Candidate(stream.msg_id, pipe, stream, stream, spans, since_ns, *about)
 
