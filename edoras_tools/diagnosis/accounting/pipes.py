@@ -583,8 +583,10 @@ class Leftover:
     ) -> _Candidate:
         case, spans, since_ns = self._case, self._case.spans(stream), self._older_ns.get(stream.receiver, 0)
         ingests = [item for item in case.ingests if item.endpoint == stream.receiver]
-        # Where CI read others, more came than is here.
+        # Where CI read others, more came than is here; an application that was stopped takes nothing.
         seen = stream.link.only_to_cfs and not any(item.not_captured for item in ingests)
+        fate = self._fates.get(id(stream))
+        seen &= fate is None or fate.unfollowed is None
         queue = queues.application_pipe(case.profile) if seen else None
         late = [item for item in ingests if item.waiting or item.older_until_ns or item.lost]
         times, reads = case.captured(stream), case.profile.ci_datagrams_per_wake
