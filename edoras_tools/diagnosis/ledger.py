@@ -26,15 +26,7 @@ import numpy as np
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT
-from edoras_tools.diagnosis.accounting.losses import (
-    BEHIND,
-    BUS,
-    COUNTERS,
-    RELAY,
-    SBN_SOCKET,
-    Among,
-    Loss,
-)
+from edoras_tools.diagnosis.accounting.losses import BEHIND, BUS, COUNTERS, SBN_SOCKET, Among, Loss
 from edoras_tools.diagnosis.evidence.copies import find_echoes
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
@@ -50,7 +42,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.closed import Unheard, Unreached
     from edoras_tools.diagnosis.accounting.losses import Fate
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.preparation import LostInRelay
+    from edoras_tools.diagnosis.evidence.relays import LostInRelay
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Verdict
 
@@ -517,10 +509,9 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
 
 def _by_relay(way: LedgerWay, relayed: LostInRelay, losses: Sequence[Loss]) -> list[Loss]:
     """Go on through a relay with both its sides in the capture; return what else was lost."""
-    hop = f"{RELAY} {relayed.relay}"
-    way.hop(hop, {"in": _SEEN, "out": _SEEN}, duplicated=relayed.doubled)
-    way.lose([loss for loss in losses if loss.hop == hop], frozenset({"network"}))
-    return [loss for loss in losses if loss.hop != hop]
+    way.hop(relayed.hop, {"in": _SEEN, "out": _SEEN}, duplicated=relayed.doubled)
+    way.lose([loss for loss in losses if loss.hop == relayed.hop], frozenset({"network"}))
+    return [loss for loss in losses if loss.hop != relayed.hop]
 
 
 def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:

@@ -16,8 +16,9 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.diagnosis.accounting.closed import UDP_PORT
-from edoras_tools.diagnosis.accounting.losses import APP, RELAY
+from edoras_tools.diagnosis.accounting.losses import APP
 from edoras_tools.diagnosis.balance import not_counted, sent
+from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
 from edoras_tools.diagnosis.ledger import CAUSES, Row, cause_text
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, Verdict, alike, group_verdicts
 from edoras_tools.units import SECOND
@@ -38,7 +39,7 @@ _MOMENT_S: Final = 0.1
 _SHARES: Final = ((1.0, "All"), (0.5, "Over half of the"), (0.4, "Nearly half of the"))
 _RARE: Final = 0.01
 
-_OF_ONE_HOP: Final = "SBN", UDP_PORT, RELAY
+_OF_ONE_HOP: Final = "SBN", UDP_PORT, RELAY_HOP
 """How the hops begin of which a verdict names one peer's or one port's."""
 
 
@@ -234,7 +235,7 @@ def _place(cause: str, rows: Sequence[Row], own: Sequence[Verdict]) -> str:
     hop = hop.replace(APP, "the application's pipe")
     if cause == "limit" and own:
         return f"at {hop}"
-    if rows[0].hop.startswith(RELAY):
+    if rows[0].hop.startswith(RELAY_HOP):
         return f"at {rows[0].hop}"
     if cause in {"limit", "overflow"}:
         return f"{cause_text(cause)}, {hop}"

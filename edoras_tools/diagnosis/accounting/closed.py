@@ -198,6 +198,11 @@ class Unheard:
     lost: list[int] = field(default_factory=list)
     restarted: list[int] = field(default_factory=list)
 
+    @property
+    def unheard(self) -> list[int]:
+        """Those that surely were not heard: what else befell them is not told again (rule 6)."""
+        return [*self.lost, *self.restarted]
+
 
 def unheard(case: Case) -> dict[int, Unheard]:
     """Return it by the id of the stream; a stream is there if its peer was silent at all."""
@@ -279,9 +284,9 @@ def unreached(case: Case) -> list[Unreached]:
                 out += _at(stream, np.unique(hop.in_rows), best, hop.out.receiver, sent_ns)
         if fate is None:
             silent = case.unheard.get(id(stream))
-            told = [*silent.lost, *silent.restarted] if silent else []  # by its silence: rule 6
+            unheard = silent.unheard if silent else []
             for endpoint, members in by_value(case.rows.destination[stream.rows]):
-                rows = np.setdiff1d(members, told)
+                rows = np.setdiff1d(members, unheard)
                 out += _at(stream, rows, fate_of[stream.rows], endpoint, times[stream.rows])
     for stream in find_robots(case.rows):
         rows = np.flatnonzero(~covered[stream.rows])

@@ -33,7 +33,6 @@ from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, Stops
 from edoras_tools.diagnosis.accounting.ingest import BeforeCi
 from edoras_tools.diagnosis.accounting.losses import (
     COUNTERS,
-    RELAY,
     SBN_SOCKET,
     TAIL_NS,
     WAITS_NS,
@@ -58,7 +57,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.claims import Claim, Shared
     from edoras_tools.diagnosis.accounting.losses import LossKind
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.preparation import LostInRelay
+    from edoras_tools.diagnosis.evidence.relays import LostInRelay
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Verdict
 
@@ -169,22 +168,17 @@ class Commands:
 
     def _relayed(self, fates: Sequence[Fate]) -> None:
         """Tell lost what went into a relay and did not come out of it: its other side is in the capture."""
-        rows = self._case.rows
+        own = (fate.stream for fate in reversed(fates))
+        streams = {(item.link.code, item.msg_id, item.receiver): item for item in own}
         for item in self._case.prepared.passed:
-            own = [
-                fate
-                for fate in fates
-                if (fate.stream.link.code, fate.stream.msg_id) == (item.link, item.msg_id)
-                and rows.destination[fate.stream.rows[0]] == item.receiver
-            ]
-            stream = own[0].stream if own else None
+            stream = streams.get((item.link, item.msg_id, item.receiver))
             if stream is not None:
                 self.relayed[id(stream)] = item
             if number := len(item.lost_ns):
                 span = int(item.lost_ns.min()), int(item.lost_ns.max())
                 text = f"{number:,} of {item.of:,} went into {item.relay} and did not come out of it"
-                loss = Loss("network", f"{RELAY} {item.relay}", number, *span, "high", msg_id=item.msg_id)
-                loss.stream, loss.of, loss.evidence = stream, item.of, [text]
+                loss = Loss("network", item.hop, number, *span, "high", msg_id=item.msg_id, stream=stream)
+                loss.of, loss.evidence = item.of, [text]
                 self.losses.append(loss)
 
     def _lose(self, fate: Fate, kind: LossKind, rows: NDArray[np.intp], text: str) -> None:
@@ -340,7 +334,7 @@ class Commands:
             if fate.seen or fate.stream.receiver not in counting:
                 closed = np.flatnonzero(fate.open & self._case.unreachable.closed[fate.stream.rows])
                 if (silent := self._case.unheard.get(id(fate.stream))) is not None:
-                    closed = np.setdiff1d(closed, [*silent.lost, *silent.restarted])  # told by its silence
+                    closed = np.setdiff1d(closed, silent.unheard)
                 self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
             own = [at for at, item in enumerate(shared) if id(fate.stream) in item.flows]
             fate.ends["shared"] = sum(shared[at].number for at in own)

@@ -590,6 +590,11 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int]) -> 
     return lost
 
 
+def _spread_evenly(rows: NDArray[np.intp], number: int) -> NDArray[np.intp]:
+    """Return so many of some rows, evenly spread over them."""
+    return rows[np.linspace(0, len(rows) - 1, number).round().astype(np.intp)]
+
+
 _OUTAGES: Final = frozenset({"down", "restart"})
 
 
@@ -715,8 +720,7 @@ class BeforeCi:
             last = int(np.flatnonzero(fate.arrived)[-1]) if fate.arrived.any() else inside[-1]
             sure = inside[inside > last][:share]
             others = np.setdiff1d(inside, sure)
-            spread = np.linspace(0, len(others) - 1, share - len(sure)).round().astype(np.intp)
-            chosen = np.union1d(sure, others[spread])
+            chosen = np.union1d(sure, _spread_evenly(others, share - len(sure)))
             fate.claim(chosen)
             if before.cause == "unknown":
                 fate.ends["uncounted"] += share
@@ -741,7 +745,7 @@ class BeforeCi:
             inside = np.flatnonzero(fate.open & (self._case.captured(fate.stream) <= until_ns))
             number = fate.ends["unaccounted"] - max(0, read - came_out - on_bus)
             if (number := min(number, len(inside))) > 0:
-                rows = inside[np.linspace(0, len(inside) - 1, number).round().astype(np.intp)]
+                rows = _spread_evenly(inside, number)
                 fate.ends["unaccounted"] -= fate.claim(rows)
                 self.losses.append(loss_of(self._case, fate, "network", rows, [text], among=inside))
 

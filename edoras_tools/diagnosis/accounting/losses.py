@@ -48,7 +48,6 @@ APP: Final = "application pipe"
 CI_SOCKETS: Final = tuple(f"{name} socket" for name in command_ingest.NAMES)
 CI_SOCKET: Final = CI_SOCKETS[0]
 BEFORE_CI: Final = "network before CI"
-RELAY: Final = "relay"
 SBN_SOCKET: Final = "SBN socket"
 BUS: Final = "software bus"
 BEHIND: Final = "between cFS and the capture"

@@ -592,8 +592,9 @@ class Leftover:
         times, reads = case.captured(stream), case.profile.ci_datagrams_per_wake
         crowded = most_at_once(times, case.profile.ci_wake_ns) > reads  # it waits in CI's socket
         counted_ns = DRAINS_NS if late or crowded or not ingests else LATE_NS
-        about = (sender, said, times, queue, counted_ns)
-        return _Candidate(stream.msg_id, pipe, stream, stream, spans, since_ns, *about)
+        return _Candidate(
+            stream.msg_id, pipe, stream, stream, spans, since_ns, sender, said, times, queue, counted_ns
+        )
 
     def _fed(self, reported: ReportedLoss, instance: int) -> Fate | None:
         """Return the traffic that the messages of a reported loss came from, if the capture has it."""

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.preparation import handed_on
-from edoras_tools.diagnosis.evidence.table import peer_of
+from edoras_tools.diagnosis.evidence.table import number_hosts, peer_of
 from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import BOOT_APART_NS
 from edoras_tools.units import SECOND
@@ -82,10 +82,8 @@ class Instances:
     """
 
     def __init__(self, rows: Rows, events: Sequence[EventRecord], endpoints: Sequence[Endpoint]) -> None:
-        numbers: dict[str, int] = {}
-        hosts = [numbers.setdefault(item.address, len(numbers)) for item in endpoints]
-        self.hosts = np.array(hosts, np.int32)
-        self._addresses = list(numbers)
+        self.hosts = number_hosts(endpoints)
+        self._addresses = list(dict.fromkeys(item.address for item in endpoints))
         self._ports = [item.port for item in endpoints]
         self.of_row = np.full(len(rows), NOBODY, np.int32)
         self.items: list[Instance] = []

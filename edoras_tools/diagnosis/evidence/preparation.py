@@ -15,7 +15,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -32,12 +31,12 @@ from edoras_tools.wire.arrays.order import by_value, numbered
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.payloads import Payloads
-    from edoras_tools.diagnosis.evidence.relays import Proxied, RelayedWay, RouteWay
+    from edoras_tools.diagnosis.evidence.relays import LostInRelay, Proxied, RouteWay
 
 _MOST_SET: Final = 16
 """A clock is set back now and then; records that go back more often are out of order."""
@@ -75,46 +74,6 @@ class Prepared:
     translated: Mapping[str, str]
 
 
-@dataclass(frozen=True, slots=True)
-class LostInRelay:
-    """What a relay did to the messages of one MsgId to one receiver.
-
-    Attributes:
-        relay: where it takes datagrams.
-        link: code of their link.
-        msg_id: MsgId.
-        receiver: number of the endpoint that they go to behind it.
-        lost_ns: i64, when those came to it that did not leave it.
-        of: messages that came to it.
-        doubled: datagrams that left it more than once.
-    """
-
-    relay: Endpoint
-    link: int
-    msg_id: int
-    receiver: int
-    lost_ns: NDArray[np.int64]
-    of: int
-    doubled: int
-
-    @property
-    def more(self) -> int:
-        """How many more went in than came out."""
-        return len(self.lost_ns) - self.doubled
-
-
-def _lost_in(rows: Rows, item: RelayedWay) -> Iterator[LostInRelay]:
-    """Yield what a relay did to each MsgId that has no sequence count to show it."""
-    commands = item.before[rows.function_code[item.before] >= 0]
-    lost, doubled = item.before[item.lost], item.behind[item.doubled]
-    for msg_id, own in by_value(rows.msg_id[commands]):
-        gone = lost[rows.msg_id[lost] == msg_id]
-        again = int((rows.msg_id[doubled] == msg_id).sum())
-        receiver, link = int(rows.destination[item.behind[0]]), int(rows.link[item.before[0]])
-        if len(gone) or again:
-            yield LostInRelay(item.relay, link, msg_id, receiver, rows.time_ns[gone], len(own), again)
-
-
 def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared:
     """Prepare what a recorder kept.
 
@@ -133,8 +92,8 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
     names = one_name(told, recorder.endpoints)
     if (names != np.arange(len(names))).any():
         told = followed(replace(told, source=names[told.source], destination=names[told.destination]))
-    passed = tuple(find_relayed(told, recorder.endpoints))
-    lost = [_lost_in(told, item) for item in passed]
+    passed = find_relayed(told, recorder.endpoints)
+    lost = tuple(loss for item in passed for loss in item.losses(told))
     if passed:
         source, behind = told.source.copy(), np.ones(len(told), bool)
         for item in passed:
@@ -172,7 +131,7 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
         foreign=int(foreign.sum()),
         copies=int(copy.sum()) - len(doubled),
         relayed=int(relayed.sum()),
-        passed=tuple(chain.from_iterable(lost)),
+        passed=lost,
         duplicates=np.flatnonzero(duplicate),
         doubled=doubled,
         disordered=disordered,

@@ -44,16 +44,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal, paired
+from edoras_tools.diagnosis.evidence.table import number_hosts
 from edoras_tools.links.table import among
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays.fingerprint import MIX, of_bytes
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
 
 
 PROXY_HOP: Final = "proxy"
+RELAY_HOP: Final = "relay"
 _DROPPED: Final = "dropped"
 _TIMES: Final = ("sent ", " times")
 _OVERFLOW: Final = "overflow"
@@ -252,6 +254,39 @@ _RELAY_NS: Final = 10 * SECOND
 
 
 @dataclass(frozen=True, slots=True)
+class LostInRelay:
+    """What a relay did to the messages of one MsgId to one receiver.
+
+    Attributes:
+        relay: where it takes datagrams.
+        link: code of their link.
+        msg_id: MsgId.
+        receiver: number of the endpoint that they go to behind it.
+        lost_ns: i64, when those came to it that did not leave it.
+        of: messages that came to it.
+        doubled: datagrams that left it more than once.
+    """
+
+    relay: Endpoint
+    link: int
+    msg_id: int
+    receiver: int
+    lost_ns: NDArray[np.int64]
+    of: int
+    doubled: int
+
+    @property
+    def hop(self) -> str:
+        """The name of the relay's hop."""
+        return f"{RELAY_HOP} {self.relay}"
+
+    @property
+    def more(self) -> int:
+        """How many more went in than came out."""
+        return len(self.lost_ns) - self.doubled
+
+
+@dataclass(frozen=True, slots=True)
 class RelayedWay:
     """What came to a relay and what left it again, of which the capture has both.
 
@@ -277,6 +312,17 @@ class RelayedWay:
         last[last < 0] = int(np.flatnonzero(self.made_of >= 0)[0])
         return np.asarray(rows.source[self.before[self.made_of[last]]])
 
+    def losses(self, rows: Rows) -> Iterator[LostInRelay]:
+        """Yield what the relay did to each MsgId that has no sequence count to show it."""
+        commands = self.before[rows.function_code[self.before] >= 0]
+        lost, doubled = self.before[self.lost], self.behind[self.doubled]
+        receiver, link = int(rows.destination[self.behind[0]]), int(rows.link[self.before[0]])
+        for msg_id, own in by_value(rows.msg_id[commands]):
+            lost_ns = rows.time_ns[lost[rows.msg_id[lost] == msg_id]]
+            again = int((rows.msg_id[doubled] == msg_id).sum())
+            if len(lost_ns) or again:
+                yield LostInRelay(self.relay, link, msg_id, receiver, lost_ns, len(own), again)
+
 
 def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
     """Return what passed a relay on both sides of which the rows were captured.
@@ -285,7 +331,7 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
         rows: in order of time.
         endpoints: what their ``source`` and ``destination`` index.
     """
-    host = numbered(np.array([hash(item.address) for item in endpoints], np.int64))[1]
+    host = number_hosts(endpoints)
     source, destination = (host[end] for end in (rows.source, rows.destination))
     if not len(rows) or len(np.unique(source)) < 2:
         return []
@@ -298,15 +344,15 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
         if len(before) < _LEAST_DATAGRAMS or (source[before] == at).any():
             continue
         behinds = leaving.get(at)
-        if behinds is None:  # it says nothing itself: a relay may send from another address
-            senders = set(source[before].tolist())
-            near = len(leaving) <= _MOST_HOSTS
-            behinds = [item for host in leaving if near and host not in senders for item in leaving[host]]
+        # An address that says nothing may be of a relay that sends from another one.
+        if behinds is None and len(leaving) <= _MOST_HOSTS:
+            others = leaving.keys() - set(source[before].tolist())
+            every = (item for host in leaving if host in others for item in leaving[host])
+            behinds = [item for item in every if int(destination[item[0]]) in leaving]
         found += [
             item
-            for behind in behinds
+            for behind in behinds or ()
             if rows.link[behind[0]] == rows.link[before[0]] and int(destination[behind[0]]) != at
-            if at in leaving or int(destination[behind[0]]) in leaving
             if (item := _relayed(rows, endpoints[relay], before, behind)) is not None
         ]
     return found

@@ -151,6 +151,13 @@ def peer_of(number: int) -> Peer:
     return Peer(number >> 32, number & 0xFFFFFFFF)
 
 
+def number_hosts(endpoints: Sequence[Endpoint]) -> NDArray[np.int32]:
+    """Return the number of the address of each endpoint, in the order in which addresses come first: i32."""
+    numbers: dict[str, int] = {}
+    hosts = [numbers.setdefault(item.address, len(numbers)) for item in endpoints]
+    return np.array(hosts, np.int32)
+
+
 class Recorder:
     """Takes batches and keeps what a diagnosis needs of them.
 

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.fingerprint import brackets
+from edoras_tools.diagnosis.evidence.table import number_hosts
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import numbered
@@ -198,7 +199,7 @@ def _telling(
     rows: Rows, errors: PortErrors, events: _Events, endpoints: Sequence[Endpoint]
 ) -> NDArray[np.bool_]:
     """Tell of which datagrams an error would have been sent, had their port been closed (rule 3)."""
-    host = numbered(np.array([hash(item.address) for item in endpoints]))[1]
+    host = number_hosts(endpoints)
     loops = np.array([ipaddress.ip_address(item.address).is_loopback for item in endpoints])
     at = np.flatnonzero(events.kind != _VOICE)
     is_error = events.kind[at] == _ERROR

@@ -11,7 +11,7 @@ from edoras_tools.cfs import command_ingest, queues, telemetry_output
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.cfs.names import MSG_ID_NAMES
-from edoras_tools.diagnosis.accounting.losses import CI_SOCKET, RELAY
+from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
 from edoras_tools.diagnosis.advice import (
     advise,
@@ -23,6 +23,7 @@ from edoras_tools.diagnosis.advice import (
     published,
     stood_still,
 )
+from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
 from edoras_tools.diagnosis.rules.about import of_messages, packet
 from edoras_tools.diagnosis.rules.commands import refusals
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, warning
@@ -324,7 +325,7 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
     """
     for loss in case.losses:
         if loss.kind == "network":
-            relay = loss.hop.startswith(RELAY)
+            relay = loss.hop.startswith(RELAY_HOP)
             why = "they did not come out" if relay else "CI did not read them, and it can read so many"
             uplink = "look at the uplink: a capture on the cFS host shows which of them arrive there"
             yield loss_verdict(
