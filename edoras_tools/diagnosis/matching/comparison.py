@@ -24,6 +24,7 @@ import numpy as np
 from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.evidence.clocks.alignment import align, align_ways
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
+from edoras_tools.diagnosis.evidence.copies import find_echoes
 from edoras_tools.diagnosis.evidence.fingerprint import paired
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.diagnosis.evidence.clocks.alignment import Alignment
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.diagnosis.verdict import Choice
     from edoras_tools.mission import Mission
@@ -171,7 +173,7 @@ def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> Cap
     topics: dict[tuple[int, int], str] = {(route.link, route.msg_id): route.topic for route in mission.routes}
     sides = _side(first), _side(second)
     found = align(first, second)
-    line = found.line if found is not None else ClockLine(0, _equal(*(side.rows for side in sides)))
+    line = _line(found) if found else ClockLine(0, _equal(*(side.rows for side in sides)))
     times = line.set_back(sides[1].rows.time_ns)
     sides = sides[0], replace(sides[1], rows=replace(sides[1].rows, time_ns=times))
     keys = sorted({key for side in sides for key in _keys(side.rows)})
@@ -206,8 +208,7 @@ def compare_messages(
     ours, theirs = (np.concatenate([nothing, *(pair[side] for pair in known.values())]) for side in (0, 1))
     turned = np.concatenate([np.zeros(0, np.bool_), *which])
     found = align_ways(first.time_ns[ours], second.time_ns[theirs], turned)
-    # Clocks that may be equal are taken as equal.
-    line = ClockLine(0, 0) if found is None or found.low_ns <= 0 <= found.high_ns else found.line
+    line = _line(found) if found else ClockLine(0, 0)
     moved = replace(second, time_ns=line.set_back(second.time_ns))
     sides = _Side(first, nobody, nothing), _Side(moved, nobody, nothing)
     took = moved.time_ns[theirs] - first.time_ns[ours]
@@ -221,6 +222,11 @@ def compare_messages(
         same > _FEW * min(_within(*sides), _within(*sides[::-1])),
         [replace(item, topic=topics[item.link, item.msg_id]) for item in routes],
     )
+
+
+def _line(found: Alignment) -> ClockLine:
+    """Return how the second clock stands to the first; clocks that may be equal are taken as equal."""
+    return ClockLine(0, 0) if found.low_ns <= 0 <= found.high_ns else found.line
 
 
 def _once(a: Rows, b: Rows, key: _Key) -> _Pair:
@@ -347,7 +353,7 @@ def _difference(
     missing = missing[far.during(left) & far.during(left + longest) & ~near.again(missing, ours)]
     extra = np.setdiff1d(came, theirs)
     extra = extra[near.during(far.rows.time_ns[extra])]
-    again = far.again(extra, theirs)
+    again = far.again(extra, theirs) | _echoed(near.rows, far.rows, sent, came, extra)
     altered = _altered(near.rows, far.rows, missing, extra[~again])
     if once:
         values, counts = np.unique(near.rows.packet_print[ours], return_counts=True)
@@ -371,6 +377,17 @@ def _difference(
         neither=max(0, min(absent[0] - added, absent[1] - lost)),
         latency=latency_of(np.maximum(took, 0)),
     )
+
+
+def _echoed(
+    near: Rows, far: Rows, sent: NDArray[np.intp], came: NDArray[np.intp], extra: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Tell which of what only the receiver's side has came a short time after an equal one."""
+    echo = came[find_echoes(far, came)]
+    likely = np.flatnonzero(np.isin(far.packet_print[extra], far.packet_print[echo]))
+    out = np.zeros(len(extra), np.bool_)
+    out[likely[: max(0, len(echo) - int(find_echoes(near, sent).sum()))]] = True
+    return out
 
 
 def _altered(first: Rows, second: Rows, missing: NDArray[np.intp], extra: NDArray[np.intp]) -> int:

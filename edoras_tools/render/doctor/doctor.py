@@ -419,11 +419,13 @@ def comparison_table(comparison: CaptureComparison, width: int) -> RenderableTyp
     offset = (
         f"clocks differ by {units.milliseconds(comparison.offset_ns / 1e6)}{drift}; latencies are beyond that"
     )
-    lost, neither = (sum(row[name] for row in rows) for name in ("lost", "neither"))
+    lost, neither, extra = (sum(row[name] for row in rows) for name in ("lost", "neither", "extra"))
     end = f"Lost between the two: {plural(lost, 'message')}." if lost else "Nothing lost between the two."
     style = Level.ERROR.style if lost else "green"
     if neither:
         end += f" {neither:,} are missing in both by sequence count: lost before either point."
+    if extra:
+        end += f" {extra:,} are on the receiver's side alone: not recorded by the other, or sent by others."
     return Group(
         Text(offset, palette.DIM), build(_DIFF, rows, width, apart=lambda row: row["link"]), Text(end, style)
     )
