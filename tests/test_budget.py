@@ -39,8 +39,8 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(55_815, 150, 58_000),
-    "lines with code, all": Limit(83_484, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(55_826, 150, 58_000),
+    "lines with code, all": Limit(83_495, 150, 84_000),  # with what is still to come
     "files": Limit(558, 10, 450),
     "files below 170 lines, of 1,000": Limit(428, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
