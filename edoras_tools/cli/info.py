@@ -13,7 +13,7 @@ from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, finish
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
-from edoras_tools.cli.output import print_json, print_view
+from edoras_tools.cli.output import print_json, print_view, watcher
 from edoras_tools.cli.recordings import known_topics
 from edoras_tools.errors import ConfigError
 
@@ -41,7 +41,6 @@ def info(
         return
     from edoras_tools.io.formats.cfe.contents import read_cfe_file
     from edoras_tools.pipelines.capture.info import inspect
-    from edoras_tools.render.capture.watch import watcher
 
     contents = [item for path in paths if (item := read_cfe_file(path)) is not None]
     for item in contents:

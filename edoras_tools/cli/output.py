@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 from edoras_tools.cli.settings import in_effect
@@ -12,10 +13,31 @@ from edoras_tools.render.terminal.text import clean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
+    from contextlib import AbstractContextManager
+    from pathlib import Path
 
     from rich.console import RenderableType
 
+    from edoras_tools.io import Source
     from edoras_tools.render.terminal.progress import FileProgress
+    from edoras_tools.render.terminal.text import ReadingRun, Watcher
+
+
+def watcher(
+    source: Source, output: Path | None, *, quiet: bool, live: bool
+) -> AbstractContextManager[Watcher[ReadingRun] | None]:
+    """Return what shows a run; where nothing is shown, what could show it is not even loaded.
+
+    Args:
+        output: see ``render.capture.watch.watcher``.
+        quiet: see there.
+        live: see there.
+    """
+    if quiet:
+        return nullcontext()
+    from edoras_tools.render.capture import watch
+
+    return watch.watcher(source, output, live=live)
 
 
 def print_json(value: Mapping[str, Any]) -> None:

@@ -16,7 +16,7 @@ from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import finish, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.options import amount, size
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import print_json, watcher
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES, WRITTEN, Format, written_as
 from edoras_tools.io.outputs import STDOUT
@@ -182,7 +182,6 @@ def record(
         return
     from edoras_tools.pipelines.capture.record import check_output
     from edoras_tools.pipelines.capture.record import record as run
-    from edoras_tools.render.capture.watch import watcher
 
     live, limits = not given.paths, stop.limits(given.paths)
     if every and not given.live.interface:

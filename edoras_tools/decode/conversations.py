@@ -113,7 +113,8 @@ class Flow:
         return links[best] if counts[best] * 10 >= self.datagrams * 9 else OTHER
 
 
-_SUMS: Final = ("begins", "sound", "commands", "telemetry", "network")
+_ALIKE: Final = "commands", "telemetry", "network"
+_SUMS: Final = "begins", "sound", *_ALIKE
 
 
 @dataclass(slots=True, eq=False)
@@ -308,8 +309,9 @@ def _marks(
     begins, sound = _soundness(columns, rows, described)
     marks = {"begins": begins, "sound": sound}
     other = np.flatnonzero(columns.link[rows] == OTHER)
-    for name, mark in _alike(batch, rows[other]).items():
+    for name in _ALIKE:
         marks[name] = np.zeros(len(rows), bool)
+    for name, mark in _alike(batch, rows[other]).items() if len(other) else ():
         marks[name][other] = mark
     return marks
 

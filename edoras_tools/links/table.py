@@ -168,7 +168,8 @@ class LinkStates(Generic[State]):
 
     def of(self, columns: Columns) -> list[State]:
         """Return the states for a batch, those that begin with it among them."""
-        self.begin(link for link in self._waiting if link.in_packets or (columns.link == link).any())
+        met = columns.link.tobytes()
+        self.begin(link for link in self._waiting if link.in_packets or int(link) in met)
         return [*self.by_link.values()]
 
     def begin(self, some: Iterable[LinkProtocol] | None = None) -> None:

@@ -488,16 +488,17 @@ class SequenceCounts:
         self._index: dict[int, int] = {}
         self._rows = 0
         self._newest: tuple[PacketBatch, SequenceRows] | None = None
+        self._ordered: tuple[PacketBatch, NDArray[np.int64]] | None = None
 
-    def follow(
-        self, batch: PacketBatch, columns: Columns, order: NDArray[np.int64] | None = None
-    ) -> SequenceRows:
-        """Follow the counts of a batch's packets that have one; return what they say of its rows.
+    def order(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
+        """Return all rows of a batch, those of one link, sender and MsgId side by side, as they came."""
+        if self._ordered is None or self._ordered[0] is not batch:
+            msg_id = (columns.msg_id + 1).astype(np.uint32)
+            self._ordered = batch, order_by(columns.processor_id, columns.link, msg_id)
+        return self._ordered[1]
 
-        Args:
-            order: all rows, those of one link, sender and MsgId side by side as far as possible, where the
-                caller has them so already.
-        """
+    def follow(self, batch: PacketBatch, columns: Columns) -> SequenceRows:
+        """Follow the counts of a batch's packets that have one; return what they say of its rows."""
         if self._newest is not None and self._newest[0] is batch:
             return self._newest[1]
         out = _Told(
@@ -512,8 +513,7 @@ class SequenceCounts:
         has_count = (columns.msg_id != NO_MSG_ID) & (
             (columns.findings & np.uint32(Finding.SEQUENCE_UNSET)) == 0
         )
-        if order is None:
-            order = order_by(columns.msg_id.astype(np.uint32), columns.processor_id, columns.link)
+        order = self.order(batch, columns)
         rows = order[has_count[order]]
         if len(rows):
             self._follow(batch, columns, _ordered(batch, columns, rows), out)

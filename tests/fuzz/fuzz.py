@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 SEEDS = HERE / "seeds"
 MOST_MEMORY = 4 << 30
+WALL_S = 300
+"""What computes for ``fuzz_engine.HANG_S`` is a finding; what waits for so long ends the target."""
 BROKE = HERE / "broke"
 """Findings of the past: moved here once what they showed is mended."""
 WEIGHTS = {"commands": 12, "capture": 2, "recover": 2, "doctor": 2, "stream": 2}
@@ -108,8 +110,6 @@ def with_atheris(options: argparse.Namespace) -> int:
         from fuzz_targets import TARGETS
 
         chosen = options.target or list(TARGETS)
-        for data in seeds("commands") if "commands" in chosen else ():
-            TARGETS["commands"](data)  # loads what commands load late, once for all
         whole = sum(WEIGHTS.get(name, 1) for name in chosen)
         counts = mmap.mmap(-1, 16 * len(chosen))  # shared with the processes
         options.findings.mkdir(parents=True, exist_ok=True)
@@ -117,6 +117,9 @@ def with_atheris(options: argparse.Namespace) -> int:
         for place, name in enumerate(chosen):
             seconds = max(round(options.seconds * WEIGHTS.get(name, 1) / whole), 1)
             print(f"{name}: {seconds} s", flush=True)
+            # Loads here what the target loads late: to instrument it may take longer than an input may.
+            for data in seeds(name):
+                fuzz_engine.execute(name, TARGETS[name], data)
             child = os.fork()
             if not child:
                 _lead(atheris, name, TARGETS[name], seconds, options, (counts, 16 * place))
@@ -161,7 +164,7 @@ def _lead(
     for number, data in enumerate(inputs):
         (first / str(number)).write_bytes(data)
     limits = [f"-max_total_time={seconds}", f"-max_len={fuzz_engine.LONGEST}", "-len_control=0"]
-    limits += [f"-artifact_prefix={options.findings}/{name}-", "-rss_limit_mb=3072", "-timeout=60"]
+    limits += [f"-artifact_prefix={options.findings}/{name}-", "-rss_limit_mb=3072", f"-timeout={WALL_S}"]
     if options.seed is not None:
         limits.append(f"-seed={options.seed or 1}")
     atheris.Setup(["fuzz", *limits, str(corpus), str(first)], one, custom_mutator=mutated)

@@ -20,7 +20,7 @@ from edoras_tools.cli import options, recordings, sending
 from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import finish, say, tell, tell_reach
 from edoras_tools.cli.inputs import InputOptions, open_input
-from edoras_tools.cli.output import file_progress, print_json
+from edoras_tools.cli.output import file_progress, print_json, watcher
 from edoras_tools.cli.relays import Origins, Token, place
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.words import plural
@@ -250,7 +250,6 @@ def _show(
     """Show live traffic; return a summary and the report of its capture."""
     from edoras_tools.addons.foxglove.serving import live as run
     from edoras_tools.pipelines.interrupt import on_interrupt
-    from edoras_tools.render.capture.watch import watcher
 
     sink = serve(bench, source.info, statistics=source.statistics, publisher=commands)
     with (

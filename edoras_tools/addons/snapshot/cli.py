@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 from edoras_tools.addons.snapshot.sink import SnapshotPlan, record_snapshots
 from edoras_tools.addons.snapshot.triggers import Triggers, ask, listening
 from edoras_tools.cli.endings import finish
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import print_json, watcher
 from edoras_tools.model import Finding
 from edoras_tools.pipelines.interrupt import Keys
-from edoras_tools.render.capture.watch import watcher
 from edoras_tools.render.severity import NOTABLE
 from edoras_tools.words import plural
 

@@ -58,8 +58,6 @@ _STEADY: Final = 0.8
 _NEARLY_ALL: Final = 0.95
 _LEAST_GROUPS: Final = 8
 _LEAST_BYTES: Final = 16
-_PLACES: Final = 18
-"""Bits of a table that what is there once is told by."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,18 +227,11 @@ def _glance(
 
 def _perhaps_again(number: NDArray[np.uint64], time_ns: NDArray[np.int64]) -> bool:
     """Tell whether two datagrams within 20 ms may be equal, by the numbers that equal ones share."""
-    table = np.empty(1 << _PLACES, np.int32)
     for shift in (0, _WITHIN_NS):  # two within 20 ms are in one window of 40 ms, of these or of those between
         window = ((time_ns + shift) // (2 * _WITHIN_NS)).astype(np.uint64)
-        place = (((number ^ window) * MIX) >> np.uint64(64 - _PLACES)).view(np.int64)
-        rows = np.arange(len(number), dtype=np.int32)
-        while len(rows):
-            table[place] = rows
-            last = table[place]
-            others = np.flatnonzero(last != rows)  # few: most have a place of their own
-            rows, place, last = rows[others], place[others], last[others]
-            if (number[rows] == number[last]).any():
-                return True
+        ranked = np.sort(number ^ window * MIX)
+        if (ranked[1:] == ranked[:-1]).any():
+            return True
     return False
 
 

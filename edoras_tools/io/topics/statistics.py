@@ -14,7 +14,6 @@ from edoras_tools.links import table
 from edoras_tools.model import Columns, HostCounters, PacketBatch, SocketCounters, SourceStatistics
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import order_by
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -116,7 +115,7 @@ class LinkStatistics:
 
     def _count(self, batch: PacketBatch, columns: Columns, second: NDArray[np.int64]) -> NDArray[np.void]:
         msg_id = (columns.msg_id + 1).astype(np.uint32)
-        order = order_by(columns.processor_id, columns.link, msg_id)
+        order = self._sequences.order(batch, columns)
         flow = (columns.link.astype(np.uint32) << _MSG_ID_BITS) | msg_id
         flow, second, length = flow[order], second[order], batch.length[order]
         starts = np.append(0, np.flatnonzero((flow[1:] != flow[:-1]) | (second[1:] != second[:-1])) + 1)
@@ -125,7 +124,7 @@ class LinkStatistics:
         groups["count"] = np.diff(np.append(starts, len(order)))
         groups["bytes"] = np.add.reduceat(length, starts, dtype=np.int64)
         groups["largest"] = np.maximum.reduceat(length, starts)
-        result = self._sequences.follow(batch, columns, order)
+        result = self._sequences.follow(batch, columns)
         if result.missing.any() or result.refilled.any():
             groups["gaps"] = np.add.reduceat((result.missing - result.refilled)[order], starts)
         return groups

@@ -169,7 +169,7 @@ class Ledger:
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values, from which ``adopt`` takes the same counts; without those of links."""
-        accounts = [item.as_json() for item in self.accounts.values()]
+        accounts = [self.accounts[key].as_json() for key in sorted(self.accounts)]
         return {**{name: getattr(self, name) for name in _TOTALS}, "accounts": accounts}
 
     def adopt(self, text: str) -> bool:
@@ -221,12 +221,17 @@ class Ledger:
         own = table.message_kinds(columns, batch.length) if batch.recorded is None else columns.route
         kind = columns.link.astype(np.uint32) << 9 | (own + 1).astype(np.uint16)
         msg_id = (columns.msg_id + 1).astype(np.uint32)
-        order = order_by(msg_id, columns.processor_id, kind)
+        order = self.sequences.order(batch, columns)
+        # Of one link and MsgId only what has none is of several kinds.
+        if not (named := msg_id[order] != 0).all():
+            unnamed = order[~named]
+            unnamed = unnamed[order_by(columns.processor_id[unnamed], kind[unnamed])]
+            order = np.concatenate((unnamed, order[named]))
         keys = np.stack((columns.processor_id[order], kind[order], msg_id[order]))
         starts = np.append(0, np.flatnonzero((keys[:, 1:] != keys[:, :-1]).any(axis=0)) + 1)
         accounts = [self._account(columns, int(own[row]), row) for row in order[starts].tolist()]
         self._count(accounts, batch, columns, order, starts)
-        stream = self.sequences.follow(batch, columns, order).stream
+        stream = self.sequences.follow(batch, columns).stream
         if len(self.sequences.streams) > self._known:
             streams, first = np.unique(stream, return_index=True)
             for index, row in zip(streams.tolist(), first.tolist(), strict=True):

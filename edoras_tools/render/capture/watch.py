@@ -103,16 +103,15 @@ _PATIENCE_S: Final = 0.3
 
 
 def watcher(
-    source: Source, output: Path | None, *, quiet: bool, live: bool
+    source: Source, output: Path | None, *, live: bool
 ) -> AbstractContextManager[Watcher[ReadingRun] | None]:
-    """Return what shows a run on standard error: a live table, a progress bar, or nothing.
+    """Return what shows a run on standard error: a live table, a progress bar; nothing if it is no terminal.
 
     Args:
         output: what is written, if anything is.
-        quiet: show nothing; neither is anything shown where standard error is no terminal.
         live: the source is live, so there is no end for a progress bar.
     """
-    if quiet or not detect_terminal(sys.stderr).interactive:
+    if not detect_terminal(sys.stderr).interactive:
         return nullcontext()
     from edoras_tools.render.terminal.terminal import error_console
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from edoras_tools.cli.output import watcher
 from edoras_tools.io import SourceDefaults
 from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.render.capture import watch
@@ -24,19 +25,19 @@ def terminal(monkeypatch):
 
 @pytest.mark.usefixtures("terminal")
 def test_live_sources_have_a_table_and_files_a_bar():
-    assert isinstance(watch.watcher(SOURCE, Path("a.mcap"), quiet=False, live=True), LiveTable)
-    assert isinstance(watch.watcher(SOURCE, None, quiet=False, live=False), FileProgress)
+    assert isinstance(watch.watcher(SOURCE, Path("a.mcap"), live=True), LiveTable)
+    assert isinstance(watch.watcher(SOURCE, None, live=False), FileProgress)
 
 
 @pytest.mark.usefixtures("terminal")
 def test_quiet_shows_nothing():
-    with watch.watcher(SOURCE, None, quiet=True, live=True) as nothing:
+    with watcher(SOURCE, None, quiet=True, live=True) as nothing:
         assert nothing is None
 
 
 def test_no_terminal_shows_nothing(monkeypatch):
     monkeypatch.setattr("sys.stderr", io.StringIO())
-    with watch.watcher(SOURCE, None, quiet=False, live=True) as nothing:
+    with watch.watcher(SOURCE, None, live=True) as nothing:
         assert nothing is None
 
 

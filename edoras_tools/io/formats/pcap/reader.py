@@ -91,7 +91,9 @@ class PcapSource(RecordSource):
         captured = headers[:, 2].astype(np.int64)
         seconds = headers[:, 0].astype(np.int64)
         far = abs(np.diff(seconds, prepend=self._latest_s or seconds[:1])) > _FAR_S
-        absurd = (captured > self._limit) | ~headers.any(axis=1)  # zeros are no record
+        absurd = captured > self._limit
+        empty = np.flatnonzero(captured == 0)
+        absurd[empty[~headers[empty].any(axis=1)]] = True  # zeros are no record
         absurd |= far & (headers[:, 3] < captured)  # the bytes of records, read from a wrong place
         if absurd.any():
             first = int(absurd.argmax())
