@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import sys
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from edoras_tools.cli.settings import in_effect
@@ -13,7 +14,6 @@ from edoras_tools.render.terminal.text import clean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from rich.console import RenderableType
@@ -26,18 +26,22 @@ if TYPE_CHECKING:
 def watcher(
     source: Source, output: Path | None, *, quiet: bool, live: bool
 ) -> AbstractContextManager[Watcher[ReadingRun] | None]:
-    """Return what shows a run; where nothing is shown, what could show it is not even loaded.
+    """Return what shows a run on standard error: a live table, a progress bar, or nothing.
 
     Args:
-        output: see ``render.capture.watch.watcher``.
-        quiet: see there.
-        live: see there.
+        output: what is written, if anything is.
+        quiet: show nothing; neither is anything shown where standard error is no terminal.
+        live: the source is live, so there is no end for a progress bar.
     """
-    if quiet:
-        return nullcontext()
-    from edoras_tools.render.capture import watch
+    if quiet or not sys.stderr.isatty() or os.environ.get("TERM") == "dumb":
+        return nullcontext()  # and nothing is loaded that shows
+    if not live:
+        return file_progress([source.info.name], quiet=False)
+    from edoras_tools.render.capture.watch import live_table
+    from edoras_tools.render.terminal.terminal import error_console
 
-    return watch.watcher(source, output, live=live)
+    title = f"{source.info.name} → {output}" if output else source.info.name
+    return live_table(title, error_console(), output)
 
 
 def print_json(value: Mapping[str, Any]) -> None:

@@ -113,8 +113,7 @@ class Flow:
         return links[best] if counts[best] * 10 >= self.datagrams * 9 else OTHER
 
 
-_ALIKE: Final = "commands", "telemetry", "network"
-_SUMS: Final = "begins", "sound", *_ALIKE
+_SUMS: Final = ("begins", "sound", "commands", "telemetry", "network")
 
 
 @dataclass(slots=True, eq=False)
@@ -309,9 +308,8 @@ def _marks(
     begins, sound = _soundness(columns, rows, described)
     marks = {"begins": begins, "sound": sound}
     other = np.flatnonzero(columns.link[rows] == OTHER)
-    for name in _ALIKE:
+    for name, mark in _alike(batch, rows[other]).items():
         marks[name] = np.zeros(len(rows), bool)
-    for name, mark in _alike(batch, rows[other]).items() if len(other) else ():
         marks[name][other] = mark
     return marks
 

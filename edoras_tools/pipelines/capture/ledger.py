@@ -220,14 +220,13 @@ class Ledger:
         # Messages of a recording have no MsgId: there the topic is what tells streams apart.
         own = table.message_kinds(columns, batch.length) if batch.recorded is None else columns.route
         kind = columns.link.astype(np.uint32) << 9 | (own + 1).astype(np.uint16)
-        msg_id = (columns.msg_id + 1).astype(np.uint32)
         order = self.sequences.order(batch, columns)
         # Of one link and MsgId only what has none is of several kinds.
-        if not (named := msg_id[order] != 0).all():
+        if not (named := columns.msg_id[order] != NO_MSG_ID).all():
             unnamed = order[~named]
             unnamed = unnamed[order_by(columns.processor_id[unnamed], kind[unnamed])]
             order = np.concatenate((unnamed, order[named]))
-        keys = np.stack((columns.processor_id[order], kind[order], msg_id[order]))
+        keys = np.stack((columns.processor_id, kind, columns.msg_id.view(np.uint32)))[:, order]
         starts = np.append(0, np.flatnonzero((keys[:, 1:] != keys[:, :-1]).any(axis=0)) + 1)
         accounts = [self._account(columns, int(own[row]), row) for row in order[starts].tolist()]
         self._count(accounts, batch, columns, order, starts)

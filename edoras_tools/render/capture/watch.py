@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -19,7 +19,7 @@ from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveRun, LiveTable, Moment, title_line
 from edoras_tools.render.terminal.table import Column, build, count_cell, one_line, plain
 from edoras_tools.render.terminal.terminal import detect_terminal
-from edoras_tools.render.terminal.text import ReadingRun, Watcher, clean, size_of
+from edoras_tools.render.terminal.text import clean, size_of
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -100,29 +100,6 @@ def _key(row: Mapping[str, Any]) -> object:
 _Printed = TypeVar("_Printed", bound="Sized")
 _PATIENCE_S: Final = 0.3
 """Shorter work shows no bar."""
-
-
-def watcher(
-    source: Source, output: Path | None, *, live: bool
-) -> AbstractContextManager[Watcher[ReadingRun] | None]:
-    """Return what shows a run on standard error: a live table, a progress bar; nothing if it is no terminal.
-
-    Args:
-        output: what is written, if anything is.
-        live: the source is live, so there is no end for a progress bar.
-    """
-    if not detect_terminal(sys.stderr).interactive:
-        return nullcontext()
-    from edoras_tools.render.terminal.terminal import error_console
-
-    name = source.info.name
-    if not live:
-        from edoras_tools.render.terminal.progress import FileProgress
-
-        return FileProgress(name, console=error_console())
-
-    title = f"{name} → {output}" if output else name
-    return live_table(title, error_console(), output)
 
 
 class Followed(SourceOver):

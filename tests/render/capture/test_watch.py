@@ -17,27 +17,29 @@ from edoras_tools.render.terminal.terminal import Terminal
 SOURCE = SimpleNamespace(info=SourceInfo("eth0", "live"), statistics=SourceStatistics())
 
 
-@pytest.fixture
-def terminal(monkeypatch):
-    monkeypatch.setattr("sys.stderr", io.StringIO())
+def on_terminal(monkeypatch):
+    stream = io.StringIO()
+    stream.isatty = lambda: True
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(watch, "detect_terminal", lambda _: Terminal(80, colour=False, interactive=True))
 
 
-@pytest.mark.usefixtures("terminal")
-def test_live_sources_have_a_table_and_files_a_bar():
-    assert isinstance(watch.watcher(SOURCE, Path("a.mcap"), live=True), LiveTable)
-    assert isinstance(watch.watcher(SOURCE, None, live=False), FileProgress)
+def test_live_sources_have_a_table_and_files_a_bar(monkeypatch):
+    on_terminal(monkeypatch)
+    assert isinstance(watcher(SOURCE, Path("a.mcap"), quiet=False, live=True), LiveTable)
+    assert isinstance(watcher(SOURCE, None, quiet=False, live=False), FileProgress)
 
 
-@pytest.mark.usefixtures("terminal")
-def test_quiet_shows_nothing():
+def test_quiet_shows_nothing(monkeypatch):
+    on_terminal(monkeypatch)
     with watcher(SOURCE, None, quiet=True, live=True) as nothing:
         assert nothing is None
 
 
 def test_no_terminal_shows_nothing(monkeypatch):
     monkeypatch.setattr("sys.stderr", io.StringIO())
-    with watch.watcher(SOURCE, None, live=True) as nothing:
+    with watcher(SOURCE, None, quiet=False, live=True) as nothing:
         assert nothing is None
 
 

@@ -99,17 +99,15 @@ class PcapSource(RecordSource):
             first = int(absurd.argmax())
             stop = int(positions[first])
             positions, headers, captured = positions[:first], headers[:first], captured[:first]
-        latest_s, self._latest_s = (
-            self._latest_s,
-            int(seconds[len(positions) - 1]) if len(positions) else self._latest_s,
-        )
+        latest_s = self._latest_s
+        if len(positions):
+            self._latest_s = int(seconds[len(positions) - 1])
         problem = self._problem(stop, end)
         self._latest_s = latest_s
         damaged = bool(problem or self.left_out)  # in a sound file any bytes may look like records
         rows = {*np.flatnonzero(far[: len(positions)])[: _LOOKED_BACK * damaged].tolist()}
-        for row in sorted(
-            rows | {*range(max(0, len(positions) - _LOOKED_BACK), len(positions) * bool(problem))}
-        ):
+        rows |= {*range(max(0, len(positions) - _LOOKED_BACK), len(positions) * bool(problem))}
+        for row in sorted(rows):
             self._latest_s = int(seconds[row - 1]) if row else self._latest_s
             if self._is_wrong(int(positions[row]), int(captured[row]), end, far=bool(far[row])):
                 inside = "in which others begin" if captured[row] else "at another time"
