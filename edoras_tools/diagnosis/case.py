@@ -47,6 +47,7 @@ from edoras_tools.diagnosis.evidence.timeline.changes import (
 from edoras_tools.diagnosis.evidence.timeline.table import Timeline
 from edoras_tools.diagnosis.evidence.unreachable import Unreachable, find_unreachable
 from edoras_tools.diagnosis.ledger import MessageLedger
+from edoras_tools.diagnosis.matching.content import Content, contents
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.stalls import stalls
 from edoras_tools.diagnosis.matching.streams import (
@@ -163,6 +164,7 @@ class Case:
         payloads: counters, events, subscriptions, TO commands.
         endpoints: what ``source`` and ``destination`` of the rows index.
         samples: (link, MsgId) to some CDR messages by length.
+        passed_states: states of robots that left cFS.
         context: mission, types and options.
         assumed: the constants of cFS that were given: its usual ones where nobody said others.
         capture: what is known of the capture itself.
@@ -193,6 +195,7 @@ class Case:
         self.endpoints: Sequence[Endpoint] = recorder.endpoints
         self._errors = recorder.errors
         self.samples = recorder.samples
+        self.passed_states = list(recorder.states.passed())
         self.context: Context = recorder.context
         msg_ids = recorder.context.msg_ids
         limits = {msg_ids.of_known(item): limit for item, limit in profile.to_limits.items()}
@@ -311,6 +314,11 @@ class Case:
     def hops(self) -> list[Hop]:
         """Streams that come out again as others."""
         return find_hops([*self.streams, *find_robots(self.rows)], self.rows, self)
+
+    @cached_property
+    def contents(self) -> list[Content]:
+        """What arrived as something else than was sent."""
+        return contents(self, find_robots(self.rows))
 
     def arrival(self, stream: Stream) -> Hashable:
         """Return all that decides what may come out of a stream; None where nobody took it."""

@@ -20,7 +20,14 @@ from edoras_tools.diagnosis.accounting.losses import APP
 from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
 from edoras_tools.diagnosis.ledger import CAUSES, Row, cause_text
-from edoras_tools.diagnosis.verdict import CAPTURE_RULES, Severity, Verdict, alike, group_verdicts
+from edoras_tools.diagnosis.verdict import (
+    CAPTURE_RULES,
+    NOTHING_SENT,
+    Severity,
+    Verdict,
+    alike,
+    group_verdicts,
+)
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
@@ -293,16 +300,24 @@ def _total(found: Diagnosis, problems: Sequence[Problem]) -> str:
     more = found.uncertain
     if proven:
         doubt = f" Up to {more:,} more may be lost." if more else ""
-        return f"{_lost(found, proven)}{_copies(found, proven)}{doubt}"
+        return f"{_nothing_sent(found)}{_lost(found, proven)}{_copies(found, proven)}{doubt}"
     result = "No loss found with what is shown" if found.choice else "No loss found"
     if found.without_evidence:
         what = f"{sent(found.balance):,} {_names(found, found.balance)}"
         result = f"No evidence: nothing here counts what arrived of {what}"
     counts = _counts(item for item in problems if item.verdicts[0].rule != "not_examined")
     others = f" {' and '.join(counts)}:" if counts else ""
+    result = _nothing_sent(found) + result
     if more:
         return f"{result}. Up to {plural(more, 'message')} may be lost.{others}"
     return f"{result}{', but' if others and not found.without_evidence else '.'}{others}"
+
+
+def _nothing_sent(found: Diagnosis) -> str:
+    """Return the sentence of a way on which nothing arrives that was sent; empty where there is none."""
+    said = (item.reason.partition(":")[0] for item in found.verdicts)
+    wrong = next((text for text in said if text.startswith(NOTHING_SENT[0]) and NOTHING_SENT[1] in text), "")
+    return f"{wrong[:1].upper()}{wrong[1:]}. " if wrong else ""
 
 
 def _copies(found: Diagnosis, proven: int) -> str:

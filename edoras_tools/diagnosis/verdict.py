@@ -169,6 +169,8 @@ QUOTING_RULE: Final = "cfs_errors"
 """What a rule knows comes before what cFS is only quoted with."""
 CAPTURE_RULES: Final = frozenset({"not_examined", "capture_drops", "cut_frames", "out_of_order"})
 """Rules about the capture itself: what they say goes for everything below."""
+NOTHING_SENT: Final = "nothing", "has a value that was sent"
+"""How a verdict begins, and goes on, on a way where nothing that arrives is what was sent."""
 ONE_BY_ONE: Final = frozenset({"bad_command", "bad_network_message"})
 """Rules whose verdicts are about single datagrams, and are never shown together."""
 

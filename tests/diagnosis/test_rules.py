@@ -362,6 +362,36 @@ def struct_overrun(lab, tmp_path, msg_id):
     return lab.examine(lab.merged(sent, overrun(lab, 19.9, 20)), lab.mission("rover_ground"))
 
 
+def reaching_the_robot(lab, path, change):
+    """Return the diagnosis of a_rover with every tenth datagram to its robot changed, or more of them."""
+    items = datagrams(CAPTURES / "a_rover.pcap")
+    tenth = [item for item in items if item.destination[1] == 8585][::10]
+    changed = [other for item in items for other in (change(item) if item in tenth else [item])]
+    return lab.read(write(path, sorted(changed, key=lambda item: item.time_ns)))
+
+
+@case
+def changed_values(lab, tmp_path, msg_id):
+    return reaching_the_robot(
+        lab, tmp_path / "a.pcap", lambda item: [replace(item, payload=item.payload[::-1])]
+    )
+
+
+@case
+def old_values(lab, tmp_path, msg_id):
+    return reaching_the_robot(lab, tmp_path / "a.pcap", lambda item: [item, item.at(10**9)])
+
+
+@case
+def old_states(lab, tmp_path, msg_id):
+    def late(items):
+        poses = [item for item in items if item.payload[:2] == b"\x08\x27"]
+        delayed = [item.at(place * 10**9 // 4) for place, item in enumerate(poses)]
+        return sorted([*(set(items) - set(poses)), *delayed], key=lambda item: item.time_ns)
+
+    return rover(lab, tmp_path / "a.pcap", late)
+
+
 @case
 def telemetry_vanished(lab, tmp_path, msg_id):
     sent, _ = lab.simulate(seconds=40)

@@ -249,6 +249,9 @@ class Commands:
         """
         open_ = np.flatnonzero(fate.open)
         for hop in fate.hops:
+            for content in self._case.contents:
+                own = content.replaced.get(id(hop), open_[:0])
+                fate.passed[own[fate.open[own]]] = True
             if not (hop.rewritten and hop.out.counted):
                 continue
             into, out = np.sort(hop.in_rows), np.sort(hop.out_rows)

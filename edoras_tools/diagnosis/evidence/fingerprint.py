@@ -10,6 +10,7 @@ or values of the type that they carry, or by the numbers that a robot's own stru
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 from zlib import crc32
@@ -17,6 +18,7 @@ from zlib import crc32
 import numpy as np
 
 from edoras_tools.links.robot import ROBOT
+from edoras_tools.model import OTHER
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.structs.shapes import UDP_KEY
 from edoras_tools.wire import robot
@@ -196,8 +198,8 @@ def _text(name: str, column: NDArray[Any] | Ragged) -> NDArray[np.uint64]:
 
 def _bits(values: NDArray[Any]) -> NDArray[np.uint64]:
     if values.dtype.kind == "f":
-        # 0.0 and -0.0 are one value.
-        return (values.astype(np.float64) + 0.0).view(np.uint64)
+        with np.errstate(invalid="ignore"):  # what was never set may be no number
+            return (values.astype(np.float64) + 0.0).view(np.uint64)  # 0.0 and -0.0 are one value
     return values.astype(np.int64).view(np.uint64)
 
 
@@ -286,6 +288,18 @@ def robot_commands(columns: Columns, batch: PacketBatch, structs: Structs) -> ND
     port = batch.destination_port
     state = (batch.length == robot.ROBOT_STATE.size) & (structs.of_port(port) == UDP_KEY)
     return np.asarray((columns.link == ROBOT) & (port != robot.CFS_PORT) & ~state)
+
+
+def with_garbled(columns: Columns, batch: PacketBatch) -> Columns:
+    """Return columns in which what a flight app sends its robot is of the robot link, whatever it holds.
+
+    Elsewhere that link is known by likely numbers: what was never set, or was damaged, has others.
+    """
+    told = (batch.source_port == robot.CFS_PORT) & (batch.destination_port == robot.ROBOT_PORT)
+    told &= (columns.link == OTHER) & np.isin(batch.length, list(_TYPES))
+    return (
+        replace(columns, link=np.where(told, np.uint8(ROBOT.code), columns.link)) if told.any() else columns
+    )
 
 
 def robot_prints(

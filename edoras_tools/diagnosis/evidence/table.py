@@ -9,9 +9,16 @@ import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.conversations import Conversations
-from edoras_tools.diagnosis.evidence.fingerprint import SharedFields, of_values, robot_commands, robot_prints
+from edoras_tools.diagnosis.evidence.fingerprint import (
+    SharedFields,
+    of_values,
+    robot_commands,
+    robot_prints,
+    with_garbled,
+)
 from edoras_tools.diagnosis.evidence.payloads import Payloads
 from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder
+from edoras_tools.diagnosis.evidence.states import StateRecorder
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Columns, Endpoint, Finding, PacketBatch, Peer
@@ -171,6 +178,7 @@ class Recorder:
         endpoints: the addresses and ports seen, in the order first seen.
         payloads: counters, events and the like.
         errors: the ICMP errors.
+        states: of robots, and what passes them on.
         samples: (link, MsgId) to a few CDR messages, shortest and longest among them.
         left_out: datagrams that belong to no link.
     """
@@ -187,6 +195,7 @@ class Recorder:
         self.endpoints: list[Endpoint] = []
         self.payloads = Payloads()
         self.errors = ErrorRecorder(self._ends)
+        self.states = StateRecorder()
         self.samples: dict[tuple[int, int], dict[int, bytes]] = {}
         self._index: dict[tuple[int, str, int], int] = {}
         self._shared = SharedFields(context)
@@ -215,13 +224,14 @@ class Recorder:
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch; datagrams that carry no packet are left out, but for commands to a robot."""
+        columns = with_garbled(columns, batch)
         self.conversations.add(batch, columns)
         commands = robot_commands(columns, batch, self.context.structs)
         chosen = np.flatnonzero(among(columns.link, lambda link: link.packets) | commands)
         beside = among(columns.link, lambda link: link.quotes)
         self.left_out += len(batch) - len(chosen) - int(beside.sum())
         beside |= among(columns.link, lambda link: link.last_hop) & ~commands
-        for rows in (chosen, np.flatnonzero(beside)):
+        for rows in (np.flatnonzero(beside), chosen):  # what carries a state comes behind it
             if len(rows):
                 whole = len(rows) == len(batch)
                 part = (batch, columns) if whole else (batch.take(rows), columns.take(rows))
@@ -238,9 +248,11 @@ class Recorder:
         beside = among(columns.link, lambda link: link.quotes or link.last_hop)
         if beside.all() and not robot_commands(columns, batch, self.context.structs).any():
             self.errors.add(batch, columns)
+            self.states.add_states(batch)
             return
         self.payloads.add(batch, columns, self._kept)
         offset, length, space, claimed = self._messages(batch, columns)
+        self.states.add_messages(batch, columns, offset, length)
         body, plain, stamped = self._fingerprints(batch, columns, offset, length)
         whole = of_bytes(batch.data, batch.offset, batch.length)
         # Most datagrams are a packet and nothing else.

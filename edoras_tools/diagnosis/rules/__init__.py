@@ -11,6 +11,7 @@ from edoras_tools import doors
 from edoras_tools.diagnosis.rules import (
     capture,
     commands,
+    content,
     flight_software,
     gaps,
     messages,
@@ -59,6 +60,9 @@ RULES: Final[dict[str, Rule]] = {
         gaps.unexplained_gap,
         gaps.unattributed_loss,
         messages.struct_overrun,
+        content.changed_values,
+        content.old_values,
+        content.old_states,
         silence.telemetry_vanished,
         silence.topic_silent,
         pipes.ci_cut,

@@ -188,7 +188,8 @@ def _behind(last: Change, change: Change) -> Change:
     return replace(change, not_before_ns=low, not_after_ns=max(low, last.not_after_ns, change.not_after_ns))
 
 
-_NOT_RUNNING: Final = ("stopped", "restarting", "failed", "down", "stalled")
+NOT_RUNNING: Final = ("stopped", "restarting", "failed", "down", "stalled")
+"""States in which nothing is taken."""
 
 
 class Way(NamedTuple):
@@ -240,19 +241,19 @@ def _spans(timeline: Timeline, subject: StateOwner, state: str, system: int) -> 
 def _blocking(way: Way) -> Iterator[tuple[int, StateOwner, Sequence[str]]]:
     """Yield what messages need on a way, and the states in which it does not let them through."""
     yield EVERY, StateOwner("capture"), ("away",)
-    yield way.system, StateOwner("cfs"), _NOT_RUNNING
+    yield way.system, StateOwner("cfs"), NOT_RUNNING
     for app in way.apps:
-        yield way.system, StateOwner("app", app), _NOT_RUNNING
+        yield way.system, StateOwner("app", app), NOT_RUNNING
     if way.link.only_to_cfs:
         for app in command_ingest.NAMES:
-            yield way.system, StateOwner("app", app), _NOT_RUNNING
+            yield way.system, StateOwner("app", app), NOT_RUNNING
     elif way.link.only_from_cfs:
         for app in telemetry_output.NAMES:
-            yield way.system, StateOwner("app", app), _NOT_RUNNING
+            yield way.system, StateOwner("app", app), NOT_RUNNING
         yield way.system, StateOwner("output"), ("disabled", "suppressed")
         yield way.system, StateOwner("entry", "", way.msg_id), ("unsubscribed",)
     elif way.link.peers:
-        yield way.system, StateOwner("app", sbn.NAME), _NOT_RUNNING
+        yield way.system, StateOwner("app", sbn.NAME), NOT_RUNNING
         if way.peer and not way.to_cfs:
             yield way.system, StateOwner("peer", way.peer), ("silent", "timed_out", "disconnected")
             yield way.system, StateOwner("subscription", way.peer, way.msg_id), ("unsubscribed",)

@@ -1,0 +1,304 @@
+"""The values that arrive, held against those that were sent.
+
+What an application passes on to its robot, or publishes anew, is what it was sent: the public ones of EDORAS
+change nothing. So of what comes out and is none of what went in:
+
+1. If its value was sent before, it came *again*: it is older than another one that arrived, or that was sent
+   three times meanwhile; or it is the same datagram once more.
+2. Else it stands for a message that went in and did not come out: the latest one that was sent before it,
+   between the same two that did come out. It has *changed*.
+3. Several with one value, though others went in, are *constant*.
+4. A capture that missed what went in looks alike, but then nothing that went in is left over there, other
+   than by chance. So all have to stand for one, and be more than chance and the capture's quality allow.
+5. Where nothing at all that reaches a robot was sent, all of it has changed, if it is as long as a command.
+6. What a full socket of CI held, and what waits for its rounds, may be *late* by so much; more is told.
+
+A message that comes out with a later one before it is older than that, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.diagnosis.evidence.fingerprint import brackets, latest_equal
+from edoras_tools.diagnosis.evidence.timeline.table import NOT_RUNNING
+from edoras_tools.diagnosis.quality import binomial_tail, overlapping
+from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.fingerprint import MIX
+from edoras_tools.wire.robot import CFS_PORT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.diagnosis.matching.crossing import Hop
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+_ENCAPSULATION: Final = 4
+_LEAST: Final = 3
+"""So many others have to be sent meanwhile, or to arrive, before a value is called old or all wrong."""
+_BY_CHANCE: Final = 0.0001
+_SHARES: Final = tuple(2.0**-power for power in range(1, 14))
+"""Of its frames the capture may have missed so many."""
+_OFTEN: Final = 1.5
+"""Where a round ends something is left over more often than elsewhere."""
+_SELDOM: Final = 0.02
+_DRAINS_NS: Final = 12 * SECOND
+"""What CI's socket held at the begin has come out so long after."""
+_SLACK_NS: Final = SECOND
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """What arrived as something else than was sent, on one way out of cFS.
+
+    Attributes:
+        into: where it went in.
+        out: where it came out.
+        of: how many came out whose values can be compared.
+        changed: rows of the table, with a value that was never sent.
+        constant: rows, likewise, and it is always the same one.
+        again: rows, with a value that had been sent, and that is old.
+        late: rows, with a value that was sent once and took too long.
+        rounds_ns: how long it may take.
+        longest_ns: how long the last of those that are old or late took.
+        replaced: id of each hop to the messages, places in its ``into``, that the changed ones stand for.
+    """
+
+    into: Stream
+    out: Stream
+    of: int
+    changed: NDArray[np.intp]
+    constant: NDArray[np.intp]
+    again: NDArray[np.intp]
+    late: NDArray[np.intp]
+    rounds_ns: int
+    longest_ns: int
+    replaced: dict[int, NDArray[np.intp]] = field(default_factory=dict)
+
+    @property
+    def nothing_sent(self) -> bool:
+        """Whether nothing that came out has a value that was sent."""
+        return len(self.changed) + len(self.constant) == self.of
+
+
+def contents(case: Case, robots: Iterable[Stream]) -> list[Content]:
+    """Return every way out on which something else arrived than was sent.
+
+    Args:
+        robots: what was sent to each robot.
+    """
+    ways: dict[tuple[int, ...], list[Hop]] = {}
+    for hop in case.hops:
+        if hop.rewritten:
+            ways.setdefault(_way(hop.out), []).append(hop)
+    found = [_judge(case, hops) for hops in ways.values()]
+    found += [_none_sent(case, robot) for robot in robots if _way(robot) not in ways]
+    return [item for item in found if item is not None]
+
+
+def _way(out: Stream) -> tuple[int, ...]:
+    return out.link.code, out.sender, out.receiver, out.msg_id
+
+
+def _judge(case: Case, hops: Sequence[Hop]) -> Content | None:
+    """Judge a way out by which something arrived that was sent."""
+    rows, robot = case.rows, hops[0].out.link.last_hop
+    out = np.unique(np.concatenate([hop.out.rows for hop in hops]))
+    out = out[rows.claimed[out] == 0]  # an envelope that lies has a rule of its own
+    when, sent_ns = rows.time_ns[out], np.full(len(out), -1)
+    late, inverted = np.zeros((2, len(out)), bool)
+    for hop in hops:
+        came = hop.out.rows[hop.out_rows]
+        place, whole = np.searchsorted(out, came), np.isin(came, out)
+        place = place[whole]
+        sent_ns[place] = rows.time_ns[hop.into.rows[hop.in_rows[whole]]]
+        sole = hop.sole[hop.out_rows[whole]]
+        order = np.argsort(place)
+        newest = np.maximum.accumulate(sent_ns[place[order]])
+        inverted[place[order]] = sole[order] & (sent_ns[place[order]] < newest)
+        late[place] = sole & (when[place] > _expected(case, hop)[hop.in_rows[whole]])
+    late &= ~inverted & ~_stood_still(case, sent_ns, when)
+    odd = sent_ns < 0
+    last_ns = _sent_before(rows, [hop.into for hop in hops], out, robot=robot)
+    copy = odd & _once_more(rows, out)
+    old = odd & (last_ns >= 0) & (copy | _old(case, hops, out, sent_ns, last_ns))
+    replaced, changed = _replaced(case, hops, out, odd & (last_ns < 0), odd & old & ~copy)
+    again = out[old | inverted]
+    if not len(again) and not len(changed) and not late.any():
+        return None
+    took = np.where(inverted | late, when - sent_ns, when - last_ns)
+    return Content(
+        hops[0].into,
+        hops[0].out,
+        len(out),
+        *_same(rows, changed),
+        again,
+        out[late],
+        _rounds(case, hops[0]),
+        int(took[old | inverted | late].max(initial=0)),
+        replaced,
+    )
+
+
+def _none_sent(case: Case, robot: Stream) -> Content | None:
+    """Judge what reached a robot where none of it was sent: all is wrong, if it is as long as a command."""
+    rows = case.rows
+    length = int(np.median(rows.length[robot.rows]))
+    into = [
+        stream
+        for stream in case.streams
+        if stream.link.only_to_cfs
+        and stream.is_command
+        and int(np.median(rows.cdr_length[stream.rows])) - _ENCAPSULATION == length
+    ]
+    if not into or case.endpoints[robot.sender].port != CFS_PORT:
+        return None
+    went_ns = np.sort(np.concatenate([case.captured(stream) for stream in into]))
+    step_ns = int(np.median(np.diff(went_ns))) if len(went_ns) > 1 else SECOND
+    # Where they were sent already when the capture began, older ones come first.
+    begun = int(went_ns[0]) - case.start_ns <= 2 * step_ns
+    own = robot.rows[rows.time_ns[robot.rows] > went_ns[0] + begun * _DRAINS_NS]
+    before = np.searchsorted(went_ns, rows.time_ns[own])
+    own = own[np.arange(1, len(own) + 1) <= before]
+    if len(own) < _LEAST or len(np.unique(rows.body_print[into[0].rows])) < _LEAST:
+        return None
+    none = own[:0]
+    return Content(into[0], robot, len(own), *_same(rows, own), none, none, 0, 0)
+
+
+def _same(rows: Rows, changed: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Divide what has changed: what differs, and what always is the same."""
+    _, which, count = np.unique(rows.body_print[changed], return_inverse=True, return_counts=True)
+    same = count[which] > 1
+    return changed[~same], changed[same]
+
+
+_KINDS: Final = "body_print", "value_print", "stamped_print", "shared_print"
+
+
+def _sent_before(
+    rows: Rows, into: Sequence[Stream], out: NDArray[np.intp], *, robot: bool
+) -> NDArray[np.int64]:
+    """Return when the value of each row that came out was sent last: i64, -1 where it never was."""
+    found = np.full(len(out), -1)
+    for stream in into:
+        for kind in _KINDS if robot else _KINDS[:1]:
+            prints = getattr(rows, kind)
+            at = latest_equal(prints[stream.rows], rows.time_ns[stream.rows], prints[out], rows.time_ns[out])
+            there = np.flatnonzero(at >= 0)
+            found[there] = np.maximum(found[there], rows.time_ns[stream.rows[at[there]]])
+    return found
+
+
+def _old(
+    case: Case,
+    hops: Sequence[Hop],
+    out: NDArray[np.intp],
+    sent_ns: NDArray[np.int64],
+    last_ns: NDArray[np.int64],
+) -> NDArray[np.bool_]:
+    """Tell which of what comes out is older than others that came or were due; often the same: all of it."""
+    when = case.rows.time_ns[out]
+    newest = np.maximum.accumulate(np.append(-1, sent_ns))[:-1]
+    went_ns = np.sort(np.concatenate([case.captured(hop.into) for hop in hops]))
+    due = np.searchsorted(went_ns, when - _rounds(case, hops[0]))
+    meanwhile = due - np.searchsorted(went_ns, last_ns, "right")
+    old = (newest > last_ns) | (meanwhile >= _LEAST)
+    body = case.rows.body_print[out]
+    values, number = np.unique(body[old & (sent_ns < 0)], return_counts=True)
+    return np.asarray(old | np.isin(body, values[number >= _LEAST]))
+
+
+def _once_more(rows: Rows, out: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Tell which rows are a datagram that came before."""
+    numbered, when = rows.identification[out] != 0, rows.time_ns[out]
+    whole = np.where(numbered, rows.bytes_print[out] ^ rows.identification[out].astype(np.uint64) * MIX, 0)
+    return np.asarray(latest_equal(whole, when + 1, whole, when) >= 0)
+
+
+def _replaced(
+    case: Case, hops: Sequence[Hop], out: NDArray[np.intp], odd: NDArray[np.bool_], old: NDArray[np.bool_]
+) -> tuple[dict[int, NDArray[np.intp]], NDArray[np.intp]]:
+    """Return which messages that did not come out others stand for, and the rows that have changed.
+
+    Args:
+        odd: of what came out, what was never sent.
+        old: what was, and came before.
+    """
+    rows, left, chance = case.rows, out[odd | old], 0.0
+    pairs: dict[int, tuple[NDArray[np.intp], NDArray[np.intp]]] = {}
+    for hop in hops:
+        absent, own = np.flatnonzero(hop.absent), np.intersect1d(left, hop.out.rows[hop.origin < 0])
+        into, came = np.sort(hop.in_rows), np.sort(hop.out.rows[hop.out_rows])
+        between = np.concatenate((np.searchsorted(into, absent), np.searchsorted(came, own)))
+        when = np.concatenate((rows.time_ns[hop.into.rows[absent]], rows.time_ns[own]))
+        side = np.repeat([0, 1], [len(absent), len(own)])
+        order = np.lexsort((side, when, between))
+        opening, closing = brackets(between[order], side[order] == 0)
+        pairs[id(hop)] = absent[order[opening]], own[order[closing] - len(absent)]
+        left = np.setdiff1d(left, pairs[id(hop)][1])
+        chance = max(chance, float((np.diff(into) > 1).mean()) if len(into) > 1 else 0.0)
+    first = min(int(hop.out.rows[hop.out_rows].min()) for hop in hops)
+    changed = np.setdiff1d(out[odd], left)
+    unpaired = np.intersect1d(out[odd], left)
+    if (unpaired > first).any() or not _believed(case, len(changed), len(out), chance):
+        changed = changed[:0]
+    stands = np.union1d(changed, out[old])
+    return {key: places[np.isin(own, stands)] for key, (places, own) in pairs.items()}, changed
+
+
+def _believed(case: Case, number: int, of: int, chance: float) -> bool:
+    """Tell whether so many are more than the capture may have missed where by chance something is left."""
+    if number < _LEAST:
+        return False
+    beside = [item for item in case.quality.evidence if item.kind != "inputs"]
+    missed = max(
+        (1 - binomial_tail(number - 1, of, share))
+        * min((binomial_tail(item.missing, item.checked, share) for item in beside), default=1.0)
+        for share in _SHARES
+    )
+    alike = min(1.0, max(_OFTEN * chance, _SELDOM)) ** number
+    return case.quality.known_zero or alike * missed < _BY_CHANCE
+
+
+def _rounds(case: Case, hop: Hop) -> int:
+    """Return how long a message may wait for rounds on its way through cFS."""
+    profile = case.profile
+    waits = [profile.ci_wake_ns if hop.into.link.only_to_cfs else profile.sbn_wake_ns * profile.sbn_polls]
+    if not hop.out.link.last_hop:
+        waits.append(profile.to_wake_ns if hop.out.link.only_from_cfs else profile.sbn_wake_ns)
+        waits.append(SECOND)  # an application is woken once in a second at least
+    return sum(waits)
+
+
+def _expected(case: Case, hop: Hop) -> NDArray[np.int64]:
+    """Return until when each message that goes in has to come out, behind what waits in CI's socket."""
+    own, profile = case.captured(hop.into), case.profile
+    rows = case.rows
+    every = np.sort(rows.time_ns[rows.destination == hop.into.receiver])
+    if hop.into.link.only_to_cfs:
+        step = profile.ci_wake_ns / profile.ci_datagrams_per_wake
+        place = np.arange(len(every)) * step
+        read = np.maximum.accumulate(every - every[:1] - place) + place + every[:1]
+    else:
+        read = every.astype(float)
+    at = np.searchsorted(every, own, "right") - 1
+    return np.asarray(read[at].astype(np.int64) + _rounds(case, hop) + _SLACK_NS)
+
+
+def _stood_still(case: Case, sent_ns: NDArray[np.int64], when: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which were under way while cFS or an application did not run, or the interface was away."""
+    spans = [
+        (span.start_lo, span.end_hi)
+        for system, subject in case.timeline.subjects
+        for state in NOT_RUNNING
+        for span in case.timeline.spans(subject, state, system)
+    ]
+    return case.is_away(sent_ns, when) | overlapping(sent_ns, when, spans)
