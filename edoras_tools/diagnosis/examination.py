@@ -20,6 +20,7 @@ from edoras_tools.diagnosis.ledger import CAPTURE, Row, summed
 from edoras_tools.diagnosis.missing import Missing, missing
 from edoras_tools.diagnosis.rules import SINGLE, others, rules
 from edoras_tools.diagnosis.rules.capture import too_many
+from edoras_tools.diagnosis.rules.silence import note_silences
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, WHOLE, Choice, Severity, Verdict
 from edoras_tools.links.table import LinkStates
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, PacketBatch
@@ -279,6 +280,7 @@ def judge(case: Case, progress: Callable[[int, int], None] = lambda _done, _of: 
             found[name] = [_told(case, name, verdict) for verdict in rule(case)]
             progress(len(found), len(every))
         case.verdicts += found[name]
+    note_silences(case)
     return case.verdicts
 
 

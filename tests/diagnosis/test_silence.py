@@ -6,6 +6,7 @@ import random
 import re
 
 import pytest
+import truth
 from places import ROOT
 
 STATE, HZ = 0x827, 1.0
@@ -90,3 +91,12 @@ def test_what_was_unsubscribed_or_sent_to_nobody_is_no_silence(lab, name):
 def test_an_operator_who_pauses_is_no_silence(lab):
     sent, _ = lab.simulate("two-rovers", seconds=ALL_S, hz=2.0, count=20)
     assert told(lab.examine(sent, lab.missions("two-rovers"))) == []
+
+
+def test_what_falls_silent_with_its_peer_is_noted_under_that():
+    path = ROOT / "tests/captures/season3/q04b_bridge_restarts_subscribes_one.pcap.zst"
+    lines = [line for item in truth.examined(path).verdicts for line in item.evidence if "stopped at" in line]
+    assert lines == [
+        "4 topics (0x1829, 0x182a, 0x0828, 0x0829) stopped at 45.8 s for 16.3 s",
+        "0x082b stopped at 55.9 s and did not come back (0.98 Hz before)",
+    ]

@@ -295,10 +295,12 @@ def with_garbled(columns: Columns, batch: PacketBatch) -> Columns:
 
     Elsewhere that link is known by likely numbers: what was never set, or was damaged, has others.
     """
-    told = (batch.source_port == robot.CFS_PORT) & (batch.destination_port == robot.ROBOT_PORT)
-    told &= (columns.link == OTHER) & np.isin(batch.length, list(_TYPES))
+    garbled = (batch.source_port == robot.CFS_PORT) & (batch.destination_port == robot.ROBOT_PORT)
+    garbled &= (columns.link == OTHER) & np.isin(batch.length, list(_TYPES))
     return (
-        replace(columns, link=np.where(told, np.uint8(ROBOT.code), columns.link)) if told.any() else columns
+        replace(columns, link=np.where(garbled, np.uint8(ROBOT.code), columns.link))
+        if garbled.any()
+        else columns
     )
 
 

@@ -74,8 +74,8 @@ class StateRecorder:
         down = among(columns.link, lambda link: link.only_from_cfs)
         own = np.flatnonzero(down & (offset >= 0) & (length > size))
         prints = of_bytes(batch.data, offset[own] + length[own] - size, np.full(len(own), size, np.int32))
-        found = columns.msg_id[own].astype(np.int64), batch.number[own], batch.time_ns[own]
-        self._passed.append((*found, prints.view(np.int64)))
+        msg_id = columns.msg_id[own].astype(np.int64)
+        self._passed.append((msg_id, batch.number[own], batch.time_ns[own], prints.view(np.int64)))
 
     def passed(self) -> Iterator[PassedStates]:
         """Yield what left cFS on each MsgId that passes states on."""
@@ -86,7 +86,7 @@ class StateRecorder:
         for msg_id, rows in by_value(columns[0]):
             number, time_ns, prints = (column[rows] for column in columns[1:])
             at = latest_equal(states, sent_ns, prints.view(np.uint64), time_ns)
-            there = at >= 0
-            if there.sum() >= _LEAST:
-                age_ns = time_ns[there] - sent_ns[at[there]]
-                yield PassedStates(msg_id, number[there], time_ns[there], age_ns, sent_ns)
+            is_state = at >= 0
+            if is_state.sum() >= _LEAST:
+                age_ns = time_ns[is_state] - sent_ns[at[is_state]]
+                yield PassedStates(msg_id, number[is_state], time_ns[is_state], age_ns, sent_ns)

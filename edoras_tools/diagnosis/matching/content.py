@@ -98,9 +98,9 @@ def contents(case: Case, robots: Iterable[Stream]) -> list[Content]:
     for hop in case.hops:
         if hop.rewritten:
             ways.setdefault(_way(hop.out), []).append(hop)
-    found = [_judge(case, hops) for hops in ways.values()]
-    found += [_none_sent(case, robot) for robot in robots if _way(robot) not in ways]
-    return [item for item in found if item is not None]
+    every = [_judge(case, hops) for hops in ways.values()]
+    every += [_none_sent(case, robot) for robot in robots if _way(robot) not in ways]
+    return [item for item in every if item is not None]
 
 
 def _way(out: Stream) -> tuple[int, ...]:
@@ -187,14 +187,14 @@ def _sent_before(
     rows: Rows, into: Sequence[Stream], out: NDArray[np.intp], *, robot: bool
 ) -> NDArray[np.int64]:
     """Return when the value of each row that came out was sent last: i64, -1 where it never was."""
-    found = np.full(len(out), -1)
+    last_ns = np.full(len(out), -1)
     for stream in into:
         for kind in _KINDS if robot else _KINDS[:1]:
             prints = getattr(rows, kind)
             at = latest_equal(prints[stream.rows], rows.time_ns[stream.rows], prints[out], rows.time_ns[out])
-            there = np.flatnonzero(at >= 0)
-            found[there] = np.maximum(found[there], rows.time_ns[stream.rows[at[there]]])
-    return found
+            some = np.flatnonzero(at >= 0)
+            last_ns[some] = np.maximum(last_ns[some], rows.time_ns[stream.rows[at[some]]])
+    return last_ns
 
 
 def _old(
@@ -232,10 +232,10 @@ def _replaced(
         odd: of what came out, what was never sent.
         old: what was, and came before.
     """
-    rows, left, chance = case.rows, out[odd | old], 0.0
+    rows, rest, chance = case.rows, out[odd | old], 0.0
     pairs: dict[int, tuple[NDArray[np.intp], NDArray[np.intp]]] = {}
     for hop in hops:
-        absent, own = np.flatnonzero(hop.absent), np.intersect1d(left, hop.out.rows[hop.origin < 0])
+        absent, own = np.flatnonzero(hop.absent), np.intersect1d(rest, hop.out.rows[hop.origin < 0])
         into, came = np.sort(hop.in_rows), np.sort(hop.out.rows[hop.out_rows])
         between = np.concatenate((np.searchsorted(into, absent), np.searchsorted(came, own)))
         when = np.concatenate((rows.time_ns[hop.into.rows[absent]], rows.time_ns[own]))
@@ -243,11 +243,11 @@ def _replaced(
         order = np.lexsort((side, when, between))
         opening, closing = brackets(between[order], side[order] == 0)
         pairs[id(hop)] = absent[order[opening]], own[order[closing] - len(absent)]
-        left = np.setdiff1d(left, pairs[id(hop)][1])
+        rest = np.setdiff1d(rest, pairs[id(hop)][1])
         chance = max(chance, float((np.diff(into) > 1).mean()) if len(into) > 1 else 0.0)
     first = min(int(hop.out.rows[hop.out_rows].min()) for hop in hops)
-    changed = np.setdiff1d(out[odd], left)
-    unpaired = np.intersect1d(out[odd], left)
+    changed = np.setdiff1d(out[odd], rest)
+    unpaired = np.intersect1d(out[odd], rest)
     if (unpaired > first).any() or not _believed(case, len(changed), len(out), chance):
         changed = changed[:0]
     stands = np.union1d(changed, out[old])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.diagnosis.rules.about import packet
-from edoras_tools.diagnosis.verdict import NOTHING_SENT, Severity, Verdict, error, verdict
+from edoras_tools.diagnosis.verdict import NOTHING_SENT, Severity, Verdict, verdict, warning
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
 from edoras_tools.words import listed
@@ -109,7 +109,7 @@ def old_states(case: Case) -> Iterator[Verdict]:
         sent, passed = (_rate_hz(times) for times in (item.sent_ns, item.time_ns))
         last, oldest = int(np.flatnonzero(old)[-1]), int(item.age_ns.argmax())
         at = case.at(int(item.time_ns[oldest]))
-        yield error(
+        yield warning(
             f"{int(old.sum()):,} of {len(old):,} messages on {case.name(item.msg_id)} carry an old state of "
             f"the robot, up to {item.age_ns[oldest] / SECOND:.1f} s old",
             f"packet {item.number[oldest]} at {at}: {item.age_ns[oldest] / SECOND:.1f} s after it was sent",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from dataclasses import replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -202,6 +203,38 @@ def topic_silent(case: Case) -> Iterator[Verdict]:
     Look at each topic that cFS or an SBN peer publishes, not at what an operator sends; tell those that fall
     silent together as one, with what was stopped or commanded then.
     """
+    for members in _together([item for item in _every(case) if not _has_reason(case, item)]):
+        causes = _causes(case, members)
+        if kept := members if causes else [item for item in members if _others_go_on(case, item, members)]:
+            yield _verdict(case, kept, causes)
+
+
+_TELLS_CAUSE: Final = frozenset(
+    {
+        *("app_outage", "to_stopped", "to_not_enabled", "cfs_restart", "cfs_stalled", "port_closed"),
+        *("sbn_timeout", "sbn_disconnected", "sbn_peer_restart"),
+    }
+)
+
+
+def note_silences(case: Case) -> None:
+    """Note under each verdict what fell silent with what it tells of, once all rules were asked."""
+    for members in _together([item for item in _every(case) if _has_reason(case, item)]):
+        start_ns, end_ns = members[0].start_ns, members[0].end_ns
+        causes = [
+            (abs(item.start_ns - start_ns), place)
+            for place, item in enumerate(case.verdicts)
+            if item.rule in _TELLS_CAUSE and item.start_ns < end_ns and item.end_ns > start_ns - _NEAR_NS
+        ]
+        if causes:
+            place = min(causes)[1]
+            text = _stopped(case, members)
+            before = case.verdicts[place]
+            case.verdicts[place] = replace(before, evidence=(*before.evidence, text))
+
+
+def _every(case: Case) -> list[Silence]:
+    """Return every silence of what cFS or an SBN peer publishes steadily."""
     told = {item.msg_id for item in case.verdicts if item.rule == "telemetry_vanished"}
     found: list[Silence] = []
     for stream in case.streams:
@@ -212,10 +245,11 @@ def topic_silent(case: Case) -> Iterator[Verdict]:
         told_of = stream.known_id in _EVENTS or stream.msg_id in told
         if published and dated and len(stream) >= _LEAST and not told_of:
             found += _silences(case, stream)
-    for members in _together(found):
-        causes = _causes(case, members)
-        if kept := members if causes else [item for item in members if _others_go_on(case, item, members)]:
-            yield _verdict(case, kept, causes)
+    return found
+
+
+def _has_reason(case: Case, item: Silence) -> bool:
+    return _explained(case, item.stream, item.start_ns, item.end_ns)
 
 
 def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
@@ -232,9 +266,7 @@ def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
             continue
         if rate is not None and length * rate.hz < _WAIT_PERIODS * SECOND:
             continue
-        if not _explained(case, stream, start_ns, start_ns + length) and _alive(
-            case, stream, start_ns, length
-        ):
+        if _alive(case, stream, start_ns, length):
             yield Silence(stream, start_ns, until_ns, start_ns + length, rate)
 
 
@@ -369,18 +401,12 @@ def _hz(value: float, digits: int) -> str:
 
 def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> Verdict:
     first = members[0]
-    names = [case.name(item.stream.msg_id) for item in members]
-    rate = first.rate if len(members) == 1 else None
-    who = names[0] if len(names) == 1 else f"{len(names)} topics ({', '.join(names)})"
-    before = f" ({_hz(rate.hz, 2)} before)" if rate else ""
-    seconds = (first.end_ns - first.start_ns) / SECOND
-    until = f" for {seconds:.1f} s" if first.until_ns else " and did not come back"
     fed = all(item.stream.link.peers and item.stream.is_command for item in members)
     why = "; ".join(causes) or (_PUBLISHER if fed else "the capture cannot show why")
     outages = [item for item in case.outages if any(line.startswith(item.app) for line in causes)]
     return verdict(
         Severity.NOTE if fed or all(item.rate is None for item in members) else Severity.WARNING,
-        f"{who} stopped at {case.at(first.start_ns)}{until}{before}: {why}",
+        f"{_stopped(case, members)}: {why}",
         *_evidence(case, members),
         *(item.witness for item in outages),
         *_sent_before(case, first.start_ns),
@@ -390,6 +416,18 @@ def _verdict(case: Case, members: Sequence[Silence], causes: Sequence[str]) -> V
         remedy=_LOOK_AT_NODE if fed and not outages else _remedy(case, outages, first),
         confidence="medium" if causes else "low",
     )
+
+
+def _stopped(case: Case, members: Sequence[Silence]) -> str:
+    """Return who stopped, when, and for how long."""
+    first = members[0]
+    names = [case.name(item.stream.msg_id) for item in members]
+    rate = first.rate if len(members) == 1 else None
+    who = names[0] if len(names) == 1 else f"{len(names)} topics ({', '.join(names)})"
+    before = f" ({_hz(rate.hz, 2)} before)" if rate else ""
+    seconds = (first.end_ns - first.start_ns) / SECOND
+    until = f" for {seconds:.1f} s" if first.until_ns else " and did not come back"
+    return f"{who} stopped at {case.at(first.start_ns)}{until}{before}"
 
 
 def _evidence(case: Case, members: Sequence[Silence]) -> Iterator[str]:
