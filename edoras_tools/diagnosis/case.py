@@ -25,6 +25,7 @@ from edoras_tools.diagnosis.accounting.closed import (
     unreached,
 )
 from edoras_tools.diagnosis.accounting.commands import Commands
+from edoras_tools.diagnosis.accounting.content import Content, contents
 from edoras_tools.diagnosis.accounting.ingest import Ingest, ingests
 from edoras_tools.diagnosis.constants import learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
@@ -47,7 +48,6 @@ from edoras_tools.diagnosis.evidence.timeline.changes import (
 from edoras_tools.diagnosis.evidence.timeline.table import Timeline
 from edoras_tools.diagnosis.evidence.unreachable import Unreachable, find_unreachable
 from edoras_tools.diagnosis.ledger import MessageLedger
-from edoras_tools.diagnosis.matching.content import Content, contents
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.stalls import stalls
 from edoras_tools.diagnosis.matching.streams import (

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.diagnosis.accounting.content import Content
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.matching.content import Content
 
 _EDORAS = "EDORAS"
 """The public applications, their pipes and their housekeeping begin so; these pass values on as they are."""
