@@ -25,7 +25,7 @@ from edoras_tools.diagnosis.accounting.closed import (
     unreached,
 )
 from edoras_tools.diagnosis.accounting.commands import Commands
-from edoras_tools.diagnosis.accounting.content import Content, contents
+from edoras_tools.diagnosis.accounting.content import WayContent, judge_contents
 from edoras_tools.diagnosis.accounting.ingest import Ingest, ingests
 from edoras_tools.diagnosis.constants import learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
@@ -316,9 +316,9 @@ class Case:
         return find_hops([*self.streams, *find_robots(self.rows)], self.rows, self)
 
     @cached_property
-    def contents(self) -> list[Content]:
+    def contents(self) -> list[WayContent]:
         """What arrived as something else than was sent."""
-        return contents(self, find_robots(self.rows))
+        return judge_contents(self, find_robots(self.rows))
 
     def arrival(self, stream: Stream) -> Hashable:
         """Return all that decides what may come out of a stream; None where nobody took it."""

@@ -55,7 +55,7 @@ _SLACK_NS: Final = SECOND
 
 
 @dataclass(frozen=True, slots=True)
-class Content:
+class WayContent:
     """What arrived as something else than was sent, on one way out of cFS.
 
     Attributes:
@@ -88,7 +88,7 @@ class Content:
         return len(self.changed) + len(self.constant) == self.of
 
 
-def contents(case: Case, robots: Iterable[Stream]) -> list[Content]:
+def judge_contents(case: Case, robots: Iterable[Stream]) -> list[WayContent]:
     """Return every way out on which something else arrived than was sent.
 
     Args:
@@ -107,7 +107,7 @@ def _way(out: Stream) -> tuple[int, ...]:
     return out.link.code, out.sender, out.receiver, out.msg_id
 
 
-def _judge(case: Case, hops: Sequence[Hop]) -> Content | None:
+def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
     """Judge a way out by which something arrived that was sent."""
     rows, robot = case.rows, hops[0].out.link.last_hop
     out = np.unique(np.concatenate([hop.out.rows for hop in hops]))
@@ -134,7 +134,7 @@ def _judge(case: Case, hops: Sequence[Hop]) -> Content | None:
     if not len(again) and not len(changed) and not late.any():
         return None
     took = np.where(inverted | late, when - sent_ns, when - last_ns)
-    return Content(
+    return WayContent(
         hops[0].into,
         hops[0].out,
         len(out),
@@ -147,7 +147,7 @@ def _judge(case: Case, hops: Sequence[Hop]) -> Content | None:
     )
 
 
-def _none_sent(case: Case, robot: Stream) -> Content | None:
+def _none_sent(case: Case, robot: Stream) -> WayContent | None:
     """Judge what reached a robot where none of it was sent: all is wrong, if it is as long as a command."""
     rows = case.rows
     length = int(np.median(rows.length[robot.rows]))
@@ -170,7 +170,7 @@ def _none_sent(case: Case, robot: Stream) -> Content | None:
     if len(own) < _LEAST or len(np.unique(rows.body_print[into[0].rows])) < _LEAST:
         return None
     none = own[:0]
-    return Content(into[0], robot, len(own), *_same(rows, own), none, none, 0, 0)
+    return WayContent(into[0], robot, len(own), *_same(rows, own), none, none, 0, 0)
 
 
 def _same(rows: Rows, changed: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

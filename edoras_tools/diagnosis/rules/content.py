@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.diagnosis.accounting.content import Content
+    from edoras_tools.diagnosis.accounting.content import WayContent
     from edoras_tools.diagnosis.case import Case
 
 _EDORAS = "EDORAS"
@@ -123,7 +123,9 @@ def old_states(case: Case) -> Iterator[Verdict]:
         )
 
 
-def _told(severity: Severity, case: Case, item: Content, what: str, *evidence: str, remedy: str) -> Verdict:
+def _told(
+    severity: Severity, case: Case, item: WayContent, what: str, *evidence: str, remedy: str
+) -> Verdict:
     return verdict(
         severity,
         what,
@@ -136,7 +138,7 @@ def _told(severity: Severity, case: Case, item: Content, what: str, *evidence: s
     )
 
 
-def _where(case: Case, item: Content) -> str:
+def _where(case: Case, item: WayContent) -> str:
     if item.out.link.last_hop:
         return "reached the robot"
     return f"came out as {case.name(item.out.msg_id)}"
