@@ -39,7 +39,7 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(56_276, 150, 58_000),
+    "lines with code, core": Limit(56_278, 150, 58_000),
     "lines with code, all": Limit(83_945, 150, 84_000),  # with what is still to come
     "files": Limit(561, 10, 450),
     "files below 170 lines, of 1,000": Limit(430, 10, 500),  # a median of 170 lines or more
