@@ -31,16 +31,18 @@ from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.timeline.table import Change
+    from edoras_tools.diagnosis.evidence.timeline.table import Change, StateSpan
     from edoras_tools.diagnosis.matching.streams import Stream
 
 
+LET_RUN: Final = "look at the load of its host, and at who may stop its process (a debugger, SIGSTOP)"
+"""What helps where a whole cFS stood still: no rate and no limit does."""
 _PHASES: Final = 4
 _ROUNDS: Final = 1000
 """The model goes through so many rounds before and behind the middle of the worst loss."""
@@ -196,9 +198,10 @@ def advise(case: Case, loss: Loss) -> Advice:
         at_output = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
         worst = max(alike, key=lambda item: item.lost)
         advice = (_at_pipe if at_output else _at_application)(case, worst)
-        because = [crowding_of(case, worst) if not at_output else "", stood_still(case, worst)]
-        why = "; ".join([advice.why, *(item for item in because if item)])
-        case.advice[key] = replace(advice, why=why)
+        still = stood_still(case, worst)
+        because = [crowding_of(case, worst) if not at_output else "", still]
+        advice = replace(advice, why="; ".join([advice.why, *(item for item in because if item)]))
+        case.advice[key] = replace(advice, remedy=LET_RUN, left=None) if still else advice
     return case.advice[key]
 
 
@@ -295,13 +298,19 @@ def published_at(case: Case, stream: Stream) -> NDArray[np.int64]:
     at = np.cumsum(counts) - counts
     place = np.arange(int(counts.sum()))
     times = np.interp(place, at, when.astype(np.float64)).astype(np.int64)
-    # Spread over a long pause they would fit: they came at once, with the one before them.
-    round_ns = case.profile.to_wake_ns
-    pauses = np.append(np.diff(when), 0) > _PAUSE * round_ns
-    inside = np.repeat(pauses & (counts > 1), counts)
+    # What is missing in a long pause came as close together as what came before it: a burst at once, a steady
+    # stream over the pause, as while nothing was to be sent.
+    pause_ns = np.append(np.diff(when), 0)
+    inside = np.repeat((pause_ns > _PAUSE * case.profile.to_wake_ns) & (counts > 1), counts)
+    whole = np.flatnonzero(counts[:-1] == 1)
+    if len(whole):
+        last = whole[np.maximum(np.searchsorted(whole, np.arange(len(counts))) - 1, 0)]
+        step_ns = pause_ns[last]
+    else:
+        step_ns = case.profile.to_wake_ns // (2 * counts)
     nth = place - np.repeat(at, counts)
-    closely = np.repeat(when, counts) + nth * (round_ns // 2) // np.maximum(np.repeat(counts, counts), 1)
-    return np.where(inside, closely, times)
+    later = np.minimum(nth * np.repeat(step_ns, counts), np.repeat(pause_ns, counts))
+    return np.where(inside, np.repeat(when, counts) + later, times)
 
 
 def _raised(case: Case, msg_id: int, limit: int) -> str:
@@ -377,13 +386,25 @@ def published(loss: Loss) -> str:
 
 
 def stood_still(case: Case, loss: Loss) -> str:
-    """Return that a whole cFS stood still and what had waited came at once; empty where it did not."""
-    system = case.instances.system(loss.instance)
-    for span in case.timeline.spans(StateOwner("cfs"), "stalled", system):
-        if span.overlaps(loss.start_ns - TAIL_NS, loss.end_ns):
-            times = f"from {case.at(span.start_lo)} to {case.at(span.end_hi)}"
-            return f"{case.label(loss.instance)} stood still {times}, and what had waited came at once"
-    return ""
+    """Return that a whole cFS stood still and most of a loss came after it; empty where it did not."""
+    if not (stalls := list(_stalls_of(case, loss))):
+        return ""
+    first = f"from {case.at(stalls[0].start_lo)} to {case.at(stalls[0].end_hi)}"
+    when = f"{len(stalls)} times, first {first}" if len(stalls) > 1 else first
+    return f"{case.label(loss.instance)} stood still {when}, and what had waited came at once"
+
+
+def _stalls_of(case: Case, loss: Loss) -> Iterator[StateSpan]:
+    """Yield when the cFS of a loss stood still, if most of the loss came then or at once after it."""
+    spans = case.timeline.spans(StateOwner("cfs"), "stalled", case.instances.system(loss.instance))
+    if loss.among is None:
+        yield from (span for span in spans if span.overlaps(loss.start_ns - TAIL_NS, loss.end_ns))
+        return
+    when = case.captured(loss.among.stream)[loss.among.rows]
+    number = np.ones(len(when), np.int64) if loss.among.missing is None else loss.among.missing
+    near = [(span, (when > span.start_lo - SECOND) & (when < span.end_hi + SECOND)) for span in spans]
+    if sum(int(number[inside].sum()) for _, inside in near) * 2 > int(number.sum()):
+        yield from (span for span, inside in near if inside.any())
 
 
 def loss_verdict(

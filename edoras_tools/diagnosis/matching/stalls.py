@@ -20,17 +20,20 @@ from edoras_tools.units import SECOND
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.streams import Stream
 
-_LEAST_NS: Final = 2 * SECOND
-_FACTOR: Final = 3
+_LEAST_NS: Final = SECOND
+_FACTOR: Final = 2
 """Nothing for so many of the longest of its usual pauses: it stood still."""
 _LEAST_STREAMS: Final = 3
-_MADE_NS: Final = SECOND
+_DUE: Final = 1.2
+"""What comes more often than a pause is long was due in it."""
+_EDGE: Final = 8
+"""The first and the last of so many parts of a pause may be of the time around it."""
+_BEHIND: Final = 8
+"""So many messages of a stream show when what waited was made."""
 _OFF: Final = (
     (StateOwner("output"), ("disabled", "suppressed")),
     (StateOwner("entry"), ("unsubscribed", "as at the start")),
@@ -91,24 +94,25 @@ def _switched_off(timeline: Timeline, system: int, start_ns: int, end_ns: int) -
 def _published_nothing(
     rows: Rows, instances: Instances, streams: Sequence[Stream], start_ns: int, end_ns: int
 ) -> bool:
-    """Tell whether several steady streams were due, lack nothing, and what came first was made then."""
+    """Tell whether several steady streams were due, few of them lack any, and none was made meanwhile.
+
+    What was made just before waits in the pipe of Telemetry Output, and comes out when all goes on.
+    """
+    pause_ns = end_ns - start_ns
+    edge_ns = max(SECOND // 4, pause_ns // _EDGE)
+    first_ns, last_ns = start_ns + edge_ns, end_ns - edge_ns
     due = lacking = 0
     for stream in streams:
         times = rows.time_ns[stream.rows]
         at = int(np.searchsorted(times, start_ns, "right")) - 1
         if at < 1 or at + 2 > len(times) - 1:
             continue
-        usual_ns = _usual(times, at)
-        if 2 * usual_ns > end_ns - start_ns:
-            continue
-        if int(instances.made_ns[stream.rows[at + 1]]) < end_ns - _MADE_NS:
+        made_ns = instances.made_ns[stream.rows[at : at + _BEHIND]]
+        if ((made_ns > first_ns) & (made_ns < last_ns)).any():
             return False
-        due += 1
-        # What it makes up for at once when it goes on may be more than a pipe takes.
-        lacking += bool(stream.missing[at])
+        first = max(0, at - 20)
+        if (times[at] - times[first]) * _DUE < pause_ns * (at - first):
+            due += 1
+            # What it makes up for at once when it goes on may be more than a pipe takes.
+            lacking += bool(stream.missing[at])
     return due >= _LEAST_STREAMS and 3 * lacking <= due
-
-
-def _usual(times: NDArray[np.int64], at: int) -> int:
-    """Return the usual time between messages before a row."""
-    return int(np.quantile(np.diff(times[max(0, at - 20) : at + 1]), 0.9))

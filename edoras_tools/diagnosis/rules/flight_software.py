@@ -12,6 +12,7 @@ from edoras_tools.cfs.executive_services import COMMAND_MSG_ID as ES_COMMAND_MSG
 from edoras_tools.cfs.executive_services import RESTART
 from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
 from edoras_tools.diagnosis.accounting.losses import LEAD_NS, Loss, LossKind
+from edoras_tools.diagnosis.advice import LET_RUN
 from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
 from edoras_tools.diagnosis.verdict import Severity, Verdict, note, verdict, warning
 from edoras_tools.links.ci import CI
@@ -77,7 +78,7 @@ def cfs_stalled(case: Case) -> Iterator[Verdict]:
                 span.change.witness,
                 hop="cFS",
                 span=(span.start_lo, span.end_hi),
-                remedy="look at the load of its host, and at who may stop its process (a debugger, SIGSTOP)",
+                remedy=LET_RUN,
                 confidence="medium",
             )
 
