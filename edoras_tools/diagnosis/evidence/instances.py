@@ -97,11 +97,27 @@ class Instances:
         says = {event.row: event.sender for event in events}
         for part in np.split(order, cuts):
             for members in _publishers(rows, timed[part], says, self.hosts):
-                if len(members) >= _LEAST_ROWS:
+                if len(members) and (index := self._waited(rows, members)) != NOBODY:
+                    self.of_row[members] = index
+                elif len(members) >= _LEAST_ROWS:
                     self._add(rows, members, says)
         self.systems = self._find_systems()
         self._owners = self._find_owners(rows)
         self.made_ns = self._when_made(rows)
+
+    def _waited(self, rows: Rows, members: NDArray[np.intp]) -> int:
+        """Return the instance that made packets before it stood still, and sent them behind; else ``NOBODY``."""
+        first_ns, last_ns = int(rows.time_ns[members].min()), int(rows.time_ns[members].max())
+        offset = int((rows.time_ns[members] - rows.mission_time_ns[members]).min())
+        sources = np.unique(rows.source[members])
+        for index, item in enumerate(self.items):
+            if last_ns - first_ns > BOOT_APART_NS or not item.first_ns < first_ns <= last_ns < item.last_ns:
+                continue
+            alike = (self.of_row == index) & np.isin(rows.source, sources)
+            since_ns = first_ns - (offset - item.offset_ns) + BOOT_APART_NS
+            if alike.any() and not (alike & (rows.time_ns > since_ns) & (rows.time_ns < first_ns)).any():
+                return index
+        return NOBODY
 
     def _add(self, rows: Rows, members: NDArray[np.intp], says: dict[int, str]) -> None:
         self.of_row[members] = len(self.items)

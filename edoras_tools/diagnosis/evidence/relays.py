@@ -312,6 +312,11 @@ class RelayedWay:
         last[last < 0] = int(np.flatnonzero(self.made_of >= 0)[0])
         return np.asarray(rows.source[self.before[self.made_of[last]]])
 
+    def delay_ns(self, rows: Rows) -> float:
+        """Return how much later they usually left it."""
+        known = self.made_of >= 0
+        return float(np.median((rows.time_ns[self.behind] - rows.time_ns[self.before[self.made_of]])[known]))
+
     def losses(self, rows: Rows) -> Iterator[LostInRelay]:
         """Yield what the relay did to each MsgId that has no sequence count to show it."""
         commands = self.before[rows.function_code[self.before] >= 0]
@@ -355,7 +360,13 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
             if rows.link[behind[0]] == rows.link[before[0]] and int(destination[behind[0]]) != at
             if (item := _relayed(rows, endpoints[relay], before, behind)) is not None
         ]
-    return found
+    # Within the slack of two clocks each side may be behind the other: the later one is.
+    by_first = {(int(item.before[0]), int(item.behind[0])): item for item in found}
+    return [
+        item
+        for (before, behind), item in by_first.items()
+        if (behind, before) not in by_first or item.delay_ns(rows) > by_first[behind, before].delay_ns(rows)
+    ]
 
 
 def _relayed(
