@@ -397,7 +397,8 @@ def stood_still(case: Case, loss: Loss) -> str:
 def _stalls_of(case: Case, loss: Loss) -> Iterator[StateSpan]:
     """Yield when the cFS of a loss stood still, if most of the loss came then or at once after it."""
     spans = case.timeline.spans(StateOwner("cfs"), "stalled", case.instances.system(loss.instance))
-    if loss.among is None:
+    if loss.among is None or (loss.among.missing is None and len(loss.among.rows) > 2 * loss.lost):
+        # It is not known which they are.
         yield from (span for span in spans if span.overlaps(loss.start_ns - TAIL_NS, loss.end_ns))
         return
     when = case.captured(loss.among.stream)[loss.among.rows]

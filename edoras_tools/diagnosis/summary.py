@@ -45,6 +45,8 @@ _NAMES: Final = 2
 _MOMENT_S: Final = 0.1
 _SHARES: Final = ((1.0, "All"), (0.5, "Over half of the"), (0.4, "Nearly half of the"))
 _RARE: Final = 0.01
+_NAMED: Final = 3
+"""Of more MsgIds that share a loss the number is told."""
 
 _OF_ONE_HOP: Final = "SBN", UDP_PORT, RELAY_HOP
 """How the hops begin of which a verdict names one peer's or one port's."""
@@ -276,6 +278,8 @@ def _route(row: Row) -> tuple[Any, ...]:
 
 def _name(found: Diagnosis, row: Row) -> str:
     unnamed = "an unknown MsgId" if row.msg_id is None else f"0x{row.msg_id:04x}"
+    if among := {f"0x{msg_id:04x}" for _, msg_id, _ in row.among}:
+        unnamed = " or ".join(sorted(among)) if len(among) <= _NAMED else f"one of {len(among)} MsgIds"
     return found.topics.get(row.route) or row.topic or row.name or unnamed
 
 

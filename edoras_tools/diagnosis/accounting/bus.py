@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from edoras_tools.cfs import executive_services, telemetry_output
+from edoras_tools.cfs import executive_services, queues, telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.claims import (
     CLOSED,
@@ -50,7 +50,7 @@ from edoras_tools.diagnosis.matching.streams import Span
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
 from edoras_tools.sessions.sequence import MODULUS
-from edoras_tools.units import MILLISECOND
+from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -67,6 +67,8 @@ if TYPE_CHECKING:
 _SLACK_NS: Final = 50 * MILLISECOND
 """By so much the times of two packets of one cFS may be wrong."""
 _MOSTLY: Final = 0.9
+_FEW_ROUNDS: Final = 3
+_ONE_ROUND_NS: Final = SECOND // 2
 _LEAST_FRAGMENTED: Final = 6
 """So many in a row that never became whole were dropped, and not missed by the capture."""
 
@@ -315,8 +317,14 @@ class Telemetry:
                 OWN_PACKETS if part.cause is None else CLOSED,
                 (int(gap.low_ns[0]), int(gap.high_ns[0])),
             )
-            of, kinds = (part.owner,), tuple(COUNTERS)
-            self.claims.append(Claim(len(self.parts), *span, part.missing, kinds, of, rank, id(part.stream)))
+            of, kinds, number = (part.owner,), tuple(COUNTERS), part.missing
+            places = self._case.rows.source[part.stream.rows[[part.span.first, part.span.last]]]
+            restarted = part.silenced or places[0] != places[1]
+            if restarted and not self._grown(part, COUNTERS["overflow"]):
+                # Those that waited in the pipe that nobody read are in no count.
+                queue = queues.telemetry_pipe(self._case.profile)
+                number = max(0, number - queue.limit(part.stream.msg_id))
+            self.claims.append(Claim(len(self.parts), *span, number, kinds, of, rank, id(part.stream)))
         self.parts.append(part)
 
     def _cause(self, part: Part) -> tuple[LossKind, str, str] | None:
@@ -401,10 +409,16 @@ class Telemetry:
         """Claim counts of what was lost behind the last message that came: no gap shows it."""
         part, case = self.parts[key], self._case
         stream, span = part.stream, part.span
-        if not part.kinds or span.last != len(stream) - 1:
+        own_ns = case.captured(stream)
+        behind_ns = own_ns[-1] - own_ns[min(span.last + 1, len(own_ns) - 1)]
+        if not part.kinds or behind_ns > _ONE_ROUND_NS:
             return
         made_ns = int(case.instances.made_ns[stream.rows[-1]])
-        most = int(0.7 * span.offered_hz + 2)
+        gaps = stream.missing[span.first : min(span.last + 1, len(stream) - 1)]
+        # No more than a round lost before, where there were some; else than are sent in one.
+        most = int(gaps.max(initial=0))
+        if (gaps > 0).sum() < _FEW_ROUNDS:
+            most = max(most, int(0.7 * span.offered_hz + 2))
         for hop in case.hops:
             if hop.out is stream and hop.matched > _MOSTLY * len(stream):
                 # It was made of what went in: no more were than went in behind the last that came out.

@@ -105,6 +105,7 @@ class Claim:
         flow: traffic that they are of: id of its stream.
         taken: (instance, kind, second of that counter) to the counts that they were given.
         reserved: counts that they share with claims of other traffic.
+        doubted: messages that are kept out of ``number``, because the capture itself may have missed them.
     """
 
     key: int
@@ -117,6 +118,7 @@ class Claim:
     flow: int = 0
     taken: dict[Place, int] = field(default_factory=dict)
     reserved: int = 0
+    doubted: int = 0
 
     @property
     def open(self) -> int:
@@ -263,6 +265,13 @@ def settle_rest(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
     settle(counts, [claim for claim in claims if claim.rank == MISSING], _APART_NS)
 
 
+def settle_doubted(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
+    """Give what is left at the very end to what the capture may have missed: it is lost, and not missed."""
+    for claim in claims:
+        claim.number, claim.doubted = claim.number + claim.doubted, 0
+    settle_rest(counts, claims)
+
+
 def settle_possible(
     counts: Mapping[int, Counts], claims: Sequence[Claim], rivals: Sequence[Rival] = ()
 ) -> list[Shared]:
@@ -289,13 +298,18 @@ def settle_possible(
                 for second in np.flatnonzero(table.left).tolist() if asking else ():
                     held = [at for at in table.within(second) if at in asking and claims[at].open]
                     start_ns, end_ns = counts[table.instance].times[second : second + 2].tolist()
-                    flows = frozenset(claims[at].flow for at in held).union(
+                    flows = frozenset(claims[at].flow for at in held)
+                    unseen = {
                         rival.flow
                         for rival in rivals
                         if (rival.instance, rival.kind) == (table.instance, table.kind)
                         and rival.start_ns <= end_ns
                         and start_ns <= rival.end_ns
-                    )
+                    }
+                    if unseen or table.left[second] < sum(claims[at].open for at in held):
+                        flows |= unseen
+                    else:  # all of each of them
+                        flows = frozenset[int]()
                     if len(flows) > 1 and has_rest:
                         settle_rest(counts, claims)
                         has_rest = False
@@ -305,7 +319,37 @@ def settle_possible(
                         item = found.setdefault(key, Shared(*key, 0, start_ns, end_ns))
                         item.number += number
                         item.end_ns = end_ns
+    if not rivals:
+        _pass_on({(table.instance, table.kind): table for table in tables}, claims)
     return list(found.values())
+
+
+def _pass_on(tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim]) -> None:
+    """Give what is left by moving counts of others, where one traffic alone can have lost more."""
+    for (instance, kind), table in tables.items():
+        for second in np.flatnonzero(table.left).tolist():
+            flows = {claims[at].flow for at in _reached(tables, claims, (instance, kind, second))}
+            while len(flows) == 1 and table.left[second]:
+                path = _path(tables, claims, (instance, kind, second), set())
+                if path is None:
+                    break
+                _shift(table, claims, path)
+
+
+def _reached(
+    tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], start: Place
+) -> set[int]:
+    """Return the open claims that some counts can go to, by moving those of others."""
+    todo, places, seen = [start], {start}, set[int]()
+    while todo:
+        place = todo.pop()
+        for at in tables[place[0], place[1]].within(place[2]):
+            if at not in seen:
+                seen.add(at)
+                others = {item for item in claims[at].taken if item[:2] in tables} - places
+                places |= others
+                todo += others
+    return {at for at in seen if claims[at].open}
 
 
 class _Table:
@@ -373,15 +417,20 @@ def _improve(tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Cla
                 path = _path(tables, claims, (instance, kind, second), dead)
                 if path is None:
                     break
-                moved = int(table.left[second])
-                moved = min(moved, claims[path[-1][1]].open)
-                for (place, _), (_, before) in zip(path[1:], path, strict=False):
-                    moved = min(moved, claims[before].taken[place])
-                for place, at in path:
-                    claims[at].give(place, moved)
-                for (place, _), (_, before) in zip(path[1:], path, strict=False):
-                    claims[before].give(place, -moved)
-                table.left[second] -= moved
+                _shift(table, claims, path)
+
+
+def _shift(table: _Table, claims: Sequence[Claim], path: Sequence[tuple[Place, int]]) -> None:
+    """Give counts of a table along a path: each claim gives up its own for those of the one before it."""
+    second = path[0][0][2]
+    moved = min(int(table.left[second]), claims[path[-1][1]].open)
+    for (place, _), (_, before) in zip(path[1:], path, strict=False):
+        moved = min(moved, claims[before].taken[place])
+    for place, at in path:
+        claims[at].give(place, moved)
+    for (place, _), (_, before) in zip(path[1:], path, strict=False):
+        claims[before].give(place, -moved)
+    table.left[second] -= moved
 
 
 def _path(

@@ -24,6 +24,7 @@ from edoras_tools.cfs import names, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.claims import (
     MISSING,
     POSSIBLE,
+    settle_doubted,
     settle_first,
     settle_known,
     settle_rest,
@@ -127,6 +128,7 @@ class Commands:
             before_ci.outnumbered(account)
         leftover.share(shared)
         settle_rest(counts, claims)
+        settle_doubted(counts, claims)
         telemetry.tell()
         self._name([item for item in case.refused if item.by_type])
         doubt(case, telemetry, fates)
@@ -423,7 +425,7 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
         for stream in case.streams:
             own = groups.get(id(stream), [])
             for claim, share in zip(own, _missed(case, stream, [item.number for item in own]), strict=True):
-                claim.number -= share
+                claim.number, claim.doubted = claim.number - share, claim.doubted + share
 
 
 def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:

@@ -629,7 +629,9 @@ class Leftover:
     def _together(self, item: Shared, rivals: set[tuple[str, int, str]]) -> None:
         """Tell counts that several kinds of traffic share as one loss, of none of them."""
         text = f"0x803: {COUNTER_NAMES[item.kind]} +{item.number:,}, which may be of any of these"
-        loss = Loss(item.kind, BUS, item.number, item.start_ns, item.end_ns, "high", item.instance)
+        pipes = {pipe for _, _, pipe in rivals}
+        hop = pipes.pop() if len(pipes) == 1 else BUS
+        loss = Loss(item.kind, hop, item.number, item.start_ns, item.end_ns, "high", item.instance)
         loss.evidence, loss.rivals = [text], tuple(sorted(rivals))
         self._losses.append(loss)
 

@@ -106,7 +106,7 @@ class Instances:
         self.made_ns = self._when_made(rows)
 
     def _waited(self, rows: Rows, members: NDArray[np.intp]) -> int:
-        """Return the instance that made packets before it stood still, and sent them behind; else ``NOBODY``."""
+        """Return the instance that made packets, stood still, and then sent them; else ``NOBODY``."""
         first_ns, last_ns = int(rows.time_ns[members].min()), int(rows.time_ns[members].max())
         offset = int((rows.time_ns[members] - rows.mission_time_ns[members]).min())
         sources = np.unique(rows.source[members])

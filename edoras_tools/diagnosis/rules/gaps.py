@@ -13,6 +13,7 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.cfs.software_bus import NAME
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT, one_sided
+from edoras_tools.diagnosis.accounting.losses import BUS
 from edoras_tools.diagnosis.advice import loss_verdict, lost_at
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.rules.about import stream_subject
@@ -307,19 +308,19 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
     """
     for loss in case.losses:
         if loss.rivals or (loss.kind == "unknown" and loss.stream is None):
-            names = " or ".join(dict.fromkeys(case.name(msg_id) for _, msg_id, _ in loss.rivals))
+            where = f"on the {BUS}" if loss.hop == BUS else f"at {loss.hop}"
+            which = " or ".join(dict.fromkeys(case.name(msg_id) for _, msg_id, _ in loss.rivals))
+            what = f"whether of {which}" if which else "which"
+            lost = plural(loss.lost, "message")
             yield error(
-                f"{plural(loss.lost, 'message')} lost on the software bus of {case.label(loss.instance)}; "
-                + (
-                    f"the capture cannot show whether of {names}"
-                    if names
-                    else "the capture cannot show which"
-                ),
+                f"{lost} lost {where} of {case.label(loss.instance)}; the capture cannot show {what}",
                 *loss.evidence,
                 hop=loss.hop,
                 lost=loss.lost,
                 span=(loss.start_ns, loss.end_ns),
-                remedy="capture CI, TO and SBN together, and before the traffic starts let events name "
+                remedy="none beside what helps each of these"
+                if loss.hop != BUS
+                else "capture CI, TO and SBN together, and before the traffic starts let events name "
                 f"MsgId, pipe and sender: {case.inject(ENABLE_OUTPUT)}; "
                 f"{case.inject('evs-reset-filters', NAME)}",
                 confidence="low",

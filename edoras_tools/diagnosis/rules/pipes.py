@@ -133,7 +133,8 @@ def to_message_limit(case: Case) -> Iterator[Verdict]:
     Name the MsgId, and the rate that gets through, as measured where it can be.
     """
     for loss in case.losses:
-        if loss.kind == "limit" and loss.hop == telemetry_output.PIPE and not loss.closed:
+        its_own = not loss.closed and not loss.rivals
+        if loss.kind == "limit" and loss.hop == telemetry_output.PIPE and its_own:
             yield _over_output_limit(case, loss)
 
 
@@ -247,7 +248,7 @@ def sbn_peer_pipe(case: Case) -> Iterator[Verdict]:
     Name the MsgId, and the rate that gets through, as measured where it can be.
     """
     for loss in case.losses:
-        if loss.kind in {"limit", "overflow"} and loss.hop.startswith("SBN"):
+        if loss.kind in {"limit", "overflow"} and loss.hop.startswith("SBN") and not loss.rivals:
             yield _over_peer_limit(case, loss)
 
 
