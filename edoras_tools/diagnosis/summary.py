@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.cfs import sbn
 from edoras_tools.diagnosis.accounting.closed import UDP_PORT
 from edoras_tools.diagnosis.accounting.losses import APP
 from edoras_tools.diagnosis.balance import not_counted, sent
@@ -191,7 +192,7 @@ def _explaining(verdicts: Iterable[Verdict], cause: str, row: Row) -> list[Verdi
         if (item.cause == cause if item.cause else item.rule in rules)
         and item.msg_id in {None, row.msg_id}
         and (item.lost is None) == (cause == "unaccounted")
-        and (row.hop == item.hop or not row.hop.startswith(_OF_ONE_HOP))
+        and (item.hop in {row.hop, sbn.NAME} or not row.hop.startswith(_OF_ONE_HOP))
     ]
     own = [item for item in own if item.msg_id is not None] or own
     return [item for item in own if item.hop == row.hop] or own

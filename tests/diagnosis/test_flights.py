@@ -20,13 +20,17 @@ FLIGHTS = {
     "unsubscribed": (14, {"unsubscribed": 14}),
     "frames_in_bursts": (0, {}),
     "ci_woken_often": (206, {"limit": 206}),
-    "nobody_subscribes": (477, {"no_subscriber": 160, "limit": 308, "unknown": 9}),
+    "nobody_subscribes": (477, {"no_subscriber": 160, "limit": 317}),
     "killed_with_peers": (125, {"down": 81, "disabled": 44}),
     "stood_still": (49, {"limit": 49}),
     "killed_with_backlog": (129, {"limit": 39, "down": 67, "unaccounted": 23}),
-    "bursts": (160, {"limit": 151, "unknown": 9}),
+    "bursts": (160, {"limit": 160}),
     "slow_downlink": (56, {"after": 56}),
     "processor_restarted": (56, {"down": 56}),
+    "starved": (69, {"limit": 69}),
+    "sbn_stopped_flight_side": (81, {"stopped": 81}),
+    "fast_relay_downlink": (74, {"after": 74}),
+    "bursts_at_two_pipes": (318, {"limit": 318}),
 }
 
 
@@ -85,3 +89,21 @@ def test_a_limit_is_measured_only_where_rounds_are_full():
     text = first_screen(examined("stood_still"))
     assert "TO keeps 4 of this MsgId" in text
     assert "at EDORAS_APP_PIPE" in text
+
+
+def test_short_stalls_are_named_and_no_rate_is_advised_against_them():
+    found = examined("starved")
+    assert len([item for item in found.verdicts if item.rule == "cfs_stalled"]) == 5
+    text = first_screen(found)
+    assert "look at the load of its host" in text
+    assert "publish at most" not in text
+    assert "send at most" not in text
+
+
+def test_what_a_stream_lost_behind_its_last_message_is_told_by_its_msg_id():
+    rows = {(row.msg_id, row.hop): row.all_lost for row in examined("bursts_at_two_pipes").balance}
+    assert rows[0x828, "TO_LAB_TLM_PIPE"] == 240
+    assert rows[0x829, "TO_LAB_TLM_PIPE"] == 60
+    assert rows[0x828, "EDORAS_APP_PIPE"] == 18
+    rows = {(row.msg_id, row.hop): row.all_lost for row in examined("bursts").balance}
+    assert (rows[0x829, "TO_LAB_TLM_PIPE"], rows[0x82D, "TO_LAB_TLM_PIPE"]) == (88, 72)

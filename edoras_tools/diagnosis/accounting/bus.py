@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from edoras_tools.cfs import executive_services, queues, telemetry_output
+from edoras_tools.cfs import executive_services, queues, sbn, telemetry_output
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.claims import (
     CLOSED,
@@ -46,6 +46,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 )
 from edoras_tools.diagnosis.accounting.pipes import pressed
 from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.diagnosis.matching.streams import Span
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
@@ -68,6 +69,8 @@ _SLACK_NS: Final = 50 * MILLISECOND
 """By so much the times of two packets of one cFS may be wrong."""
 _MOSTLY: Final = 0.9
 _FEW_ROUNDS: Final = 3
+_LOSING: Final = 8
+"""A stream of which none of so many was missing was over no limit."""
 _ONE_ROUND_NS: Final = SECOND // 2
 _LEAST_FRAGMENTED: Final = 6
 """So many in a row that never became whole were dropped, and not missed by the capture."""
@@ -248,6 +251,8 @@ class Telemetry:
                 self._claim_open(part, own)
             else:
                 self.parts.append(part)
+        if len(gaps.at) and owner in self._counts:
+            self._tail(len(self.parts) - 1)
 
     def _missing(self, stream: Stream) -> _Gaps:
         """Return what is missing by sequence counts."""
@@ -280,7 +285,6 @@ class Telemetry:
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())
             self.claims.append(Claim(key, *span, number, kinds, (part.owner,), rank, flow))
         self.parts.append(part)
-        self._tail(key)
 
     def _dropped_unseen(self) -> None:
         """Add what a proxy dropped before a stream begins here, or behind its end: no gap shows it."""
@@ -324,12 +328,22 @@ class Telemetry:
                 # Those that waited in the pipe that nobody read are in no count.
                 queue = queues.telemetry_pipe(self._case.profile)
                 number = max(0, number - queue.limit(part.stream.msg_id))
+            elif not restarted and not self._loses(part):
+                number = 0  # taken off the table and put there again: around that it is over no limit
             self.claims.append(Claim(len(self.parts), *span, number, kinds, of, rank, id(part.stream)))
         self.parts.append(part)
+
+    @staticmethod
+    def _loses(part: Part) -> bool:
+        """Tell whether some messages are missing around a span in which a stream was closed."""
+        missing, first = part.stream.missing, part.span.first
+        return bool(missing[max(0, first - _LOSING) : first].any() or missing[first + 1 :][:_LOSING].any())
 
     def _cause(self, part: Part) -> tuple[LossKind, str, str] | None:
         """Return what closed the way out of messages of the mission, unless a command took them off it."""
         case, stream, span = self._case, part.stream, part.span
+        if stream.link.peers:
+            return self._ended_with_sbn(part)
         housekeeping = stream.known_id in MSG_ID_NAMES and stream.route == NO_ROUTE
         if housekeeping or not stream.link.only_from_cfs:
             return None
@@ -343,6 +357,16 @@ class Telemetry:
             if stops and again:
                 text = f"packet {case.rows.number[command.row]} told ES to stop {command.app}"
                 return "stopped", command.app, text
+        return None
+
+    def _ended_with_sbn(self, part: Part) -> tuple[LossKind, str, str] | None:
+        """Return that SBN was stopped when a peer was to get messages that nothing else here follows."""
+        case, span = self._case, part.span
+        if case.upstream(part.stream) is None and not any(hop.out is part.stream for hop in case.hops):
+            system = case.system(part.stream)
+            for stop in case.timeline.spans(StateOwner("app", sbn.NAME), "stopped", system):
+                if stop.overlaps(span.start_ns, span.end_ns):
+                    return "stopped", sbn.NAME, stop.change.witness
         return None
 
     def _tell_closed(self, part: Part) -> None:
@@ -410,8 +434,10 @@ class Telemetry:
         part, case = self.parts[key], self._case
         stream, span = part.stream, part.span
         own_ns = case.captured(stream)
-        behind_ns = own_ns[-1] - own_ns[min(span.last + 1, len(own_ns) - 1)]
-        if not part.kinds or behind_ns > _ONE_ROUND_NS:
+        steps = np.diff(own_ns[span.first : span.last + 1])
+        begins, ends = own_ns[span.last :][:2][-1], own_ns[-1]
+        goes_on = begins - own_ns[span.last] <= 1.2 * steps.max(initial=0) and ends - begins < _ONE_ROUND_NS
+        if not part.kinds or not (span.last == len(own_ns) - 1 or goes_on):
             return
         made_ns = int(case.instances.made_ns[stream.rows[-1]])
         gaps = stream.missing[span.first : min(span.last + 1, len(stream) - 1)]

@@ -151,17 +151,24 @@ def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int 
         claims: of all of them together.
         slack_ns: by so much the time of a claim may be wrong, on either side.
     """
-    tables = [
-        _Table(instance, kind, own, claims, slack_ns)
+    tables = _tables(counts, claims, slack_ns)
+    for rank in sorted({claim.rank for claim in claims}):
+        for place in range(len(COUNTERS)):
+            for table in tables.values():
+                table.serve([at for at in table.asking if table.prefers(at, rank, place)])
+    _improve(tables, claims)
+
+
+def _tables(
+    counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0
+) -> dict[tuple[int, PipeKind], _Table]:
+    """Return who may take the counts of each counter that has some left."""
+    return {
+        (instance, kind): _Table(instance, kind, own, claims, slack_ns)
         for instance, own in counts.items()
         for kind in COUNTERS
         if own.left[kind].any()
-    ]
-    for rank in sorted({claim.rank for claim in claims}):
-        for place in range(len(COUNTERS)):
-            for table in tables:
-                table.serve([at for at in table.asking if table.prefers(at, rank, place)])
-    _improve({(table.instance, table.kind): table for table in tables}, claims)
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,12 +290,7 @@ def settle_possible(
     Returns:
         what several share.
     """
-    tables = [
-        _Table(instance, kind, own, claims, 0)
-        for instance, own in counts.items()
-        for kind in COUNTERS
-        if own.left[kind].any()
-    ]
+    tables = _tables(counts, claims).values()
     found: dict[tuple[int, PipeKind, frozenset[int]], Shared] = {}
     has_rest = True
     for rank in sorted({claim.rank for claim in claims if claim.rank >= POSSIBLE}):
@@ -320,12 +322,13 @@ def settle_possible(
                         item.number += number
                         item.end_ns = end_ns
     if not rivals:
-        _pass_on({(table.instance, table.kind): table for table in tables}, claims)
+        _pass_on(counts, [claim for claim in claims if claim.rank != MISSING])
     return list(found.values())
 
 
-def _pass_on(tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim]) -> None:
+def _pass_on(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
     """Give what is left by moving counts of others, where one traffic alone can have lost more."""
+    tables = _tables(counts, claims)
     for (instance, kind), table in tables.items():
         for second in np.flatnonzero(table.left).tolist():
             flows = {claims[at].flow for at in _reached(tables, claims, (instance, kind, second))}

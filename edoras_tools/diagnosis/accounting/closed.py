@@ -406,6 +406,7 @@ class Stops:
                 self._mark_closed(fate)
                 self._mark_unsent(fate)
                 continue
+            self._mark_unread(fate)
             own = [
                 item
                 for item in gone
@@ -494,6 +495,20 @@ class Stops:
                     fate.stop[inside] = self._causes.index(cause)
                 else:
                     self._add(fate, inside, cause)
+
+    def _mark_unread(self, fate: Fate) -> None:
+        """Mark the messages that came over SBN while that surely did not run, where none can be followed."""
+        case, stream = self._case, fate.stream
+        spans = case.timeline.spans(StateOwner("app", sbn.NAME), "stopped", case.system(stream))
+        times = case.captured(stream)
+        for span in spans if stream.link.peers else ():  # its socket is open a moment before it speaks
+            inside = (
+                fate.open
+                & (fate.stop < 0)
+                & (times > span.start_hi)
+                & (times < span.end_lo - case.profile.sbn_wake_ns)
+            )
+            self._add(fate, inside, _Cause("stopped", sbn.NAME, span.change.witness))
 
     def _mark_unsent(self, fate: Fate) -> None:
         """Mark the messages that Telemetry Output was not to send (rule 12)."""

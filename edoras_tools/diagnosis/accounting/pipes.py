@@ -611,7 +611,8 @@ class Leftover:
         application, output = queues.application_pipe(case.profile), queues.telemetry_pipe(case.profile)
         leaving = {stream.msg_id for stream in case.streams if stream.link.only_from_cfs}
         for stream in case.streams:
-            if stream.known_id in names.MSG_ID_NAMES and stream.route == NO_ROUTE:
+            own = stream.known_id in names.MSG_ID_NAMES and stream.route == NO_ROUTE
+            if own and not stream.link.only_to_cfs:
                 continue
             fate, times = self._fates.get(id(stream)), case.captured(stream)
             if stream.link.only_to_cfs and not (fate and fate.seen):

@@ -4,11 +4,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.diagnosis.accounting.claims import (
+    MISSING,
     POSSIBLE,
     Claim,
     Counts,
     Rival,
     settle,
+    settle_doubted,
     settle_possible,
 )
 
@@ -130,3 +132,31 @@ def test_what_traffic_that_is_not_in_the_capture_may_be_is_shared_with_it():
     (item,) = settle_possible({0: there}, claims, [rival])
     assert (claims[0].taken, claims[0].reserved) == ({(0, "limit", 0): 3}, 2)
     assert (item.number, item.flows) == (2, frozenset({7, 8}))
+
+
+def test_as_many_as_all_of_several_can_have_are_shared_by_none():
+    there = counts([5], [0])
+    claims = [claim(0, 0, 0, 3, KINDS, POSSIBLE, flow=7), claim(1, 0, 0, 2, KINDS, POSSIBLE, flow=8)]
+    assert settle_possible({0: there}, claims) == []
+    assert [item.open for item in claims] == [0, 0]
+
+
+@pytest.mark.parametrize(("rank", "lost"), [(POSSIBLE, 2), (MISSING, 0)])
+def test_counts_of_others_make_room_for_what_only_one_may_have_lost(rank, lost):
+    # Two counts of the first second went to what could be counted in the second one as well.
+    there = counts([0, 2], [0, 0])
+    sure, tail = claim(0, 0, 1, 2, KINDS[:1]), claim(1, 0, 0, 9, KINDS[:1], rank, flow=7)
+    sure.give((0, "limit", 0), 2)
+    settle_possible({0: there}, [sure, tail])
+    assert sum(tail.taken.values()) == lost
+    assert int(there.left["limit"].sum()) == 2 - lost
+    assert sum(sure.taken.values()) == 2
+
+
+def test_what_the_capture_may_have_missed_takes_what_is_left_at_the_end():
+    there = counts([3], [0])
+    missing = claim(0, 0, 0, 1, KINDS, MISSING)
+    missing.doubted = 1
+    settle_doubted({0: there}, [missing])
+    assert (missing.taken, missing.number) == ({(0, "limit", 0): 2}, 2)
+    assert int(there.left["limit"].sum()) == 1

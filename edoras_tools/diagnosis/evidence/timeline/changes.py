@@ -29,7 +29,7 @@ from edoras_tools.cfs import (
 )
 from edoras_tools.cfs.arguments import EVS_MSG_ID, TBL_MSG_ID, TIME_MSG_ID
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.peers import ALREADY
+from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
 from edoras_tools.links.table import among
 from edoras_tools.units import SECOND
@@ -284,6 +284,7 @@ def network_changes(
     for (peer, observer), connection in network.connections.items():
         system = _system(instances, observer)
         yield from _peer(connection, system, int(rows.time_ns[0]))
+        yield from _goodbyes(rows, network, connection, observer, system)
         own = _between(rows, network, at, peer, observer)
         yield from _subscriptions(rows, at[own], contents[own], payloads, connection, system)
 
@@ -327,6 +328,24 @@ def _peer(connection: Connection, system: int, begin_ns: int) -> Iterator[Change
         text = f"nothing from it for {(back_ns - last_ns) / SECOND:.1f} s, then it subscribed anew"
         yield Change(system, subject, "silent", last_ns, dead_ns, text, (last,))
         yield Change(system, subject, "connected", back_ns, back_ns, "it subscribed anew", (first,))
+
+
+def _goodbyes(
+    rows: Rows, network: Network, connection: Connection, observer: SbnParty, system: int
+) -> Iterator[Change]:
+    """Yield when SBN of a cFS ended, as it says to its peers, and when it spoke again."""
+    places = [place for place in np.unique(rows.source).tolist() if network.party(place) == observer]
+    said_ns = rows.time_ns[np.isin(rows.source, places) & among(rows.link, lambda link: link.peers)]
+    for item in connection.changes:
+        if item.why != SAID_GOODBYE:
+            continue
+        later = said_ns[said_ns > item.time_ns][:1].tolist()
+        if not later or later[0] - item.time_ns > _SLACK_NS:
+            subject = StateOwner("app", sbn.NAME)
+            text = "it sent its peer DISCONNECT, and then nothing"
+            yield Change(system, subject, "stopped", item.time_ns, item.time_ns, text)
+            for when in later:
+                yield Change(system, subject, "running", when, when, "it speaks to its peers again")
 
 
 def _subscriptions(
