@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.diagnosis.matching.streams import full_where_lacking
+from edoras_tools.diagnosis.matching.streams import bursts, full_where_lacking
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
 
@@ -172,8 +172,7 @@ def _kept(times: NDArray[np.int64]) -> int:
 
     One that arrives while a round is sent may come with it.
     """
-    begins = np.flatnonzero(np.diff(times, prepend=times[:1] - SECOND) > _BURST_NS)
-    sizes = np.diff(np.append(begins, len(times)))
+    _, sizes = bursts(times, _BURST_NS)
     if len(sizes) < _LEAST:
         return 0
     most = int(np.quantile(sizes, 0.9))

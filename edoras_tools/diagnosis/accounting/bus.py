@@ -72,6 +72,7 @@ _FEW_ROUNDS: Final = 3
 _LOSING: Final = 8
 """A stream of which none of so many was missing was over no limit."""
 _ONE_ROUND_NS: Final = SECOND // 2
+_SOON: Final = 1.2
 _LEAST_FRAGMENTED: Final = 6
 """So many in a row that never became whole were dropped, and not missed by the capture."""
 
@@ -432,28 +433,35 @@ class Telemetry:
     def _tail(self, key: int) -> None:
         """Claim counts of what was lost behind the last message that came: no gap shows it."""
         part, case = self.parts[key], self._case
-        stream, span = part.stream, part.span
-        own_ns = case.captured(stream)
-        steps = np.diff(own_ns[span.first : span.last + 1])
-        begins, ends = own_ns[span.last :][:2][-1], own_ns[-1]
-        goes_on = begins - own_ns[span.last] <= 1.2 * steps.max(initial=0) and ends - begins < _ONE_ROUND_NS
-        if not part.kinds or not (span.last == len(own_ns) - 1 or goes_on):
+        stream = part.stream
+        if not part.kinds or not self._ends(part):
             return
-        made_ns = int(case.instances.made_ns[stream.rows[-1]])
-        gaps = stream.missing[span.first : min(span.last + 1, len(stream) - 1)]
-        # No more than a round lost before, where there were some; else than are sent in one.
-        most = int(gaps.max(initial=0))
-        if (gaps > 0).sum() < _FEW_ROUNDS:
-            most = max(most, int(0.7 * span.offered_hz + 2))
+        most = self._most_behind(part)
         for hop in case.hops:
             if hop.out is stream and hop.matched > _MOSTLY * len(stream):
                 # It was made of what went in: no more were than went in behind the last that came out.
                 went_in = case.captured(hop.into)
                 most = min(most, int((hop.absent & (went_in > went_in[hop.arrived].max())).sum()))
         if most > 0:
+            made_ns = int(case.instances.made_ns[stream.rows[-1]])
             self.claims.append(
                 Claim(key, made_ns, made_ns + TAIL_NS, most, part.kinds, (part.owner,), POSSIBLE, id(stream))
             )
+
+    def _ends(self, part: Part) -> bool:
+        """Tell whether a stream ends with a part, or with one round behind it that lacks none."""
+        times, span = self._case.captured(part.stream), part.span
+        if span.last == len(times) - 1:
+            return True
+        steps, next_ns = np.diff(times[span.first : span.last + 1]), times[span.last + 1]
+        soon = next_ns - times[span.last] <= _SOON * steps.max(initial=0)
+        return bool(soon and times[-1] - next_ns < _ONE_ROUND_NS)
+
+    def _most_behind(self, part: Part) -> int:
+        """Return how many can be missing behind a stream's last message: what a round loses."""
+        gaps = part.stream.missing[:-1][part.span.first : part.span.last + 1]
+        most = int(gaps.max(initial=0))
+        return most if (gaps > 0).sum() >= _FEW_ROUNDS else max(most, int(0.7 * part.span.offered_hz + 2))
 
     def _tell(self, part: Part) -> None:
         """Make losses of what is missing from a span."""

@@ -299,28 +299,17 @@ def settle_possible(
                 asking = {at for at in table.asking if table.prefers(at, rank, place)}
                 for second in np.flatnonzero(table.left).tolist() if asking else ():
                     held = [at for at in table.within(second) if at in asking and claims[at].open]
-                    start_ns, end_ns = counts[table.instance].times[second : second + 2].tolist()
-                    flows = frozenset(claims[at].flow for at in held)
-                    unseen = {
-                        rival.flow
-                        for rival in rivals
-                        if (rival.instance, rival.kind) == (table.instance, table.kind)
-                        and rival.start_ns <= end_ns
-                        and start_ns <= rival.end_ns
-                    }
-                    if unseen or table.left[second] < sum(claims[at].open for at in held):
-                        flows |= unseen
-                    else:  # all of each of them
-                        flows = frozenset[int]()
-                    if len(flows) > 1 and has_rest:
+                    span = counts[table.instance].times[second : second + 2].tolist()
+                    flows = table.sharers(second, held, rivals, span)
+                    if flows and has_rest:
                         settle_rest(counts, claims)
                         has_rest = False
-                    number = table.give(second, held, reserve=len(flows) > 1)
-                    if len(flows) > 1 and number:
+                    number = table.give(second, held, reserve=bool(flows))
+                    if flows and number:
                         key = table.instance, table.kind, flows
-                        item = found.setdefault(key, Shared(*key, 0, start_ns, end_ns))
+                        item = found.setdefault(key, Shared(*key, 0, *span))
                         item.number += number
-                        item.end_ns = end_ns
+                        item.end_ns = span[1]
     if not rivals:
         _pass_on(counts, [claim for claim in claims if claim.rank != MISSING])
     return list(found.values())
@@ -385,6 +374,26 @@ class _Table:
         """Return the claims whose time holds a second."""
         there = np.flatnonzero((self._first <= second) & (self._last >= second))
         return [self.asking[place] for place in there.tolist()]
+
+    def sharers(
+        self, second: int, held: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
+    ) -> frozenset[int]:
+        """Return which traffic shares the counts of a second; none where each has its own.
+
+        Args:
+            held: claims that may take them.
+            span: when the second begins and ends, ns.
+        """
+        unseen = {
+            rival.flow
+            for rival in rivals
+            if (rival.instance, rival.kind) == (self.instance, self.kind)
+            and rival.start_ns <= span[1]
+            and span[0] <= rival.end_ns
+        }
+        flows = frozenset(self._claims[at].flow for at in held) | unseen
+        is_all = not unseen and int(self.left[second]) >= sum(self._claims[at].open for at in held)
+        return frozenset() if is_all or len(flows) == 1 else flows
 
     def serve(self, asking: Sequence[int]) -> None:
         """Give counts to claims: to all whose time holds a count, by how much of each is open."""

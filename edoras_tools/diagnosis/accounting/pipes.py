@@ -45,6 +45,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
+from edoras_tools.diagnosis.matching.streams import bursts
 from edoras_tools.links.table import carrying
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
@@ -313,13 +314,9 @@ def most_at_once(times: NDArray[np.int64], period_ns: int) -> int:
 
 def measured_depth(times: NDArray[np.int64], period: int) -> int:
     """Return how deep a pipe is by the rounds that come out of it: a size often met and never passed."""
-    if len(times) < 2:
-        return int(np.iinfo(np.int64).max)
-    begins = np.flatnonzero(np.diff(times, prepend=times[0] - period) > period // 2)
-    sizes = np.diff(np.append(begins, len(times)))
-    most = int(sizes.max())
-    often = int((sizes == most).sum())
-    return most if often > _OFTEN else int(np.iinfo(np.int64).max)
+    _, sizes = bursts(times, period // 2)
+    most = int(sizes.max(initial=0))
+    return most if (sizes == most).sum() > _OFTEN else int(np.iinfo(np.int64).max)
 
 
 def _full(times: NDArray[np.int64], period: int, most: int) -> NDArray[np.int64]:

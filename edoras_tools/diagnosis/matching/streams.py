@@ -441,12 +441,17 @@ class Comb:
     share: float
 
 
+def bursts(times: NDArray[np.int64], pause_ns: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first message and the size of each burst: between two of them is more than a pause."""
+    begins = np.flatnonzero(np.diff(times, prepend=times[:1] - 2 * pause_ns) > pause_ns)
+    return begins, np.diff(np.append(begins, len(times)))
+
+
 def comb(times: NDArray[np.int64]) -> Comb:
     """Tell whether messages come in rounds, as what a task that wakes up now and then sends does."""
     if len(times) < 2 * _FEW:
         return Comb(0, 1, 0.0)
-    begins = np.flatnonzero(np.diff(times, prepend=times[0] - SECOND) > _BURST_NS)
-    sizes = np.diff(np.append(begins, len(times)))
+    begins, sizes = bursts(times, _BURST_NS)
     most = int(quantiles(sizes, 0.98)[0])
     period = int(np.median(np.diff(times[begins]))) if len(begins) > 2 else 0
     share = float((sizes >= most).mean()) if len(sizes) else 0.0
@@ -461,6 +466,6 @@ def full_where_lacking(times: NDArray[np.int64], missing: NDArray[np.int64], mos
         missing: (n,), how many are missing behind each.
         most: how many a full round has.
     """
-    which = np.cumsum(np.diff(times, prepend=times[0] - SECOND) > _BURST_NS) - 1
-    sizes, lacking = np.bincount(which), np.unique(which[missing > 0])
+    begins, sizes = bursts(times, _BURST_NS)
+    lacking = np.flatnonzero(np.add.reduceat(missing, begins))
     return len(lacking) >= _LEAST_FULL and bool(np.median(sizes[lacking]) >= most)

@@ -312,6 +312,8 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
             which = " or ".join(dict.fromkeys(case.name(msg_id) for _, msg_id, _ in loss.rivals))
             what = f"whether of {which}" if which else "which"
             lost = plural(loss.lost, "message")
+            ids = {msg_id for _, msg_id, _ in loss.rivals}
+            helped = any(item.hop == loss.hop and item.msg_id in ids for item in case.losses)
             yield error(
                 f"{lost} lost {where} of {case.label(loss.instance)}; the capture cannot show {what}",
                 *loss.evidence,
@@ -319,7 +321,7 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
                 lost=loss.lost,
                 span=(loss.start_ns, loss.end_ns),
                 remedy="none beside what helps each of these"
-                if loss.hop != BUS
+                if helped
                 else "capture CI, TO and SBN together, and before the traffic starts let events name "
                 f"MsgId, pipe and sender: {case.inject(ENABLE_OUTPUT)}; "
                 f"{case.inject('evs-reset-filters', NAME)}",

@@ -231,9 +231,15 @@ def _may_be(
 def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], witness: str) -> Verdict:
     span = case.span(members) if members else (case.start_ns, case.start_ns)
     packets = listed([str(case.rows.number[row]) for row in members[: _FEW + 1]], _FEW)
+    what = f"{plural(len(members), 'message') if members else 'messages'} on {case.name(msg_id)}"
+    remedy = "correct the MsgId in the mission file, or have the application subscribe to it"
+    certain = "cFS said" in witness
+    if not certain and any(hop.out.link.peers for hop in case.hops):
+        # The count is the same where an application took them, and no peer wants what it sends on.
+        what += ", or what an application sends on for them,"
+        remedy += "; let the SBN peer subscribe to what becomes of it"
     return error(
-        f"{plural(len(members), 'message') if members else 'messages'} on {case.name(msg_id)} without a "
-        "subscriber in cFS: the software bus drops them",
+        f"{what} without a subscriber in cFS: the software bus drops them",
         *([f"packet {packets}, the first at {case.at(span[0])}"] if members else ()),
         witness,
         msg_id=msg_id,
@@ -241,8 +247,8 @@ def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], witness:
         lost=len(members) or None,
         of=len(members) or None,
         span=span,
-        remedy="correct the MsgId in the mission file, or have the application subscribe to it",
-        confidence="high" if "cFS said" in witness else "medium",
+        remedy=remedy,
+        confidence="high" if certain else "medium",
     )
 
 
