@@ -25,6 +25,11 @@ def on_terminal(monkeypatch):
     monkeypatch.setattr(watch, "detect_terminal", lambda _: Terminal(80, colour=False, interactive=True))
 
 
+@pytest.fixture
+def terminal(monkeypatch):
+    on_terminal(monkeypatch)
+
+
 def test_live_sources_have_a_table_and_files_a_bar(monkeypatch):
     on_terminal(monkeypatch)
     assert isinstance(watcher(SOURCE, Path("a.mcap"), quiet=False, live=True), LiveTable)
