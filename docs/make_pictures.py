@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -33,7 +34,6 @@ from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.doctor.doctor import screen
 from edoras_tools.render.plot.svg import plot_svg
-from edoras_tools.render.svg import without_fonts
 from edoras_tools.render.terminal import palette
 
 if TYPE_CHECKING:
@@ -45,6 +45,12 @@ _ROVERS: Final = ("two_rovers_ground", "two_rovers_flight")
 _CONFIGS: Final = " ".join(f"-c {name}.yaml" for name in _ROVERS)
 _SHOWN: Final = (range(186, 196), range(1196, 1205), range(1345, 1351))
 """A link at work; a SUB that SBN refuses; a cut message that the app passes on."""
+_FONTS: Final = re.compile(r"\s*@font-face \{.*?\}", re.DOTALL)
+
+
+def without_fonts(svg: str) -> str:
+    """Return a picture that rich made so that it loads nothing from elsewhere."""
+    return _FONTS.sub("", svg)
 
 
 def terminal_picture(views: Iterable[str | RenderableType], *, width: int, title: str) -> str:

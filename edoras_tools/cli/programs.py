@@ -34,6 +34,8 @@ def _start(alone: str = "") -> NoReturn:
         if not alone and not completes:
             sys.argv[1:] = main.with_command(sys.argv[1:])
         named = [item for item in (line.split() if completes else sys.argv)[1:2] if main.is_command(item)]
+        if sys.argv[1:] == ["--version"]:
+            named = ["help"]  # to make all commands takes most of the time
         made = main.alone(alone) if alone else main.program(*named, completes=completes)
     except ModuleNotFoundError:
         raise

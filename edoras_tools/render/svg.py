@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
@@ -19,12 +18,6 @@ _DEJAVU: Final = {
     "monospace_family": "DejaVu Sans Mono",
 }
 """Where fontconfig is not installed, as in a small container, resvg finds no font by ``sans-serif`` alone."""
-_FONTS: Final = re.compile(r"\s*@font-face \{.*?\}", re.DOTALL)
-
-
-def without_fonts(svg: str) -> str:
-    """Return a picture that rich made so that it loads nothing from elsewhere."""
-    return _FONTS.sub("", svg)
 
 
 def need_png() -> Callable[..., Any]:

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 _TOGETHER: Final = 512
 """So many small batches are handed over as one: each costs milliseconds, however few its rows are."""
-_MANY: Final = 16
-"""Of fewer sources the batches are handed over as they come."""
 
 
 def merge_sources(sources: Sequence[Source]) -> Source:
@@ -102,7 +100,6 @@ class MergedSource(SourceDefaults):
         errors: list[str] = []
         heads = [_Head(source, errors) for source in self._sources]
         number, touched = 1, [*range(len(heads))]
-        together = _TOGETHER if len(heads) >= _MANY else 1
         waiting: list[PacketBatch] = []
         ends: list[tuple[int, int]] = []
         begins: list[tuple[int, int]] = []
@@ -113,7 +110,7 @@ class MergedSource(SourceDefaults):
                     heappush(begins, (int(heads[place].keys[0]), place))
             while ends and ends[0][0] != heads[ends[0][1]].end:  # of what was taken meanwhile
                 heappop(ends)
-            if waiting and (not ends or max(len(waiting), len(waiting[-1])) >= together):
+            if waiting and (not ends or max(len(waiting), len(waiting[-1])) >= _TOGETHER):
                 batch = concatenate([_trim(part) for part in waiting])
                 yield replace(batch, number=np.arange(number, number + len(batch)))
                 number += len(batch)
@@ -193,12 +190,7 @@ def _in_order(parts: list[tuple[PacketBatch, NDArray[np.int64]]]) -> PacketBatch
 
 def _trim(batch: PacketBatch) -> PacketBatch:
     """Drop the bytes before and after those that the rows use, so that they are not copied."""
-    start = int(min(batch.frame_offset.min(), batch.offset.min()))
+    at = int(min(batch.frame_offset.min(), batch.offset.min()))
     ends = (batch.frame_offset + batch.frame_length).max(), (batch.offset + batch.length).max()
-    end = int(max(ends)) + PADDING
-    return replace(
-        batch,
-        data=batch.data[start:end],
-        frame_offset=batch.frame_offset - start,
-        offset=batch.offset - start,
-    )
+    data = batch.data[at : int(max(ends)) + PADDING]
+    return replace(batch, data=data, frame_offset=batch.frame_offset - at, offset=batch.offset - at)

@@ -114,9 +114,8 @@ class LinkStatistics:
         return self._write(groups, rows, rows + self._end_ns, channel_id)
 
     def _count(self, batch: PacketBatch, columns: Columns, second: NDArray[np.int64]) -> NDArray[np.void]:
-        msg_id = (columns.msg_id + 1).astype(np.uint32)
         order = self._sequences.order(batch, columns)
-        flow = (columns.link.astype(np.uint32) << _MSG_ID_BITS) | msg_id
+        flow = (columns.link.astype(np.uint32) << _MSG_ID_BITS) | (columns.msg_id + 1).astype(np.uint32)
         flow, second, length = flow[order], second[order], batch.length[order]
         starts = np.append(0, np.flatnonzero((flow[1:] != flow[:-1]) | (second[1:] != second[:-1])) + 1)
         groups = np.zeros(len(starts), dtype=_GROUP)

@@ -104,6 +104,11 @@ class Account:
         steps, span_ns = self.count - 1, self.last_ns - self.first_ns
         return math.sqrt(max(0, steps * self.interval_squares - span_ns * span_ns)) / steps / MILLISECOND
 
+    @property
+    def key(self) -> tuple[int, int, int, int]:
+        """What no other account has, in the order of rows."""
+        return int(self.link), self.msg_id, self.processor_id, self.kind
+
     def as_json(self) -> list[Any]:
         """Return plain values, from which ``of_json`` makes an account that says the same."""
         values = [getattr(self, name) for name in _PLAIN]
@@ -344,14 +349,7 @@ class Ledger:
         """Return a row for every stream, in the shape of ``info --json``: configured topics first."""
         accounts = sorted(
             self.accounts.values(),
-            key=lambda item: (
-                item.route < 0,
-                item.link == OTHER,
-                item.link,
-                item.msg_id,
-                item.processor_id,
-                item.kind,
-            ),
+            key=lambda item: (item.route < 0, item.link == OTHER, *item.key),
         )
         rows = [self._row(account) for account in accounts]
         observed = {account.route for account in accounts}

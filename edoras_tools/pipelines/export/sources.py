@@ -7,6 +7,7 @@ the topics that were recorded. It contains no datagrams, so nothing can be selec
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from itertools import chain
@@ -19,7 +20,7 @@ from edoras_tools.io.formats.open import is_cfe_file
 from edoras_tools.io.processes import InOrder, Workers
 from edoras_tools.io.processors import jobs_for
 from edoras_tools.io.topics.cfe import fault_messages
-from edoras_tools.io.topics.rows import APART, DATAGRAMS_TOPIC, RECORD_BYTES, Messages, lay_out
+from edoras_tools.io.topics.rows import APART, DATAGRAMS_TOPIC, RECORD, RECORD_BYTES, Messages, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, PreparedBatch, Streams, Topic
 from edoras_tools.mission.report import printable
 from edoras_tools.model import Columns, Finding, PacketBatch
@@ -33,6 +34,7 @@ from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.ros.cdr.columns import TopicBlock
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import read_at
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
@@ -346,17 +348,14 @@ class CaptureTopics(TopicSource):
     def _blocks(
         self, streams: Sequence[Messages], rows: int, requested: Collection[str], topics: Sequence[Topic]
     ) -> Iterator[TopicBlock]:
-        for messages in streams:
+        for messages in _in_order(streams, rows):
             places = by_value(np.broadcast_to(messages.channel_id, len(messages)))
             selection = [item for item in places if topics[item[0]].name in requested]
             if not selection:
                 continue
-            if messages.head_bytes == RECORD_BYTES:  # the bytes behind the head are the message
-                data, start, length = messages.data, messages.offset, messages.length
-            else:
-                laid = lay_out([messages], rows)
-                data, start, length = np.frombuffer(laid.data, np.uint8), laid.start, laid.end - laid.start
-            heads = messages.heads(slice(0, len(messages)))
+            whole = messages if messages.head_bytes == RECORD_BYTES else _laid([messages], rows)
+            data, start, length = whole.data, whole.offset, whole.length
+            heads = whole.heads(slice(0, len(whole)))
             for place, positions in selection:
                 topic = topics[place]
                 columns = self._types(topic.type).columns(
@@ -369,6 +368,21 @@ class CaptureTopics(TopicSource):
                     heads["publish_time"][positions].astype(np.int64),
                     heads["sequence"][positions],
                 )
+
+
+def _in_order(streams: Sequence[Messages], rows: int) -> Sequence[Messages]:
+    """Return messages; row by row where kinds share a topic, as events that applications tell and resets."""
+    channels = chain.from_iterable(np.unique(item.channel_id).tolist() for item in streams if len(item))
+    return [_laid(streams, rows)] if max(Counter(channels).values(), default=0) > 1 else streams
+
+
+def _laid(streams: Sequence[Messages], rows: int) -> Messages:
+    """Put messages one after the other, row by row: behind each head are the bytes of the message."""
+    laid = lay_out(streams, rows)
+    data, number = np.frombuffer(laid.data, np.uint8), np.arange(len(laid))
+    heads = read_at(data, laid.start - RECORD_BYTES, RECORD).__getitem__
+    time_ns, length = laid.log_time.astype(np.int64), laid.end - laid.start
+    return Messages(number, laid.channel_id, time_ns, RECORD_BYTES, heads, data, laid.start, length)
 
 
 class BagTopics(TopicSource):
