@@ -3,7 +3,7 @@
 They come round and round, each with the time and the sequence count that it would have had. With ``--tcp``,
 this share of the frames is SBN over TCP, the same messages: most alone in a segment, one in ten cut in two.
 
-Run: python benchmarks/make_capture.py FILE [PACKETS] [--cfdp PERCENT] [--tcp PERCENT]
+Run: python benchmarks/make_capture.py FILE [PACKETS] [--cfdp PERCENT] [--tcp PERCENT] [--sbn]
 """
 
 from __future__ import annotations
@@ -119,8 +119,12 @@ def main() -> None:
     parser.add_argument("packets", type=int, nargs="?", default=1_000_000)
     parser.add_argument("--cfdp", type=int, default=0, help="percent of the packets that are CFDP")
     parser.add_argument("--tcp", type=int, default=0)
+    parser.add_argument("--sbn", action="store_true", help="nine frames of ten are of SBN")
     options = parser.parse_args()
     pool = frames()
+    if options.sbn:
+        network = [item for item in pool if struct.unpack_from(">H", item[0], 36)[0] in SBN_PORTS]
+        pool = network + [item for item in pool if item not in network][: len(network) // 9]
     streams = Streams(pool)
     counts: dict[bytes, int] = defaultdict(int)
     files = transfers()

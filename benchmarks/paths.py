@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import compileall
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +15,13 @@ ROVER, MISSION = ROOT / "samples/captures/a_rover.pcap", ROOT / "samples/mission
 MISSIONS = [ROOT / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]
 """Of the traffic in the captures that are made."""
 TWO_ROVERS = [argument for path in MISSIONS for argument in ("-c", str(path))]
+
+
+def compiled() -> None:
+    """Compile the modules that are measured, and let programs use that: else each start does it anew."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    for name in ("edoras_tools", "dissectors"):
+        compileall.compile_dir(ROOT / name, quiet=1)
 
 
 def captured(folder: Path, packets: int, tcp: int = 0) -> Path:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import hostile
 import proxy
-from paths import EDORAS, HERE, MISSION, TWO_ROVERS, captured
+from paths import EDORAS, HERE, MISSION, TWO_ROVERS, captured, compiled
 from rosbags.typesys import Stores, get_typestore
 from rounds import ROUNDS, absent, alternated, busy_ns, command, running, summed_up
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 PORT = 47334
 RATES, MANY = (20, 100, 1000, 5000), (50_000,)
-RELAYED = (10_000, 1), (50_000, 1), (50_000, 50)
+RELAYED = (1_000, 1), (10_000, 1), (50_000, 1), (50_000, 50)
 """Datagrams a second, and how many of them are sent at once."""
 SETTLE_S = 2.0
 
@@ -66,6 +66,64 @@ def tcp(folder: Path, packets: int) -> dict[str, object]:
         for name, share in {"without": 0, "30 % TCP": 30}.items()
     }
     return {"packets": packets, **alternated(ways)}
+
+
+def sbn(folder: Path) -> dict[str, object]:
+    """Record with nine frames of ten of SBN, beside the mixed traffic; CPU a packet."""
+    packets = 500_000
+    plain, network = captured(folder, packets), folder / "sbn.pcap"
+    subprocess.run([sys.executable, HERE / "make_capture.py", network, str(packets), "--sbn"], check=True)
+    record = [EDORAS, "record", "-q", "--force", "--jobs", "1", *TWO_ROVERS, "-o", folder / "sbn.mcap", "-r"]
+
+    def one(path: Path) -> dict[str, float]:
+        return {"cpu_us": command([*record, path])["cpu_s"] / packets * 1e6}
+
+    return {"packets": packets, **alternated({"mixed": partial(one, plain), "SBN": partial(one, network)})}
+
+
+def starts(folder: Path) -> dict[str, object]:
+    """What it costs to start: commands on a capture of one packet, beside Python alone and with numpy."""
+    one, out = captured(folder, 1), folder / "one.mcap"
+    ways = {
+        "python": [sys.executable, "-c", "pass"],
+        "numpy": [sys.executable, "-c", "import numpy"],
+        "version": [EDORAS, "--version"],
+        "help": [EDORAS, "-h"],
+        "info": [EDORAS, "info", one],
+        "sniff": [EDORAS, "sniff", one],
+        "record": [EDORAS, "record", "-q", "--force", one, "-o", out],
+    }
+    return alternated({name: partial(command, arguments) for name, arguments in ways.items()})
+
+
+def images(folder: Path) -> dict[str, object]:
+    """The doctor on 300,000 images of 1.3 kB, beside as many packets of the mixed traffic."""
+    packets, path = 300_000, folder / "images.pcap"
+    hostile.write(path, hostile.KINDS["images"](packets))
+    examine = [EDORAS, "doctor", "--json", *TWO_ROVERS]
+    ways = {"mixed": captured(folder, packets), "images": path}
+    found = alternated({name: partial(command, [*examine, capture]) for name, capture in ways.items()})
+    return {"packets": packets, **found}
+
+
+SUMMARY = """
+import sys
+from mcap.reader import make_reader
+with open(sys.argv[1], "rb") as file:
+    print(make_reader(file).get_summary().statistics.message_count)
+"""
+
+
+def counts(folder: Path, packets: int) -> dict[str, object]:
+    """What info answers of a finished recording, beside the library's summary."""
+    capture, target = captured(folder, packets), folder / "counts.mcap"
+    subprocess.run([EDORAS, "record", "-q", "--force", capture, *TWO_ROVERS, "-o", target], check=False)
+    ways = {
+        "info": [EDORAS, "info", "--json", target, *TWO_ROVERS],
+        "mcap library": [sys.executable, "-W", "ignore", "-c", SUMMARY, target],
+    }
+    found = alternated({name: partial(command, arguments) for name, arguments in ways.items()})
+    return {"packets": packets, **found}
 
 
 def doctor(folder: Path, packets: int) -> dict[str, object]:
@@ -329,7 +387,11 @@ def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, obje
     return {
         "texts": partial(texts, folder),
         "tcp": partial(tcp, folder, packets),
+        "sbn": partial(sbn, folder),
+        "starts": partial(starts, folder),
         "doctor": partial(doctor, folder, packets),
+        "images": partial(images, folder),
+        "counts": partial(counts, folder, 3 * packets),
         "window": partial(window, folder, 3 * packets),
         "topic": partial(topic, folder, 3 * packets),
         "growth": partial(growth, folder),
@@ -344,6 +406,7 @@ def measure(folder: Path, packets: int) -> dict[str, Callable[[], dict[str, obje
 
 def main() -> None:
     """Measure what is named, or everything."""
+    compiled()
     with tempfile.TemporaryDirectory() as name:
         for key, run in measure(Path(name), 1_000_000).items():
             if not sys.argv[1:] or key in sys.argv[1:]:
