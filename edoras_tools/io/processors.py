@@ -18,6 +18,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from time import sleep
 from typing import TYPE_CHECKING, Final
@@ -101,6 +102,12 @@ class Precedence:
             self._possible = False
         else:
             self._first = first
+
+
+def run_soon() -> None:
+    """Let the calling thread, which does little, wait less for a busy processor, where that is allowed."""
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, -10)
 
 
 _LARGE: Final = 32 << 20

@@ -29,6 +29,7 @@ from edoras_tools.io.frames.build import HEADER_BYTES, FramePage
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.outputs import Patience, waiting_for_room
 from edoras_tools.io.processes import Workers, portable, writer_killed
+from edoras_tools.io.processors import run_soon
 from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.flushing import Flushing
 from edoras_tools.pipelines.capture.ledger import Ledger
@@ -231,6 +232,7 @@ class _Service:
         return self._failure, None
 
     def _open(self) -> None:
+        run_soon()
         self._writer = self._begin()
 
     def _write(self, page: bytes) -> None:
@@ -317,8 +319,7 @@ class RelayRecorder:
             self._opened.close()
             raise
         self._queue: queue.SimpleQueue[_Page | None] = queue.SimpleQueue()
-        self._queued = 0
-        self._written = 0
+        self._queued = self._written = 0
         self._page = _Page()
         self._opened_ns = 0
         self._kernel_drops = 0
@@ -395,6 +396,7 @@ class RelayRecorder:
         self._opened.close()
 
     def _run(self) -> None:
+        run_soon()
         self._attempt(self._write_all)
         self._attempt(lambda: self._writer.close(self._kernel_drops))
 
