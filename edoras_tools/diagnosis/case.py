@@ -304,9 +304,13 @@ class Case:
         """The states of everything over time."""
         resets = [(item.instance, item.start_ns, item.end_ns) for item in self.resets]
         software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, resets)
+        changes = list(software.changes())
+        # What commands and events tell of an application is not told by its peers again.
+        told = {(item.system, item.subject) for item in changes}
         network = network_changes(self.rows, self.payloads, self.instances, self.network)
-        ports = (change for span in self.unreachable.spans for change in span.changes())
-        changes = [*software.changes(), *network, *ports, *capture_changes(self.away)]
+        changes += [item for item in network if (item.system, item.subject) not in told]
+        changes += [change for span in self.unreachable.spans for change in span.changes()]
+        changes += capture_changes(self.away)
         found = stalls(self.rows, self.streams, self.instances, Timeline(changes))
         return Timeline([*changes, *found])
 
