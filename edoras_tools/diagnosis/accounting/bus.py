@@ -69,10 +69,12 @@ _SLACK_NS: Final = 50 * MILLISECOND
 """By so much the times of two packets of one cFS may be wrong."""
 _MOSTLY: Final = 0.9
 _FEW_ROUNDS: Final = 3
-_LOSING: Final = 8
-"""A stream of which none of so many was missing was over no limit."""
+"""So many rounds show the most that one loses."""
+_AROUND: Final = 8
+"""A stream of which none of so many is missing on either side is over no limit."""
 _ONE_ROUND_NS: Final = SECOND // 2
 _SOON: Final = 1.2
+"""What comes behind no more than so many of the longest usual steps goes on as before."""
 _LEAST_FRAGMENTED: Final = 6
 """So many in a row that never became whole were dropped, and not missed by the capture."""
 
@@ -322,23 +324,22 @@ class Telemetry:
                 OWN_PACKETS if part.cause is None else CLOSED,
                 (int(gap.low_ns[0]), int(gap.high_ns[0])),
             )
-            of, kinds, number = (part.owner,), tuple(COUNTERS), part.missing
-            places = self._case.rows.source[part.stream.rows[[part.span.first, part.span.last]]]
-            restarted = part.silenced or places[0] != places[1]
-            if restarted and not self._grown(part, COUNTERS["overflow"]):
-                # Those that waited in the pipe that nobody read are in no count.
-                queue = queues.telemetry_pipe(self._case.profile)
-                number = max(0, number - queue.limit(part.stream.msg_id))
-            elif not restarted and not self._loses(part):
-                number = 0  # taken off the table and put there again: around that it is over no limit
+            of, kinds, number = (part.owner,), tuple(COUNTERS), self._countable(part)
             self.claims.append(Claim(len(self.parts), *span, number, kinds, of, rank, id(part.stream)))
         self.parts.append(part)
 
-    @staticmethod
-    def _loses(part: Part) -> bool:
-        """Tell whether some messages are missing around a span in which a stream was closed."""
-        missing, first = part.stream.missing, part.span.first
-        return bool(missing[max(0, first - _LOSING) : first].any() or missing[first + 1 :][:_LOSING].any())
+    def _countable(self, part: Part) -> int:
+        """Return how many of what is missing while its way out was closed a pipe can have counted."""
+        stream, span = part.stream, part.span
+        before, behind = self._case.rows.source[stream.rows[[span.first, span.last]]]
+        if part.silenced or before != behind:  # Telemetry Output did not read its pipe: some waited there
+            waited = queues.telemetry_pipe(self._case.profile).limit(stream.msg_id)
+            full = self._grown(part, COUNTERS["overflow"])
+            return part.missing if full else max(0, part.missing - waited)
+        # Taken off the table and put there again: over a limit where it was around that, too.
+        around = stream.missing[max(0, span.first - _AROUND) : span.first + 1 + _AROUND].copy()
+        around[min(span.first, _AROUND)] = 0
+        return part.missing if around.any() else 0
 
     def _cause(self, part: Part) -> tuple[LossKind, str, str] | None:
         """Return what closed the way out of messages of the mission, unless a command took them off it."""
