@@ -498,8 +498,8 @@ class Case:
 
     @cached_property
     def outages(self) -> list[Outage]:
-        """Every stop and restart of an application that is sure."""
-        return outages(self.timeline, self.start_ns)
+        """Every stop and restart of an application that is sure, or shows."""
+        return outages(self)
 
     @cached_property
     def unheard(self) -> dict[int, Unheard]:

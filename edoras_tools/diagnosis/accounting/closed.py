@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.losses import Fate, LossKind
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.timeline.table import Timeline
+    from edoras_tools.diagnosis.evidence.timeline.table import StateSpan
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
 
@@ -318,6 +318,8 @@ _CLOSED: Final[Mapping[str, tuple[int, LossKind, str]]] = {
 }
 """Kind of the subject that was closed to which of several is the cause, the kind of the loss, and where."""
 _LEAST_ROUNDS: Final = 5
+_LEAST_UNANSWERED: Final = 5
+"""So many messages of which none is passed on show that a command that stops an application did."""
 _FASTER: Final = 1.25
 """Messages that come faster than rounds by this give way to newer ones."""
 _COMMAND_NS: Final = 10 * SECOND
@@ -349,19 +351,16 @@ class Outage:
     restarted: bool = False
 
 
-def outages(timeline: Timeline, begin_ns: int) -> list[Outage]:
-    """Return every stop and restart that is sure, the earliest first.
-
-    Args:
-        begin_ns: when the capture begins.
-    """
-    items = []
+def outages(case: Case) -> list[Outage]:
+    """Return every stop and restart that is sure, or was asked for and shows, the earliest first."""
+    timeline, items = case.timeline, []
     for system, subject in timeline.subjects:
         if subject.kind != "app":
             continue
         for state in ("stopped", "restarting"):
             for span in timeline.spans(subject, state, system):
-                if span.change.sure or (span.end and span.end.sure):
+                sure = span.change.sure or (span.end and span.end.sure)
+                if sure or _falls_silent(case, subject.name, span):
                     end_ns = span.end_hi if span.end else None
                     times = span.start_lo, end_ns, span.start_hi, span.end_lo
                     restarted = state == "restarting"
@@ -369,9 +368,23 @@ def outages(timeline: Timeline, begin_ns: int) -> list[Outage]:
         first = timeline.of(subject, system)[0]
         if first.state == "running" and first.sure and len(first.rows) > 1:
             # It was told to start: it was stopped before the capture began, or never ran.
-            times = begin_ns - 1, first.not_after_ns, begin_ns - 1, first.not_before_ns
+            times = case.start_ns - 1, first.not_after_ns, case.start_ns - 1, first.not_before_ns
             items.append(Outage(subject.name, *times, first.witness, system))
     return sorted(items, key=lambda item: item.start_ns)
+
+
+def _falls_silent(case: Case, app: str, span: StateSpan) -> bool:
+    """Tell whether an application passes nothing on from the command that stops it, of what is sent to it."""
+    if app in _LINKS or app in executive_services.SCHEDULERS:
+        return False
+    start_ns, end_ns = span.start_lo + WAITS_NS, span.end_lo
+    for hop in case.hops:
+        sent = np.diff(np.searchsorted(case.captured(hop.into), (start_ns, end_ns)))[0]
+        times = start_ns - _STOPS_NS - WAITS_NS, start_ns, end_ns
+        before, meanwhile = np.diff(np.searchsorted(case.captured(hop.out), times)).tolist()
+        if sent >= _LEAST_UNANSWERED and before and not meanwhile:
+            return True
+    return False
 
 
 class _Cause(NamedTuple):
