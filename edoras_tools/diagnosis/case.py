@@ -27,6 +27,7 @@ from edoras_tools.diagnosis.accounting.closed import (
 from edoras_tools.diagnosis.accounting.commands import Commands
 from edoras_tools.diagnosis.accounting.content import WayContent, judge_contents
 from edoras_tools.diagnosis.accounting.ingest import Ingest, ingests
+from edoras_tools.diagnosis.accounting.losses import COUNTERS
 from edoras_tools.diagnosis.constants import learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
@@ -71,7 +72,7 @@ from edoras_tools.diagnosis.quality import (
 )
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, HostCounters, InterfaceOutage, Link, Peer
-from edoras_tools.units import SECOND
+from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.sbn import HEADER as SBN_HEADER
 
@@ -82,7 +83,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
-    from edoras_tools.diagnosis.accounting.losses import Loss
+    from edoras_tools.diagnosis.accounting.losses import Loss, PipeKind
     from edoras_tools.diagnosis.constants import Constants
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
     from edoras_tools.diagnosis.evidence.relays import RouteWay
@@ -93,6 +94,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import CutDatagram
 
 _MOST: Final = 0.5
+_SLACK_NS: Final = 50 * MILLISECOND
 _CLEAN_NS: Final = 10 * SECOND
 _HIGHER: Final = 1.1
 OfLink = TypeVar("OfLink")
@@ -521,10 +523,20 @@ class Case:
         """The growth of each instance's loss counters, less what has been told of it."""
         items, profile = self.instances.items, self.profile
         return {
-            at: Counts.of(track, items[at].boot_ns(profile))
+            at: Counts.of(track, items[at].boot_ns(profile), self._told_later(at, track.times[-1]))
             for at, track in self.tracks.items()
             if len(track.times) > 1
         }
+
+    def _told_later(self, instance: int, last_ns: int) -> dict[PipeKind, list[int]]:
+        """Return when events told of losses at pipes, by kind, behind an instance's last 0x803."""
+        found: dict[PipeKind, list[int]] = {}
+        for item, said in self.reported_losses.items():
+            made_ns = self.instances.made_ns[[record.row for record in said.records]]
+            kind = next((kind for kind in COUNTERS if kind == item.kind), None)
+            if kind and item.instance == instance:
+                found.setdefault(kind, []).extend(made_ns[made_ns > last_ns + _SLACK_NS].tolist())
+        return found
 
     @cached_property
     def losses(self) -> list[Loss]:

@@ -65,11 +65,20 @@ class Counts:
     boot_ns: int = 0
 
     @classmethod
-    def of(cls, track: Track, boot_ns: int) -> Counts:
-        """Lay out a track of a cFS that began at a time."""
+    def of(cls, track: Track, boot_ns: int, later: Mapping[PipeKind, Sequence[int]]) -> Counts:
+        """Lay out a track of a cFS that began at a time.
+
+        Args:
+            later: kind to when events told of losses behind the last sample: each is a count.
+        """
+        last = [max(times) for times in later.values() if times]
+        grown = {
+            kind: [*np.diff(track.totals[name]).tolist(), *([len(later.get(kind, ()))] * bool(last))]
+            for kind, name in COUNTERS.items()
+        }
         return cls(
-            np.array(track.times, np.int64),
-            {kind: np.asarray(np.diff(track.totals[name]), np.int64) for kind, name in COUNTERS.items()},
+            np.array([*track.times, *([max(last)] if last else ())], np.int64),
+            {kind: np.array(number, np.int64) for kind, number in grown.items()},
             {kind: track.older.get(name, 0) for kind, name in COUNTERS.items()},
             boot_ns,
         )

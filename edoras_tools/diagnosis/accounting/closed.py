@@ -447,6 +447,8 @@ class Stops:
         inside &= (times > max(item.start_ns - WAITS_NS, last_ns)) & (times < until_ns)
         if fate.keeps_newest:
             inside = self._held(fate, item, inside, until_ns)
+            if item.end_ns is not None and last_ns > item.end_ns:  # it was back within a round
+                self._hold(fate, fate.open & (times > item.start_ns) & (times < item.end_ns))
         if item.app in executive_services.SCHEDULERS:
             inside &= ~fate.newer  # nobody woke the application: it kept the newest
         again = np.zeros(len(times), bool)
@@ -474,10 +476,15 @@ class Stops:
         inside = inside & (times <= back_ns)
         held = inside & ((times <= item.start_ns + round_ns) | (times > back_ns - round_ns))
         if item.app not in executive_services.SCHEDULERS:
-            fate.open &= ~held
-            fate.ends["held"] += int(held.sum())
+            self._hold(fate, held)
             inside = inside & ~held
         return inside
+
+    @staticmethod
+    def _hold(fate: Fate, held: NDArray[np.bool_]) -> None:
+        """Count messages that an application may have held when it ended, or lost."""
+        fate.open &= ~held
+        fate.ends["held"] += int(held.sum())
 
     def _mark_closed(self, fate: Fate) -> None:
         """Mark the messages that came over SBN, or were to leave over it, when that was closed (rule 11)."""

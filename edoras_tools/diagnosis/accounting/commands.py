@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import names, sbn, telemetry_output
+from edoras_tools.cfs import names, queues, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.claims import (
     MISSING,
     POSSIBLE,
@@ -349,8 +349,17 @@ class Commands:
                 last = [
                     loss.span for loss in self.losses if loss.stream is fate.stream and loss.kind in COUNTERS
                 ]
-                # What a pipe loses to the end may be among those that are last.
-                fate.ends["uncertain"] = fate.waiting if fate.spans[-1] in last else 0
+                fate.ends["uncertain"] = self._lost_last(fate) if fate.spans[-1] in last else 0
+
+    def _lost_last(self, fate: Fate) -> int:
+        """Return how many of those that are last a pipe that loses to the end may lose.
+
+        An application that keeps the newest took as many of each round as the pipe takes.
+        """
+        pipe = queues.application_pipe(self._case.profile, over_network=fate.stream.link.peers)
+        times = self._case.captured(fate.stream)[fate.waits]
+        rounds = np.ptp(times) // pipe.round_ns if len(times) and fate.keeps_newest else 0
+        return max(0, fate.waiting - int(rounds) * pipe.usual_limit)
 
     def _rest(self, fate: Fate, tails: Mapping[int, int]) -> None:
         ends = fate.ends
