@@ -183,7 +183,7 @@ ADDONS: Final = (
                 before="samples",
             ),
         },
-        adds={"parts": {"simulation": "emulator.source:start_simulation"}},
+        adds={"parts": {"simulation": "emulator.source:start_simulation", "prove": "cli.prove:prove"}},
     ),
     Addon(
         "fprime",

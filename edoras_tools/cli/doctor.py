@@ -53,6 +53,9 @@ class TaskOptions(NamedTuple):
         ),
     ] = None
     predict: Annotated[bool, Option("--predict", help="Only say how much each route can carry.")] = False
+    prove: Annotated[
+        bool, Option("--prove", help="Hold it against an emulated cFS, with the advice and without.")
+    ] = False
     max_loss: Annotated[float | None, Option(parser=share, help="Share that may be lost, e.g. 1%.")] = None
     strict: Annotated[bool, Option("--strict", help="Judge what may be lost, too: exit code 3.")] = False
     list_lost: Annotated[Listing | None, Option(help="Only list the messages that were lost.")] = None
@@ -89,6 +92,10 @@ def doctor(
         write(given.files, task.output, force=task.force, printing=printing, part=part, decoding=decoding)
     elif task.predict:
         _predict(settings, profile, scope, json=printing.json)
+    elif task.prove:
+        if not given.paths:
+            raise ConfigError("--prove reads the capture several times: name files")
+        doors.part("prove")(given, settings, profile, printing)
     elif task.list_lost is not None:
         _list_lost(settings, profile, scope, given, task.list_lost, printing, jobs or 0)
     elif task.bag:
@@ -112,7 +119,7 @@ def _check_task(task: TaskOptions, given: InputOptions, duration: int | None, co
     """
     options.check_duration(duration, given.paths)
     tasks: dict[str, object] = {"--predict": task.predict, "--list-lost": task.list_lost}
-    tasks |= {"--against": task.against, "--bag": task.bag}
+    tasks |= {"--against": task.against, "--bag": task.bag, "--prove": task.prove}
     asked = [name for name, wanted in tasks.items() if wanted]
     if len(asked) > 1:
         raise ConfigError(f"{' and '.join(asked)} exclude each other; choose one")

@@ -26,7 +26,7 @@ _FEW = 4
 _LEAST = 3
 _APP_NS = SECOND
 """The public applications read their robot's states once a second."""
-_SLACK_NS = SECOND
+_SLACK_NS = 3 * SECOND
 
 
 def changed_values(case: Case) -> Iterator[Verdict]:

@@ -18,7 +18,7 @@ from edoras_tools.cli.options import Scenario
 class FlightOptions(NamedTuple):
     """How the emulated cFS is configured."""
 
-    limit: Annotated[int, Option(min=1, max=255, help="Telemetry Output: messages of a MsgId that wait.")] = 4
+    limit: Annotated[int, Option(min=0, max=255, hidden=True)] = 0
     msg_max: Annotated[int, Option(min=0, hidden=True)] = 0
     generator: Annotated[Any, Option(parser=options.msg_id, hidden=True)] = None
     extended_header: Annotated[bool, Option("--extended-header", hidden=True)] = False
@@ -29,7 +29,7 @@ class FlightOptions(NamedTuple):
             "--set",
             parser=options.name_value,
             metavar="NAME=VALUE",
-            help="A constant: msg_max=10, extended-header=yes.",
+            help="A constant: msg_max=10, to_default_limit=12, extended-header=yes.",
         ),
     ] = None
 
@@ -62,14 +62,12 @@ def sim(
     address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  the user asked for it
     built = options.DecodingOptions(set_values=flight.set_values).merged()
     profile = profile_with(built.constants)
-    limit = flight.limit
+    limit = flight.limit or profile.to_default_limit
     # The lab's table names the first processor too: each of its cFS has the others as peers.
     first = SimProfile()
     table = (SbnPeerConfig(first.peer, first.sbn_port), *profile.sbn_peers)
     peers = tuple(replace(peer, address=address) for peer in table if peer.peer != profile.peer)
-    limits = {
-        msg_id: limit if room == profile.to_default_limit else room for msg_id, room in TO_TABLE.items()
-    }
+    limits = {msg_id: limit if room == first.to_default_limit else room for msg_id, room in TO_TABLE.items()}
     profile = replace(
         profile,
         to_default_limit=limit,

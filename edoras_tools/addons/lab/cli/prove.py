@@ -1,0 +1,35 @@
+"""``edoras doctor --prove``: what was lost, beside what an emulated cFS loses of the same input."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from typer import Exit
+
+from edoras_tools.addons.lab.proof.run import prove_capture
+from edoras_tools.addons.lab.views.proof import proof_view
+from edoras_tools.cli.endings import LOST
+from edoras_tools.cli.inputs import open_input
+from edoras_tools.cli.output import file_progress, print_json, print_view
+
+if TYPE_CHECKING:
+    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.cli.inputs import InputOptions
+    from edoras_tools.cli.options import PrintOptions
+    from edoras_tools.pipelines.workbench import Settings
+
+
+def prove(given: InputOptions, settings: Settings, profile: SimProfile, printing: PrintOptions) -> None:
+    """Prove a capture, and print that.
+
+    Raises:
+        Exit: the model does not explain what was lost, or an advice does not keep what was promised.
+    """
+    with file_progress(given.paths, quiet=printing.quiet or printing.json) as bar:
+        found, proof = prove_capture(lambda: open_input(given, settings, aligned=True, progress=bar), profile)
+    if printing.json:
+        print_json(proof.as_json())
+    else:
+        print_view(lambda width: proof_view(proof, found.zero_ns, width))
+    if not proof.explained or (proof.promised is not None and not proof.kept):
+        raise Exit(LOST)

@@ -1,0 +1,75 @@
+"""Reads a capture twice: judges it, and what is around its worst loss, and lets that go through the model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from edoras_tools.addons.lab.proof.model import LEAD_NS, Proof, Stimulus, prove, window
+from edoras_tools.links.table import among
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.reading import reading
+from edoras_tools.pipelines.selection import Period
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.examination import Diagnosis
+    from edoras_tools.io import Source
+    from edoras_tools.pipelines.workbench import Workbench
+
+    OpenInput = Callable[[], tuple[Source, Workbench]]
+
+
+def prove_capture(opened: OpenInput, profile: SimProfile) -> tuple[Diagnosis, Proof]:
+    """Judge a capture and prove it; return what is said of all of it, and the proof.
+
+    Args:
+        opened: opens the same input anew.
+        profile: constants of cFS that were given.
+
+    Raises:
+        CaptureError: it cannot be read.
+    """
+    source, bench = opened()
+    whole = examine(source, bench, profile=profile)
+    if whole.failure is not None:
+        raise whole.failure
+    found = whole.diagnosis
+    span = window(found)
+    part = found
+    if span != (found.start_ns, found.end_ns):
+        start_ns = span[0] - found.zero_ns
+        period = Period(start_ns=start_ns, end_ns=start_ns + span[1] - span[0])
+        source, bench = opened()
+        part = examine(source, bench, profile=profile, scope=Scope(period=period)).diagnosis
+    case = part.case
+    if case is None or not part.datagrams:
+        return found, Proof((0.0, 0.0), not_modelled="nothing of cFS was examined")
+    if part is not found:
+        part = replace(part, capture=replace(part.capture, zero_ns=found.zero_ns))
+    return found, prove(part, case, _stimuli(opened, case, span), span)
+
+
+def _stimuli(opened: OpenInput, case: Case, span: tuple[int, int]) -> list[Stimulus]:
+    """Return what went into cFS from a while before a span to its end."""
+    source, bench = opened()
+    stimuli: list[Stimulus] = []
+    ports = {
+        case.endpoints[item.receiver].port for item in case.streams if item.link.peers and not item.counted
+    }
+    with reading(source, bench) as loop:
+        for rows in loop:
+            batch, columns = rows.batch, rows.columns
+            to_ci = among(columns.link, lambda link: link.only_to_cfs)
+            over = among(columns.link, lambda link: link.peers) & np.isin(batch.destination_port, list(ports))
+            inside = (batch.time_ns >= span[0] - LEAD_NS) & (batch.time_ns <= span[1])
+            for row in np.flatnonzero((to_ci | over) & inside).tolist():
+                when, msg_id = int(batch.time_ns[row]), int(columns.msg_id[row])
+                stimuli.append(Stimulus(when, bool(over[row]), msg_id, bytes(batch[row].payload)))
+    return sorted(stimuli, key=lambda item: item.time_ns)
