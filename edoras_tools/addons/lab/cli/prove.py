@@ -26,10 +26,12 @@ def prove(given: InputOptions, settings: Settings, profile: SimProfile, printing
         Exit: the model does not explain what was lost, or an advice does not keep what was promised.
     """
     with file_progress(given.paths, quiet=printing.quiet or printing.json) as bar:
-        found, proof = prove_capture(lambda: open_input(given, settings, aligned=True, progress=bar), profile)
+        diagnosis, proof = prove_capture(
+            lambda: open_input(given, settings, aligned=True, progress=bar), profile
+        )
     if printing.json:
         print_json(proof.as_json())
     else:
-        print_view(lambda width: proof_view(proof, found.zero_ns, width))
-    if not proof.explained or (proof.promised is not None and not proof.kept):
+        print_view(lambda width: proof_view(proof, diagnosis.zero_ns, width))
+    if not proof.explained or (proof.promised is not None and not proof.keeps_promise):
         raise Exit(LOST)

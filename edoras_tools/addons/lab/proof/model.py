@@ -135,7 +135,7 @@ class Proof:
         not_modelled: why nothing was emulated; empty where it was.
         remedy: the advice of the worst loss; empty where the model cannot try it.
         promised: messages that the doctor said would be left; None where it did not.
-        left: at least and at most lost with the advice,
+        remains: at least and at most lost with the advice,
         advised: and of which MsgId.
         run: the first run, for the picture.
         seen_ns: MsgId to when its messages came out, in the capture.
@@ -146,7 +146,7 @@ class Proof:
     not_modelled: str = ""
     remedy: str = ""
     promised: int | None = None
-    left: tuple[int, int] = (0, 0)
+    remains: tuple[int, int] = (0, 0)
     advised: int = -1
     run: ModelRun = field(default_factory=lambda: ModelRun(Counter(), {}))
     seen_ns: dict[int, list[int]] = field(default_factory=dict)
@@ -157,9 +157,9 @@ class Proof:
         return not self.not_modelled and all(row.explained for row in self.rows)
 
     @property
-    def kept(self) -> bool:
+    def keeps_promise(self) -> bool:
         """Whether the advice keeps what the doctor promised."""
-        return self.promised is not None and self.left[0] <= self.promised + _ROOM
+        return self.promised is not None and self.remains[0] <= self.promised + _ROOM
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --prove --json``."""
@@ -170,8 +170,8 @@ class Proof:
             "not_modelled": self.not_modelled or None,
             "advice": self.remedy or None,
             "promised": self.promised,
-            "left": list(self.left) if self.promised is not None else None,
-            "kept": self.kept if self.promised is not None else None,
+            "left": list(self.remains) if self.promised is not None else None,
+            "kept": self.keeps_promise if self.promised is not None else None,
             "routes": [row.as_json() for row in self.rows],
         }
 
@@ -307,9 +307,9 @@ def prove(found: Diagnosis, case: Case, stimuli: Sequence[Stimulus], span: tuple
             others = [model.run(*item, trial.stimuli, trial.profile) for item in _RUNS[:2]]
             promised = _promised(found, verdict)
             if promised is not None:
-                left = _range(others, verdict.msg_id)
+                remains = _range(others, verdict.msg_id)
                 return replace(
-                    proof, remedy=trial.remedy, promised=promised, left=left, advised=verdict.msg_id
+                    proof, remedy=trial.remedy, promised=promised, remains=remains, advised=verdict.msg_id
                 )
     return proof
 
@@ -351,12 +351,12 @@ def _rows(found: Diagnosis, case: Case, runs: Sequence[ModelRun]) -> list[ProofR
         own[1] += row.all_lost + row.unaccounted - outside
         own[2] += row.uncertain + row.shared
         own[3] += outside
-    made = []
+    table_rows = []
     for msg_id, (sent, lost, more, outside) in sorted(numbers.items()):
         model = _range(runs, msg_id)
         if lost or model[1] or outside:
-            made.append(ProofRow(msg_id, case.name(msg_id), sent, (lost, lost + more), model, outside))
-    return made
+            table_rows.append(ProofRow(msg_id, case.name(msg_id), sent, (lost, lost + more), model, outside))
+    return table_rows
 
 
 def _seen(case: Case, msg_ids: set[int]) -> dict[int, list[int]]:

@@ -40,20 +40,20 @@ def prove_capture(opened: OpenInput, profile: SimProfile) -> tuple[Diagnosis, Pr
     whole = examine(source, bench, profile=profile)
     if whole.failure is not None:
         raise whole.failure
-    found = whole.diagnosis
-    span = window(found)
-    part = found
-    if span != (found.start_ns, found.end_ns):
-        start_ns = span[0] - found.zero_ns
+    every = whole.diagnosis
+    span = window(every)
+    part = every
+    if span != (every.start_ns, every.end_ns):
+        start_ns = span[0] - every.zero_ns
         period = Period(start_ns=start_ns, end_ns=start_ns + span[1] - span[0])
         source, bench = opened()
         part = examine(source, bench, profile=profile, scope=Scope(period=period)).diagnosis
     case = part.case
     if case is None or not part.datagrams:
-        return found, Proof((0.0, 0.0), not_modelled="nothing of cFS was examined")
-    if part is not found:
-        part = replace(part, capture=replace(part.capture, zero_ns=found.zero_ns))
-    return found, prove(part, case, _stimuli(opened, case, span), span)
+        return every, Proof((0.0, 0.0), not_modelled="nothing of cFS was examined")
+    if part is not every:
+        part = replace(part, capture=replace(part.capture, zero_ns=every.zero_ns))
+    return every, prove(part, case, _stimuli(opened, case, span), span)
 
 
 def _stimuli(opened: OpenInput, case: Case, span: tuple[int, int]) -> list[Stimulus]:

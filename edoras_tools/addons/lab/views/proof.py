@@ -69,17 +69,18 @@ def _sentences(proof: Proof) -> list[Text]:
     what = (
         "This model explains what was lost." if inside else "Nothing was lost inside cFS, nor by the model."
     )
-    said = [Text(what, "green")]
+    sentences = [Text(what, "green")]
     if proof.promised is not None:
-        low, high = proof.left
-        left = f"{low:,}" if low == high else f"{low:,} to {high:,}"
-        style = "green" if proof.kept else Level.ERROR.style
-        said.append(
+        low, high = proof.remains
+        number = f"{low:,}" if low == high else f"{low:,} to {high:,}"
+        style = "green" if proof.keeps_promise else Level.ERROR.style
+        sentences.append(
             Text(
-                f"With the advice ({proof.remedy}) it loses {left}; {proof.promised:,} were promised.", style
+                f"With the advice ({proof.remedy}) it loses {number}; {proof.promised:,} were promised.",
+                style,
             )
         )
-    return said
+    return sentences
 
 
 def _figure(proof: Proof, zero_ns: int) -> Figure:
