@@ -13,6 +13,7 @@ NO_OP, SET = 0, 1
 
 INITIALIZED: Final = EventText(NAME, 1, "Edoras App Initialized. {version}")
 BAD_FUNCTION_CODE: Final = EventText(NAME, 2, "Invalid ground command code: CC = {code:d}", EventType.ERROR)
+NO_OP_DONE: Final = EventText(NAME, 3, "Edoras App: NOOP command {version}")
 BAD_LENGTH: Final = EventText(
     NAME,
     6,

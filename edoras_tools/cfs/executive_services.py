@@ -9,6 +9,8 @@ from edoras_tools.cfs.event_services import EventText, EventType
 
 NAME: Final = "CFE_ES"
 COMMAND_MSG_ID: Final = 0x1806
+RESET_COUNTERS = 1
+COUNTERS_RESET: Final = EventText(NAME, 4, "Reset Counters command")
 RESTART, START_APP, STOP_APP, RESTART_APP, RELOAD_APP = 2, 4, 5, 6, 7
 ENDS_APP: Final = frozenset({STOP_APP, RESTART_APP, RELOAD_APP})
 """Function codes after which an application does not read on."""

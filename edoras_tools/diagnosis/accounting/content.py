@@ -165,8 +165,8 @@ def _none_sent(case: Case, robot: Stream) -> WayContent | None:
     went_ns = np.sort(np.concatenate([case.captured(stream) for stream in into]))
     step_ns = int(np.median(np.diff(went_ns))) if len(went_ns) > 1 else SECOND
     # Where they were sent already when the capture began, older ones come first.
-    begun = int(went_ns[0]) - case.start_ns <= 2 * step_ns
-    own = robot.rows[rows.time_ns[robot.rows] > went_ns[0] + begun * _DRAINS_NS]
+    already = int(went_ns[0]) - case.start_ns <= 2 * step_ns
+    own = robot.rows[rows.time_ns[robot.rows] > went_ns[0] + already * _DRAINS_NS]
     before = np.searchsorted(went_ns, rows.time_ns[own])
     own = own[np.arange(1, len(own) + 1) <= before]
     if len(own) < _LEAST or len(np.unique(rows.body_print[into[0].rows])) < _LEAST:

@@ -44,20 +44,20 @@ def changed_values(case: Case) -> Iterator[Verdict]:
         if item.nothing_sent:
             all_ = f"all {item.of:,}" if not same or not other else f"{other:,} changed, {same_one}"
             how = "" if same and other else " always hold the same one" if same else " changed"
-            what = f"{NOTHING_SENT[0]} that {where} {NOTHING_SENT[1]}: {all_}{how}"
+            text = f"{NOTHING_SENT[0]} that {where} {NOTHING_SENT[1]}: {all_}{how}"
         else:
-            what = f"{same + other:,} of {item.of:,} that {where} have a value that was never sent"
-            what += f": {same_one}" if same else ""
+            text = f"{same + other:,} of {item.of:,} that {where} have a value that was never sent"
+            text += f": {same_one}" if same else ""
         evidence = [_first(case, item.constant if same else item.changed)]
         if passes_on:
             evidence.append(f"{passes_on} is here: the public EDORAS applications pass values on as they are")
         elif not same:
             evidence.append("an application that changes values on purpose does this, too")
-        yield _told(
+        yield _about(
             Severity.ERROR if passes_on or same else Severity.WARNING,
             case,
             item,
-            what,
+            text,
             *evidence,
             remedy="look at what the application sends: a struct that was not filled, as after a command "
             "that it failed to parse, or one that something else wrote over",
@@ -73,7 +73,7 @@ def old_values(case: Case) -> Iterator[Verdict]:
         again, late = len(item.again), len(item.late)
         longest = f"up to {item.longest_ns / SECOND:.1f} s after they were sent"
         if again:
-            yield _told(
+            yield _about(
                 Severity.ERROR,
                 case,
                 item,
@@ -84,7 +84,7 @@ def old_values(case: Case) -> Iterator[Verdict]:
                 "reads slower than it is sent to, or sends what it has kept",
             )
         if late:
-            yield _told(
+            yield _about(
                 Severity.WARNING,
                 case,
                 item,
@@ -123,12 +123,12 @@ def old_states(case: Case) -> Iterator[Verdict]:
         )
 
 
-def _told(
-    severity: Severity, case: Case, item: WayContent, what: str, *evidence: str, remedy: str
+def _about(
+    severity: Severity, case: Case, item: WayContent, text: str, *evidence: str, remedy: str
 ) -> Verdict:
     return verdict(
         severity,
-        what,
+        text,
         *evidence,
         msg_id=item.into.msg_id if item.out.link.last_hop else item.out.msg_id,
         place=(item.out.link.label, "flight application"),
@@ -155,7 +155,7 @@ def _first(case: Case, members: NDArray[np.intp]) -> str:
 
 def _is_edoras(case: Case) -> str:
     """Return the name of an EDORAS application, or of its pipe, in the capture; empty where it has none."""
-    named = [item.app for item in case.payloads.events]
-    named += [item.pipe for item in case.reported_losses]
-    named += [case.packet_name(stream.msg_id) for stream in case.streams if stream.link.only_from_cfs]
-    return next((name for name in named if name.startswith(_EDORAS)), "")
+    names = [item.app for item in case.payloads.events]
+    names += [item.pipe for item in case.reported_losses]
+    names += [case.packet_name(stream.msg_id) for stream in case.streams if stream.link.only_from_cfs]
+    return next((name for name in names if name.startswith(_EDORAS)), "")

@@ -25,7 +25,8 @@ class CoreApp:
         others: further MsgIds that it subscribes to.
         no_op_id: number of the no-op event.
         no_op_text: how that event begins; the version follows.
-        bad_length_id: number of the event for a no-op that is too long; None where none was seen.
+        bad_length_id: number of the event for a command of a wrong length; None where none was seen.
+        bad_length_msg_id: how it writes the MsgId.
         bad_code_id: number of the event for a function code that it does not have.
         bad_code_text: text of that event.
         packets: function code to a packet that the command asks for: MsgId and payload bytes.
@@ -42,6 +43,7 @@ class CoreApp:
     others: tuple[int, ...] = ()
     no_op_text: str = "No-op Cmd Rcvd:  "
     bad_length_id: int | None = None
+    bad_length_msg_id: str = "0x{msg_id:04X}"
     packets: Mapping[int, tuple[int, int]] = field(default_factory=dict)
 
     @property
@@ -62,17 +64,19 @@ class CoreApp:
 
     @property
     def bad_length(self) -> EventText | None:
-        """Return the event of a no-op that is too long."""
+        """Return the event of a command that is too short or too long."""
         if self.bad_length_id is None:
             return None
-        text = "Invalid msg length: ID = 0x{msg_id:04X},  CC = {code:d}, Len = {length:d}, Expected = 8"
-        return EventText(self.name, self.bad_length_id, text, EventType.ERROR)
+        text = f"Invalid msg length: ID = {self.bad_length_msg_id},  CC = {{code:d}}, Len = {{length:d}}, "
+        return EventText(self.name, self.bad_length_id, f"{text}Expected = {{expected:d}}", EventType.ERROR)
 
 
 CORE: Final = (
     CoreApp(
         *(event_services.NAME, "EVS_CMD_PIPE", 0x1801, 0x1809, 0x0801, 0, 15),
         bad_code_text="Invalid command code -- ID = 0x{msg_id:08x}, CC = {code:d}",
+        bad_length_id=43,
+        bad_length_msg_id="0x{msg_id:X}",
     ),
     CoreApp(
         *(software_bus.NAME, "SB_CMD_PIPE", 0x1803, 0x180B, 0x0803, 28, 42),

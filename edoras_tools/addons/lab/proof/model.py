@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import Verdict
 
 WINDOW_NS: Final = 60 * SECOND
-LEAD_NS: Final = 15 * SECOND
+BEFORE_NS: Final = 15 * SECOND
 _BOOTED_NS: Final = 3 * SECOND
 _DRAINS_NS: Final = 15 * SECOND
 _RUNS: Final = tuple((phase, read_ns) for phase in (0, 1) for read_ns in (3 * MICROSECOND, 12 * MICROSECOND))
@@ -126,7 +126,7 @@ class ProofRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Proof:
+class CaptureProof:
     """What the model says of a capture.
 
     Attributes:
@@ -257,9 +257,9 @@ class Model:
         end_ns = max(self._span[1], stimuli[-1].time_ns if stimuli else 0) + _DRAINS_NS
         for _ in simulation.run(end_ns):
             pass
-        return self._counted(simulation, stimuli, end_ns)
+        return self._count(simulation, stimuli, end_ns)
 
-    def _counted(self, simulation: Simulation, stimuli: Sequence[Stimulus], end_ns: int) -> ModelRun:
+    def _count(self, simulation: Simulation, stimuli: Sequence[Stimulus], end_ns: int) -> ModelRun:
         start_ns, stop_ns = self._span[0], end_ns - _DRAINS_NS
         commands = Counter(item.msg_id for item in stimuli if not item.over_network)
         usual = max(commands, key=lambda item: commands[item], default=-1)
@@ -285,7 +285,7 @@ class Model:
         return ModelRun(lost, arrived)
 
 
-def prove(found: Diagnosis, case: Case, stimuli: Sequence[Stimulus], span: tuple[int, int]) -> Proof:
+def prove(found: Diagnosis, case: Case, stimuli: Sequence[Stimulus], span: tuple[int, int]) -> CaptureProof:
     """Hold the judged part of a capture against the emulated cFS.
 
     Args:
@@ -296,11 +296,11 @@ def prove(found: Diagnosis, case: Case, stimuli: Sequence[Stimulus], span: tuple
     """
     seconds = (span[0] - found.zero_ns) / SECOND, (span[1] - found.zero_ns) / SECOND
     if why := _not_modelled(case):
-        return Proof(seconds, not_modelled=why)
+        return CaptureProof(seconds, not_modelled=why)
     model = Model(case, *span)
     runs = [model.run(*item, stimuli, model.profile) for item in _RUNS]
     rows = _rows(found, case, runs)
-    proof = Proof(seconds, rows, run=runs[0], seen_ns=_seen(case, {row.msg_id for row in rows}))
+    proof = CaptureProof(seconds, rows, run=runs[0], seen_ns=_out_times(case, {row.msg_id for row in rows}))
     for verdict in sorted(found.verdicts, key=lambda item: -(item.lost or 0)):
         trial = _trial(verdict, model.profile, stimuli) if verdict.lost and verdict.advice else None
         if trial is not None and verdict.msg_id is not None:
@@ -321,7 +321,7 @@ def _range(runs: Sequence[ModelRun], msg_id: int) -> tuple[int, int]:
 
 def _not_modelled(case: Case) -> str:
     """Return what the emulated cFS has no application for; empty where it has all."""
-    known = {SingleRobotApp.command, *TwoRobotApp.commands, *TwoRobotApp.states}
+    modelled = {SingleRobotApp.command, *TwoRobotApp.commands, *TwoRobotApp.states}
     others = sorted(
         {
             stream.msg_id
@@ -329,7 +329,7 @@ def _not_modelled(case: Case) -> str:
             if stream.link.to_cfs
             and stream.is_command
             and stream.known_id not in MSG_ID_NAMES
-            and stream.known_id not in known
+            and stream.known_id not in modelled
             and stream.known_id != case.profile.generator_msg_id
             and any(hop.into is stream for hop in case.hops)
         }
@@ -359,7 +359,7 @@ def _rows(found: Diagnosis, case: Case, runs: Sequence[ModelRun]) -> list[ProofR
     return table_rows
 
 
-def _seen(case: Case, msg_ids: set[int]) -> dict[int, list[int]]:
+def _out_times(case: Case, msg_ids: set[int]) -> dict[int, list[int]]:
     """Return when what went in under each MsgId came out, or came out under it."""
     times: dict[int, list[int]] = {}
     for hop in case.hops:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.addons.lab.proof.model import LEAD_NS, Proof, Stimulus, prove, window
+from edoras_tools.addons.lab.proof.model import BEFORE_NS, CaptureProof, Stimulus, prove, window
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.doctor.scope import Scope
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     OpenInput = Callable[[], tuple[Source, Workbench]]
 
 
-def prove_capture(opened: OpenInput, profile: SimProfile) -> tuple[Diagnosis, Proof]:
+def prove_capture(opened: OpenInput, profile: SimProfile) -> tuple[Diagnosis, CaptureProof]:
     """Judge a capture and prove it; return what is said of all of it, and the proof.
 
     Args:
@@ -50,7 +50,7 @@ def prove_capture(opened: OpenInput, profile: SimProfile) -> tuple[Diagnosis, Pr
         part = examine(source, bench, profile=profile, scope=Scope(period=period)).diagnosis
     case = part.case
     if case is None or not part.datagrams:
-        return every, Proof((0.0, 0.0), not_modelled="nothing of cFS was examined")
+        return every, CaptureProof((0.0, 0.0), not_modelled="nothing of cFS was examined")
     if part is not every:
         part = replace(part, capture=replace(part.capture, zero_ns=every.zero_ns))
     return every, prove(part, case, _stimuli(opened, case, span), span)
@@ -68,7 +68,7 @@ def _stimuli(opened: OpenInput, case: Case, span: tuple[int, int]) -> list[Stimu
             batch, columns = rows.batch, rows.columns
             to_ci = among(columns.link, lambda link: link.only_to_cfs)
             over = among(columns.link, lambda link: link.peers) & np.isin(batch.destination_port, list(ports))
-            inside = (batch.time_ns >= span[0] - LEAD_NS) & (batch.time_ns <= span[1])
+            inside = (batch.time_ns >= span[0] - BEFORE_NS) & (batch.time_ns <= span[1])
             for row in np.flatnonzero((to_ci | over) & inside).tolist():
                 when, msg_id = int(batch.time_ns[row]), int(columns.msg_id[row])
                 stimuli.append(Stimulus(when, bool(over[row]), msg_id, bytes(batch[row].payload)))

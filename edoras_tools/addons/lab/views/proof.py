@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from rich.console import RenderableType
 
-    from edoras_tools.addons.lab.proof.model import Proof
+    from edoras_tools.addons.lab.proof.model import CaptureProof
 
 _ROWS: Final = 6
 
@@ -43,7 +43,7 @@ _COLUMNS: Final = (
 )
 
 
-def proof_view(proof: Proof, zero_ns: int, width: int) -> RenderableType:
+def proof_view(proof: CaptureProof, zero_ns: int, width: int) -> RenderableType:
     """Return the proof for people."""
     if proof.not_modelled:
         return Text(f"Not modelled: {proof.not_modelled}.")
@@ -60,16 +60,16 @@ def proof_view(proof: Proof, zero_ns: int, width: int) -> RenderableType:
     return Group(*parts, *_sentences(proof))
 
 
-def _sentences(proof: Proof) -> list[Text]:
+def _sentences(proof: CaptureProof) -> list[Text]:
     odd = [row for row in proof.rows if not row.explained]
     if odd:
         places = ", ".join(row.name for row in odd)
         return [Text(f"This model does not explain this capture; it departs at {places}.", Level.ERROR.style)]
     inside = any(row.lost[1] or row.model[1] for row in proof.rows)
-    what = (
+    sentence = (
         "This model explains what was lost." if inside else "Nothing was lost inside cFS, nor by the model."
     )
-    sentences = [Text(what, "green")]
+    sentences = [Text(sentence, "green")]
     if proof.promised is not None:
         low, high = proof.remains
         number = f"{low:,}" if low == high else f"{low:,} to {high:,}"
@@ -83,7 +83,7 @@ def _sentences(proof: Proof) -> list[Text]:
     return sentences
 
 
-def _figure(proof: Proof, zero_ns: int) -> Figure:
+def _figure(proof: CaptureProof, zero_ns: int) -> Figure:
     """Draw how many of the MsgId that lost most had arrived by when, in the capture and in the model."""
     worst = max(proof.rows, key=lambda row: row.lost[0])
 

@@ -80,8 +80,14 @@ def _run(cfs: Cfs, core: CoreApp, pipe: Pipe) -> Task:
             yield Work(cfs.profile.housekeeping_work_ns)
             accepted = _command(cfs, core, packet)
             counters[not accepted] += 1
+            if msg_id_of(packet) == executive_services.COMMAND_MSG_ID and _resets(packet) and accepted:
+                counters[:] = 0, 0
             if core.name == software_bus.NAME:
                 cfs.bus.counters.commands, cfs.bus.counters.command_errors = counters
+
+
+def _resets(packet: bytes) -> bool:
+    return function_code_of(packet) == executive_services.RESET_COUNTERS
 
 
 def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
@@ -92,16 +98,20 @@ def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
         return False
     if function_code == 0:
         if size != cfe.COMMAND_HEADER_BYTES:
-            if core.bad_length is not None:
-                length = command_length(size, cfs.profile)
-                cfs.say(core.bad_length, msg_id=core.command, code=0, length=length)
-            return False
+            return _wrong_length(cfs, core, function_code, size, cfe.COMMAND_HEADER_BYTES)
         if core.name == executive_services.NAME:
             cfs.say(executive_services.BUILD, **_BUILD)
         cfs.say(core.no_op, version=EMULATOR_VERSION)
         return True
+    if core.name == executive_services.NAME and function_code == executive_services.RESET_COUNTERS:
+        cfs.say(executive_services.COUNTERS_RESET)
+        return True
     if core.name == executive_services.NAME and function_code in _APPLICATIONS:
         return cfs.executive.command(function_code, payload)
+    layout = ARGUMENTS.get((core.command, function_code))
+    expected = cfe.COMMAND_HEADER_BYTES + layout.size if layout else size
+    if core.name == event_services.NAME and size != expected:
+        return _wrong_length(cfs, core, function_code, size, expected)
     if core.name == event_services.NAME and (answers := cfs.events.command(function_code, payload)):
         for event in answers:
             cfs.report(event)
@@ -117,6 +127,14 @@ def _command(cfs: Cfs, core: CoreApp, packet: bytes) -> bool:
         cfs.telemetry(telemetry, bytes(size), core.name)
         return True
     cfs.print(f"{core.name}: command {function_code} is not emulated")
+    return False
+
+
+def _wrong_length(cfs: Cfs, core: CoreApp, code: int, size: int, expected: int) -> bool:
+    """Report a command that is too short or too long, where its application does; it is refused."""
+    if core.bad_length is not None:
+        length, expected = (command_length(item, cfs.profile) for item in (size, expected))
+        cfs.say(core.bad_length, msg_id=core.command, code=code, length=length, expected=expected)
     return False
 
 

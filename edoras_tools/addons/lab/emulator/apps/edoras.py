@@ -60,6 +60,8 @@ def _accepted(cfs: Cfs, packet: bytes) -> bool:
         cfs.say(
             facts.BAD_LENGTH, msg_id=msg_id_of(packet), code=facts.NO_OP, length=length, expected=expected
         )
+    else:
+        cfs.say(facts.NO_OP_DONE, version="Emulated")
     return False
 
 
