@@ -52,6 +52,8 @@ _SELDOM: Final = 0.02
 _DRAINS_NS: Final = 12 * SECOND
 """What CI's socket held at the begin has come out so long after."""
 _SLACK_NS: Final = SECOND
+_LACKING: Final = 0.02
+"""A capture that lacks so much of what it should have does not show what waited."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +127,9 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
         inverted[place[order]] = sole[order] & (sent_ns[place[order]] < newest)
         late[place] = sole & (when[place] > _expected(case, hop)[hop.in_rows[whole]])
     late &= ~inverted & ~_stood_still(case, sent_ns, when)
-    if not robot and 2 * late.sum() > (sent_ns >= 0).sum():
-        late[:] = False  # other messages had the same values
+    others = not robot and 2 * late.sum() > (sent_ns >= 0).sum()
+    if others or case.quality.missing > _LACKING * case.quality.checked:
+        late[:] = False  # other messages had the same values, or what waited before them was not captured
     odd = sent_ns < 0
     last_ns = _sent_before(rows, [hop.into for hop in hops], out, robot=robot)
     copy = odd & _once_more(rows, out)
