@@ -342,8 +342,10 @@ def _not_modelled(case: Case) -> str:
 
 def _rows(found: Diagnosis, case: Case, runs: Sequence[ModelRun]) -> list[ProofRow]:
     numbers: dict[int, list[int]] = {}
+    unknown = 0
     for row in found.balance:
-        if row.msg_id is None:
+        if row.msg_id is None:  # may be of any
+            unknown += row.all_lost + row.unaccounted + row.uncertain
             continue
         outside = sum(number for cause, number in row.lost.items() if cause in _OUTSIDE)
         own = numbers.setdefault(row.msg_id, [0, 0, 0, 0])
@@ -355,7 +357,9 @@ def _rows(found: Diagnosis, case: Case, runs: Sequence[ModelRun]) -> list[ProofR
     for msg_id, (sent, lost, more, outside) in sorted(numbers.items()):
         model = _range(runs, msg_id)
         if lost or model[1] or outside:
-            table_rows.append(ProofRow(msg_id, case.name(msg_id), sent, (lost, lost + more), model, outside))
+            table_rows.append(
+                ProofRow(msg_id, case.name(msg_id), sent, (lost, lost + more + unknown), model, outside)
+            )
     return table_rows
 
 

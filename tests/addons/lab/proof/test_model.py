@@ -54,7 +54,10 @@ def test_what_the_emulated_cfs_does_not_do_is_where_it_departs(call):  # noqa: F
 def test_what_was_emulated_is_explained(scenario, hz, call, tmp_path):  # noqa: F811
     start_ns = 1_800_000_000 * SECOND
     run = Simulation(scenario=scenario, start_ns=start_ns, command_rate_hz=hz).boot()
-    sent = [Udp(item.time_ns, *item[1:]) for item in run.run(run.now + 40 * SECOND)]
+    sent = [
+        Udp(item.time_ns, *((end.address, end.port) for end in (item.source, item.destination)), item.payload)
+        for item in run.run(run.now + 40 * SECOND)
+    ]
     _, found = proven(call, write(tmp_path / "run.pcap", sent))
     assert found["explained"] is True
     assert found["kept"] is not False
