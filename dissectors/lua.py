@@ -11,8 +11,10 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from edoras_tools.cfs import limits, names
+from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO, DEFAULTS, SERVICES, TAILS
 from edoras_tools.dissectors.lua_text import literal, quoted
 from edoras_tools.links.protocol import BY_ADDRESS, BY_CONTENT, LARGEST_DOUBLE, SMALLEST_DOUBLE
+from edoras_tools.structs.shapes import COMMANDED
 from edoras_tools.wire import ccsds, cdr, cfe, sbn, transfer_frames
 from edoras_tools.wire.arrays.crc import CRC16_BYTES
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
@@ -187,6 +189,8 @@ end
 
 def _data(knowledge: Knowledge) -> str:
     layouts = {name: _layout(layout, place) for name, (layout, place) in _layouts(knowledge).items()}
+    arguments = {key: item for key, item in ARGUMENTS.items() if item.size and key not in BARE_TOO}
+    layouts |= {layout.name: _arguments(key, layout) for key, layout in arguments.items()}
     data = {
         "layouts": layouts,
         "formats": [
@@ -217,6 +221,10 @@ def _data(knowledge: Knowledge) -> str:
                 for code, command in commands.items()
             }
             for msg_id, commands in names.COMMANDS.items()
+        },
+        "arguments": {
+            msg_id: {code: layout.name for (own_id, code), layout in arguments.items() if own_id == msg_id}
+            for msg_id in COMMANDED
         },
         "route_commands": {
             code: {"name": command.name, "lengths": command.lengths or None}
@@ -365,6 +373,20 @@ def _layout(layout: Layout, place: Place) -> dict[str, Any]:
         "fields": [_field(slot, _word(layout, slot), place.prefix) for slot in layout.slots],
         "place": {slot.field.name: place for place, slot in enumerate(_read(layout), 1)},
     }
+
+
+def _arguments(key: tuple[int, int], layout: Layout) -> dict[str, Any]:
+    """Return the arguments of a command; an application's share their fields, as ``cfe.es.application``."""
+    usual = DEFAULTS.get((key[0], layout.title), {})
+    table = _layout(layout, Place("cfe", f"cfe.{SERVICES[key[0]][0]}"))
+    table["fields"] = [
+        field | {"silent": usual.get(field["name"]) == 0 or None}
+        for field in table["fields"]
+        if field["name"] != "spare"
+    ]
+    last = table["fields"][-1]
+    most = layout.size + TAILS.get((key[0], layout.title), 0)
+    return table | {"size": last["start"] + last["size"], "most": most, "place": None}
 
 
 def _word(layout: Layout, slot: Slot) -> Slot:

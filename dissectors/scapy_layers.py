@@ -22,6 +22,7 @@ from scapy.fields import PacketListField, StrLenField
 from scapy.layers.inet import TCP, UDP
 from scapy.packet import Packet, Raw, bind_bottom_up, bind_top_down
 
+from edoras_tools.cfs.arguments import ARGUMENTS
 from edoras_tools.dissectors.scapy_fields import fields, put
 from edoras_tools.links import table
 from edoras_tools.wire import ccsds, cdr, cfe, sbn
@@ -190,6 +191,11 @@ class _Secondary(Packet):  # type: ignore[misc]
         ):
             if msg_id == _known.msg_ids.of_known(known) and len(payload) >= layout.size:
                 return layer
+        if msg_id >= 0 and "function_code" in self.fields:
+            key = _known.msg_ids.standard(msg_id), self.function_code
+            arguments = ARGUMENTS.get(key)
+            if arguments is not None and 0 < arguments.size <= len(payload):
+                return command_arguments(*key)
         found = None if _known.routes else detect(payload)
         return ENVELOPES[found] if found else Raw
 
@@ -227,6 +233,30 @@ class ShortTelemetryHeader(_Secondary):
 
     name = cfe.TELEMETRY_SHORT.title
     fields_desc = fields(cfe.TELEMETRY_SHORT)
+
+
+@cache
+def command_arguments(msg_id: int, function_code: int) -> type[Packet]:
+    """Return the layer of a command's arguments, which follows its header.
+
+    Args:
+        msg_id: of version 1.
+
+    Raises:
+        KeyError: no such command is known.
+    """
+    layout = ARGUMENTS[msg_id, function_code]
+    described: list[Any] = fields(layout)
+    for place, item in enumerate(described):
+        if item.name == "spare":
+            item.name = f"spare{place}"  # scapy takes a name once
+    members = {
+        "__module__": __name__,
+        "__doc__": layout.title,
+        "name": layout.title,
+        "fields_desc": described,
+    }
+    return type(layout.name, (Packet,), members)
 
 
 class Event(Packet):  # type: ignore[misc]

@@ -183,6 +183,30 @@ local function envelope(claims, at)
 	end
 end
 
+-- Say a command with its arguments; one that is usually zero is left out where it is.
+local function said_command(layout, s, at)
+	local words = {layout.title}
+	for _, slot in ipairs(layout.fields) do
+		local value, first, last = nil, at + slot.start + 1, at + slot.start + slot.size
+		if slot.kind == "string" then
+			value = utf8_text(D.text(s, first, last))
+			if value == "" or value:find("%s") then value = "'" .. value .. "'" end
+		else
+			local number = 0
+			for place = last, first, -1 do number = number * 256 + s:byte(place) end
+			local half = 256 ^ slot.size / 2
+			if slot.kind:sub(1, 3) == "int" and number >= half then number = number - 2 * half end
+			if number ~= 0 or not slot.silent then
+				local digits = math.min(2 * slot.size, 4)
+				value = slot.hex and format("0x%0" .. digits .. "x", number) or slot.names and slot.names[number]
+					or format("%d", number)
+			end
+		end
+		if value then words[#words + 1] = slot.name .. "=" .. value end
+	end
+	return table.concat(words, " ")
+end
+
 -- Read what lies behind the cFE header: an event, housekeeping, or a route's envelope.
 local function payload(msg_id, start, header, code)
 	local at, s = start + header, W.s
@@ -210,6 +234,15 @@ local function payload(msg_id, start, header, code)
 			"pipe overflow %d, message limit %d, no subscribers %d", values[place.pipe_overflow_error_counter],
 			values[place.message_limit_error_counter], values[place.no_subscribers_counter]
 		)
+	elseif code and D.arguments[known_id(msg_id)] then
+		local layout = L[D.arguments[known_id(msg_id)][code]]
+		if not layout then return end
+		if #s - at < layout.size or #s - at > layout.most then
+			if not has("command_length") then note("struct_length") end
+			return
+		end
+		add_layer(layout, at)
+		if W.listed then W.summary = said_command(layout, s, at) end
 	end
 end
 

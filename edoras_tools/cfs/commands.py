@@ -1,22 +1,27 @@
 """Commands that have a name: what ``edoras inject`` sends by it, and what the doctor tells to send.
 
-A command that consists of a header only has the name of its application and its own, as ``es-noop``. The
-others here take an argument too.
+A command has the name of its application and its own, as ``es-stop-app``, and takes its arguments by name or
+in order; :data:`NAMED` are those that are bare headers, and short forms of some that take one argument.
 """
 
 from __future__ import annotations
 
+import ipaddress
 from dataclasses import dataclass
+from difflib import get_close_matches
 from enum import Enum
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.cfs import event_services, executive_services, sbn, telemetry_output
-from edoras_tools.cfs.arguments import ARGUMENTS
+from edoras_tools.cfs.arguments import ARGUMENTS, DEFAULTS, SERVICES, TAILS
 from edoras_tools.cfs.names import COMMANDS, MSG_ID_NAMES
 from edoras_tools.errors import ConfigError
+from edoras_tools.words import either
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from edoras_tools.wire.layout import Field
 
 _HIGHEST: Final = 0xFFFF
 _HEADER_BYTES: Final = 8
@@ -84,14 +89,14 @@ class NamedCommand:
             number = _number(text)
             if not 0 < number <= _HIGHEST:
                 raise ConfigError(f"takes {self.argument.value}, e.g. 0x0827, not {text!r}")
-            return {"msg_id": number}
+            return {"stream": number}
         if self.argument is Argument.START:
             return self._start(text)
         if self.argument is Argument.RESET:
             if text not in _RESETS:
                 raise ConfigError(f"takes {self.argument.value}, not {text!r}")
             return {"restart_type": _RESETS[text]}
-        return {"app_name": text}
+        return {"application": text}
 
     def _start(self, text: str) -> dict[str, int | str]:
         """Return the fields of the command that starts an application."""
@@ -104,7 +109,7 @@ class NamedCommand:
         values[: len(numbers)] = [_number(item) for item in numbers]
         if len(rest) == 1 or len(values) > 2 or not (0 < values[0] < 256 and 0 < values[1] < 1 << 32):
             raise ConfigError(f"takes {self.argument.value}, not {text!r}")
-        names = {"app_name": app, "entry_point": entry, "file_name": file}
+        names = {"application": app, "entry_point": entry, "file_name": file}
         return {**names, "stack_size": values[1], "priority": values[0]}
 
     def _check(self, text: str, size: int) -> None:
@@ -144,6 +149,166 @@ NAMED: Final[dict[str, NamedCommand]] = {
 }
 """By name; ``to-enable`` and ``noop`` are read apart: their arguments are of more than one kind."""
 ENABLE_OUTPUT: Final = "to-enable"
+
+
+CALLS: Final[dict[str, tuple[int, int]]] = {
+    f"{SERVICES[msg_id][0]}-{layout.title.lower().replace('_', '-')}": (msg_id, code)
+    for (msg_id, code), layout in ARGUMENTS.items()
+}
+"""Every command of the table of arguments by name: MsgId of version 1 and function code."""
+_TAIL: Final = "tail"
+_MOST: Final = {"microseconds": 999_999}
+"""What cFE takes at most, where its field holds more."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommandArgument:
+    """One argument of a command, as it is typed.
+
+    Attributes:
+        name: what stands in front of ``=``.
+        takes: its range, or its values.
+        doc: one line, with its unit.
+        default: what it is where it is left out; None where it has to be named.
+    """
+
+    name: str
+    takes: str
+    doc: str
+    default: str | None = None
+
+
+def arguments_taken(name: str) -> list[CommandArgument]:
+    """Return the arguments of a command of :data:`CALLS`, in order."""
+    key = CALLS[name]
+    layout, usual = ARGUMENTS[key], _usual(key)
+    fields = [slot.field for slot in layout.slots if slot.field.name != "spare"]
+    arguments = [
+        CommandArgument(
+            item.name,
+            _takes(item),
+            item.doc,
+            item.names.get(usual[item.name], str(usual[item.name])) if item.name in usual else None,
+        )
+        for item in fields
+    ]
+    tail = TAILS.get((key[0], layout.title))
+    if tail:
+        arguments.append(
+            CommandArgument(_TAIL, f"0 to {tail}", "zeros behind it; cFE 7.0 pads START_APP by 4", "0")
+        )
+    return arguments
+
+
+def call(name: str, words: Sequence[str]) -> bytes:
+    """Return the bytes that follow the header of a command of :data:`CALLS`, little-endian.
+
+    Args:
+        words: arguments as ``NAME=VALUE``, or values alone: of those without a default, in order.
+
+    Raises:
+        ConfigError: one is missing or unknown, or its value is none that it takes.
+    """
+    key = CALLS[name]
+    layout, arguments = ARGUMENTS[key], arguments_taken(name)
+    values: dict[str, int | str] = dict(_usual(key))
+    missing, tail = [item.name for item in arguments if item.default is None], 0
+    for word in words:
+        label, text = _split(name, arguments, missing, word)
+        if label == _TAIL:
+            tail = _whole(name, label, text, 0, TAILS[key[0], layout.title])
+        else:
+            values[label] = _value(name, layout.by_name[label].field, text)
+    if missing:
+        item = next(item for item in arguments if item.name == missing[0])
+        raise ConfigError(f"{name} needs {item.name}={item.takes}: {item.doc or 'which'}")
+    return layout.emit(values) + bytes(tail)
+
+
+def _split(
+    command: str, arguments: Sequence[CommandArgument], missing: list[str], word: str
+) -> tuple[str, str]:
+    """Return the argument that a word is of, and its value; it is taken from those that are missing."""
+    label, equals, text = word.partition("=")
+    if not equals:
+        if not missing:
+            raise ConfigError(f"{command} takes {_listed(arguments)}; what is {word!r}?")
+        label, text = missing[0], word
+    names = [item.name for item in arguments]
+    if label not in names:
+        near = get_close_matches(label, names, 1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise ConfigError(f"{command} takes {_listed(arguments)}, not {label!r}{hint}")
+    if label in missing:
+        missing.remove(label)
+    return label, text
+
+
+def _usual(key: tuple[int, int]) -> Mapping[str, int]:
+    return DEFAULTS.get((key[0], ARGUMENTS[key].title), {})
+
+
+def _listed(arguments: Sequence[CommandArgument]) -> str:
+    return ", ".join(item.name for item in arguments) or "no arguments"
+
+
+def _takes(field: Field) -> str:
+    if field.kind == "text":
+        return f"TEXT of 1 to {field.bits // 8 - 1} bytes"
+    if field.names:
+        return "|".join(field.names.values())
+    if field.name in {"stream", "msg_id"}:
+        return "MSGID"
+    low, high = _range(field)
+    return f"{low} to 0x{high:x}" if field.base == 16 else f"{low} to {high}"
+
+
+def _range(field: Field) -> tuple[int, int]:
+    half = 1 << field.bits - 1
+    if field.kind == "int":
+        return -half, half - 1
+    return 0, _MOST.get(field.name, 2 * half - 1)
+
+
+def _value(command: str, field: Field, text: str) -> int | str:
+    """Return a value of an argument; refuse one that its application would not take."""
+    name = field.name
+    if field.kind == "text":
+        if not 0 < len(text.encode()) < field.bits // 8 or not text.isascii() or not text.isprintable():
+            raise ConfigError(f"{command}: {name} takes {_takes(field)}, in ASCII, not {text!r}")
+        if name == "address" and not _is_address(text):
+            raise ConfigError(f"{command}: {name} takes an IPv4 address, as 127.0.0.1, not {text!r}")
+        return text
+    if field.names:
+        numbers = {label: number for number, label in field.names.items()}
+        numbers |= {str(number): number for number in field.names}
+        if text.lower() not in numbers:
+            raise ConfigError(f"{command}: {name} takes {either(list(field.names.values()))}, not {text!r}")
+        return numbers[text.lower()]
+    if name in {"stream", "msg_id"}:
+        number = _number(text)
+        if not 0 < number <= _HIGHEST:
+            raise ConfigError(f"{command}: {name} takes a MsgId, e.g. 0x0827 or SB_HK, not {text!r}")
+        return number
+    return _whole(command, name, text, *_range(field))
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.IPv4Address(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _whole(command: str, name: str, text: str, low: int, high: int) -> int:
+    try:
+        number = int(text, 0)
+    except ValueError:
+        number = low - 1
+    if not low <= number <= high:
+        raise ConfigError(f"{command}: {name} takes a whole number from {low} to {high}, not {text!r}")
+    return number
 
 
 def inject_line(name: str, *arguments: str) -> str:

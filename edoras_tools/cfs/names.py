@@ -30,6 +30,10 @@ def _commands(*names: str | None, **lengths: tuple[int, ...]) -> dict[int, Comma
     }
 
 
+def _numbered(names: str, first: int = 0) -> dict[int, str]:
+    return dict(enumerate(names.split(), first))
+
+
 ENABLE_OUTPUT_LENGTHS: Final = (24, 28)
 """TO_LAB's enable carries char[16]; the 20-byte string of some senders is accepted too."""
 
@@ -75,6 +79,9 @@ MSG_ID_NAMES: Final[dict[int, str]] = {
     0x1883: "SAMPLE_SEND_HK",
     0x1884: "CI_CMD",
     0x1885: "CI_SEND_HK",
+    0x1895: "SCH_CMD",
+    0x18B3: "CF_CMD",
+    0x18BB: "DS_CMD",
     0x18FA: "SBN_CMD",
 }
 
@@ -136,21 +143,43 @@ COMMANDS: Final[dict[int, dict[int, Command]]] = {
         *(
             "NOOP",
             "RESET_COUNTERS",
-            "ADD_PACKET",
+            "ADD_PKT",
             "SEND_DATA_TYPES",
-            "REMOVE_PACKET",
+            "REMOVE_PKT",
             "REMOVE_ALL",
             "ENABLE_OUTPUT",
         ),
-        ADD_PACKET=(16,),
+        ADD_PKT=(16,),
         SEND_DATA_TYPES=(8,),
-        REMOVE_PACKET=(12,),
+        REMOVE_PKT=(12,),
         REMOVE_ALL=(8,),
         ENABLE_OUTPUT=ENABLE_OUTPUT_LENGTHS,
     ),
     0x1884: _commands("NOOP", "RESET_COUNTERS"),
 }
 """Function codes by command MsgId. An app listed here refuses every other code."""
+_OTHERS: Final[dict[int, dict[int, str]]] = {
+    0x1895: _numbered(
+        "NOOP RESET_COUNTERS ENABLE DISABLE ENABLE_GROUP DISABLE_GROUP ENABLE_SYNC SEND_DIAGNOSTIC"
+    ),
+    0x18B3: {
+        **_numbered("NOOP RESET_COUNTERS TX_FILE PLAYBACK_DIR FREEZE THAW SUSPEND RESUME CANCEL ABANDON"),
+        **_numbered("SET_PARAM GET_PARAM", 10),
+        **_numbered("WRITE_QUEUE ENABLE_DEQUEUE DISABLE_DEQUEUE ENABLE_DIR_POLLING DISABLE_DIR_POLLING", 15),
+        **_numbered("PURGE_QUEUE ENABLE_ENGINE DISABLE_ENGINE", 21),
+    },
+    0x18BB: {
+        **_numbered("NOOP RESET_COUNTERS SET_APP_STATE SET_FILTER_FILE SET_FILTER_TYPE SET_FILTER_PARMS"),
+        **_numbered("SET_DEST_TYPE SET_DEST_STATE SET_DEST_PATH SET_DEST_BASE SET_DEST_EXT SET_DEST_SIZE", 6),
+        **_numbered("SET_DEST_AGE SET_DEST_COUNT CLOSE_FILE GET_FILE_INFO ADD_MID REMOVE_MID CLOSE_ALL", 12),
+    },
+    0x18FA: {
+        **_numbered("NOOP RESET_COUNTERS RESET_PEER"),  # the last two of older releases
+        **_numbered("HK HK_NET HK_PEER HK_PEER_SUBS HK_MY_SUBS HK_RESET HK_RESET_PEER", 10),
+        110: "RELOAD",
+    },
+}
+"""Those of applications that may have more codes in another release; nothing is said of these."""
 
 _APPS: Final = "start, stop or replace an application"
 _FILES: Final = "write a file on the flight computer"
@@ -179,7 +208,12 @@ def message_name(msg_id: int) -> str:
     return MSG_ID_NAMES.get(msg_id, "")
 
 
+def function_code_names(msg_id: int) -> dict[int, str]:
+    """Return an app's names for its function codes, of version 1."""
+    own = COMMANDS.get(msg_id)
+    return {code: item.name for code, item in own.items()} if own else _OTHERS.get(msg_id, {})
+
+
 def command_name(msg_id: int, function_code: int) -> str:
     """Return an app's name for a function code, or an empty string."""
-    command = COMMANDS.get(msg_id, {}).get(function_code)
-    return command.name if command else ""
+    return function_code_names(msg_id).get(function_code, "")

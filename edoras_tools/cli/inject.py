@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from typer import Argument, BadParameter, Option
+from typer import Argument, BadParameter, Context, Option, echo
 
 from edoras_tools.cli import options, sending
 from edoras_tools.cli.declare import grouped
@@ -23,11 +23,48 @@ def hexadecimal(text: str) -> bytes:
         raise BadParameter(f"{text!r} is not bytes in hex; write '01 ff' or 01ff") from None
 
 
+def _named_commands(incomplete: str) -> list[str]:
+    from edoras_tools.pipelines.sending.inject import command_names
+
+    return [name for name in ["list", *command_names()] if name.startswith(incomplete)]
+
+
+def _named_arguments(ctx: Context, incomplete: str) -> list[str]:
+    """Return the arguments of the command that may follow, or the values of the one that is begun."""
+    from edoras_tools.cfs.commands import CALLS, arguments_taken
+
+    name = str(ctx.params.get("what") or "")
+    if name not in CALLS:
+        return []
+    label, equals, _ = incomplete.partition("=")
+    arguments = arguments_taken(name)
+    if equals:
+        enumerated = [item for item in arguments if item.name == label and "|" in item.takes]
+        words = [f"{label}={value}" for item in enumerated for value in item.takes.split("|")]
+    else:
+        words = [f"{item.name}=" for item in arguments]
+    return [word for word in words if word.startswith(incomplete)]
+
+
 class MessageOptions(NamedTuple):
     """What is sent."""
 
-    what: Annotated[str, Argument(metavar="[WHAT]", help="A topic, or a command: to-enable, noop ...")] = ""
-    values: Annotated[str, Argument(metavar="[MESSAGE]", help="YAML, @FILE or random; or an argument.")] = ""
+    what: Annotated[
+        str,
+        Argument(
+            metavar="[WHAT]",
+            help="A topic, or a command: to-enable, noop ...; list: all of them.",
+            autocompletion=_named_commands,
+        ),
+    ] = ""
+    values: Annotated[
+        list[str] | None,
+        Argument(
+            metavar="[MESSAGE]...",
+            help="YAML, @FILE or random; or NAME=VALUE.",
+            autocompletion=_named_arguments,
+        ),
+    ] = None
     to: Annotated[
         str, Option(metavar="LINK", help="ci, sbn, ground, LINK or LINK:up; default: the route's.")
     ] = ""
@@ -65,10 +102,12 @@ class MessageOptions(NamedTuple):
             raise ConfigError("name one thing: a topic, a command's name, or --command MSGID CODE")
         if self.payload is not None and not self.command:
             raise ConfigError("--hex gives the bytes after the header of --command; name --command too")
-        is_random = self.values == "random"
+        words = tuple(self.values or ())
+        text = " ".join(words)
+        is_random = text == "random"
         return Injection(
             self.what,
-            "" if is_random else self.values,
+            "" if is_random else text,
             (options.msg_id(self.command[0]), options.number(self.command[1])) if self.command else None,
             self.payload or b"",
             1 if self.code is None else self.code,
@@ -76,6 +115,7 @@ class MessageOptions(NamedTuple):
             self.arbitrary or is_random,
             seed,
             self.limit,
+            words,
         )
 
 
@@ -90,11 +130,14 @@ def inject(
 
     For example: edoras inject /cmd_vel '{linear: {x: 0.5}}' -c rover.yaml --rate 10 -n 50
     """
-    from edoras_tools.pipelines.sending.inject import injection_receiver, make
+    from edoras_tools.pipelines.sending.inject import described_commands, injection_receiver, make
     from edoras_tools.pipelines.sending.options import receiver
     from edoras_tools.pipelines.sending.run import Transmission
     from edoras_tools.sessions.outgoing import Changes
 
+    if message.what == "list":
+        echo(described_commands(*(message.values or ())[:1]))
+        return
     send_options, faults = how.send_options(), how.faults.plan()
     injection = message.injection(faults.seed)
     bench = decoding.settings().workbench()

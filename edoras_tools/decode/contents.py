@@ -129,8 +129,14 @@ def read_whole(rows: ColumnRows) -> NDArray[np.bool_]:
     return whole
 
 
-def message_rows(rows: ColumnRows, whole: NDArray[np.bool_]) -> Iterator[MessageRows]:
-    """Yield the messages of each topic and of each C struct; of topics those in ``whole`` rows alone."""
+def message_rows(
+    rows: ColumnRows, whole: NDArray[np.bool_], *, commands: bool = True
+) -> Iterator[MessageRows]:
+    """Yield the messages of each topic and of each C struct; of topics those in ``whole`` rows alone.
+
+    Args:
+        commands: whether those of the built-in commands are among them.
+    """
     context, routes = rows.context, rows.routes()
     offset, length = rows.column("cdr_offset"), rows.column("cdr_length")
     for index, owner in by_value(np.where(whole & (length > 0), routes, NO_ROUTE)):
@@ -141,6 +147,8 @@ def message_rows(rows: ColumnRows, whole: NDArray[np.bool_]) -> Iterator[Message
         messages = types.columns(route.type, rows.batch.data, offset[owner], length[owner])
         yield MessageRows(owner, route.topic, route.type, messages, types.plan(route.type)[1], None)
     for bound in structs_of(rows):
+        if bound.command and not commands:
+            continue
         owner, messages = held_messages(bound, rows)
         plan = context.structs.types.plan(bound.type)[1]
         yield MessageRows(owner, bound.topic, bound.type, messages, plan, bound)

@@ -7,11 +7,14 @@ are dissected, too.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.cfs.arguments import ARGUMENTS, argument_words
 from edoras_tools.decode.contents import Contents, endpoints, links_of, message_rows, read_whole
+from edoras_tools.decode.filters.layers import slot_values
+from edoras_tools.decode.filters.messages import structs_of
 from edoras_tools.decode.recorded import recorded_topic
 from edoras_tools.decode.summary import LAYER_TEXTS, message_texts, packet_text
 from edoras_tools.errors import TruncatedError
@@ -19,11 +22,12 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Finding, Link
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -176,6 +180,7 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
     contents: dict[int, tuple[str, str]] = {}
     for owner, topic, _, texts in _messages(rows, easy):
         contents.update(zip(owner.tolist(), ((topic, text) for text in texts), strict=True))
+    commands = dict(_commands(rows, easy))
     kinds, codes = _kinds(rows), rows.column("function_code").tolist()
     ids, lengths = msg_id.tolist(), rows.datagram("length").tolist()
     header = rows.column("header_length").tolist()
@@ -188,6 +193,8 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
             topic, text = contents[row]
             if routed[row] or not name:
                 name = topic
+        elif row in commands:
+            text = commands[row]
         else:
             code = codes[row] if context.msg_ids.is_command(value) else None
             text = packet_text(context.msg_ids.standard(value), code)
@@ -233,6 +240,31 @@ def _without_message(rows: ColumnRows) -> NDArray[np.bool_]:
     return np.asarray(unread & ((findings & np.uint32(_ENDED)) != 0))
 
 
+def _commands(rows: ColumnRows, easy: NDArray[np.bool_]) -> Iterator[tuple[int, str]]:
+    """Yield the rows that hold a command of the built-in table, and its text."""
+    for bound, packets in structs_of(rows).items():
+        if not bound.command:
+            continue
+        owner = packets.rows[easy[packets.rows]]
+        key = rows.context.msg_ids.standard(bound.key.msg_id), bound.key.function_code or 0
+        layout, header = ARGUMENTS[key], rows.column("header_length")[owner]
+        payloads = gather(rows.batch.data, rows.column("packet_offset")[owner] + header, layout.size)
+        words = [[layout.title] * len(owner)]
+        for slot, word in argument_words(*key):
+            raw = payloads[:, slot.start : slot.end]
+            if slot.field.kind == "text":
+                raw = np.where(raw < 0x80, raw, np.uint8(ord("?")))  # as in ROS's strings
+            words.append(_worded(slot_values(layout, slot, raw), word))
+        yield from zip(owner.tolist(), map("".join, zip(*words, strict=True)), strict=True)
+
+
+def _worded(values: list[Any] | NDArray[Any], word: Callable[[Any], str]) -> list[str]:
+    """Return each value in words; what comes again is made once."""
+    every = values if isinstance(values, list) else values.tolist()
+    unlike = {value: word(value) for value in set(every)}
+    return [unlike[value] for value in every]
+
+
 def _kinds(rows: ColumnRows) -> list[str]:
     command = rows.context.msg_ids.is_command(rows.column("msg_id"))
     kinds: list[str] = np.where(command, "cmd", "tlm").tolist()
@@ -253,7 +285,7 @@ def _messages(
     ``easy`` is cleared where a message has to be dissected.
     """
     routes = rows.routes()
-    for owner, topic, kind, messages, plan, bound in message_rows(rows, easy.copy()):
+    for owner, topic, kind, messages, plan, bound in message_rows(rows, easy.copy(), commands=False):
         layer = _LAYERS.get(rows.context.msg_ids.standard(bound.key.msg_id)) if bound else None
         plain = messages.valid
         if bound:

@@ -236,7 +236,8 @@ class _Dissection(Reading):
         if bound is None:
             return
         if not bound.fits(length):
-            self.findings |= Finding.STRUCT_LENGTH
+            if Finding.COMMAND_LENGTH not in self.findings:  # which says it already
+                self.findings |= Finding.STRUCT_LENGTH
             return
         cdr = bound.encode_one(self.data[at:], origin)
         values = self.context.structs.types.decode(bound.type, cdr)

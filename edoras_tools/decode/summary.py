@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from edoras_tools.cfs import names
+from edoras_tools.cfs.arguments import ARGUMENTS, command_line
 from edoras_tools.links.table import links, protocol
 from edoras_tools.model import OTHER
 from edoras_tools.ros.cdr.columns import Ragged
@@ -58,8 +59,7 @@ def _text(decoded: Decoded, msg_ids: MsgIds) -> str:
             text += f": {short_values(decoded.message.values)}"
         return text
     if decoded.message is not None:
-        bare = decoded.layer("edoras") is None  # the header of a C struct is already in the line
-        return short_values({k: v for k, v in decoded.message.values.items() if not bare or k != "header"})
+        return _message_text(decoded, decoded.message.values, msg_ids)
     packet, command = decoded.layer("ccsds"), decoded.layer("cfe_command")
     if packet is not None and (unit := _unit_of(decoded)):
         return unit.summary(decoded)
@@ -72,6 +72,25 @@ def _text(decoded: Decoded, msg_ids: MsgIds) -> str:
         return "header only"
     standard = msg_ids.standard(packet.values()["msg_id"])
     return packet_text(standard, command.values()["function_code"] if command else None)
+
+
+def _message_text(decoded: Decoded, values: Mapping[str, Any], msg_ids: MsgIds) -> str:
+    """Return a message in a few words; a command of the built-in table with the names of its arguments."""
+    if decoded.layer("edoras") is not None:
+        return short_values(values)
+    own = {name: value for name, value in values.items() if name != "header"}  # which is in the line
+    return _command_text(decoded, msg_ids) or short_values(own)
+
+
+def _command_text(decoded: Decoded, msg_ids: MsgIds) -> str:
+    """Return a command of the built-in table with its arguments; nothing for another message."""
+    packet, command, message = decoded.layer("ccsds"), decoded.layer("cfe_command"), decoded.message
+    if packet is None or command is None or message is None:
+        return ""
+    key = msg_ids.standard(packet.values()["msg_id"]), command.values()["function_code"]
+    layout = ARGUMENTS.get(key)
+    names = {"header", *(layout.by_name if layout else ())} - {"spare"}
+    return command_line(*key, message.values) if names == set(message.values) else ""
 
 
 def _unit_of(decoded: Decoded) -> LinkProtocol | None:

@@ -90,11 +90,17 @@ class Bound:
         """Whether it is one of the built-in structs of cFE."""
         return self.layout.origin == SHIPPED
 
+    @property
+    def command(self) -> bool:
+        """Whether it is what follows the header of one of the built-in commands."""
+        return self.shipped and self.key.function_code is not None and self.key.port is None
+
     def fits(self, length: NDArray[np.integer[Any]] | int) -> NDArray[np.bool_]:
         """Tell which payload lengths fit this struct, with or without the padding at its end."""
         length = np.asarray(length)
         fits: NDArray[np.bool_] = length >= self._least
-        fits &= (length - self._least) % self._step == 0 if self._step else length <= self.size
+        most = self.size + self.struct.tail
+        fits &= (length - self._least) % self._step == 0 if self._step else length <= most
         if self._most is not None:
             fits &= length <= self._most
         return fits

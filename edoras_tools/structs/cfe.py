@@ -1,15 +1,18 @@
-"""The telemetry of cFE's core services and the lab applications, so that it decodes without an ELF file.
+"""What cFE's core services and the usual applications send and take, so that it decodes without an ELF file.
 
-Only what follows the telemetry header is described, little-endian, in the order and with the widths that were
+Only what follows the header is described, little-endian, telemetry in the order and with the widths that were
 measured on a flight; names are in the words of this package. Events and the software bus's counters come from
-the tables of :mod:`edoras_tools.wire.cfe`, which the sessions write them with.
+the tables of :mod:`edoras_tools.wire.cfe`, which the sessions write them with, and commands from the table of
+their arguments, :mod:`edoras_tools.cfs.arguments`.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any, Final
 
+from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO, SERVICES, TAILS
 from edoras_tools.structs.files import layout_of
 from edoras_tools.structs.shapes import (
     BASIC,
@@ -285,11 +288,27 @@ def shipped_layout(msg_ids: MsgIds = VERSION_1) -> StructLayout:
     for size, header in DATAGRAMS.items():
         structs[header.name] = _of_header(header.name, header, enums)
         bindings[Key(UDP_KEY, size)] = header.name
+    for (msg_id, code), arguments in ARGUMENTS.items():
+        if arguments.size and (msg_id, code) not in BARE_TOO:
+            name = command_type(msg_id, arguments.title)
+            command = _of_header(name, arguments, enums)
+            structs[name] = replace(command, tail=TAILS.get((msg_id, arguments.title), 0))
+            bindings[Key(msg_ids.of_known(msg_id), code)] = name
     return StructLayout(structs, enums, bindings, origin=LAYOUT_NAME)
 
 
+def command_type(msg_id: int, title: str) -> str:
+    """Return the struct of a command: ``CFE_ES_StopAppCmd``.
+
+    Args:
+        msg_id: of version 1.
+        title: the application's name for it.
+    """
+    return f"{SERVICES[msg_id][1]}_{title.title().replace('_', '')}Cmd"
+
+
 def _of_header(name: str, header: wire.Layout, enums: dict[str, Enumeration]) -> Struct:
-    """Return a header's table as a struct; what only fills up is left out."""
+    """Return a header's table, or that of a command's arguments, as a struct; what fills up is left out."""
     members = []
     for slot in header.slots:
         item, size = slot.field, slot.end - slot.start

@@ -7,6 +7,7 @@ from enum import Enum
 from math import prod
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
+from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.wire import cfe, robot
 
 if TYPE_CHECKING:
@@ -31,6 +32,11 @@ PACKETS: Final = {
     0x0884: "CI_LAB_HkTlm",
 }
 """Struct by MsgId of version 1; :mod:`edoras_tools.structs.cfe` describes them."""
+COMMANDED: Final = (
+    *(0x1801, 0x1803, 0x1804, 0x1805, 0x1806, telemetry_output.COMMAND_MSG_ID),
+    *(0x1895, 0x18B3, 0x18BB, sbn.COMMAND_MSG_ID),
+)
+"""MsgIds of version 1 whose commands take arguments, as :mod:`edoras_tools.cfs.arguments` has them."""
 UDP_KEY: Final = 1 << 16
 """A key from here on is a UDP port, not a MsgId: of datagrams of the robot link, on any port if it is 0."""
 ENTRY_KEY: Final = 2 * UDP_KEY
@@ -41,6 +47,11 @@ OWN_LAYERS: Final = frozenset(
     layout.name for layout in (cfe.EVENT, cfe.SOFTWARE_BUS_HOUSEKEEPING, *DATAGRAMS.values())
 )
 """Headers that are structs as well: their layers show the same fields."""
+
+
+def commanded(msg_ids: MsgIds) -> list[int]:
+    """Return :data:`COMMANDED` by the MsgIds of a version."""
+    return list(map(msg_ids.of_known, COMMANDED))
 
 
 def packets(msg_ids: MsgIds) -> dict[int, str]:
@@ -179,7 +190,8 @@ class Struct:
         members: in the order of the declaration.
         union: all members lie at its start.
         header: bytes of the cFE header at its start, which is not part of the message; 0 for none.
-        doc: one line.
+        doc: one line; of a command the application's name for it.
+        tail: bytes that some builds and senders add.
     """
 
     name: str
@@ -188,6 +200,7 @@ class Struct:
     union: bool = False
     header: int = 0
     doc: str = ""
+    tail: int = 0
 
 
 @dataclass(frozen=True, slots=True, order=True)

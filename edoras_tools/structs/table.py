@@ -11,7 +11,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types.schema import Definition, complete_text
-from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, packets
+from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, commanded, packets
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
@@ -50,7 +50,8 @@ class Structs:
         self._whole = self
         entries = sum(len(layout.entries or ()) for layout in layouts or ())
         self.has: NDArray[np.bool_] = np.zeros(ENTRY_KEY + entries + _NONE, np.bool_)
-        self.has[[*packets(msg_ids), UDP_KEY] if layouts is None else list(self._bindings.by_id)] = True
+        own = [*packets(msg_ids), *commanded(msg_ids), UDP_KEY]
+        self.has[own if layouts is None else list(self._bindings.by_id)] = True
 
     @cached_property
     def layouts(self) -> tuple[StructLayout, ...]:

@@ -9,6 +9,7 @@ from places import ROOT, SAMPLE_MISSIONS
 from scapy.packet import Raw
 
 from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO, command_line
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.dissectors import scapy_layers
@@ -19,10 +20,12 @@ from edoras_tools.model import NO_MSG_ID, OTHER, Finding
 from edoras_tools.ros import TypeStore
 from edoras_tools.structs import Structs
 from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
 from edoras_tools.wire.msg_id import VERSION_1, VERSION_2
 
 COMMITTED = ROOT / "dissectors/edoras.lua"
 OF_EACH_KIND = ("a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect")
+
 TYPES = TypeStore()
 LAYERS = {
     "ccsds": "SpacePacket",
@@ -71,6 +74,7 @@ def agree_with_scapy(packet, known=LAYERS):
             else:
                 assert getattr(theirs, item.name) == item.value, item.name
     names = {type(layer).__name__.replace("SBNLegacy", "SBN") for layer in layers_of(read)}
+    names -= {layout.name for layout in ARGUMENTS.values()}  # of commands, which are C structs to us
     assert names == {known[layer.name] for layer in packet.layers if layer.name in known}
     cdr = read.getlayer(scapy_layers.CDR)
     if packet.message is not None:
@@ -182,3 +186,27 @@ def numbered(path, version, folder):
     made = re.sub(r"0x1?8[0-9A-Fa-f]{2}\b", lambda item: f"0x{version.of_known(int(item[0], 0)):04X}", text)
     (folder / path.name).write_text(made)
     return folder / path.name
+
+
+def test_each_command_with_arguments_is_said_alike_by_tshark_and_our_lines(tshark, write_pcap, tmp_path):
+    texts, sent = [], []
+    for (msg_id, code), layout in ARGUMENTS.items():
+        if layout.size and (msg_id, code) not in BARE_TOO:
+            names = layout.by_name
+            values = {
+                name: "WORD" if slot.field.kind == "text" else next(iter(slot.field.names), 7)
+                for name, slot in names.items()
+                if name != "spare"
+            }
+            sent.append((1235, 1234, cfe.emit_command(msg_id, code, layout.emit(values))))
+            texts.append(command_line(msg_id, code, values))
+    capture = write_pcap(tmp_path / "commands.pcap", sent)
+    frames = tshark().frames(capture)
+    assert [frames[number].info.split("  ")[-1] for number in range(1, len(sent) + 1)] == texts
+    context = Context()
+    with closing(open_file(capture)) as source:
+        ours = [
+            Dissector(context).dissect(batch[row]) for batch in source.batches() for row in range(len(batch))
+        ]
+    assert [packet.summary for packet in ours] == texts
+    assert len(texts) == 107

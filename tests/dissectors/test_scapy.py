@@ -6,6 +6,7 @@ from scapy.packet import Raw, fuzz
 from scapy.sendrecv import sniff
 from scapy.utils import hexdump, wrpcap
 
+from edoras_tools.cfs.arguments import ARGUMENTS
 from edoras_tools.decode import Context, Dissector
 from edoras_tools.dissectors import scapy_layers as layers
 from edoras_tools.dissectors.scapy_layers import (
@@ -24,6 +25,7 @@ from edoras_tools.dissectors.scapy_layers import (
     ShortTelemetryHeader,
     SpacePacket,
     TelemetryHeader,
+    command_arguments,
 )
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
@@ -188,3 +190,16 @@ def test_sniff_sees_layers(tmp_path):
     wrpcap(path, [IP() / UDP() / packet for packet, _ in CRAFTED], linktype=101)
     seen = sniff(offline=path, lfilter=lambda packet: packet.haslayer(SpacePacket))
     assert [packet[SpacePacket].msg_id for packet in seen] == [0x1827, 0x1827, 0x0827, 0x0808, 0x1806]
+
+
+def test_each_command_with_arguments_is_a_layer_of_its_own():
+    for (msg_id, code), layout in ARGUMENTS.items():
+        if layout.size:
+            payload = bytes(range(1, layout.size + 1))
+            packet = SpacePacket(cfe.emit_command(msg_id, code, payload))
+            arguments = packet.lastlayer()
+            assert isinstance(arguments, command_arguments(msg_id, code)), layout.title
+            values = {name: arguments.getfieldval(name) for name in layout.by_name if name != "spare"}
+            expected = layout.parse(payload)
+            assert values == {name: expected[name] for name in values}
+            assert bytes(arguments) == payload or any(slot.field.kind == "text" for slot in layout.slots)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from places import CAPTURES
 
+from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO, TAILS
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.ros.types.grammar import parse_definition
@@ -15,7 +16,7 @@ from edoras_tools.ros.types.schema import STRINGS
 from edoras_tools.structs import shipped_structs
 from edoras_tools.structs.cfe import shipped_layout as layout
 from edoras_tools.structs.payloads import payloads
-from edoras_tools.structs.shapes import PACKETS
+from edoras_tools.structs.shapes import COMMANDED, PACKETS
 
 CAPTURES = sorted((CAPTURES).glob("*.pcap*"))
 MEASURED = {
@@ -40,17 +41,25 @@ counters only grow, or wrap around."""
 
 def test_every_packet_that_is_listed_is_described():
     bound = layout().bindings.items()
-    assert {key.msg_id: name for key, name in bound if key.port is None} == PACKETS
+    assert {key.msg_id: name for key, name in bound if key.function_code is None} == PACKETS
+    commands = {key.msg_id for key, _ in bound if key.function_code is not None and key.port is None}
+    assert commands == {*COMMANDED}
+    taken = {(key.msg_id, key.function_code) for key, _ in bound if key.msg_id in commands}
+    assert taken == {key for key, item in ARGUMENTS.items() if item.size} - BARE_TOO
     robots = {48: "robot_command", 56: "robot_pose", 64: "robot_state"}
     assert {key.function_code: name for key, name in bound if key.port is not None} == robots
 
 
 @pytest.mark.parametrize("bound", shipped_structs().all, ids=lambda bound: bound.name)
 def test_sizes_are_those_on_the_wire(bound):
-    size = bound.key.function_code or MEASURED[bound.key.msg_id] - 16
+    key = bound.key
+    size = key.function_code or MEASURED.get(key.msg_id, 0) - 16
+    if bound.command:
+        arguments = ARGUMENTS[key.msg_id, key.function_code]
+        size = arguments.size + TAILS.get((key.msg_id, arguments.title), 0)
     assert bound.fits(size)
     assert not bound.fits(size + 1)
-    assert not bound.fits(3)
+    assert not bound.fits(0 if bound.command else 3)
 
 
 def messages(path):

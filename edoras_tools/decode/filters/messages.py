@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.cfs.arguments import SERVICES
 from edoras_tools.decode.filters.field import MESSAGE_COST, FilterField
 from edoras_tools.decode.filters.rows import INDEX_DTYPE, Series, ValueKind
 from edoras_tools.links.table import among
@@ -77,8 +78,13 @@ class MessageFieldFinder:
         self._definitions: dict[str, Definition] = dict(context.structs.definitions)
         self._own = frozenset(self._definitions)
         self._structs: dict[str, list[Bound]] = {}
+        services: dict[str, list[Bound]] = {}
         for bound in context.structs.all:
             self._structs.setdefault(bound.name, []).append(bound)
+            if bound.command:
+                service = SERVICES[context.msg_ids.standard(bound.key.msg_id)][0]
+                services.setdefault(service, []).append(bound)
+        self._services = {name: bounds for name, bounds in services.items() if name not in self._structs}
         for index, route in enumerate(context.mission.routes):
             self._add(route.type, index)
 
@@ -117,10 +123,11 @@ class MessageFieldFinder:
         path = path.removeprefix(_PREFIX)
         # The names of a dictionary have dots, too.
         names = [path, *(path[: match.start()] for match in reversed(list(_DOT.finditer(path))))]
-        name = next((name for name in names if name in self._structs), None)
+        groups = self._structs | self._services
+        name = next((name for name in names if name in groups), None)
         if name is not None:
             rest = path[len(name) + 1 :]
-            fields = [self._of_struct(path, rest, bound) for bound in self._structs[name]]
+            fields = [self._of_struct(path, rest, bound) for bound in groups[name]]
         else:
             every = [bound for bounds in self._structs.values() for bound in bounds]
             fields = [self._of_struct(path, path, bound) for bound in every if not _is_layer(bound)]
@@ -163,6 +170,9 @@ class MessageFieldFinder:
             yield from self._leaves(schema.full_name(name), "")
         for name, bounds in self._structs.items():
             yield from self._leaves(bounds[0].type, f"{name}.")
+        for name, bounds in self._services.items():
+            inside = dict.fromkeys(path for bound in bounds for path in self._leaves(bound.type, f"{name}."))
+            yield from (path for path in inside if not path.startswith(f"{name}.header."))
 
     def _leaves(self, name: str, prefix: str) -> Iterator[str]:
         for item in self._definitions[name].fields:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs import edoras_app
-from edoras_tools.cfs.commands import ENABLE_OUTPUT, NAMED, Argument
+from edoras_tools.cfs.commands import CALLS, ENABLE_OUTPUT, NAMED, Argument, arguments_taken, call
 from edoras_tools.cfs.telemetry_output import USUAL_LIMIT
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import own_address
@@ -41,6 +41,7 @@ class Injection:
     Attributes:
         subject: a topic, a key, a MsgId; or a command's name, e.g. ``to-enable`` or ``noop``.
         values: a message as YAML or JSON, ``@FILE`` with one; or a command's argument.
+        words: of a command its arguments, each as it was typed; empty: ``values`` is the only one.
         command: a MsgId and a function code, instead of ``subject``.
         payload: bytes after the command header.
         function_code: of a message that is sent as a command.
@@ -59,6 +60,7 @@ class Injection:
     every_field_random: bool = False
     seed: int = 0
     limit: int | None = None
+    words: tuple[str, ...] = ()
 
 
 def make(injection: Injection, bench: Workbench, options: SendOptions) -> tuple[Loaded, SendOptions]:
@@ -132,7 +134,33 @@ def injection_receiver(injection: Injection, mission: Mission) -> str:
 
 def command_names() -> list[str]:
     """Return the names of commands for ``inject``, e.g. ``to-enable`` and ``es-noop``."""
-    return [ENABLE_OUTPUT, "noop", *NAMED]
+    return list(dict.fromkeys([ENABLE_OUTPUT, "noop", *NAMED, *CALLS]))
+
+
+def described_commands(name: str = "") -> str:
+    """Return the commands with a name, a line each; of one, or those that begin so, a line for each argument.
+
+    Raises:
+        ConfigError: no command begins so.
+    """
+    names = [item for item in CALLS if item.startswith(name)]
+    if not names:
+        raise ConfigError(f"no command begins with {name!r}: edoras inject list")
+    lines = []
+    for item in names:
+        arguments = arguments_taken(item)
+        if name:
+            lines.append(item)
+            for argument in arguments:
+                usual = "" if argument.default is None else f" (default: {argument.default})"
+                lines.append(f"  {argument.name:<17} {argument.takes:<24} {argument.doc}{usual}".rstrip())
+        else:
+            words = (
+                argument.name if argument.default is None else f"[{argument.name}={argument.default}]"
+                for argument in arguments
+            )
+            lines.append(f"{item:<28} {' '.join(words)}".rstrip())
+    return "\n".join(lines)
 
 
 def _named_command(injection: Injection, mission: Mission, options: SendOptions) -> bytes | None:
@@ -150,6 +178,11 @@ def _named_command(injection: Injection, mission: Mission, options: SendOptions)
         return enable_output(address, options.headers)
     if name == "noop":
         return _command(_noop(argument, options.headers.msg_ids), 0, b"", options.headers)
+    words = injection.words or ((argument,) if argument else ())
+    if name in CALLS and (name not in NAMED or len(words) > 1 or any("=" in word for word in words)):
+        msg_id, code = CALLS[name]
+        words = tuple(_with_msg_id(word, mission) for word in words)
+        return _command(options.headers.msg_ids.of_known(msg_id), code, call(name, words), options.headers)
     if name not in NAMED:
         return None
     command = NAMED[name]
@@ -161,6 +194,14 @@ def _named_command(injection: Injection, mission: Mission, options: SendOptions)
         raise ConfigError(f"{name} {error}") from None
     msg_id = options.headers.msg_ids.of_known(command.msg_id)
     return _command(msg_id, command.function_code, payload, options.headers)
+
+
+def _with_msg_id(word: str, mission: Mission) -> str:
+    """Return an argument with the MsgId of the topic that it names."""
+    label, equals, text = word.partition("=")
+    if label in {"stream", "msg_id"} and any(text in names for names in _all_names(mission.routes)):
+        text = str(mission.find(text).msg_id)
+    return label + equals + text
 
 
 def _noop(text: str, msg_ids: MsgIds) -> int:

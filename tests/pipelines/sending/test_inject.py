@@ -5,16 +5,24 @@ import struct
 
 import pytest
 import zstandard
+from declared_commands import DECLARED
 from places import MISSIONS, ROOT
 
-from edoras_tools.cfs.commands import NAMED, Argument
+from edoras_tools.cfs.arguments import ARGUMENTS
+from edoras_tools.cfs.commands import CALLS, NAMED, Argument
 from edoras_tools.cfs.names import COMMANDS
 from edoras_tools.decode import Options
 from edoras_tools.errors import ConfigError, EdorasError, FieldError, RouteError
 from edoras_tools.links.ci import CI
 from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
-from edoras_tools.pipelines.sending.inject import Injection, command_names, injection_receiver, make
+from edoras_tools.pipelines.sending.inject import (
+    Injection,
+    command_names,
+    described_commands,
+    injection_receiver,
+    make,
+)
 from edoras_tools.pipelines.sending.options import Receiver, SendOptions
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.sessions.outgoing import Changes, ChecksumRule
@@ -242,3 +250,43 @@ def test_what_cannot_be_sent_says_why(what, injection, error, words, made):
         made(*what, **injection)
     assert isinstance(caught.value, EdorasError)
     assert "\n" not in str(caught.value)
+
+
+def test_commands_with_arguments_are_as_c_declares_them(made):
+    for typed, msg_id, code, declared in DECLARED:
+        what, *words = typed.split()
+        packet = made(what, " ".join(words), words=tuple(words))[0][0]
+        values = [value.encode() if isinstance(value, str) else value for _, value in declared]
+        payload = struct.pack("<" + "".join(form for form, _ in declared), *values)
+        assert packet == struct.pack(">HHHBB", msg_id, 0, len(payload) + 1, code, 0) + payload, typed
+
+
+@pytest.mark.parametrize(
+    ("typed", "why"),
+    [
+        ("to-add-pkt stream=0x0827 limit=300", "limit takes a whole number from 0 to 255, not '300'"),
+        ("to-add-pkt limit=3", "needs stream=MSGID"),
+        ("to-add-pkt stream=0x82777", "stream takes a MsgId, e.g. 0x0827 or SB_HK, not '0x82777'"),
+        ("es-stop-app aplication=X", "takes application, not 'aplication'; did you mean application?"),
+        ("es-restart restart_type=warm", "restart_type takes processor or power-on, not 'warm'"),
+        ("time-set-met seconds=3 microseconds=1000000", "from 0 to 999999, not '1000000'"),
+        ("es-stop-app application=ABCDEFGHIJKLMNOPQRST", "TEXT of 1 to 19 bytes"),
+        ("to-enable-output address=1.2.3", "an IPv4 address, as 127.0.0.1, not '1.2.3'"),
+        ("evs-reset-filter CFE_SB 3 4", "takes application, event_id; what is '4'?"),
+    ],
+)
+def test_an_argument_that_is_none_is_one_clear_line(made, typed, why):
+    what, *words = typed.split()
+    with pytest.raises(ConfigError) as caught:
+        made(what, " ".join(words), words=tuple(words))
+    assert why in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_every_command_is_listed_with_its_arguments():
+    text = described_commands()
+    assert len(text.splitlines()) == len(CALLS) == len(ARGUMENTS)
+    assert "to-add-pkt                   stream [priority=low] [reliability=low] [limit=4]" in text
+    assert "stack_size        0 to 4294967295          bytes (default: 65536)" in described_commands(
+        "es-start"
+    )

@@ -144,7 +144,7 @@ class SoftwareChanges:
         if command.msg_id == executive_services.COMMAND_MSG_ID:
             yield from self._executive(command, change(_CLOCK, ""))
         elif command.msg_id == telemetry_output.COMMAND_MSG_ID:
-            entry = StateOwner("entry", "", values.get("msg_id", 0) & 0xFFFF)
+            entry = StateOwner("entry", "", values.get("stream", 0) & 0xFFFF)
             if code == telemetry_output.ENABLE:
                 yield change(_OUTPUT, "enabled", values["address"])
             elif code == telemetry_output.ADD_PACKET:
@@ -157,7 +157,7 @@ class SoftwareChanges:
             yield self._clock(command, change(_CLOCK, "set"))
         elif command.msg_id == EVS_MSG_ID and code in _EVENT_STATES:
             yield change(
-                StateOwner("events", values["app_name"]), _EVENT_STATES[code], values.get("event_id")
+                StateOwner("events", values["application"]), _EVENT_STATES[code], values.get("event_id")
             )
         elif command.msg_id == TBL_MSG_ID and ("file_name" in values or "table_name" in values):
             name = values.get("file_name") or values["table_name"]
@@ -171,7 +171,7 @@ class SoftwareChanges:
         state = _APP_STATES.get(command.function_code)
         if state is None:
             return
-        app = command.values["app_name"]
+        app = command.values["application"]
         change = replace(pattern, subject=StateOwner("app", app), state=state)
         is_output = app in telemetry_output.NAMES
         if state != "running":

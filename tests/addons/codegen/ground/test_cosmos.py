@@ -7,6 +7,7 @@ import struct
 import subprocess
 
 import pytest
+from declared_commands import DECLARED, target_text
 from ground_packets import (
     DRIVE,
     GROUND_SAMPLES,
@@ -24,6 +25,8 @@ from waiting import PATIENCE_S
 from edoras_tools.addons.codegen.ground.cosmos import cosmos
 from edoras_tools.addons.codegen.ground.packets import PacketItem, identifier, route_packet
 from edoras_tools.addons.codegen.writing import describe_packets
+from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO
+from edoras_tools.cfs.commands import CALLS, call
 from edoras_tools.decode import Options
 from edoras_tools.links import table
 from edoras_tools.mission import Route
@@ -159,7 +162,7 @@ def test_what_follows_a_second_string_or_a_sequence_is_one_block(tmp_path):
 def test_a_command_is_the_packet_that_inject_sends(options, tmp_path):
     bench = Settings([ROVER], options=options).workbench()
     made = describe_packets(bench, "rover", for_cosmos=True)
-    assert made.commands == 1
+    assert made.commands == 1 + len({key for key, item in ARGUMENTS.items() if item.size} - BARE_TOO)
     values = {"LINEAR_X": 1.5, "LINEAR_Y": -0.25, "ANGULAR_Z": math.pi}
     chosen, default = ask(
         tmp_path, made.text, [{"build": "CMD_VEL", "values": values}, {"build": "CMD_VEL", "values": {}}]
@@ -225,3 +228,17 @@ def test_items_follow_each_other():
     bits = sum(int(line.split()[2]) for line in lines[1:])
     assert bits == 8 * (16 + 16 + 4 + 7 * 8)
     assert sum(item.bits for item in packet.items if isinstance(item, PacketItem)) == 8 * (16 + 4 + 56)
+
+
+@needs_cosmos
+def test_commands_with_arguments_are_those_that_cosmos_builds(tmp_path):
+    asked = [
+        {"build": f"C{number}", "values": {f"P{place}": value for place, (_, value) in enumerate(declared)}}
+        for number, (_, _, _, declared) in enumerate(DECLARED)
+    ]
+    built = ask(tmp_path, target_text("ROVER").encode(), asked)
+    assert len(built) >= 40
+    for (typed, *_), answer in zip(DECLARED, built, strict=True):
+        name, *words = typed.split()
+        packet = cfe.emit_command(*CALLS[name], call(name, words), sequence_flags=0, with_checksum=False)
+        assert packet.hex() == answer["hex"], typed
