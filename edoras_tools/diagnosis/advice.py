@@ -213,8 +213,10 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     why = f"{'TO keeps' if output else 'it keeps'} {limit} of this MsgId and "
     why += f"{'sends' if output else 'SBN empties it'} every {every}: {rate:.0f} a second get through "
     command = limit_command(case, loss)
-    told = f"set by a command at {case.at(command.not_before_ns)}" if command else ""
-    why += f"({told or ('measured' if measured else 'assumed')})"
+    told = "measured" if measured else "assumed"
+    if command is not None and command.value == limit:
+        told = f"set by a command at {case.at(command.not_before_ns)}"
+    why += f"({told})"
     queue = replace(queue, depth=_depth(case, loss, queue))
     slower = f"publish at most {_safe(rate):g} Hz"
     if loss.stream is None:

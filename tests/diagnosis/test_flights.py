@@ -31,7 +31,7 @@ FLIGHTS = {
     "sbn_stopped_flight_side": (81, {"stopped": 81}),
     "fast_relay_downlink": (74, {"after": 74}),
     "bursts_at_two_pipes": (318, {"limit": 318}),
-    "no_counters": (111, {"limit": 92, "unaccounted": 19}),
+    "no_counters": (111, {"limit": 111}),
     "stop_without_events": (146, {"stopped": 146}),
 }
 

@@ -47,7 +47,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 from edoras_tools.diagnosis.accounting.pipes import pressed
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
-from edoras_tools.diagnosis.matching.streams import Span, bursts
+from edoras_tools.diagnosis.matching.streams import Span, full_rounds
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
 from edoras_tools.sessions.sequence import MODULUS
@@ -70,8 +70,6 @@ _SLACK_NS: Final = 50 * MILLISECOND
 _MOSTLY: Final = 0.9
 _FEW_ROUNDS: Final = 3
 """So many rounds show the most that one loses."""
-_LEAST_ROUNDS: Final = 5
-"""So many full rounds show a limit."""
 _AROUND: Final = 8
 """A stream of which none of so many is missing on either side is over no limit."""
 _ONE_ROUND_NS: Final = SECOND // 2
@@ -418,33 +416,13 @@ class Telemetry:
             # Without its counter a full pipe proves nothing.
             if named or (self._grown(part, COUNTERS[kind]) and pressed(case, stream, span, kind, gaps)):
                 kinds.append((not named, kind))
-        if (
-            not kinds
-            and part.owner not in self._counts
-            and not via
-            and (most := self._full_rounds(part, gaps))
-        ):
-            part.evidence.append(
-                f"they are missing behind rounds of {most} alone, which no other round exceeds"
-            )
-            kinds.append((True, "limit"))
+        if not kinds and part.owner not in self._counts and stream.link.only_from_cfs and not via:
+            own = slice(span.first, span.last + 1)
+            period_ns = queues.telemetry_pipe(case.profile).round_ns
+            if most := full_rounds(case.captured(stream)[own], gaps[own], period_ns):
+                part.evidence.append(f"they are missing behind rounds of {most} alone, and none is larger")
+                kinds.append((True, "limit"))
         return tuple(kind for _, kind in sorted(kinds, key=lambda item: item[0]))
-
-    def _full_rounds(self, part: Part, gaps: NDArray[np.int64]) -> int:
-        """Return how many a full round has, where all that is missing is missing behind such; else 0.
-
-        So a limit shows without its counter: a network, or the capture, would lack some of others, too.
-        """
-        own = slice(part.span.first, part.span.last + 1)
-        period = queues.telemetry_pipe(self._case.profile).round_ns
-        times, missing = self._case.captured(part.stream)[own], gaps[own]
-        begins, sizes = bursts(times, period // 4)
-        ends = np.append(begins[1:], len(times)) - 1
-        full = sizes == sizes.max()
-        steady = len(begins) > 1 and abs(np.median(np.diff(times[begins])) - period) < period // 10
-        enough = np.count_nonzero(missing[ends[full]]) >= _LEAST_ROUNDS
-        behind = int(missing[ends[full]].sum()) == int(missing.sum())
-        return int(sizes.max()) if steady and enough and behind and part.stream.link.only_from_cfs else 0
 
     def _naming(self, part: Part, kind: PipeKind) -> LossEvents | None:
         """Return the events that name a MsgId at Telemetry Output's pipe, or at a peer's."""

@@ -33,6 +33,7 @@ from edoras_tools.diagnosis.accounting.claims import (
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, Stops
 from edoras_tools.diagnosis.accounting.ingest import BeforeCi
 from edoras_tools.diagnosis.accounting.losses import (
+    APP,
     COUNTERS,
     SBN_SOCKET,
     TAIL_NS,
@@ -44,6 +45,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     loss_of,
 )
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Leftover, Pipes
+from edoras_tools.diagnosis.matching.streams import full_rounds
 from edoras_tools.diagnosis.quality import CONFIDENCE
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
@@ -121,6 +123,8 @@ class Commands:
         pipes.tell()
         stops.tell()
         self.losses += stops.losses
+        for fate in fates:
+            self._over_limit(fate)
         for account in case.ingests:
             before_ci.wait(account)
         self._end(fates, tails, shared)
@@ -167,6 +171,24 @@ class Commands:
                 chosen = np.flatnonzero(fate.open & (times > ended_ns) & (times < boot_ns))
                 text = f"{plural(len(chosen), 'message')} over SBN while it was not running"
                 self._lose(fate, "down", chosen, text)
+
+    def _over_limit(self, fate: Fate) -> None:
+        """Tell lost what an application's pipe did not take, where no counter is but full rounds show it."""
+        case, hops = self._case, fate.hops
+        if len(hops) != 1 or not hops[0].out.link.last_hop or not fate.stream.link.only_to_cfs:
+            return
+        order = np.argsort(hops[0].out_rows)
+        came, into = hops[0].out_rows[order], hops[0].in_rows[order]
+        missing = np.append(np.diff(into) - 1, 0)
+        most = full_rounds(case.captured(hops[0].out)[came], missing, case.profile.ci_wake_ns, fewer=2)
+        if not most or (missing < 0).any():
+            return
+        counted_ns = [own.times[-1] for at, own in case.loss_counts.items() if case.goes_to(fate.stream, at)]
+        inside = fate.open & (case.captured(fate.stream) > max(counted_ns, default=0))
+        inside[: into[0]] = inside[into[-1] :] = False
+        if fate.claim(lacking := np.flatnonzero(inside)):
+            text = f"they did not come out behind full rounds alone, of {most} at most"
+            self.losses.append(loss_of(case, fate, "limit", lacking, [text], hop=APP))
 
     def _relayed(self, fates: Sequence[Fate]) -> None:
         """Tell lost what went into a relay and did not come out of it: its other side is in the capture."""

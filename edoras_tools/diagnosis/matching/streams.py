@@ -307,6 +307,8 @@ _SILENT: Final = 10
 """and of a silence only so many seconds count."""
 _LEAST_HZ: Final = 4.0
 _LEAST_FULL: Final = 3
+_LEAST_ROUNDS: Final = 5
+"""So many full rounds show a limit."""
 _BURST_NS: Final = 60_000_000
 _FEW: Final = 4
 _WINDOW_NS: Final = 2 * SECOND
@@ -469,3 +471,25 @@ def full_where_lacking(times: NDArray[np.int64], missing: NDArray[np.int64], mos
     begins, sizes = bursts(times, _BURST_NS)
     lacking = np.flatnonzero(np.add.reduceat(missing, begins))
     return len(lacking) >= _LEAST_FULL and bool(np.median(sizes[lacking]) >= most)
+
+
+def full_rounds(
+    times: NDArray[np.int64], missing: NDArray[np.int64], period_ns: int, *, fewer: int = 0
+) -> int:
+    """Return how many a full round has, where all that is missing is missing behind such; else 0.
+
+    So a limit shows without its counter: a network, or the capture, would lack some of other rounds, too.
+
+    Args:
+        times: i64 (n,), ns, when messages came.
+        missing: (n,), how many are missing behind each.
+        period_ns: of the rounds.
+        fewer: a full round may have so many fewer than the largest: one that is read while it comes in.
+    """
+    begins, sizes = bursts(times, period_ns // 4)
+    if len(begins) < _LEAST_ROUNDS or abs(np.median(np.diff(times[begins])) - period_ns) > period_ns // 10:
+        return 0
+    rank = np.arange(1, len(times) + 1) - np.repeat(begins, sizes)
+    behind = missing[rank >= sizes.max() - fewer]
+    shown = np.count_nonzero(behind) >= _LEAST_ROUNDS and int(behind.sum()) == int(missing.sum())
+    return int(sizes.max()) if shown else 0

@@ -142,8 +142,8 @@ def _over_output_limit(case: Case, loss: Loss) -> Verdict:
     queue, limit, measured = clean_round(case, loss)
     period, rate = queue.round_ns, queue.rate_hz(limit)
     reason = (
-        f"{lost_at(case, loss)}: {published(loss)}{limit} of this MsgId may wait{_set_by(case, loss)} and "
-        f"TO sends every {period / 1e6:.0f} ms, so {rate:.1f}/s get through"
+        f"{lost_at(case, loss)}: {published(loss)}{limit} of this MsgId may wait{_set_by(case, loss, limit)} "
+        f"and TO sends every {period / 1e6:.0f} ms, so {rate:.1f}/s get through"
         f"{'' if 'to_wake_ns' in case.constants.learned else ' (assumed)'}"
     )
     evidence = list(loss.evidence)
@@ -154,9 +154,11 @@ def _over_output_limit(case: Case, loss: Loss) -> Verdict:
     return loss_verdict(case, loss, reason, link="to", evidence=evidence, remedy=advise(case, loss))
 
 
-def _set_by(case: Case, loss: Loss) -> str:
+def _set_by(case: Case, loss: Loss, limit: int) -> str:
     command = limit_command(case, loss)
-    return f" (set by a command at {case.at(command.not_before_ns)})" if command else ""
+    if command is None or command.value != limit:
+        return ""
+    return f" (set by a command at {case.at(command.not_before_ns)})"
 
 
 def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
