@@ -121,7 +121,11 @@ def learn_constants(
         if _usual(assumed, "to_pipe_depth") and 0 < depth < (1 - _ALIKE) * profile.to_pipe_depth:
             profile, names = replace(profile, to_pipe_depth=depth), names | {"to_pipe_depth"}
     commands = {item.msg_id for item in losses if item.kind == "limit" and item.sender.startswith("CI")}
-    out = [_kept(np.sort(rows.time_ns[hop.out_rows])) for hop in _last(hops) if hop.into.msg_id in commands]
+    out = [
+        _kept(np.sort(rows.time_ns[hop.out.rows[hop.out_rows]]))
+        for hop in _last(hops)
+        if hop.into.msg_id in commands
+    ]
     if "ci_wake_ns" in rounds and _usual(assumed, "app_msg_limit") and (most := max(out, default=0)):
         profile, names = replace(profile, app_msg_limit=most), names | {"app_msg_limit"}
     return Constants(profile, rounds, frozenset(names))
@@ -158,7 +162,7 @@ def _last(hops: Sequence[Hop]) -> list[Hop]:
 
 
 def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
-    out = [rows.time_ns[hop.out_rows] for hop in _last(hops)]
+    out = [rows.time_ns[hop.out.rows[hop.out_rows]] for hop in _last(hops)]
     found = find_round(np.sort(np.concatenate(out))) if out else None
     if found is None:
         return None
