@@ -121,13 +121,14 @@ class Crew:
             ready = wait([source for worker in self.workers for source in (worker.receiving, worker.end)])
             for worker in list(self.workers):
                 if worker.receiving in ready or worker.end in ready:
+                    ended = wait([worker.end], 0)  # asked first: what it says between is still to be read
                     while worker.receiving.poll():
                         try:
                             self.take(worker, *worker.receiving.recv())
                         except EOFError:
-                            wait([worker.end])
+                            ended = wait([worker.end])
                             break
-                    if wait([worker.end], 0):
+                    if ended:
                         self.bury(worker)
             if self.session.shouldfail or self.session.shouldstop:
                 self.stop()
