@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.mission.report import Mistakes, printable
 from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.mission.tree import ScalarNode
-from edoras_tools.words import did_you_mean
+from edoras_tools.words import did_you_mean, either
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -104,7 +104,7 @@ class Fields:
         """Return one of the given words; None where it is absent or wrong."""
         if not self.has(name):
             return None
-        allowed = f"{' or '.join(choices)} is needed"
+        allowed = f"{either(choices)} is needed"
         text = self.text(name, allowed)
         if text is None or text in choices:
             return text

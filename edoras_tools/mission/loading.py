@@ -26,6 +26,7 @@ from edoras_tools.mission.report import Mistakes
 from edoras_tools.mission.tree import LARGEST_FILE, yaml_text
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FrameFormat
+from edoras_tools.words import either
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Iterator, Mapping
@@ -260,7 +261,7 @@ def _framed_port(fields: Fields, name: str) -> FramedPort | None:
     kind: Any = fields.word(f"{group}.kind", tuple(FRAME_LAYOUTS))
     if kind is None:
         if not fields.has(f"{group}.kind"):
-            fields.mistake(group, f"kind is missing; {' or '.join(FRAME_LAYOUTS)} is needed")
+            fields.mistake(group, f"kind is missing; {either(tuple(FRAME_LAYOUTS))} is needed")
         return None
     of_packets = [item.label for item in links() if item.packets or item.dictionary]
     link = fields.word(f"{group}.link", of_packets) or _USUAL_LINK[kind]

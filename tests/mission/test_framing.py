@@ -40,8 +40,8 @@ def test_a_port_belongs_to_the_link_of_its_packets_alone():
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("down: {port: 5111}", "frames.down: kind is missing; tm or aos or tc is needed"),
-        ("down: {port: 5111, kind: tn}", 'frames.down.kind: "tn" is not known; tm or aos or tc is needed'),
+        ("down: {port: 5111}", "frames.down: kind is missing; tm, aos or tc is needed"),
+        ("down: {port: 5111, kind: tn}", 'frames.down.kind: "tn" is not known; tm, aos or tc is needed'),
         ("down: {port: 5111, kind: tm}", "frames.down.length: missing; an integer from 1 to 2048 is needed"),
         ("down: {port: 5111, kind: tm, length: 8}", "frames.down.length: 8 has no room for data; at least 9"),
         ("down: {kind: tm, length: 99}", "frames.down.port: missing; an integer from 1 to 65535 is needed"),

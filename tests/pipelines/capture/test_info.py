@@ -35,7 +35,7 @@ FEW = [*COUNTED, "cyclone_sender"]
 
 @pytest.fixture(scope="module", autouse=True)
 def small():
-    """Chunks and batches of some tens of KiB: a recording is not read in the batches that it was written in."""
+    """Chunks and batches of tens of KiB: a recording is not read in the batches that it was written in."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(chunks, "CHUNK_BYTES", 32 << 10)
         patch.setattr(reader, "_BATCH_BYTES", 56 << 10)
