@@ -235,8 +235,8 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
             min(int(case.rows.time_ns[stream.rows[0]]) for stream in streams),
             max(int(case.rows.time_ns[stream.rows[-1]]) for stream in streams),
         ),
-        remedy="capture with edoras record, or as pcapng: they keep the kernel's count of drops; if it is 0 "
-        "these are lost",
+        remedy="these are lost if the kernel dropped none; pcapng keeps its count of drops, and so does: "
+        "edoras record",
         confidence="low",
     )
 
