@@ -109,7 +109,7 @@ _GROUPS: Final = (_hex("groups", 32, "a group in 8 bits, then 24 bits, one for e
 
 _FIELDS: Final[Mapping[int, Mapping[str, tuple[Field, ...]]]] = {
     executive_services.COMMAND_MSG_ID: {
-        "RESTART": (Field("restart_type", 16, "how", names={1: "processor", 2: "power-on"}),),
+        "RESTART": (Field("restart_type", 16, "how", names={1: "processor", 2: "power_on"}),),
         "START_APP": (
             _APP,
             _text("entry_point", executive_services.APP_NAME_BYTES, "its main function"),

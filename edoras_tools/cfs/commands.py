@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _HIGHEST: Final = 0xFFFF
 _HEADER_BYTES: Final = 8
-_RESETS: Final = {"processor": 1, "power-on": 2}
+_RESETS: Final = {"processor": 1, "power_on": 2}
 
 
 class Argument(Enum):
@@ -35,7 +35,7 @@ class Argument(Enum):
     MSG_ID = "a MsgId"
     APP = "the name of an application, as events print it"
     START = "the name of an application, or NAME,FILE,ENTRY[,PRIORITY[,STACK]] as cfe_es_startup.scr has them"
-    RESET = "processor or power-on"
+    RESET = "processor or power_on"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +93,10 @@ class NamedCommand:
         if self.argument is Argument.START:
             return self._start(text)
         if self.argument is Argument.RESET:
-            if text not in _RESETS:
+            name = text.replace("-", "_")
+            if name not in _RESETS:
                 raise ConfigError(f"takes {self.argument.value}, not {text!r}")
-            return {"restart_type": _RESETS[text]}
+            return {"restart_type": _RESETS[name]}
         return {"application": text}
 
     def _start(self, text: str) -> dict[str, int | str]:
@@ -282,6 +283,7 @@ def _value(command: str, field: Field, text: str) -> int | str:
     if field.names:
         numbers = {label: number for number, label in field.names.items()}
         numbers |= {str(number): number for number in field.names}
+        text = text.replace("-", "_")
         if text.lower() not in numbers:
             raise ConfigError(f"{command}: {name} takes {either(list(field.names.values()))}, not {text!r}")
         return numbers[text.lower()]

@@ -120,14 +120,6 @@ def learn_constants(
         depth = _kept(output)
         if _usual(assumed, "to_pipe_depth") and 0 < depth < (1 - _ALIKE) * profile.to_pipe_depth:
             profile, names = replace(profile, to_pipe_depth=depth), names | {"to_pipe_depth"}
-    commands = {item.msg_id for item in losses if item.kind == "limit" and item.sender.startswith("CI")}
-    out = [
-        _kept(np.sort(rows.time_ns[hop.out.rows[hop.out_rows]]))
-        for hop in _last(hops)
-        if hop.into.msg_id in commands
-    ]
-    if "ci_wake_ns" in rounds and _usual(assumed, "app_msg_limit") and (most := max(out, default=0)):
-        profile, names = replace(profile, app_msg_limit=most), names | {"app_msg_limit"}
     return Constants(profile, rounds, frozenset(names))
 
 

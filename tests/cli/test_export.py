@@ -152,7 +152,8 @@ def test_rosbag2_directories_are_read_by_topic(call, rover, tmp_path):
     assert call("record", "-q", "-r", *rover, "--rosbag2", "-o", bag).code == 0
     assert call("export", bag, "--topic", "cmd_vel", "-o", tmp_path / "a.jsonl").code == 0
     assert len((tmp_path / "a.jsonl").read_text().splitlines()) == 600
-    assert call("export", bag, "--link", "ci", "-o", tmp_path / "b.jsonl").code == 0
+    ci = "--link", "ci", "--msg-id", "0x1827"  # a command to Telemetry Output has a topic, too
+    assert call("export", bag, *ci, "-o", tmp_path / "b.jsonl").code == 0
     assert (tmp_path / "b.jsonl").read_bytes() == (tmp_path / "a.jsonl").read_bytes()
     assert call("export", bag, *rover, "--topic", "cmd_vel", "-o", tmp_path / "c.jsonl").code == 0
     assert len((tmp_path / "c.jsonl").read_text().splitlines()) == 1200

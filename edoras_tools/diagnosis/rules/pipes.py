@@ -78,11 +78,9 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
             remedy=advise(case, loss),
         )
     every = f"{period // 1_000_000} ms"
-    measured = not over_network and {"ci_wake_ns", "app_msg_limit"} <= case.constants.learned
-    known_by = "measured" if measured else "assumed"
     reason = (
         f"{least}{lost_at(case, loss, 'commands')}: more than {limit} of one MsgId waiting while {who} "
-        f"delivers in {every} bursts ({known_by})"
+        f"delivers in {every} bursts (assumed)"
     )
     still = stood_still(case, loss)
     evidence = list(loss.evidence)
@@ -93,7 +91,7 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
         most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
         sent = f"sent at {loss.span.rate_hz:.1f} Hz"
         if loss.span.rate_hz > clean and times[-1] - times[0] > period:
-            evidence.append(f"{sent}; up to {clean:g} Hz get through ({known_by})")
+            evidence.append(f"{sent}; up to {clean:g} Hz get through (assumed)")
         elif most > limit:
             evidence.append(f"up to {most:,} were sent within {every}; {limit} are clean")
         elif still:

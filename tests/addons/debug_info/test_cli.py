@@ -161,7 +161,9 @@ def test_a_compiler_that_makes_nothing_is_said_in_one_line(call, tmp_path, monke
 def test_what_is_shipped_is_listed_and_written(call, tmp_path):
     code, out, _ = call("structs")
     assert code == 0
-    assert "CFE_ES_HousekeepingTlm       148       42  0x0800" in out
+    lines = [line.split() for line in out.splitlines()]
+    assert ["CFE_ES_HousekeepingTlm", "148", "42", "0x0800"] in lines
+    assert ["CFE_ES_StopAppCmd", "20", "1", "0x1806/5"] in lines
     code, out, err = call("structs", "cfe", "-o", tmp_path / "out")
     assert (code, err) == (0, "")
     code, again, _ = call("structs", tmp_path / "out")

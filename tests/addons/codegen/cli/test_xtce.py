@@ -7,7 +7,7 @@ def test_it_writes_a_new_file(call, tmp_path):
     path = tmp_path / "new/rover.xml"
     done = call("xtce", "-c", MISSIONS / "rover_ground.yaml", "-o", path)
     assert (done.code, done.out) == (0, "")
-    assert done.err == [f"edoras: {path}: 12 telemetry packets, 1 command"]
+    assert done.err == [f"edoras: {path}: 12 telemetry packets, 108 commands"]
     assert path.read_text().startswith('<?xml version="1.0" encoding="UTF-8"?>')
     assert call("xtce", "-c", MISSIONS / "rover_ground.yaml", "-o", path).code == 2
 

@@ -65,6 +65,7 @@ def test_a_rover_holds_what_was_sent(tmp_path, types, capture):
     assert counts == dict.fromkeys(HOUSEKEEPING, 63) | {
         "/cmd_vel": 600,
         "/telemetry_pose": 63,
+        "/cfs/TO_LAB_EnableOutputCmd": 1,
         "/cfs/robot_command": 508,
         "/cfs/robot_state": 64,
         "/edoras/datagrams": 1827,
@@ -81,7 +82,8 @@ def test_rosbags_reads_every_message_of_every_schema(tmp_path, types, capture):
     with AnyReader([path]) as reader:
         for connection, _, raw in reader.messages():
             seen.setdefault(connection.topic, []).append(reader.deserialize(raw, connection.msgtype))
-    assert {*seen} == OWN | HOUSEKEEPING | ROBOT | {"/cmd_vel", "/telemetry_pose"}
+    commands = {"/cmd_vel", "/cfs/TO_LAB_EnableOutputCmd"}
+    assert {*seen} == OWN | HOUSEKEEPING | ROBOT | commands | {"/telemetry_pose"}
     table = seen["/cfs/CFE_TBL_HousekeepingTlm"][-1]
     assert (table.last_updated_table, table.tables, table.header.msg_id) == ("SBN.SBN_RemapTbl", 4, 0x0804)
     assert [item.app_id & 0xFF for item in seen["/cfs/CFE_EVS_HousekeepingTlm"][-1].app_data][:3] == [1, 2, 3]
