@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "2e07fea48a4ca317"
+local DIGEST = "1757bd6c4b6f43e5"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -1976,7 +1976,7 @@ D.layouts = {
 				start = 0,
 				size = 2,
 				kind = "uint16",
-				names = {[1] = "processor", [2] = "power-on"},
+				names = {[1] = "processor", [2] = "power_on"},
 				doc = "how",
 			},
 		},
