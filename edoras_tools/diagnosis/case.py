@@ -27,12 +27,12 @@ from edoras_tools.diagnosis.accounting.closed import (
 from edoras_tools.diagnosis.accounting.commands import Commands
 from edoras_tools.diagnosis.accounting.content import WayContent, judge_contents
 from edoras_tools.diagnosis.accounting.ingest import Ingest, ingests
-from edoras_tools.diagnosis.accounting.losses import COUNTERS
 from edoras_tools.diagnosis.constants import learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.loss_reports import (
     LossEvents,
+    PipeKind,
     ReportedLoss,
     Track,
     reported_losses,
@@ -83,7 +83,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
-    from edoras_tools.diagnosis.accounting.losses import Loss, PipeKind
+    from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.constants import Constants
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
     from edoras_tools.diagnosis.evidence.relays import RouteWay
@@ -317,14 +317,19 @@ class Case:
         return Timeline([*changes, *found])
 
     @cached_property
+    def robots(self) -> list[Stream]:
+        """What was sent to each robot."""
+        return find_robots(self.rows)
+
+    @cached_property
     def hops(self) -> list[Hop]:
         """Streams that come out again as others."""
-        return find_hops([*self.streams, *find_robots(self.rows)], self.rows, self)
+        return find_hops([*self.streams, *self.robots], self.rows, self)
 
     @cached_property
     def contents(self) -> list[WayContent]:
         """What arrived as something else than was sent."""
-        return judge_contents(self, find_robots(self.rows))
+        return judge_contents(self, self.robots)
 
     def arrival(self, stream: Stream) -> Hashable:
         """Return all that decides what may come out of a stream; None where nobody took it."""
@@ -532,10 +537,9 @@ class Case:
         """Return when events told of losses at pipes, by kind, behind an instance's last 0x803."""
         found: dict[PipeKind, list[int]] = {}
         for item, said in self.reported_losses.items():
-            made_ns = self.instances.made_ns[[record.row for record in said.records]]
-            kind = next((kind for kind in COUNTERS if kind == item.kind), None)
-            if kind and item.instance == instance:
-                found.setdefault(kind, []).extend(made_ns[made_ns > last_ns + _SLACK_NS].tolist())
+            if item.at_pipe and item.instance == instance:
+                made_ns = self.instances.made_ns[[record.row for record in said.records]]
+                found.setdefault(item.at_pipe, []).extend(made_ns[made_ns > last_ns + _SLACK_NS].tolist())
         return found
 
     @cached_property

@@ -22,7 +22,6 @@ from edoras_tools.diagnosis.accounting.losses import Among
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.ledger import APPLICATION, CAPTURE, ENDING_TEXTS, LedgerEntry, LedgerWay
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
-from edoras_tools.diagnosis.matching.streams import find_robots
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.words import plural
@@ -163,7 +162,6 @@ class Tracer:
 
     def __init__(self, case: Case) -> None:
         self._case = case
-        self._robots = find_robots(case.rows)
 
     def packet(self, number: int) -> MessageTrace | None:
         """Return the way of the message in a packet; None where it is no message of a link.
@@ -172,7 +170,7 @@ class Tracer:
             number: its place in the capture, from 1.
         """
         rows = np.flatnonzero(self._case.rows.number == number)
-        for stream in (*self._case.streams, *self._robots) if len(rows) else ():
+        for stream in (*self._case.streams, *self._case.robots) if len(rows) else ():
             place = int(np.searchsorted(stream.rows, rows[0]))
             if place < len(stream) and stream.rows[place] == rows[0]:
                 return self.follow(_Leg(stream, place))

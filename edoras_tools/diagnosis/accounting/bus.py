@@ -8,7 +8,9 @@ Rules:
 3. Of commands whose way out can be seen, those that did not come out can be; of others, what events name, and
    then what was sent faster than a pipe takes.
 4. All claims are settled together (``claims``), so that as many as possible are explained.
-5. What nothing takes stays what it is: counted, and not known which.
+5. Behind the last message of a stream that lost some at a pipe, as many more can be lost as one round loses;
+   where it is seen what the stream was made of, no more than went in since.
+6. What nothing takes stays what it is: counted, and not known which.
 """
 
 from __future__ import annotations
@@ -42,7 +44,6 @@ from edoras_tools.diagnosis.accounting.losses import (
     Among,
     Loss,
     LossKind,
-    PipeKind,
 )
 from edoras_tools.diagnosis.accounting.pipes import pressed
 from edoras_tools.diagnosis.evidence.instances import NOBODY
@@ -51,7 +52,7 @@ from edoras_tools.diagnosis.matching.streams import Span, full_rounds
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
 from edoras_tools.sessions.sequence import MODULUS
-from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.units import MILLISECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -59,7 +60,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.loss_reports import LossEvents
+    from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Confidence
@@ -72,7 +73,6 @@ _FEW_ROUNDS: Final = 3
 """So many rounds show the most that one loses."""
 _AROUND: Final = 8
 """A stream of which none of so many is missing on either side is over no limit."""
-_ONE_ROUND_NS: Final = SECOND // 2
 _SOON: Final = 1.2
 """What comes behind no more than so many of the longest usual steps goes on as before."""
 _LEAST_FRAGMENTED: Final = 6
@@ -462,7 +462,7 @@ class Telemetry:
             return True
         steps, next_ns = np.diff(times[span.first : span.last + 1]), times[span.last + 1]
         soon = next_ns - times[span.last] <= _SOON * steps.max(initial=0)
-        return bool(soon and times[-1] - next_ns < _ONE_ROUND_NS)
+        return bool(soon and times[-1] - next_ns < self._case.profile.to_wake_ns)
 
     def _most_behind(self, part: Part) -> int:
         """Return how many can be missing behind a stream's last message: what a round loses."""

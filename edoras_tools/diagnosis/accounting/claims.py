@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS, PipeKind
+from edoras_tools.diagnosis.accounting.losses import COUNTERS, TAIL_NS
+from edoras_tools.diagnosis.evidence.loss_reports import PipeKind, Track
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value, numbered
 
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
-
-    from edoras_tools.diagnosis.evidence.loss_reports import Track
 
 PRESSED: Final = 0
 """Rank of what surely is missing, where an event names it or its pipe was full."""

@@ -44,7 +44,6 @@ from edoras_tools.cfs import command_ingest, executive_services, names, queues, 
 from edoras_tools.diagnosis.accounting.losses import TAIL_NS, WAITS_NS, Fate, Loss, LossKind, loss_of
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, Way, reasons_for
-from edoras_tools.diagnosis.matching.streams import find_robots
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.units import SECOND
@@ -288,7 +287,7 @@ def unreached(case: Case) -> list[Unreached]:
             for endpoint, members in by_value(case.rows.destination[stream.rows]):
                 rows = np.setdiff1d(members, unheard)
                 out += _at(stream, rows, fate_of[stream.rows], endpoint, times[stream.rows])
-    for stream in find_robots(case.rows):
+    for stream in case.robots:
         rows = np.flatnonzero(~covered[stream.rows])
         every = _at(stream, rows, fate_of[stream.rows], stream.receiver, times[stream.rows])
         out += [replace(item, own=False) for item in every]

@@ -15,6 +15,7 @@ import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services
 from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.evidence.loss_reports import PipeKind
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import MILLISECOND, SECOND
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.streams import Comb, Span, Stream
     from edoras_tools.diagnosis.verdict import Confidence
 
-PipeKind = Literal["limit", "overflow"]
 IngestKind = Literal["network", "socket", "down", "restart", "ci_stopped", "port_closed"]
 AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled", "sbn_socket"]
 LossKind = PipeKind | IngestKind | AppKind | Literal["after", "unknown", "fragments"]

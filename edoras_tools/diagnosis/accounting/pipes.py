@@ -41,7 +41,6 @@ from edoras_tools.diagnosis.accounting.losses import (
     Among,
     Fate,
     Loss,
-    PipeKind,
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
@@ -57,7 +56,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss
+    from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind, ReportedLoss
     from edoras_tools.diagnosis.matching.streams import Span, Stream
 
 
@@ -431,9 +430,8 @@ class Leftover:
     def _absent(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind]]:
         """Yield what events name at a pipe and the capture lacks, as a scheduler's wake-ups."""
         for item, said in self._case.reported_losses.items():
-            kind = next((kind for kind in COUNTERS if kind == item.kind), None)
-            if kind and not (self._seen_behind(item) or self._fed(item, item.instance)):
-                yield item, said, kind
+            if item.at_pipe and not (self._seen_behind(item) or self._fed(item, item.instance)):
+                yield item, said, item.at_pipe
 
     def take_named(self) -> None:
         """Give such traffic the counts that its events tell of: each of them is one."""

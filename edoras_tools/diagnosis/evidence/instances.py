@@ -108,10 +108,12 @@ class Instances:
     def _waited(self, rows: Rows, members: NDArray[np.intp]) -> int:
         """Return the instance that made packets, stood still, and then sent them; else ``NOBODY``."""
         first_ns, last_ns = int(rows.time_ns[members].min()), int(rows.time_ns[members].max())
+        if last_ns - first_ns > BOOT_APART_NS:
+            return NOBODY
         offset = int((rows.time_ns[members] - rows.mission_time_ns[members]).min())
         sources = np.unique(rows.source[members])
         for index, item in enumerate(self.items):
-            if last_ns - first_ns > BOOT_APART_NS or not item.first_ns < first_ns <= last_ns < item.last_ns:
+            if not item.first_ns < first_ns <= last_ns < item.last_ns:
                 continue
             alike = (self.of_row == index) & np.isin(rows.source, sources)
             since_ns = first_ns - (offset - item.offset_ns) + BOOT_APART_NS

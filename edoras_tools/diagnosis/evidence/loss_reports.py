@@ -113,7 +113,8 @@ def _track(samples: Samples, chosen: NDArray[np.intp], instances: Instances) -> 
     return Track.of(made_ns[order], {name: samples[name][chosen[order]] for name in _WIDTHS})
 
 
-LossEventKind = Literal["limit", "overflow", "no_subscriber", "invalid", "too_big"]
+PipeKind = Literal["limit", "overflow"]
+LossEventKind = PipeKind | Literal["no_subscriber", "invalid", "too_big"]
 
 _KINDS: Final[dict[int, LossEventKind]] = {
     software_bus.MSG_LIMIT: "limit",
@@ -143,9 +144,9 @@ class ReportedLoss:
     sender: str
 
     @property
-    def at_pipe(self) -> bool:
-        """Whether it is about a pipe that did not take a message."""
-        return self.kind in {"limit", "overflow"}
+    def at_pipe(self) -> PipeKind | None:
+        """How a pipe did not take the message; None where the event is not about a pipe."""
+        return self.kind if self.kind in ("limit", "overflow") else None
 
     @property
     def at_output(self) -> bool:
