@@ -17,7 +17,7 @@ Ports that nobody listened on, or that could not be reached, by ICMP errors:
 Applications and links that did not run:
 
 8. Where it can be seen what comes out: from what arrived last before an application stopped to what arrives
-   first after it, nothing arrived.
+   first after it, nothing arrived. Where it does not run again, only what may not have been read yet waits.
 9. Elsewhere what was sent after its end, and before the command that starts it again, is lost, if this
    application surely takes it: events name its pipe for the MsgId, or there is one application that stopped
    and one such MsgId. What was sent just before either may have been taken, and so may all that is sent while
@@ -440,6 +440,8 @@ class Stops:
         times = self._case.captured(fate.stream)
         back = times[fate.arrived & (times > item.start_ns + WAITS_NS)]
         until_ns = int(back[0]) if len(back) else NEVER
+        if until_ns == NEVER and item.end_ns is None:
+            self._await_no_more(fate, item)
         # What arrived last was taken before it stopped.
         last_ns = times[fate.arrived & (times <= item.start_ns + WAITS_NS)].max(initial=0)
         inside = fate.open & (fate.stop < 0)
@@ -455,6 +457,18 @@ class Stops:
             again = times > item.end_ns  # it runs, and passes nothing on
         self._add(fate, inside & ~again, _Cause("stopped", item.app, item.witness))
         self._add(fate, inside & again, _Cause("restart_failed", item.app, item.witness))
+
+    def _await_no_more(self, fate: Fate, item: Outage) -> None:
+        """Open what would come out yet, if the application had not stopped: all that was read by then."""
+        case, stream = self._case, fate.stream
+        most = case.profile.ci_datagrams_per_wake
+        if any(own.unread > most for own in case.ingests if own.endpoint == stream.receiver):
+            return  # it may wait in CI's socket for longer than a round
+        pipe = queues.application_pipe(case.profile, over_network=not stream.link.only_to_cfs)
+        times = case.captured(stream)
+        never = fate.waits & ~fate.unseen & (times > item.ended_ns) & (times < case.end_ns - pipe.round_ns)
+        fate.open |= never
+        fate.waits &= ~never
 
     def _held(self, fate: Fate, item: Outage, inside: NDArray[np.bool_], until_ns: int) -> NDArray[np.bool_]:
         """Return which messages an application that keeps the newest surely did not take.
