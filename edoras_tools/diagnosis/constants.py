@@ -133,6 +133,8 @@ def _limits(
         limit = assumed.to_limits.get(stream.msg_id)
         if not stream.link.only_from_cfs or limit != _USUAL.to_limits.get(stream.known_id):
             continue
+        if stream.duplicates + stream.reordered > _ALIKE * len(stream):
+            continue  # a network that doubles and delays makes other rounds of them
         times = rows.time_ns[stream.rows]
         most = _kept(times)
         # Fewer came, and many are missing: no more are kept. More came: more are.

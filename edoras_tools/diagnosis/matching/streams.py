@@ -53,8 +53,8 @@ class Stream:
         counted: whether its sequence count counts.
         missing: i64 (rows,), counts that never came between a row and its next.
         pauses: bool (rows,), the next row came after a pause: what is missing may never have come this way.
+        repeats: bool (rows,), the row repeats one that came before.
         gaps: counts that never came, before its first row and at pauses too; not at a change of port.
-        duplicates: rows that repeat one.
         reordered: rows that came late.
         restarts: times the count began anew.
         known_id: its MsgId as of version 1, as facts of cFS name it.
@@ -71,8 +71,8 @@ class Stream:
     counted: bool
     missing: NDArray[np.int64]
     pauses: NDArray[np.bool_]
+    repeats: NDArray[np.bool_]
     gaps: int = 0
-    duplicates: int = 0
     reordered: int = 0
     restarts: int = 0
     known_id: int = NO_MSG_ID
@@ -83,9 +83,14 @@ class Stream:
         return bool(VERSION_1.is_command(self.known_id))
 
     @property
+    def duplicates(self) -> int:
+        """Rows that repeat one."""
+        return int(self.repeats.sum())
+
+    @property
     def counts(self) -> NDArray[np.int64]:
         """How many messages each row stands for, i64: itself, and those behind it that never came."""
-        return np.append(self.missing[:-1], 0) + 1
+        return np.append(self.missing[:-1], 0) + ~self.repeats
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -137,6 +142,7 @@ def find_robots(rows: Rows) -> list[Stream]:
             counted=False,
             missing=np.zeros(len(members), np.int64),
             pauses=np.zeros(len(members), np.bool_),
+            repeats=np.zeros(len(members), np.bool_),
         )
         for _, members in by_value(ends)
     ]
@@ -280,8 +286,8 @@ def _stream(
         counted=bool(rows.counted[members].any()),
         missing=np.append(missing[1:], 0),
         pauses=_pauses(rows.time_ns[members]),
+        repeats=rows.duplicates[members] > 0,
         gaps=gaps,
-        duplicates=int(rows.duplicates[members].sum()),
         reordered=int(rows.reordered[members].sum()),
         # Another cFS counts anew; that is no restart of this one's count.
         restarts=max(0, int(rows.restarts[members[1:]].sum())),
@@ -326,7 +332,7 @@ class Span:
         last: its last row.
         start_ns: time of the first row.
         end_ns: time of the last row.
-        count: rows.
+        count: rows, without those that repeat one.
         missing: counts that never came, those behind its last row included.
     """
 
@@ -364,30 +370,25 @@ def spans(stream: Stream, rows: Rows) -> list[Span]:
     bounds = [0, *(ends + 1).tolist(), len(times)]
     found: list[Span] = []
     for first, end in pairwise(bounds):
-        cuts = _changes(times[first:end], stream.missing[first:end])
+        cuts = _changes(times[first:end], (stream.missing + ~stream.repeats)[first:end])
         edges = [first, *(first + cut for cut in cuts), end]
-        found += [_span(times, stream.missing, low, high - 1) for low, high in pairwise(edges)]
+        found += [_span(times, stream, low, high - 1) for low, high in pairwise(edges)]
     return found
 
 
-def _span(times: NDArray[np.int64], missing: NDArray[np.int64], first: int, last: int) -> Span:
-    return Span(
-        first,
-        last,
-        int(times[first]),
-        int(times[last]),
-        last - first + 1,
-        int(missing[first : last + 1].sum()),
-    )
+def _span(times: NDArray[np.int64], stream: Stream, first: int, last: int) -> Span:
+    own = slice(first, last + 1)
+    once, missing = int((~stream.repeats[own]).sum()), int(stream.missing[own].sum())
+    return Span(first, last, int(times[first]), int(times[last]), once, missing)
 
 
-def _changes(times: NDArray[np.int64], missing: NDArray[np.int64]) -> list[int]:
-    """Return the rows at which another rate begins, by whole seconds."""
+def _changes(times: NDArray[np.int64], counts: NDArray[np.int64]) -> list[int]:
+    """Return the rows at which another rate begins, by whole seconds; each stands for so many messages."""
     if len(times) < _FEW:
         return []
     # A clock that jumps may leave centuries between two rows.
     second = np.cumsum(np.minimum(np.diff((times - times[0]) // SECOND, prepend=0), _SILENT))
-    offered = np.bincount(second, weights=1.0 + missing)
+    offered = np.bincount(second, weights=counts)
     if len(offered) < _FEW:
         return []
     rates, cuts, begin = offered.tolist(), [], 0

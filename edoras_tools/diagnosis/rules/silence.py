@@ -341,7 +341,8 @@ def _rate(stream: Stream, times: NDArray[np.int64], before: Sequence[Span], at: 
     now_hz = (at - first) * SECOND / max(1, int(times[at] - times[first]))
     for span in reversed(before):
         last = min(span.last, at)
-        hz = steady_rate(times[span.first : last + 1], int(stream.missing[span.first : last].sum()))
+        once = np.flatnonzero(~stream.repeats[span.first : last + 1]) + span.first
+        hz = steady_rate(times[once], int(stream.missing[span.first : last].sum()))
         if hz and (span is before[-1] or hz < _ALIKE * now_hz < _ALIKE**2 * hz):
             return Rate(hz, int(times[span.first]), int(times[last]))
     return None
