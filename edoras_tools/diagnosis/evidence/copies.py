@@ -20,7 +20,8 @@ order:
 4. What an application made of a command comes out as often as it got it. Values that were sent once tell.
 5. What is told of one way holds for the others: a capture doubles all, and a network that is known to has
    not been helped.
-6. Else two with one time are the capture's: no interface gets two at once.
+6. Two with one time are the capture's, since no interface gets two at once: each counts as half of one that
+   rules 3 and 4 tell of. Where these tell nothing, it alone decides.
 7. Else nothing tells. They are left out, and of what went to cFS it is uncertain whether that came twice.
 
 Without equal identifications, echoes of a steady sender and several senders at once tell why more of a MsgId
@@ -262,7 +263,9 @@ def who_doubled(
         vote = 0
         for counted in _tracks(rows, receiver, samples, sources, endpoints):
             vote += _by_counts(rows.time_ns[mine], own, *counted)
-        votes[receiver] = vote or _by_answers(rows, mine, own, answers)
+        vote = vote or _by_answers(rows, mine, own, answers)
+        at_once = int(copies.at_once[mine[own]].sum())
+        votes[receiver] = 2 * vote - at_once if vote else 0
     whole = sum(votes.values())
     for receiver, members in by_value(np.where(copies.duplicate, rows.destination, -1)):
         if receiver >= 0 and (vote := votes.get(receiver, 0) or whole):
