@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import re
 from functools import cache
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import event_services, executive_services, names, sbn, table_services, telemetry_output
 from edoras_tools.cfs import time_services as time
 from edoras_tools.cfs.command_ingest import COMMAND_MSG_ID as CI_MSG_ID
-from edoras_tools.errors import TruncatedError
-from edoras_tools.wire.layout import Field, Layout
+from edoras_tools.wire.layout import Field, Layout, Slot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-
-    from edoras_tools.wire.layout import Slot
 
 EVS_MSG_ID: Final = 0x1801
 SB_MSG_ID: Final = 0x1803
@@ -331,18 +329,19 @@ def arguments_of(
         big_endian: the byte order of the flight computer that takes it.
 
     Returns:
-        argument to int or text, alignment left out; None where the command is none of :data:`CHANGES`, or is
-        shorter than its arguments.
+        argument to int or text, alignment left out, up to the first one that is cut off; None where the
+        command is none of :data:`CHANGES`. A text is whole with its NUL.
     """
     if (msg_id, function_code) not in CHANGES:
         return None
-    layout = ARGUMENTS[msg_id, function_code]
-    try:
-        values = (_big(layout) if big_endian else layout).parse(payload)
-    except TruncatedError:
-        return None
-    values.pop("spare", None)
-    return values
+    layout = _big(ARGUMENTS[msg_id, function_code]) if big_endian else ARGUMENTS[msg_id, function_code]
+
+    def is_whole(slot: Slot) -> bool:
+        there = payload[slot.start : slot.end]
+        return slot.end <= len(payload) or (slot.field.kind == "text" and b"\0" in there)
+
+    whole = takewhile(is_whole, layout.slots)
+    return {slot.field.name: layout.read(slot, payload) for slot in whole if slot.field.name != "spare"}
 
 
 def argument_text(field: Field, value: Any) -> str:

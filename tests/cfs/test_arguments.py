@@ -77,11 +77,20 @@ def test_a_command_in_words(msg_id, code, values, text):
 @given(st.sampled_from(sorted(ARGUMENTS)), st.binary(max_size=160), st.booleans())
 def test_any_bytes_are_arguments_or_none(key, payload, big_endian):
     values = arguments_of(*key, payload, big_endian=big_endian)
-    assert (values is None) == (len(payload) < ARGUMENTS[key].size or key not in CHANGES)
+    assert (values is None) == (key not in CHANGES)
     if values is not None:
         assert command_text(*key, values).startswith(ARGUMENTS[key].title)
+        names = [slot.field.name for slot in ARGUMENTS[key].slots if slot.field.name != "spare"]
+        assert list(values) == names[: len(values)]
+        assert len(payload) < ARGUMENTS[key].size or len(values) == len(names)
 
 
 def test_a_big_endian_flight_computer():
     assert arguments_of(0x1805, 7, bytes.fromhex("0000000f00000000"), big_endian=True)["seconds"] == 15
-    assert arguments_of(0x1805, 3, b"\0\0") is None
+    assert arguments_of(0x1805, 7, b"\0\0") == {}
+
+
+def test_a_name_that_is_whole_in_a_cut_frame():
+    name = b"TO_LAB_APP\0"
+    assert arguments_of(0x1806, 4, name) == {"application": "TO_LAB_APP"}
+    assert arguments_of(0x1806, 4, name[:-1]) == {}

@@ -349,13 +349,12 @@ class Telemetry:
         housekeeping = stream.known_id in MSG_ID_NAMES and stream.route == NO_ROUTE
         if housekeeping or not stream.link.only_from_cfs:
             return None
-        for command in case.payloads.executive:
+        for command in case.payloads.about_apps(executive_services.STOP_APP):
             when = int(case.rows.time_ns[command.row])
-            stops = command.function_code == executive_services.STOP_APP
             # It starts without anybody to send to: who enabled it again must be here, or the capture missed
             # more than that.
             again = any(when < enabled_ns < span.end_ns for enabled_ns in enables_ns(case))
-            stops &= command.app in telemetry_output.NAMES and span.start_ns - TAIL_NS < when < span.end_ns
+            stops = command.app in telemetry_output.NAMES and span.start_ns - TAIL_NS < when < span.end_ns
             if stops and again:
                 text = f"packet {case.rows.number[command.row]} told ES to stop {command.app}"
                 return "stopped", command.app, text

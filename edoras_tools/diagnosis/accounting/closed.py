@@ -76,7 +76,7 @@ def closed_at(case: Case, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bo
         # Telemetry Output that speaks from another port started anew, and forgot whom it sends to.
         out |= rows.source[stream.rows[at]] != rows.source[stream.rows[behind]]
         for item in case.payloads.outputs(*telemetry_output.STOPS):
-            if item.msg_id in {-1, stream.msg_id}:
+            if item.entry in {-1, stream.msg_id}:
                 when = int(rows.time_ns[item.row])
                 out |= (starts - _STOPS_NS < when) & (when < ends)
         return out
@@ -584,11 +584,10 @@ class Stops:
         """Mark what was sent after a command that stops an application, where no event answers (rule 10)."""
         rows, payloads = self._case.rows, self._case.payloads
         answers_ns = [record.time_ns for record in payloads.events if record.app == executive_services.NAME]
-        for item in payloads.executive:
+        for item in payloads.about_apps(*executive_services.ENDS_APP):
             when, code = int(rows.time_ns[item.row]), item.function_code
             answered = any(0 <= answer_ns - when <= _COMMAND_NS for answer_ns in answers_ns)
-            ends = code in executive_services.ENDS_APP and item.app not in _LINKS
-            if ends and not answered and fate.stream.receiver == rows.destination[item.row]:
+            if item.app not in _LINKS and not answered and fate.stream.receiver == rows.destination[item.row]:
                 fate.unfollowed = self._case.captured(fate.stream) > when
                 fate.unfollowed_since = (
                     f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "

@@ -365,11 +365,11 @@ class _Counted:
 
     def _restarts_ns(self, start_ns: int, end_ns: int) -> list[int]:
         """Return when its cFS was told to restart, of the commands to it between two times."""
-        rows, key = self._case.rows, (executive_services.COMMAND_MSG_ID, executive_services.RESTART)
+        rows, payloads = self._case.rows, self._case.payloads
         found = [
             int(rows.time_ns[item.row])
-            for item in self._case.payloads.commands
-            if (item.msg_id, item.function_code) == key and rows.destination[item.row] == self._endpoint
+            for item in payloads.about_apps(executive_services.RESTART)
+            if rows.destination[item.row] == self._endpoint
         ]
         return [when for when in found if start_ns < when <= end_ns]
 
@@ -397,8 +397,8 @@ class _Counted:
         """Return until when CI may have read on after commands that end it, of those between two times."""
         until = [
             int(self._case.rows.time_ns[item.row]) + _ENDS_NS
-            for item in self._case.payloads.executive
-            if item.app in command_ingest.NAMES and item.function_code in executive_services.ENDS_APP
+            for item in self._case.payloads.about_apps(*executive_services.ENDS_APP)
+            if item.app in command_ingest.NAMES
         ]
         return [when for when in until if start_ns < when < end_ns]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services, telemetry_output
-from edoras_tools.cfs.arguments import APPLICATIONS, arguments_of, command_text
+from edoras_tools.cfs.arguments import APPLICATIONS, argument_words, arguments_of, command_text
 from edoras_tools.errors import TruncatedError
 from edoras_tools.links.table import among
 from edoras_tools.model import Columns, Finding, PacketBatch
@@ -19,7 +19,7 @@ from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.wire.arrays.window import gather
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Collection, Iterator, Mapping
 
     from numpy.typing import NDArray
     from typing_extensions import Self
@@ -168,7 +168,7 @@ class CommandRecord:
         row: of the table.
         msg_id: of version 1.
         function_code: its number at the application that takes it.
-        values: its arguments, as ``cfs.arguments`` has them.
+        values: its arguments, as ``cfs.arguments`` has them; those that are cut off are missing.
     """
 
     row: int
@@ -176,44 +176,32 @@ class CommandRecord:
     function_code: int
     values: Mapping[str, Any]
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether no argument is cut off."""
+        return len(self.values) == len(argument_words(self.msg_id, self.function_code))
+
+    @property
+    def app(self) -> str:
+        """The application that it is about, or an empty text."""
+        return str(self.values.get("application", ""))
+
+    @property
+    def address(self) -> str:
+        """Where Telemetry Output is to send to, or an empty text."""
+        return str(self.values.get("address", ""))
+
+    @property
+    def entry(self) -> int:
+        """MsgId of the entry of Telemetry Output's table that it is about; -1 for none, or for all."""
+        return self.values["stream"] & 0xFFFF if "stream" in self.values else -1
+
     def __str__(self) -> str:
         return command_text(self.msg_id, self.function_code, self.values)
 
 
-@dataclass(frozen=True, slots=True)
-class OutputCommand:
-    """One command to Telemetry Output.
-
-    Attributes:
-        row: of the table.
-        function_code: 6 enables, 4 removes a packet, 2 adds one.
-        address: of an enable, as text.
-        msg_id: of an add or remove; -1 else.
-    """
-
-    row: int
-    function_code: int
-    address: str = ""
-    msg_id: int = -1
-
-
-@dataclass(frozen=True, slots=True)
-class ExecutiveCommand:
-    """One command to Executive Services about an application.
-
-    Attributes:
-        row: of the table.
-        function_code: 4 starts, 5 stops, 6 restarts, 7 loads anew.
-        app: its name.
-    """
-
-    row: int
-    function_code: int
-    app: str
-
-
 _SAMPLES: Final = ("housekeeping", "ingest", "commanded", "subscriptions")
-_RECORDS: Final = ("events", "output", "executive", "commands")
+_RECORDS: Final = ("events", "commands")
 
 
 @dataclass(slots=True)
@@ -227,9 +215,7 @@ class Payloads:
         subscriptions: SUB and UNSUB; ``said`` is a place in ``contents``.
         contents: what they say, each once.
         events: of 0x808 what applications said.
-        output: commands to Telemetry Output.
-        executive: commands to Executive Services.
-        commands: all those that change what a cFS does, with their arguments; nothing that cFS itself sends.
+        commands: those that change what a cFS does, with their arguments; nothing that cFS itself sends.
     """
 
     housekeeping: Samples = field(
@@ -240,8 +226,6 @@ class Payloads:
     subscriptions: Samples = field(default_factory=lambda: Samples.of("said"))
     contents: list[SubscriptionMessage] = field(default_factory=list)
     events: list[EventRecord] = field(default_factory=list)
-    output: list[OutputCommand] = field(default_factory=list)
-    executive: list[ExecutiveCommand] = field(default_factory=list)
     commands: list[CommandRecord] = field(default_factory=list)
     _content: dict[int, int] = field(default_factory=dict)
 
@@ -274,12 +258,6 @@ class Payloads:
         listed = (columns.sbn_msg_type == sbn.MsgType.SUB) | (columns.sbn_msg_type == sbn.MsgType.UNSUB)
         listed &= (columns.findings & np.uint32(Finding.CAPTURE_CUT)) == 0
         self._subscribe(batch, np.flatnonzero(listed), base)
-        output = (known == telemetry_output.COMMAND_MSG_ID) & (columns.function_code >= 0)
-        for row in np.flatnonzero(output & ~among(columns.link, lambda link: link.only_from_cfs)).tolist():
-            self._output(int(columns.function_code[row]), row, base, _payload(batch, columns, row))
-        executive = known == executive_services.COMMAND_MSG_ID
-        for row in np.flatnonzero(executive & (columns.function_code >= 0) & ~downward).tolist():
-            self._executive(int(columns.function_code[row]), base + row, _payload(batch, columns, row))
         changes = _CHANGES[np.maximum(known, 0)] & ~among(columns.link, lambda link: link.only_from_cfs)
         changes &= columns.function_code > 0
         for row in np.flatnonzero(changes).tolist()[: max(0, _MOST - len(self.commands))]:
@@ -288,9 +266,17 @@ class Payloads:
             if values is not None:
                 self.commands.append(CommandRecord(base + row, *key, values))
 
-    def outputs(self, *codes: int) -> list[OutputCommand]:
+    def outputs(self, *codes: int) -> list[CommandRecord]:
         """Return the commands to Telemetry Output that have one of some function codes."""
-        return [item for item in self.output if item.function_code in codes]
+        return self._of(telemetry_output.COMMAND_MSG_ID, codes)
+
+    def about_apps(self, *codes: int) -> list[CommandRecord]:
+        """Return the commands to start, stop, restart or reload an application, or those of some codes."""
+        every = executive_services.START_APP, *executive_services.ENDS_APP
+        return self._of(executive_services.COMMAND_MSG_ID, codes or every)
+
+    def _of(self, msg_id: int, codes: Collection[int]) -> list[CommandRecord]:
+        return [item for item in self.commands if item.msg_id == msg_id and item.function_code in codes]
 
     def over(self, kept: NDArray[np.intp], count: int) -> Payloads:
         """Return those of the rows that are kept, for a table of only these rows, in their order.
@@ -338,22 +324,6 @@ class Payloads:
                 self.contents.append(_subscriptions(batch.data[int(start[at]) : end].tobytes()))
             places[number] = known
         self.subscriptions.add(base + rows, batch.time_ns[rows], places[which])
-
-    def _output(self, code: int, row: int, base: int, payload: bytes) -> None:
-        if len(self.output) >= _MOST:
-            return
-        address = payload[:16].split(b"\0")[0].decode("ascii", "replace")
-        edits = {telemetry_output.ADD_PACKET, telemetry_output.REMOVE_PACKET}
-        wanted = int.from_bytes(payload[:4], "little") if code in edits and len(payload) >= 4 else -1
-        self.output.append(
-            OutputCommand(base + row, code, address if code == telemetry_output.ENABLE else "", wanted)
-        )
-
-    def _executive(self, code: int, row: int, payload: bytes) -> None:
-        about_app = {executive_services.START_APP, *executive_services.ENDS_APP}
-        if code in about_app and len(self.executive) < _MOST:
-            name = payload[: executive_services.APP_NAME_BYTES].split(b"\0")[0].decode("ascii", "replace")
-            self.executive.append(ExecutiveCommand(row, code, name))
 
 
 def events_in(batch: PacketBatch, columns: Columns, base: int = 0) -> Iterator[EventRecord]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.payloads import OutputCommand
+    from edoras_tools.diagnosis.evidence.payloads import CommandRecord
     from edoras_tools.diagnosis.evidence.timeline.table import Change
 
 _WAIT_NS: Final = 3 * SECOND
@@ -78,9 +78,9 @@ def to_destination(case: Case) -> Iterator[Verdict]:
             yield _fight(case, own)
 
 
-def _enables(case: Case) -> list[list[OutputCommand]]:
+def _enables(case: Case) -> list[list[CommandRecord]]:
     """Return the commands that enable Telemetry Output and went to a CI; those to one endpoint together."""
-    found: dict[int, list[OutputCommand]] = {}
+    found: dict[int, list[CommandRecord]] = {}
     for item in case.payloads.outputs(telemetry_output.ENABLE):
         if case.rows.link[item.row] == CI:
             found.setdefault(int(case.rows.destination[item.row]), []).append(item)
@@ -96,7 +96,7 @@ def _is_address(text: str) -> bool:
     return True
 
 
-def _no_address(case: Case, item: OutputCommand) -> Verdict:
+def _no_address(case: Case, item: CommandRecord) -> Verdict:
     start_ns = int(case.rows.time_ns[item.row])
     said = [
         record
@@ -115,7 +115,7 @@ def _no_address(case: Case, item: OutputCommand) -> Verdict:
     )
 
 
-def _fight(case: Case, members: list[OutputCommand]) -> Verdict:
+def _fight(case: Case, members: list[CommandRecord]) -> Verdict:
     rows = case.rows
     times = [int(rows.time_ns[item.row]) for item in members]
     steps = [f"{case.at(time_ns)} {item.address}" for time_ns, item in zip(times, members, strict=True)]
@@ -183,8 +183,8 @@ def _commanded(case: Case, told: Callable[..., tuple[int | None, list[str]]]) ->
     rows = case.rows
     for item in case.payloads.outputs(*telemetry_output.STOPS):
         when = int(rows.time_ns[item.row])
-        what = "every MsgId" if item.msg_id < 0 else case.name(item.msg_id)
-        lost, known = told(when, item.msg_id)
+        what = "every MsgId" if item.entry < 0 else case.name(item.entry)
+        lost, known = told(when, item.entry)
         again = _added_again(case, item, when)
         yield verdict(
             Severity.NOTE if again and not known else Severity.WARNING,
@@ -192,24 +192,24 @@ def _commanded(case: Case, told: Callable[..., tuple[int | None, list[str]]]) ->
             f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
             f"{item.function_code}, from {case.endpoints[rows.source[item.row]].address}",
             *known,
-            msg_id=item.msg_id if item.msg_id >= 0 else None,
+            msg_id=item.entry if item.entry >= 0 else None,
             place=("to", telemetry_output.NAME),
             span=(when, when),
             lost=lost,
             remedy="none: it was added again"
             if again
-            else f"add it again: {case.inject('to-add', f'0x{item.msg_id:04x}')}"
-            if item.msg_id >= 0
+            else f"add it again: {case.inject('to-add', f'0x{item.entry:04x}')}"
+            if item.entry >= 0
             else f"add what is wanted again, e.g. {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}",
         )
 
 
-def _added_again(case: Case, item: OutputCommand, when: int) -> str:
+def _added_again(case: Case, item: CommandRecord, when: int) -> str:
     """Return when a MsgId that was removed was added again, and with what limit; nothing where it was not."""
-    if item.msg_id < 0:
+    if item.entry < 0:
         return ""
     system = system_at(case.instances, int(case.rows.destination[item.row]), when)
-    for change in case.timeline.of(StateOwner("entry", "", item.msg_id), system):
+    for change in case.timeline.of(StateOwner("entry", "", item.entry), system):
         if change.state == "subscribed" and change.not_before_ns > when:
             again_ns = change.not_before_ns
             return f", and to send it again, at most {change.value} a round, at {case.at(again_ns)}"
@@ -294,7 +294,7 @@ def _ended(case: Case) -> Iterator[Verdict]:
     length = case.end_ns - last_ns
     commands = int(((rows.link == CI) & (rows.time_ns > last_ns + SECOND)).sum())
     removed = any(
-        item.msg_id < 0 and abs(int(rows.time_ns[item.row]) - last_ns) < _WAIT_NS
+        item.entry < 0 and abs(int(rows.time_ns[item.row]) - last_ns) < _WAIT_NS
         for item in case.payloads.outputs(*telemetry_output.STOPS)
     )
     # That it was stopped is said by itself.

@@ -91,7 +91,7 @@ def _stops(case: Case) -> NDArray[np.int64]:
     A MsgId was removed from Telemetry Output, or an application was stopped.
     """
     removed = case.payloads.outputs(*telemetry_output.STOPS)
-    stops = [(item.msg_id, int(case.rows.time_ns[item.row])) for item in removed]
+    stops = [(item.entry, int(case.rows.time_ns[item.row])) for item in removed]
     stops += [(-1, item.start_ns) for item in case.outages]
     return np.array(stops, np.int64).reshape(-1, 2).T
 

@@ -52,7 +52,7 @@ def test_events(payloads):
 
 
 def test_commands_that_change_what_a_cfs_does():
-    """With their arguments; not those that ask only, or are too short."""
+    """With their arguments, as far as they are there; not those that ask only."""
     ci = Endpoint("10.0.0.1", 1234)
     add = cfe.emit_command(0x1880, 2, bytes.fromhex("2708000000000100"))
     sent = [
@@ -67,6 +67,7 @@ def test_commands_that_change_what_a_cfs_does():
     payloads.add(batch, ColumnDecoder(Context(options=OPTIONS)).decode(batch), base=40)
     assert [(item.row, str(item)) for item in payloads.commands] == [
         (40, "STOP_APP SBN"),
+        (41, "STOP_APP"),  # its name is cut off
         (43, "ADD_PKT 0x0827, limit 1"),
     ]
     assert [item.row for item in payloads.over(np.array([43]), 50).commands] == [0]

@@ -143,8 +143,10 @@ class SoftwareChanges:
 
         if command.msg_id == executive_services.COMMAND_MSG_ID:
             yield from self._executive(command, change(_CLOCK, ""))
+        elif not command.is_whole:
+            return  # what it sets is cut off
         elif command.msg_id == telemetry_output.COMMAND_MSG_ID:
-            entry = StateOwner("entry", "", values.get("stream", 0) & 0xFFFF)
+            entry = StateOwner("entry", "", command.entry)
             if code == telemetry_output.ENABLE:
                 yield change(_OUTPUT, "enabled", values["address"])
             elif code == telemetry_output.ADD_PACKET:
@@ -169,9 +171,9 @@ class SoftwareChanges:
 
     def _executive(self, command: CommandRecord, pattern: Change) -> Iterator[Change]:
         state = _APP_STATES.get(command.function_code)
-        if state is None:
+        app = command.app
+        if state is None or not app:
             return
-        app = command.values["application"]
         change = replace(pattern, subject=StateOwner("app", app), state=state)
         is_output = app in telemetry_output.NAMES
         if state != "running":
@@ -188,7 +190,7 @@ class SoftwareChanges:
 
     def _asked_ns(self, app: str, ended_ns: int) -> int:
         """Return when an application that ended by a time was told to, or what comes behind the command."""
-        asked = [int(self._rows.time_ns[item.row]) for item in self._payloads.executive if item.app == app]
+        asked = [int(self._rows.time_ns[item.row]) for item in self._payloads.about_apps() if item.app == app]
         return max([ended_ns - _ENDS_NS, *(when + 1 for when in asked if when < ended_ns)])
 
     def _silenced(self, change: Change) -> Change:
