@@ -33,6 +33,9 @@ FLIGHTS = {
     "bursts_at_two_pipes": (318, {"limit": 318}),
     "no_counters": (111, {"limit": 111}),
     "stop_without_events": (146, {"stopped": 146}),
+    "stopped_at_the_end": (21, {"stopped": 21}),
+    "doubled_downlink": (97, {"limit": 97}),
+    "queues_of_ten": (168, {"overflow": 168}),
 }
 
 
@@ -91,6 +94,18 @@ def test_a_limit_is_measured_only_where_rounds_are_full():
     text = first_screen(examined("stood_still"))
     assert "TO keeps 4 of this MsgId" in text
     assert "at EDORAS_APP_PIPE" in text
+
+
+def test_what_a_network_doubles_and_delays_changes_no_rate_and_no_limit():
+    text = first_screen(examined("doubled_downlink"))
+    assert "TO keeps 4 of this MsgId" in text
+    assert "publish at most 7.9 Hz (up to 13 a second were published)" in text
+
+
+def test_only_what_was_not_read_yet_waits_for_an_application_that_stays_stopped():
+    found = examined("stopped_at_the_end")
+    rows = [row for row in found.balance if row.msg_id == 0x1827]
+    assert found.lost + sum(row.waiting for row in rows) == 25
 
 
 def test_short_stalls_are_named_and_no_rate_is_advised_against_them():
