@@ -110,6 +110,15 @@ class Quality:
     evidence: tuple[Evidence, ...] = ()
     drops: int | None = None
 
+    @property
+    def _answers(self) -> list[Evidence]:
+        return [item for item in self.evidence if item.kind in _ANSWERED]
+
+    @property
+    def lacks_answered(self) -> bool:
+        """Whether datagrams were missed that surely came to the tap: they were answered, or counted there."""
+        return any(item.missing for item in self._answers)
+
     @cached_property
     def groups(self) -> list[tuple[int, int]]:
         """The numbers of datagrams checked and missing, in each group of evidence that bounds by itself.
@@ -118,8 +127,7 @@ class Quality:
         answers show that datagrams were missed, only answers bound.
         """
         found: dict[tuple[int, str], tuple[int, int]] = {}
-        answers = [item for item in self.evidence if item.kind in _ANSWERED]
-        for item in answers if any(item.missing for item in answers) else self.evidence:
+        for item in self._answers if self.lacks_answered else self.evidence:
             checked, missing = found.get((item.sender, item.kind), (0, 0))
             found[item.sender, item.kind] = checked + item.checked, missing + item.missing
         return sorted({group for group in found.values() if group[0]})
@@ -144,7 +152,7 @@ class Quality:
 
         What a host numbered or counted may be lost before it comes to the tap; what was answered was there.
         """
-        answered = [item.missing for item in self.evidence if item.kind in _ANSWERED]
+        answered = [item.missing for item in self._answers]
         return self.drops is not None and (not answered or min(answered) <= self.drops)
 
     @property

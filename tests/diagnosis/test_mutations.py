@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections import Counter, defaultdict
+from collections import Counter
 from functools import cache
 
 import pytest
@@ -17,36 +17,11 @@ LARGE = {"c1_tlm_rate_limit4", "c4_cmd_rate", "d3_cpu1_cpu2"}
 CASES = [(name, change) for name in TRUTHS if name not in LARGE for change in CHANGES]
 random.Random(30).shuffle(CASES)
 CASES = CASES[: None if LONG else 30]
-FAILS = {
-    "1 % removed": """
-        n12_two_hosts_ground
-    """,
-    "times late by up to 20 ms": """
-        p4_apps_stopped
-    """,
-}
-"""Changes that move a proven figure above the truth today, or spoil a sum, and of which captures."""
-WHY = defaultdict(
-    lambda: "the doctor argues each loss by itself, not all by one ledger",
-    {
-        **{f"{share} % removed": "what the capture missed is told as lost" for share in (1, 5, 30)},
-        **{f"{share} % doubled": "copies by the capture are told as messages" for share in (1, 5)},
-    },
-)
-
-
-def cases():
-    for name, change in CASES:
-        fails = name.rpartition("/")[2] in FAILS.get(change, "").split()
-        mark = pytest.mark.xfail(reason=WHY[change], strict=True, raises=AssertionError)
-        yield pytest.param(name, change, marks=mark if fails else ())
-
-
 whole = cache(lambda name: frames(FOLDER / f"{name}.pcap.zst"))
 
 
 @pytest.mark.each(3)
-@pytest.mark.parametrize(("name", "change"), list(cases()))
+@pytest.mark.parametrize(("name", "change"), CASES)
 def test_a_changed_capture_proves_no_more_than_was_lost(name, change, tmp_path):
     path = write(tmp_path / "x.pcap", changed(whole(name), change, 1))
     result = diagnosed(path, TRUTHS[name].options)

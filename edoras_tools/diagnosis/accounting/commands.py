@@ -45,10 +45,11 @@ from edoras_tools.diagnosis.accounting.losses import (
     loss_of,
 )
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Leftover, Pipes
-from edoras_tools.diagnosis.matching.streams import full_rounds
-from edoras_tools.diagnosis.quality import CONFIDENCE
+from edoras_tools.diagnosis.matching.streams import bursts, full_rounds
+from edoras_tools.diagnosis.quality import CONFIDENCE, binomial_tail, largest_number
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, Finding
+from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -67,6 +68,8 @@ if TYPE_CHECKING:
 _COUNTS: Final = 256
 _WRAPPED: Final = 128
 """A counter of 8 bits that falls by more began again from 0, by itself."""
+_BURST_NS: Final = 4 * SECOND
+"""What is missing within so long of the next that is missing is of one time."""
 _UNEXPLAINED: Final = frozenset({"after", "unknown"})
 
 
@@ -510,10 +513,16 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate]) -> None:
         if number and loss.stream is not None and not streamed[loss.stream.rows[0]]:
             gaps.setdefault(id(loss.stream), []).append((loss, number))
     unseen = [fate for fate in fates if fate.seen and fate.ends["unaccounted"]]
-    missing = sum(number for own in gaps.values() for _, number in own)
+    flat = [item for own in gaps.values() for item in own]
+    missing = sum(number for _, number in flat)
     sent = sum(map(len, case.streams)) + missing
     missing += sum(fate.ends["unaccounted"] for fate in unseen)
-    if not missing or quality.excludes(missing / sent):
+    if not missing:
+        return
+    if quality.excludes(missing / sent):
+        for loss, number in _outside_bursts(case, flat, sent) if quality.lacks_answered else ():
+            _take_back(telemetry, loss, number)
+        telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
         return
     for stream in case.streams:
         own = gaps.get(id(stream), [])
@@ -523,6 +532,46 @@ def doubt(case: Case, telemetry: Telemetry, fates: Sequence[Fate]) -> None:
     for fate in unseen:
         fate.ends["missed"] = _allowance(case, len(fate.stream), fate.ends["unaccounted"])
         fate.ends["unaccounted"] -= fate.ends["missed"]
+
+
+def _outside_bursts(case: Case, losses: Sequence[tuple[Loss, int]], sent: int) -> Iterator[tuple[Loss, int]]:
+    """Yield how many of each loss a capture that lacks some may have missed, where it cannot have missed all.
+
+    A network that fails for a time loses more then than if it lost as many evenly. What is missing at other
+    times the capture may have missed, and as large a share of what passed in those.
+
+    Args:
+        losses: each with how many of it are in doubt.
+        sent: messages of all streams, those included that are missing.
+    """
+    known = [
+        (item, most, item.among) for item, most in losses if item.among and item.among.missing is not None
+    ]
+    gaps = [(case.captured(among.stream)[among.rows], among.missing) for _, _, among in known]
+    if not gaps:
+        return
+    whose = np.repeat(np.arange(len(gaps)), [len(times) for times, _ in gaps])
+    times, numbers = (np.concatenate(column) for column in zip(*gaps, strict=True))
+    order = np.argsort(times, kind="stable")
+    whose, times, numbers = whose[order], times[order], numbers[order]
+    first, sizes = bursts(times, _BURST_NS)
+    lacking = np.add.reduceat(numbers, first)
+    captured = np.sort(np.concatenate([case.captured(item) for item in case.streams if item.counted]))
+    ends = np.searchsorted(captured, times[first + sizes - 1], "right")
+    passed = lacking + ends - np.searchsorted(captured, times[first])
+    share, chance = int(numbers.sum()) / sent, (1 - CONFIDENCE) / len(first)
+    pairs = zip(lacking.tolist(), passed.tolist(), strict=True)
+    beyond = np.array([binomial_tail(of - number, of, 1 - share) < chance for number, of in pairs])
+    inside = np.repeat(beyond, sizes)
+    others, of = int(numbers[~inside].sum()), sent - int(passed[beyond].sum())
+    if not others or case.quality.excludes(others / of):
+        return
+    within = numbers[inside].tolist()
+    doubtful = numbers.copy()
+    doubtful[inside] = shares(largest_number(int(passed[beyond].sum()), of, others), within, within)
+    for place, number in enumerate(np.bincount(whose, doubtful, len(known)).tolist()):
+        if number:
+            yield known[place][0], min(int(number), known[place][1])
 
 
 def _leave_quiet(case: Case, telemetry: Telemetry) -> None:

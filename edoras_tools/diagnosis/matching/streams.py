@@ -264,8 +264,13 @@ def _stream(
         # Each port has a count of its own to follow; that of a Telemetry Output that restarted goes on.
         moved = np.flatnonzero(np.diff(rows.source[members])) + 1
         if len(moved):
-            count = rows.sequence_count[members].astype(np.int64)
-            ahead = (count[moved] - count[moved - 1] - 1) % MODULUS
+            count, in_turn = rows.sequence_count[members].astype(np.int64), rows.reordered[members] == 0
+            newest = np.maximum.accumulate(np.where(in_turn, np.arange(len(members)), 0))
+            before = count[newest[moved - 1]]
+            ahead = (count[moved] - before - 1) % MODULUS
+            for step, (at, end) in enumerate(pairwise([*moved.tolist(), len(members)])):
+                late = (count[at:end][~in_turn[at:end]] - before[step] - 1) % MODULUS
+                ahead[step] -= len(np.unique(late[late < ahead[step]]))  # the first one overtook them
             # A step back is no wrap: whoever publishes it started again too.
             missing[moved] = np.where(rows.counted[members[moved]] & (ahead < FORWARD), ahead, 0)
     if len(behind) and table.link(rows.link[first]).transport.tcp:
