@@ -319,7 +319,7 @@ def _big(layout: Layout) -> Layout:
 
 
 def arguments_of(
-    msg_id: int, function_code: int, payload: bytes, *, big_endian: bool = False
+    msg_id: int, function_code: int, payload: bytes, *, big_endian: bool = False, cut: bool = False
 ) -> dict[str, Any] | None:
     """Read the arguments of a command that changes what a cFS does.
 
@@ -327,21 +327,23 @@ def arguments_of(
         msg_id: of version 1.
         payload: what follows the header; bytes behind the arguments are left out.
         big_endian: the byte order of the flight computer that takes it.
+        cut: whether the capture has not all of it.
 
     Returns:
-        argument to int or text, alignment left out, up to the first one that is cut off; None where the
-        command is none of :data:`CHANGES`. A text is whole with its NUL.
+        argument to int or text, alignment left out, up to the first one that is not there; None where the
+        command is none of :data:`CHANGES`. A text is there with its NUL, or as it ends if nobody cut it.
     """
     if (msg_id, function_code) not in CHANGES:
         return None
     layout = _big(ARGUMENTS[msg_id, function_code]) if big_endian else ARGUMENTS[msg_id, function_code]
 
-    def is_whole(slot: Slot) -> bool:
-        there = payload[slot.start : slot.end]
-        return slot.end <= len(payload) or (slot.field.kind == "text" and b"\0" in there)
+    def is_there(slot: Slot) -> bool:
+        part = payload[slot.start : slot.end]
+        ends = slot.field.kind == "text" and (b"\0" in part or (bool(part) and not cut))
+        return slot.end <= len(payload) or ends
 
-    whole = takewhile(is_whole, layout.slots)
-    return {slot.field.name: layout.read(slot, payload) for slot in whole if slot.field.name != "spare"}
+    there = takewhile(is_there, layout.slots)
+    return {slot.field.name: layout.read(slot, payload) for slot in there if slot.field.name != "spare"}
 
 
 def argument_text(field: Field, value: Any) -> str:

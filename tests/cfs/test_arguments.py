@@ -92,5 +92,6 @@ def test_a_big_endian_flight_computer():
 
 def test_a_name_that_is_whole_in_a_cut_frame():
     name = b"TO_LAB_APP\0"
-    assert arguments_of(0x1806, 4, name) == {"application": "TO_LAB_APP"}
-    assert arguments_of(0x1806, 4, name[:-1]) == {}
+    assert arguments_of(0x1806, 4, name, cut=True) == {"application": "TO_LAB_APP"}
+    assert arguments_of(0x1806, 4, name[:-1], cut=True) == {}
+    assert arguments_of(0x1806, 4, name[:-1]) == {"application": "TO_LAB_APP"}

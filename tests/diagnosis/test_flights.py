@@ -36,6 +36,8 @@ FLIGHTS = {
     "stopped_at_the_end": (21, {"stopped": 21}),
     "doubled_downlink": (97, {"limit": 97}),
     "queues_of_ten": (168, {"overflow": 168}),
+    "two_over_limits": (14, {"limit": 14}),
+    "refused_and_over_limits": (499, {"limit": 299, "bad_command": 200}),
 }
 
 
@@ -94,6 +96,11 @@ def test_a_limit_is_measured_only_where_rounds_are_full():
     text = first_screen(examined("stood_still"))
     assert "TO keeps 4 of this MsgId" in text
     assert "at EDORAS_APP_PIPE" in text
+
+
+def test_what_events_name_is_of_that_msg_id_also_where_an_application_keeps_the_newest():
+    rows = [row for row in examined("two_over_limits").balance if row.all_lost]
+    assert {row.msg_id: row.all_lost for row in rows} == {0x1827: 7, 0x1828: 7}
 
 
 def test_what_a_network_doubles_and_delays_changes_no_rate_and_no_limit():

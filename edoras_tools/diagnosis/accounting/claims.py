@@ -254,6 +254,22 @@ def _move(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
                 counts[place[0]].left["limit"][place[2]] += number
 
 
+def hand_on(counts: Mapping[int, Counts], named: Claim, claims: Sequence[Claim]) -> None:
+    """Hand what a claim was given on to claims of the same traffic, what surely is missing first.
+
+    What none of them can have been is left to others.
+    """
+    for (instance, kind, second), number in named.taken.items():
+        own, left = counts[instance], number
+        for claim in sorted(claims, key=lambda item: item.rank):
+            may = instance in claim.instances and kind in claim.kinds
+            first, last = own.seconds(np.array([claim.low_ns, claim.high_ns])).tolist()
+            if may and first <= second <= last and (part := min(left, claim.open)):
+                claim.give((instance, kind, second), part)
+                left -= part
+        own.left[kind][second] += left
+
+
 def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: dict[int, int]) -> None:
     """Give what a first sample had already to what surely is missing, was sent before it, and has a cause.
 

@@ -17,7 +17,8 @@ Ports that nobody listened on, or that could not be reached, by ICMP errors:
 Applications and links that did not run:
 
 8. Where it can be seen what comes out: from what arrived last before an application stopped to what arrives
-   first after it, nothing arrived. Where it does not run again, only what may not have been read yet waits.
+   first after it, nothing arrived. Where it does not run again, or
+   passes nothing on then, only what may not have been read yet waits.
 9. Elsewhere what was sent after its end, and before the command that starts it again, is lost, if this
    application surely takes it: events name its pipe for the MsgId, or there is one application that stopped
    and one such MsgId. What was sent just before either may have been taken, and so may all that is sent while
@@ -41,7 +42,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services, names, queues, sbn, telemetry_output
-from edoras_tools.diagnosis.accounting.losses import TAIL_NS, WAITS_NS, Fate, Loss, LossKind, loss_of
+from edoras_tools.diagnosis.accounting.losses import (
+    READY_NS,
+    TAIL_NS,
+    WAITS_NS,
+    Fate,
+    Loss,
+    LossKind,
+    loss_of,
+)
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, Way, reasons_for
 from edoras_tools.links.table import among
@@ -440,7 +449,7 @@ class Stops:
         times = self._case.captured(fate.stream)
         back = times[fate.arrived & (times > item.start_ns + WAITS_NS)]
         until_ns = int(back[0]) if len(back) else NEVER
-        if until_ns == NEVER and item.end_ns is None:
+        if until_ns == NEVER and (item.end_ns is None or self._case.end_ns - item.end_ns > READY_NS):
             self._await_no_more(fate, item)
         # What arrived last was taken before it stopped.
         last_ns = times[fate.arrived & (times <= item.start_ns + WAITS_NS)].max(initial=0)

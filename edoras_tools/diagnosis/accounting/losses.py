@@ -119,7 +119,7 @@ class Loss:
         return (self.of - 1) / seconds if self.of and seconds > 0 else 0.0
 
 
-_READY_NS: Final = 5 * SECOND
+READY_NS: Final = 5 * SECOND
 """An application that was started may take so long until it does its work."""
 WAITS_NS: Final = SECOND
 """What was sent so short before the end may still come out."""
@@ -296,7 +296,7 @@ def _newer(
         for span in (span for state in states for span in case.timeline.spans(owner, state, system)):
             until_ns = span.end_hi + SECOND
             if sleeps:  # it wakes applications when it is ready: the first one that sends shows it
-                awake = left_ns[(left_ns > span.end_lo) & (left_ns <= span.end_hi + _READY_NS)]
+                awake = left_ns[(left_ns > span.end_lo) & (left_ns <= span.end_hi + READY_NS)]
                 until_ns = max([until_ns, *awake[:1].tolist()])
             out[rows] |= (times[rows] > span.start_lo - SECOND) & (next_ns <= until_ns)
     return out

@@ -26,6 +26,7 @@ from edoras_tools.diagnosis.accounting.claims import (
     Rival,
     Shared,
     claimed_alike,
+    hand_on,
     settle,
 )
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
@@ -433,24 +434,38 @@ class Leftover:
             if item.at_pipe and not (self._seen_behind(item) or self._fed(item, item.instance)):
                 yield item, said, item.at_pipe
 
+    def _followed(self) -> Iterator[tuple[ReportedLoss, LossEvents, PipeKind, Stream]]:
+        """Yield what events name at the pipe of an application that can be seen to pass on what it gets."""
+        for item, said in self._case.reported_losses.items():
+            if item.at_pipe and not (item.at_output or item.at_peer):
+                fate = self._fed(item, item.instance)
+                if fate is not None and fate.seen:
+                    yield item, said, item.at_pipe, fate.stream
+
     def take_named(self) -> None:
-        """Give such traffic the counts that its events tell of: each of them is one."""
-        made_ns, absent = self._case.instances.made_ns, list(self._absent())
-        claims = []
-        for key, (item, said, kind) in enumerate(absent):
-            if (own := self._counts.get(item.instance)) is not None:
-                times = made_ns[[record.row for record in said.records]]
-                for _, members in by_value(own.seconds(times)):
-                    span, of = (int(times[members].min()), int(times[members].max())), (item.instance,)
-                    claims.append(Claim(key, *span, len(members), (kind,), of, PRESSED, id(item)))
+        """Give counts to what events name: each of them is one."""
+        for item, said, kind in self._absent():
+            for claim in self._settled(item, said, kind):
+                if number := sum(claim.taken.values()):
+                    times = claim.low_ns, claim.high_ns
+                    self._blame(self._named(item, said), 0, item.instance, kind, number, times)
+        for item, said, kind, stream in self._followed():
+            own = [claim for claim in self._pipes.claims if claim.flow == id(stream)]
+            for claim in self._settled(item, said, kind):
+                hand_on(self._counts, claim, own)
+
+    def _settled(self, item: ReportedLoss, said: LossEvents, kind: PipeKind) -> list[Claim]:
+        """Return claims of what events name, a claim a second, with the counts that they were given."""
+        counts = self._counts.get(item.instance)
+        if counts is None:
+            return []
+        times, claims = self._case.instances.made_ns[[record.row for record in said.records]], []
+        for key, (_, members) in enumerate(by_value(counts.seconds(times))):
+            span, of = (int(times[members].min()), int(times[members].max())), (item.instance,)
+            claims.append(Claim(key, *span, len(members), (kind,), of, PRESSED, id(item)))
         for slack_ns in (0, WAITS_NS):
             settle(self._counts, claims, slack_ns)
-        for claim in claims:
-            if number := sum(claim.taken.values()):
-                item, said, kind = absent[claim.key]
-                self._blame(
-                    self._named(item, said), 0, item.instance, kind, number, (claim.low_ns, claim.high_ns)
-                )
+        return claims
 
     def rivals(self) -> list[Rival]:
         """Return such traffic: it may go on being lost after cFS has stopped its events."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services, telemetry_output
-from edoras_tools.cfs.arguments import APPLICATIONS, argument_words, arguments_of, command_text
+from edoras_tools.cfs.arguments import APPLICATIONS, ARGUMENTS, arguments_of, command_text
 from edoras_tools.errors import TruncatedError
 from edoras_tools.links.table import among
 from edoras_tools.model import Columns, Finding, PacketBatch
@@ -168,18 +168,15 @@ class CommandRecord:
         row: of the table.
         msg_id: of version 1.
         function_code: its number at the application that takes it.
-        values: its arguments, as ``cfs.arguments`` has them; those that are cut off are missing.
+        values: its arguments, as ``cfs.arguments`` has them; those that are not there are missing.
+        is_whole: whether it has all bytes of them.
     """
 
     row: int
     msg_id: int
     function_code: int
     values: Mapping[str, Any]
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether no argument is cut off."""
-        return len(self.values) == len(argument_words(self.msg_id, self.function_code))
+    is_whole: bool = True
 
     @property
     def app(self) -> str:
@@ -262,9 +259,11 @@ class Payloads:
         changes &= columns.function_code > 0
         for row in np.flatnonzero(changes).tolist()[: max(0, _MOST - len(self.commands))]:
             key = int(known[row]), int(columns.function_code[row])
-            values = arguments_of(*key, _payload(batch, columns, row))
-            if values is not None:
-                self.commands.append(CommandRecord(base + row, *key, values))
+            content = _payload(batch, columns, row)
+            cut = bool(columns.findings[row] & np.uint32(Finding.CAPTURE_CUT))
+            if (values := arguments_of(*key, content, cut=cut)) is not None:
+                is_whole = len(content) >= ARGUMENTS[key].size
+                self.commands.append(CommandRecord(base + row, *key, values, is_whole))
 
     def outputs(self, *codes: int) -> list[CommandRecord]:
         """Return the commands to Telemetry Output that have one of some function codes."""

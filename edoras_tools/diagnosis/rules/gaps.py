@@ -375,6 +375,7 @@ def older_losses(case: Case) -> Iterator[Verdict]:
             )
 
 
+_NO_MORE_NS = 2 * SECOND
 _MOST_NAMED = 4
 
 
@@ -402,6 +403,8 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         number = lost.total()
         names = listed([f"{count:,} of {name}" for name, count in lost.most_common()], _MOST_NAMED)
         until = case.at(span.end_ns) if again else "the end of the capture"
+        if not again and case.end_ns - span.last_ns > _NO_MORE_NS:
+            until = f"{case.at(span.last_ns)}, after which nothing was sent there"
         reason = f"nobody listened on {span.port} from {case.at(span.start_ns)} to {until}"
         if number:
             reason += f": {plural(number, 'message')} reached nobody ({names})"

@@ -67,7 +67,7 @@ def test_commands_that_change_what_a_cfs_does():
     payloads.add(batch, ColumnDecoder(Context(options=OPTIONS)).decode(batch), base=40)
     assert [(item.row, str(item)) for item in payloads.commands] == [
         (40, "STOP_APP SBN"),
-        (41, "STOP_APP"),  # its name is cut off
+        (41, "STOP_APP SBN"),
         (43, "ADD_PKT 0x0827, limit 1"),
     ]
     assert [item.row for item in payloads.over(np.array([43]), 50).commands] == [0]
