@@ -140,8 +140,7 @@ class Commands:
         self._name([item for item in case.refused if item.by_type])
         doubt(case, telemetry, fates)
         leftover.tell(telemetry.losses)
-        for fate in fates:
-            self._never_refused(fate)
+        self._spare_refused()
         self.uncaptured = leftover.uncaptured
         self.refused_of: dict[int, list[tuple[Verdict, int, Among]]] = {}
         for item in case.refused:
@@ -251,23 +250,27 @@ class Commands:
                 left = 0  # what is not open arrived, or is told of by another verdict
             self.unplaced[id(item)] = left
 
-    def _never_refused(self, fate: Fate) -> None:
+    def _spare_refused(self) -> None:
         """Take refusals back of what a full pipe lost before the application that would have refused it."""
-        own = [loss for loss in self.losses if loss.stream is fate.stream and loss.kind in COUNTERS]
-        placed = [(item, *self.placed[id(item)]) for item in self._case.refused if id(item) in self.placed]
-        placed = [each for each in placed if each[2].stream is fate.stream]
-        if not own or not placed:
-            return
-        times = self._case.captured(fate.stream)
-        inside = times >= min(loss.start_ns for loss in own)
-        inside &= times <= max(loss.end_ns for loss in own)
-        over = sum(loss.lost for loss in own) - int(inside.sum())
-        over += sum(min(number, int(inside[ones.rows].sum())) for _, number, ones in placed)
-        for item, number, ones in placed:
-            part = max(0, min(over, number))
-            over -= part
-            self.placed[id(item)] = number - part, ones
-            fate.refused[item.rule] -= part
+        by_stream: dict[int, list[tuple[Verdict, int, Among]]] = {}
+        for item in self._case.refused:
+            number, among = self.placed.get(id(item), (0, None))
+            if among is not None:
+                by_stream.setdefault(id(among.stream), []).append((item, number, among))
+        for key, placed in by_stream.items():
+            fate, over = self.fates[key], 0
+            own = [loss for loss in self.losses if id(loss.stream) == key and loss.kind in COUNTERS]
+            if own:
+                times = self._case.captured(fate.stream)
+                inside = times >= min(loss.start_ns for loss in own)
+                inside &= times <= max(loss.end_ns for loss in own)
+                over = sum(loss.lost for loss in own) - int(inside.sum())
+                over += sum(min(number, int(inside[ones.rows].sum())) for _, number, ones in placed)
+            for item, number, ones in placed:
+                part = max(0, min(over, number))
+                over -= part
+                self.placed[id(item)] = number - part, ones
+                fate.refused[item.rule] -= part
 
     def _name(self, refused: Sequence[Verdict]) -> None:
         """Give a cause to what is unaccounted for, where the types of a mission tell one.

@@ -261,18 +261,7 @@ def _stream(
     missing = rows.missing[members]
     gaps = int(missing.sum())  # as info has them, which knows of no restart: what follows is for judging
     if among(rows.link[first], lambda link: link.only_from_cfs):
-        # Each port has a count of its own to follow; that of a Telemetry Output that restarted goes on.
-        moved = np.flatnonzero(np.diff(rows.source[members])) + 1
-        if len(moved):
-            count, in_turn = rows.sequence_count[members].astype(np.int64), rows.reordered[members] == 0
-            newest = np.maximum.accumulate(np.where(in_turn, np.arange(len(members)), 0))
-            before = count[newest[moved - 1]]
-            ahead = (count[moved] - before - 1) % MODULUS
-            for step, (at, end) in enumerate(pairwise([*moved.tolist(), len(members)])):
-                late = (count[at:end][~in_turn[at:end]] - before[step] - 1) % MODULUS
-                ahead[step] -= len(np.unique(late[late < ahead[step]]))  # the first one overtook them
-            # A step back is no wrap: whoever publishes it started again too.
-            missing[moved] = np.where(rows.counted[members[moved]] & (ahead < FORWARD), ahead, 0)
+        _count_moves(rows, members, missing)
     if len(behind) and table.link(rows.link[first]).transport.tcp:
         same = (rows.source[behind] == rows.source[first]) & (
             rows.destination[behind] == rows.destination[first]
@@ -298,6 +287,25 @@ def _stream(
         restarts=max(0, int(rows.restarts[members[1:]].sum())),
         known_id=int(rows.known_id[first]),
     )
+
+
+def _count_moves(rows: Rows, members: NDArray[np.intp], missing: NDArray[np.int32]) -> None:
+    """Put into ``missing`` what is missing where a stream moves to another port.
+
+    Each port has a count of its own to follow; that of a Telemetry Output that restarted goes on.
+    """
+    moved = np.flatnonzero(np.diff(rows.source[members])) + 1
+    if not len(moved):
+        return
+    count, in_turn = rows.sequence_count[members].astype(np.int64), rows.reordered[members] == 0
+    newest = np.maximum.accumulate(np.where(in_turn, np.arange(len(members)), 0))
+    before = count[newest[moved - 1]]
+    ahead = (count[moved] - before - 1) % MODULUS
+    for step, (at, end) in enumerate(pairwise([*moved.tolist(), len(members)])):
+        late = (count[at:end][~in_turn[at:end]] - before[step] - 1) % MODULUS
+        ahead[step] -= len(np.unique(late[late < ahead[step]]))  # the first one overtook them
+    # A step back is no wrap: whoever publishes it started again too.
+    missing[moved] = np.where(rows.counted[members[moved]] & (ahead < FORWARD), ahead, 0)
 
 
 def _pauses(times: NDArray[np.int64]) -> NDArray[np.bool_]:
