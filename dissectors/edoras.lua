@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "1757bd6c4b6f43e5"
+local DIGEST = "88c9dfa5fee80c5a"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -5141,7 +5141,7 @@ D.findings = {
 		label = "struct_length",
 		severity = "warning",
 		short = "struct length",
-		meaning = "The payload has another length than the C struct known for this MsgId, so it is not decoded with it: another build; name its layout with --structs.",
+		meaning = "The payload has another length than the C struct known for this MsgId, so it is not decoded with it: another build; name its layout with --set structs.",
 		unknowable = true,
 	},
 	{

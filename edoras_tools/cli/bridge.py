@@ -76,7 +76,7 @@ class PacketOptions(NamedTuple):
     ] = None
     checksum: Annotated[bool, Option("--checksum", help="Send real checksums in commands, not 0.")] = False
     sequence: Annotated[bool, Option("--sequence", help="Send real sequence counts, not 0.")] = False
-    enable: Annotated[bool, Option(" /--no-enable", help="Do not command Telemetry Output.")] = True
+    enable: Annotated[bool, Option(" /--no-enable", help="Do not enable Telemetry Output.")] = True
 
 
 class RunOptions(NamedTuple):
@@ -90,7 +90,7 @@ class RunOptions(NamedTuple):
 @grouped
 def bridge(
     *,
-    kind: Annotated[BridgeKind | None, Argument(help="Only the ground or flight bridges.")] = None,
+    kind: Annotated[BridgeKind | None, Argument(metavar="[KIND]", help="Only ground or flight.")] = None,
     graph: RosOptions,
     packets: PacketOptions,
     outputs: RelayOutputOptions,
@@ -123,7 +123,7 @@ def bridge(
     if decoding.merged().distro is None and not running.dry_run:
         told = distro_of_peers(way, domain, given)
         if told not in {None, settings.distro}:
-            _say(f"the nodes of domain {domain} are of ROS 2 {told}: --distro {told}")
+            _say(f"the nodes of domain {domain} are of ROS 2 {told}: --set distro={told}")
             settings = replace(settings, distro=told)
     plan = plan_bridges(settings, request)
     if running.dry_run:

@@ -41,7 +41,7 @@ def decode(
     *files, last = arguments
     paths = [*(read or ()), *map(Path, files)]
     if not paths:
-        raise ConfigError("name the file and the packet's number: edoras decode FILE N, or -r FILE N")
+        raise ConfigError("name the file and the packet's number: edoras decode FILE N")
     number = options.count(last)
     source, bench = open_input(InputOptions(FileOptions(paths)), decoding.settings(), messages=True)
     decoded = decode_packet(Followed(source, quiet=json), bench, number)

@@ -48,16 +48,14 @@ class TaskOptions(NamedTuple):
     bag: Annotated[
         list[Path] | None,
         Option(
-            help="Also report how a rosbag2 folder or MCAP of the ROS side differs from the capture; without "
-            "one, from the first of several bags."
+            help="Compare with a rosbag2 folder or MCAP of the ROS side; without a capture: several bags "
+            "with the first."
         ),
     ] = None
     predict: Annotated[bool, Option("--predict", help="Only say how much each route can carry.")] = False
-    prove: Annotated[
-        bool, Option("--prove", help="Hold it against an emulated cFS, with the advice and without.")
-    ] = False
-    max_loss: Annotated[float | None, Option(parser=share, help="Share that may be lost, e.g. 1%.")] = None
-    strict: Annotated[bool, Option("--strict", help="Judge what may be lost, too: exit code 3.")] = False
+    prove: Annotated[bool, Option("--prove", help="Emulate this cFS with and without the advice.")] = False
+    max_loss: Annotated[float | None, Option(parser=share, help="Exit code 3 beyond it, e.g. 1%.")] = None
+    strict: Annotated[bool, Option("--strict", help="Exit code 3 also for what may be lost.")] = False
     list_lost: Annotated[Listing | None, Option(help="Only list the messages that were lost.")] = None
     output: Annotated[Path | None, Option("--output", "-o", hidden=True)] = None
     force: Annotated[bool, Option("--force", hidden=True)] = False

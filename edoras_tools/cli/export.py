@@ -35,7 +35,7 @@ def table_format(text: str) -> str:
 class TableOptions(NamedTuple):
     """The content and form of the tables."""
 
-    fields: Annotated[str | None, Option(metavar="A,B,C", help="These: 'linear.*,angular.z'.")] = None
+    fields: Annotated[str | None, Option(metavar="A,B,C", help="Only these: 'linear.*,angular.z'.")] = None
     explode: Annotated[bool, Option("--explode", help="A row for each element of a list.")] = False
     time: Annotated[TimeForm, Option(help="utc, ns since 1970, or seconds since the start.")] = TimeForm.UTC
     layout: Annotated[str | None, Option("--format", parser=table_format, help=f"Of DIR: {_FORMATS}.")] = None

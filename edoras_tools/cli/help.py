@@ -101,11 +101,7 @@ def _named_commands(ctx: typer.Context, incomplete: str) -> list[str]:
 def help_(
     names: Annotated[
         list[str] | None,
-        Argument(
-            autocompletion=_named_commands,
-            metavar="[COMMAND]...",
-            help="A command; or decoding: what --set can say.",
-        ),
+        Argument(autocompletion=_named_commands, metavar="[COMMAND]...", help="Or decoding, for --set."),
     ] = None,
     man: Annotated[Path | None, Option(help="Write the manual pages to a folder, e.g. man1.")] = None,
     force: recordings.Force = False,

@@ -20,7 +20,8 @@ def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> No
 
     Of the links' datagrams, by full sockets, lost fragments and interfaces.
 
-    The ports are those of the links, of the mission files (-c) and of --port. No privilege is needed.
+    The ports are those of the links, of the mission files (-c) and of --set port. No privilege is
+    needed.
     """
     from edoras_tools.io.host import read_host
     from edoras_tools.pipelines.capture.host import advice, steal

@@ -51,18 +51,12 @@ class MessageOptions(NamedTuple):
 
     what: Annotated[
         str,
-        Argument(
-            metavar="[WHAT]",
-            help="A topic, or a command: to-enable, noop ...; list: all of them.",
-            autocompletion=_named_commands,
-        ),
+        Argument(metavar="[WHAT]", help="A topic, or a command; list: all.", autocompletion=_named_commands),
     ] = ""
     values: Annotated[
         list[str] | None,
         Argument(
-            metavar="[MESSAGE]...",
-            help="YAML, @FILE or random; or NAME=VALUE.",
-            autocompletion=_named_arguments,
+            metavar="[MESSAGE]...", help="YAML, @FILE, random; NAME=VALUE.", autocompletion=_named_arguments
         ),
     ] = None
     to: Annotated[
@@ -71,20 +65,16 @@ class MessageOptions(NamedTuple):
     command: Annotated[tuple[str, str] | None, Option(metavar="MSGID CODE", help="Send a command.")] = None
     payload: Annotated[
         Any,
-        Option(
-            "--hex", parser=hexadecimal, metavar="BYTES", help="Bytes that follow the header of --command."
-        ),
+        Option("--hex", parser=hexadecimal, metavar="BYTES", help="Bytes after the header of --command."),
     ] = None
     code: Annotated[int | None, Option(parser=options.number, help="Function code of a message.")] = None
-    rate: Annotated[float | None, Option(parser=sending.factor, metavar="HZ", help="Messages a second.")] = (
-        None
-    )
+    rate: Annotated[float | None, Option(parser=sending.factor, metavar="HZ", help="Times a second.")] = None
     times: Annotated[
         int | None,
-        Option("--count", "-n", parser=options.count, help="So often; default: 1; with --rate: no end."),
+        Option("--count", "-n", parser=options.count, help="How often; default 1, with --rate no end."),
     ] = None
     arbitrary: Annotated[bool, Option("--every-field-random", hidden=True)] = False
-    limit: Annotated[int | None, Option(min=1, max=255, help="to-add: how many may wait.")] = None
+    limit: Annotated[int | None, Option(min=1, max=255, help="to-add: may wait; default 4.")] = None
 
     def injection(self, seed: int) -> Injection:
         """Return these options in the form that pipelines take.

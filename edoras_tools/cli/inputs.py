@@ -31,7 +31,7 @@ class LiveOptions(NamedTuple):
 
     interface: Annotated[
         str | None,
-        Option("--interface", "-i", metavar="IFACE", help="Capture it; wait:IFACE waits until it is up."),
+        Option("--interface", "-i", metavar="IFACE", help="Capture here; wait:IFACE waits until it is up."),
     ] = None
     listen: Annotated[
         list[str] | None,
@@ -46,7 +46,7 @@ class FileOptions(NamedTuple):
 
     files: Annotated[
         list[Path] | None,
-        Argument(metavar="[FILE]...", help=f"{READ_PACKED}; - is stdin; several are merged."),
+        Argument(metavar="[FILE]...", readable=False, help=f"{READ_PACKED}; - is stdin; several are merged."),
     ] = None
     read: Annotated[list[Path] | None, Option("--read", "-r", hidden=True)] = None
 

@@ -301,6 +301,8 @@ def with_command(words: list[str]) -> list[str]:
         is_file = any(Path(item).exists() for item in words[1:])
     else:
         is_file = first == "-" or "." in first or Path(first).exists()
+    if is_file and is_command("".join(words[1:])):
+        return [words[1], first]  # edoras FILE sniff
     return ["doctor", *words] if is_file else words
 
 
@@ -368,8 +370,8 @@ def run(made: typer.Typer) -> NoReturn:
         code = error.exit_code
         told = error.format_message().replace("Value error, ", "")  # the prefix of typer's own checks
         command = error.ctx.command_path if error.ctx else made.info.name
-        see = " See" if told.endswith("?") else "; see"
-        _say(f"{told.removesuffix('.')}{see} {command} -h" if told else "", "usage")
+        see = f"{' See' if told.endswith('?') else '; see'} {command} -h"
+        _say(f"{told.removesuffix('.')}{see}" if told and not told.startswith("Usage: ") else told, "usage")
     except SystemExit as error:
         # click ends this way at a broken pipe: the reader of the output, such as `head`, has closed it.
         code = 0 if isinstance(error.__context__, BrokenPipeError) else error.code
@@ -421,8 +423,9 @@ def _say(message: str, kind: str) -> None:
             error = {"code": kind, "message": what or message, "hint": hint if what else None}
             sys.stderr.write(json.dumps({"schema": 1, "error": error}, ensure_ascii=True) + "\n")
             return
+        start = "" if message.startswith("Usage: ") else "edoras: "  # the help text, where nothing is asked
         for line in message.splitlines():
-            sys.stderr.write(f"edoras: {_harmless(line)}\n")
+            sys.stderr.write(f"{start}{_harmless(line)}\n")
 
 
 def _harmless(line: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
@@ -278,7 +279,7 @@ EveryPort = Annotated[bool, Option("--all", "-a", help="Live: also UDP that belo
 RosDomain = Annotated[int | None, Option(min=0, max=MOST_DOMAIN, hidden=True)]
 """Usually it is said by ROS_DOMAIN_ID, as ROS has it."""
 RosOption = Annotated[
-    list[Any] | None, Option("--ros-option", parser=name_value, metavar="NAME=VALUE", help="An option of it.")
+    list[Any] | None, Option("--ros-option", parser=name_value, metavar="NAME=VALUE", help="Option of --ros.")
 ]
 Json = Annotated[bool, Option("--json", help="Print JSON.")]
 QUIET: Final = "No progress, no summary."
@@ -287,6 +288,7 @@ VERBOSE: Final = "Also print versions, settings file and missions, on stderr."
 Verbose = Annotated[bool, Option("--verbose", "-v", help=f"{VERBOSE} Also list harmless notes.")]
 
 
+_hidden: Final = partial(Option, hidden=True)
 SET: Final = "How packets are decoded, or a constant of your cFS: edoras help decoding."
 OLD_NAMES: Final[Mapping[str, str]] = {
     "--again": "--force",
@@ -307,6 +309,9 @@ OLD_NAMES: Final[Mapping[str, str]] = {
     "--bridges": "--no-bridges",
 }
 """Names that options had, and what they are called now; of a switch for no, its yes."""
+
+
+SCENARIOS: Final = "A demo of the EDORAS paper: rover, arm, two-rovers or two-arms."
 
 
 class Scenario(StrEnum):
@@ -359,16 +364,16 @@ class DecodingOptions(NamedTuple):
         list[Any] | None,
         Option("--set", parser=name_value, metavar="NAME=VALUE", autocompletion=_named_settings, help=SET),
     ] = None
-    distro: Annotated[str | None, Option(envvar="ROS_DISTRO", hidden=True, help=f"ROS 2; {DISTRO}.")] = None
-    msg_path: Annotated[list[Path] | None, Option(hidden=True, help="Folder of .msg or .idl files.")] = None
-    structs: Annotated[list[Path] | None, Option(hidden=True, help="C structs, F Prime dictionary.")] = None
-    port: Annotated[list[Any] | None, Option(parser=link_port, hidden=True, help="ci:5010, rtps:any.")] = None
-    envelope: Annotated[str | None, Option(hidden=True, help="8/8, 4/4, 1/1, with le or be; or auto.")] = None
+    distro: Annotated[str | None, _hidden(envvar="ROS_DISTRO", help=f"ROS 2's; default {DISTRO}.")] = None
+    msg_path: Annotated[list[Path] | None, _hidden(help="Folder of your .msg or .idl files.")] = None
+    structs: Annotated[list[Path] | None, _hidden(help="File of C structs, F Prime dictionary.")] = None
+    port: Annotated[list[Any] | None, _hidden(parser=link_port, help="Of a link: ci:5010, rtps:any.")] = None
+    envelope: Annotated[str | None, _hidden(help="Bytes of its lengths: 8/8, 4/4 le, 1/1 be, auto.")] = None
     extended_header: Annotated[
-        bool | None, Option("--extended-header/--no-extended-header", hidden=True, help="Of cFE: yes or no.")
+        bool | None, _hidden("--extended-header/--no-extended-header", help="Whether cFE has it: yes or no.")
     ] = None
-    telemetry_header: Annotated[int | None, Option(hidden=True, help="Bytes: 16, or 12 in older cFE.")] = None
-    msg_id_version: Annotated[int | None, Option(hidden=True, help="1, or 2 of extended headers.")] = None
+    telemetry_header: Annotated[int | None, _hidden(help="Its bytes: 16, or 12 in older cFE.")] = None
+    msg_id_version: Annotated[int | None, _hidden(help="Of cFE: 1, or 2 with extended headers.")] = None
 
     @property
     def constants(self) -> list[str]:
@@ -446,12 +451,7 @@ class SelectionOptions(NamedTuple):
     ] = None
     msg_id: Annotated[
         list[Any] | None,
-        Option(
-            parser=packets,
-            autocompletion=_named_messages,
-            metavar="ID",
-            help="Only this MsgId, or a name that tables show: 0x827, TO_CMD.",
-        ),
+        Option(parser=packets, autocompletion=_named_messages, metavar="ID", help="Only e.g. 0x827, TO_CMD."),
     ] = None
     topic: Annotated[
         list[str] | None,
@@ -489,7 +489,7 @@ class TimeOptions(NamedTuple):
         Any,
         Option(parser=moment, metavar="TIME", help="From 10m, 12:03, 12:03 local or 2026-07-23T12:03 on."),
     ] = None
-    end: Annotated[Any, Option(parser=moment, metavar="TIME", help="Leave out what is from then on.")] = None
+    end: Annotated[Any, Option(parser=moment, metavar="TIME", help="Leave out what comes later.")] = None
     tz: Annotated[Any, Option(parser=time_zone, hidden=True)] = None
 
     def period(self) -> Period:
@@ -568,7 +568,7 @@ class FaultOptions(NamedTuple):
     fault: Annotated[list[str] | None, Option(help="drop:0.1, delay:200ms,msg_id=0x1827, leo, x.yaml")] = None
     profile: Annotated[str | None, Option(hidden=True)] = None
     scenario: Annotated[Path | None, Option(hidden=True)] = None
-    seed: Annotated[int | None, Option(parser=number, help="Of random numbers; the same again; 0.")] = None
+    seed: Annotated[int | None, Option(parser=number, help="Seed of the random faults; default 0.")] = None
 
     def plan(self) -> FaultPlan:
         """Return these options in the form that pipelines take."""

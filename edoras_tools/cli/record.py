@@ -68,8 +68,8 @@ class SnapshotOptions(NamedTuple):
     """Whether only what is around a trigger is written."""
 
     snapshot: Annotated[bool, Option("--snapshot", help="Write only what is around a trigger.")] = False
-    before: Annotated[list[Any] | None, Option(parser=span, help="Kept before a trigger: 30s, 512M.")] = None
-    after: Annotated[int | None, Option(parser=options.duration, help="Time after it; default 10s.")] = None
+    before: Annotated[list[Any] | None, Option(parser=span, help="Kept before; default 30s and 512M.")] = None
+    after: Annotated[int | None, Option(parser=options.duration, help="Kept after; default 10s.")] = None
     before_size: Annotated[int | None, Option(parser=size, hidden=True)] = None
     trigger: Annotated[
         list[Any] | None,
@@ -80,7 +80,7 @@ class SnapshotOptions(NamedTuple):
         ),
     ] = None
     socket: Annotated[Path | None, Option(help="Also fire when asked on this Unix socket.")] = None
-    fire: Annotated[Path | None, Option(help="Only ask the recorder at this socket for one.")] = None
+    fire: Annotated[Path | None, Option(help="Only ask the recorder at this socket to fire.")] = None
 
     def check(self, *, splits: bool) -> None:
         """Refuse options that have no effect with each other.
@@ -124,10 +124,10 @@ class TargetOptions(NamedTuple):
     ] = None
     force: recordings.Force = False
     stream: Annotated[
-        str | None, Option("--format", parser=stream_format, help=f"rosbag2; of -o -: {_FORMATS}.")
+        str | None, Option("--format", parser=stream_format, help=f"rosbag2; with -o -: {_FORMATS}.")
     ] = None
     rosbag2: Annotated[bool, Option("--rosbag2", hidden=True)] = False
-    tf: Annotated[bool, Option("--tf", help="Also write /tf, made of the poses, for 3D views.")] = False
+    tf: Annotated[bool, Option("--tf", help="Also write /tf, from the poses, for 3D views.")] = False
     split: Annotated[
         list[Any] | None, Option(parser=amount, help="Start a new file after 500M, 10m or 1000 packets.")
     ] = None
@@ -175,7 +175,7 @@ def record(
 ) -> None:
     """Record all datagrams, and ROS messages on their topics.
 
-    Several inputs become one recording in time order. It can be converted back: record -r a.mcap -o b.pcap.
+    Several inputs become one recording in time order. To convert it back: edoras record a.mcap -o b.pcap
     """
     if snapshots.fire:
         echo(doors.part("snapshots").fire(snapshots.fire))

@@ -42,19 +42,19 @@ class SourceOptions(NamedTuple):
     to: Annotated[
         str, Option(metavar="LINK", help="ci, sbn, ground, another LINK or LINK:up, udp:HOST:PORT.")
     ]
-    from_topics: Annotated[bool, Option("--from-topics", help="Make packets of ROS messages.")] = False
+    from_topics: Annotated[bool, Option("--from-topics", help="Make packets of its ROS messages.")] = False
 
 
 class PaceOptions(NamedTuple):
     """How fast it is sent, and how often."""
 
-    speed: Annotated[float | None, Option(parser=speed, help="Times the recorded, or max: at once.")] = None
+    speed: Annotated[float | None, Option(parser=speed, help="Factor; default 1; max: no pauses.")] = None
     rate: Annotated[
         list[Any] | None,
         Option(parser=sending.rate, metavar="[ROUTE=]HZ", help="Send at even intervals, /cmd_vel=30."),
     ] = None
     fastest: Annotated[bool, Option("--max", hidden=True)] = False
-    loop: Annotated[int | None, Option(parser=sending.loops, help="Send it so often; 0: no end.")] = None
+    loop: Annotated[int | None, Option(parser=sending.loops, help="How often; default 1; 0: no end.")] = None
 
 
 @headed("Selection")
@@ -85,7 +85,7 @@ class PartOptions(NamedTuple):
 class ChangeOptions(NamedTuple):
     """What is changed in the packets."""
 
-    write_headers: Annotated[str | None, Option(help="Of another cFE: 16, 12, extended, extended-v2.")] = None
+    write_headers: Annotated[str | None, Option(help="Another cFE's: 16, 12, extended, extended-v2.")] = None
     remap: Annotated[
         list[Any] | None, Option(parser=pair, metavar="A:=B", help="Send MsgId, topic or key A as B.")
     ] = None

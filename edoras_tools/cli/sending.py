@@ -90,14 +90,13 @@ Target = Annotated[Any, Option(parser=address, help="Where to send; default: thi
 As = Annotated[Any, Option("--as", parser=peer, help="SBN: send as this peer, e.g. 66:3.")]
 Listen = Annotated[
     Any,
-    Option(
-        parser=address,
-        metavar="[HOST:]PORT",
-        help="Where answers are received; SBN: also the port to send from.",
-    ),
+    Option(parser=address, metavar="[HOST:]PORT", help="Where answers come; SBN: also where it sends from."),
 ]
-Timeout = Annotated[int | None, Option(parser=duration, help="Of --wait-for and --expect; default 10s.")]
+Timeout = Annotated[int | None, Option(parser=duration, help="To wait for cFS and answers; default 10s.")]
 Allow = Annotated[list[str] | None, Option(help="Send only these routes, e.g. 0x1827 or '0x18*'.")]
+MaxRate = Annotated[
+    float | None, Option(parser=limit, metavar="HZ", help="Default: none; to other machines 1000; 0: none.")
+]
 Yes = Annotated[bool, Option("--yes", "-y", help="Send to another machine without asking.")]
 DryRun = Annotated[bool, Option("--dry-run", help="Print what would be sent; send nothing.")]
 
@@ -112,28 +111,25 @@ class SendingOptions(NamedTuple):
     role: Annotated[str, Option(help="SBN: behave as stock, bridge, or as captured.")] = "stock"
     listen: Listen = None
     no_listen: Annotated[bool, Option("--no-listen", help="Do not bind the telemetry port.")] = False
-    wait_for: Annotated[list[str] | None, Option(help="First: peer, to-enabled, event:TEXT, nothing.")] = None
+    wait_for: Annotated[list[str] | None, Option(help="At first: peer, to-enabled, event:TEXT, nothing.")] = (
+        None
+    )
     timeout: Timeout = None
-    linger: Annotated[int | None, Option(parser=duration, help="Listen so long after the last one.")] = None
+    linger: Annotated[int | None, Option(parser=duration, help="Listen after the last; default 2s.")] = None
     expect: Annotated[
         list[str] | None,
-        Option(
-            help="Exit code 3 if this does not come back: event:TEXT, counter:TO_HK.command_counter[+N], a "
-            "topic or a name.",
-        ),
+        Option(help="Exit code 3 without it: event:TEXT, counter:TO_HK.command_counter[+N], topic or name."),
     ] = None
     expect_within: Annotated[int | None, Option(parser=duration, hidden=True)] = None
-    max_loss: Annotated[float | None, Option(parser=share, help="Share that may be lost, e.g. 1%.")] = None
+    max_loss: Annotated[float | None, Option(parser=share, help="Exit code 3 beyond it, e.g. 1%.")] = None
     allow: Allow = None
-    max_rate: Annotated[
-        float | None, Option(parser=limit, metavar="HZ", help="0: no limit; to other machines 1000.")
-    ] = None
+    max_rate: MaxRate = None
     unlimited: Annotated[bool, Option("--unlimited", hidden=True)] = False
     yes: Yes = False
     sequence: Annotated[str, Option(help="Sequence counts: keep, count or zero.")] = "keep"
     checksum: Annotated[str, Option(help="Checksums: keep, fix, zero or wrong.")] = "keep"
-    tcp: Annotated[bool, Option("--tcp", help="SBN: on a TCP connection to the target.")] = False
-    paused: Annotated[bool, Option("--paused", help="One by one: n next, space runs, q quits.")] = False
+    tcp: Annotated[bool, Option("--tcp", help="SBN: send on a TCP connection.")] = False
+    paused: Annotated[bool, Option("--paused", help="Paused at first: n next, space, q quits.")] = False
 
     def send_options(self) -> SendOptions:
         """Return these options in the form that pipelines take.

@@ -54,6 +54,9 @@ class Statistic(StrEnum):
     FINDINGS = "findings"
 
 
+STATISTICS: Final = ", ".join(Statistic)
+
+
 class ViewOptions(NamedTuple):
     """How packets are shown."""
 
@@ -61,14 +64,14 @@ class ViewOptions(NamedTuple):
     hexdump: Annotated[bool, Option("-x", "--hex", help="The bytes of each packet.")] = False
     json: Annotated[bool, Option("--json", help="One JSON object per line.")] = False
     tui: Annotated[bool, Option("--tui", help="Packets, layers and bytes in three panes.")] = False
-    time: Annotated[TimeFormat | None, Option("--time", "-t", help="Form of the list's times.")] = None
+    time: Annotated[TimeFormat | None, Option("--time", "-t", help="Default: relative.")] = None
     findings: Annotated[bool, Option("--findings", help="Only packets with a warning or an error.")] = False
     fields: Annotated[
-        str | None, Option(metavar="A,B,C", help="Only these, a row a packet: 'time,pose.position.x'.")
+        str | None, Option(metavar="A,B,C", help="Only these, a row per packet: 'time,pose.position.x'.")
     ] = None
-    layout: Annotated[FieldFormat | None, Option("--format", help="The form of --fields.")] = None
+    layout: Annotated[FieldFormat | None, Option("--format", help="Of --fields; default table.")] = None
     sequence: Annotated[Diagram | None, Option("--diagram", help="Print a sequence diagram.")] = None
-    stat: Annotated[list[Statistic] | None, Option(metavar="KIND", help="Only tables of counts.")] = None
+    stat: Annotated[list[Statistic] | None, Option(metavar="KIND", help=f"Tables of {STATISTICS}.")] = None
 
     @property
     def time_format(self) -> TimeFormat:

@@ -18,6 +18,9 @@ OWN: Final = "Options"
 """Heading of a command's own options."""
 WHOLE: Final = "edoras.whole"
 """Key of a context's ``meta``: all options are explained."""
+_TYPE: Final = re.compile(r"<([\w ]+)>")
+_VALUES: Final = {"str": "text", "int range": "number", "float range": "number", "recording_path": "path"}
+"""What stands for the name of a parser; of others the name itself."""
 _EVERYWHERE: Final = "Every command: -q, -v, --color WHEN"
 
 
@@ -27,6 +30,8 @@ def sections(command: Any, ctx: Any) -> Mapping[str, list[tuple[str, str]]]:
     for item in command.get_params(ctx):
         if record := item.get_help_record(ctx):  # none of a hidden one
             names, text = record
+            names = _TYPE.sub(lambda found: _VALUES.get(found[1], found[1]).upper(), names)
+            text = text.removesuffix("  [default: True]")  # of a switch that only has its no
             heading = getattr(item, "rich_help_panel", None) or OWN
             if getattr(item, "multiple", False):
                 text = f"{text.removesuffix('.')}; repeatable."

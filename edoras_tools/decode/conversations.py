@@ -274,7 +274,7 @@ def unnamed(flows: Iterable[Flow]) -> list[Unnamed]:
             port,
             count,
             f"{count:,} datagrams on port {port} look like {link.name} traffic",
-            f"name the port with --port {link.label}:{port}",
+            f"name the port with --set port={link.label}:{port}",
         )
         for (link, port), count in sorted(counts.items())
     ]

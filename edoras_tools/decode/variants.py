@@ -141,7 +141,7 @@ class Variants:
                 context.described["headers"] = headers.name
                 context.notes.append(
                     f"read with cFE's {headers.name}, as the packets' bytes show; "
-                    "--telemetry-header 16 reads them with the usual one"
+                    "--set telemetry-header=16 reads them with the usual one"
                 )
             self._settle()
         if context.options.envelope is None:
@@ -263,7 +263,7 @@ class Variants:
                     context.envelopes[index] = envelope
                     context.notes.append(
                         f"{context.mission.routes[index].topic} is read with the {envelope} envelope, as its "
-                        "bytes show; --envelope names another"
+                        "bytes show; --set envelope names another"
                     )
 
     def _format(self, rows: NDArray[np.intp], *, command: bool) -> EnvelopeFormat | None:

@@ -9,6 +9,7 @@ import numpy as np
 from edoras_tools.cfs.names import MSG_ID_NAMES, message_name
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.losses import PIPE_EVENTS
+from edoras_tools.diagnosis.advice import clean_round
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.crossing import Hop, Latency, latency_of
 from edoras_tools.diagnosis.matching.streams import comb
@@ -102,16 +103,16 @@ def latency_ms(row: Mapping[str, Any]) -> float | None:
 def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measured", "assumed"] | None]:
     """Return to what rate a stream gets through, in Hz, and what tells; None where nothing does.
 
-    Measured: messages of it were lost at Telemetry Output's pipe, and it comes in rounds. Else constants of
-    cFS are assumed, unless the capture shows that they are others: more of it got through without a loss.
+    Measured: messages of it were lost at a pipe that is emptied in rounds, and it comes in these. Else
+    constants of cFS are assumed, unless the capture shows that they are others: more of it got through
+    without a loss.
     """
-    lost_at_pipe = any(loss.kind in PIPE_EVENTS for loss in case.losses_of(stream))
-    if lost_at_pipe and stream.link.only_from_cfs:
-        rounds = comb(case.rows.time_ns[stream.rows])
-        if _is_period(rounds.period_ns, case.profile.to_wake_ns) and 2 * rounds.share >= 1:
-            return rounds.most * SECOND / case.profile.to_wake_ns, "measured"
+    lost_at_pipe = [loss for loss in case.losses_of(stream) if loss.kind in PIPE_EVENTS]
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
     to_cfs = route.to_cfs if route else stream.is_command
+    rounds = [] if to_cfs else [clean_round(case, loss) for loss in lost_at_pipe]
+    if rates := [queue.rate_hz(most) for queue, most, measured in rounds if measured]:
+        return round(max(rates), 1), "measured"
     assumed_hz, _, _ = limit(stream.link, stream.msg_id, case.profile, to_cfs=to_cfs)
     if lost_at_pipe and assumed_hz and (shown_hz := case.shown_hz(stream, assumed_hz)):
         return round(shown_hz, 1), "measured"

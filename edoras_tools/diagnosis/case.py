@@ -683,7 +683,8 @@ class Case:
         lengths = self.rows.header_length[to_ci]
         extended = bool(len(lengths)) and bool((lengths == cfe.WITH_EXTENDED.command_bytes).mean() > _MOST)
         version = self.mission.msg_ids.version
-        return target + " --extended-header" * extended + f" --msg-id-version {version}" * (version != 1)
+        headers = " --set extended-header=yes" * extended
+        return f"{target}{headers}" + f" --set msg-id-version={version}" * (version != 1)
 
     def inject(self, name: str, *arguments: str) -> str:
         """Return what to type to send a named command to the CI of the capture."""

@@ -162,7 +162,7 @@ class LinkProtocol(Link):
         framing: cuts its messages from TCP streams, where ``transport`` has them.
         sends: whether the door ``send`` opens.
         magic: how every datagram of it begins: it is recognised on any port that no other link has, and where
-            it is four bytes ``--port LINK:any`` captures it; empty where nothing tells so much.
+            it is four bytes ``--set port=LINK:any`` captures it; empty where nothing tells so much.
     """
 
     layouts: ClassVar[tuple[Layout, ...]] = ()

@@ -194,8 +194,9 @@ def _no_packet(pattern: str, context: Context) -> RouteError:
     names = [*MSG_ID_NAMES.values(), *(label for label, _ in _own_names() if "0X" not in label)]
     near = did_you_mean(f"/{pattern.removeprefix('/')}", topics, 1, 0.8)
     near = near or (did_you_mean(pattern, names, 1, 0.8) if pattern[:1] != "/" else "")
-    existing = listed(list(dict.fromkeys(configured)), 12) if configured else "none; name a mission with -c"
-    return RouteError(f"no configured topic matches {pattern!r}; {near or f'there are: {existing}'}")
+    existing = listed(list(dict.fromkeys(configured)), 12)
+    hint = f"there are: {existing}" if configured else "name a mission with -c"
+    return RouteError(f"no configured topic matches {pattern!r}; {near or hint}")
 
 
 def _recorded(pattern: str, topics: Sequence[str]) -> PacketKinds:

@@ -219,7 +219,7 @@ EXPLANATIONS: Final = {
         _WARNING,
         "struct length",
         "The payload has another length than the C struct known for this MsgId, so it is not decoded with "
-        "it: another build; name its layout with --structs.",
+        "it: another build; name its layout with --set structs.",
     ),
     Finding.CDR_TRAILING: Explanation(
         _NOTE,

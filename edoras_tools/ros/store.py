@@ -203,7 +203,7 @@ class TypeStore:
         if definition is None:
             near = " or ".join(self.nearest(name))
             hint = f"did you mean {near}? If not, " if near else ""
-            hint += "give its definition with --msg-path"
+            hint += "give its definition with --set msg-path"
             raise RouteError(f"type {name!r} is not known to ROS 2 {self.distro}; {hint}")
         return definition
 

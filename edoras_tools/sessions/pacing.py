@@ -78,7 +78,7 @@ class Pacing:
                 raise ConfigError(f"{name} {value:g} is not allowed; more than 0")
         ways = [self.speed != 1, bool(self.rate_hz or self.stream_rates), self.unpaced]
         if sum(ways) > 1:
-            raise ConfigError("a speed, a rate and --max exclude each other; name one")
+            raise ConfigError("a speed, a rate and --speed max exclude each other; name one")
 
     def timetable(self, time_ns: NDArray[np.int64], stream: NDArray[Any] | None = None) -> Timetable:
         """Plan one pass.

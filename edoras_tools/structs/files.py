@@ -55,7 +55,7 @@ _HIGHEST: Final = 0x1FFF
 class Database:
     """A kind of file with message layouts, which an add-on or a package reads (``edoras.databases``).
 
-    What it reads can stand wherever a layout file can: ``--structs``, ``xtce``, ``wireshark``.
+    What it reads can stand wherever a layout file can: ``--set structs``, ``xtce``, ``wireshark``.
 
     Attributes:
         recognise: tells from a file's whole content whether it is of this kind; raises nothing.

@@ -57,7 +57,7 @@ def test_it_tells_what_happened_and_what_to_do_next(call, tmp_path, monkeypatch)
     result = call("demo", "two-rovers", "-o", "there.mcap", "--duration", "1", "--rate", "0")
     assert result.code == 0
     assert result.err[0] == "emulated two-rovers, recorded to there.mcap; Ctrl-C ends"
-    assert result.err[1].startswith("in another terminal: edoras sniff -i lo --port ci:")
+    assert result.err[1].startswith("in another terminal: edoras sniff -i lo --set port=ci:")
     for part in ("edoras doctor there.mcap", "there_layout.json", "/robot_2/pose → /robot_2/ground/pose"):
         assert part in result.out
     quiet = call("demo", "rover", "--duration", "100ms", "-q")

@@ -398,6 +398,7 @@ def test_a_report_sums_up_leads_to_its_parts_and_says_how_it_was_made(report, ca
         int(item) for item in re.findall(r"<td>(\d+)</td><td>[\d,]+</td></tr>", text.partition("<nav")[0])
     ]
     assert sum(counted) > 0
+    assert text.count("<code>edoras inject ") > 0  # a line for each command to paste
     assert re.search(r"<footer.*edoras-tools \d.* UTC<br><code>edoras report .*-c .*two_rovers_ground", text)
 
 

@@ -64,6 +64,22 @@ def test_a_time_outside_of_the_capture(words, part, call):
     assert "its times go from 0 to 65.270 s, and 0 is 2026-11-21 06:13:56 UTC" in done.err[-1]
 
 
+def test_a_file_in_front_of_its_command(edoras):
+    one, other = edoras(ROVER, "info"), edoras("info", ROVER)
+    assert (one.returncode, one.stdout) == (0, other.stdout)
+
+
+def test_without_words_it_shows_its_help(edoras):
+    done = edoras()
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"Usage: edoras [OPTIONS] COMMAND")
+    assert b"edoras: " not in done.stderr
+
+
+def test_an_interface_that_is_no_file(call):
+    assert call("sniff", "lo").err == ["edoras: lo: there is no such file; for live traffic: -i lo"]
+
+
 def test_times_count_from_the_start_of_the_capture(call):
     """Whatever is chosen: a time in the list is one for ``--start``, and that of the field ``time``."""
     lines = call("sniff", ROVER, "--msg-id", "to_cmd").out.splitlines()

@@ -237,7 +237,8 @@ VIEWS = ["", "-V", "--json", "--fields number", "--stat routes", "--sequence mer
 def test_a_port_that_looks_like_a_link_is_told_as_in_the_doctor(command, call):
     path = ROOT / "tests/captures/n10_uplink_loss.pcap.zst"
     told = (
-        "226 datagrams on port 5234 look like CI traffic and were left out: name the port with --port ci:5234"
+        "226 datagrams on port 5234 look like CI traffic and were left out: "
+        "name the port with --set port=ci:5234"
     )
     done = call(*command.split(), path)
     assert (done.code, done.err) == (3, [f"edoras: {told}"])
@@ -251,7 +252,7 @@ def test_a_table_a_plot_a_page_and_a_draft_say_it_too(command, call, tmp_path, m
     monkeypatch.chdir(tmp_path)
     path = ROOT / "tests/captures/n10_uplink_loss.pcap.zst"
     done = call(*command.split(), path)
-    assert (done.code, sum("name the port with --port ci:5234" in line for line in done.err)) == (3, 1)
+    assert (done.code, sum("name the port with --set port=ci:5234" in line for line in done.err)) == (3, 1)
     done = call(*command.split(), path, "--port", "ci:5234", *["--force"] * command.startswith("export"))
     assert not any("look like" in line for line in done.err)
 
@@ -260,7 +261,7 @@ def test_a_recorder_says_what_it_records_without_messages(call, tmp_path):
     path = ROOT / "tests/captures/n10_uplink_loss.pcap.zst"
     done = call("record", "-q", path, "-o", tmp_path / "a.mcap")
     told = "226 datagrams on port 5234 look like CI traffic, recorded without messages"
-    assert (done.code, done.err) == (0, [f"edoras: {told}: name the port with --port ci:5234"])
+    assert (done.code, done.err) == (0, [f"edoras: {told}: name the port with --set port=ci:5234"])
     assert call("record", "-q", path, "--port", "ci:5234", "-o", tmp_path / "b.mcap").err == []
 
 

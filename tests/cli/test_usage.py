@@ -5,15 +5,18 @@ over all that click parses, but for ``--help``, which click adds to each command
 which are hidden and go on working. ``pytest -s`` prints the figures.
 """
 
+import ast
 import re
 
 import pytest
 import typer
+from places import ROOT
 
 from edoras_tools.cli import main, usage
 from edoras_tools.cli.options import OLD_NAMES
 
 ENTRIES, NAMES = 450, 120
+PACKAGE = ROOT / "edoras_tools"
 LINES, COLUMNS = 40, 80
 
 
@@ -149,3 +152,23 @@ def test_there_are_no_more_options_than_that():
     )
     assert len(listed) <= ENTRIES
     assert len(names) <= NAMES
+
+
+OF_OTHERS = {"--cap-add", "--card"}
+"""Of docker, and a variable of CSS."""
+
+
+def test_messages_name_options_that_help_lists():
+    """What an option was called before goes on working, and is proposed by no advice, hint or example."""
+    listed = {"--help", "--quiet", "--verbose", "--color"}
+    listed |= {name for path in TREE for item in options(path) for name in (*item.opts, *item.secondary_opts)}
+    unknown = [
+        (str(file.relative_to(PACKAGE)), name)
+        for file in PACKAGE.rglob("*.py")
+        if "cli" not in file.parts and file.name not in {"cli.py", "extcap.py"}
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        for name in re.findall(r"(?<![\w-])--[a-z][a-z-]+", node.value)
+        if name not in listed | OF_OTHERS
+    ]
+    assert unknown == [("pipelines/sending/options.py", "--unlimited")]  # told to who wrote it

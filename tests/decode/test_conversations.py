@@ -99,7 +99,7 @@ def test_a_link_on_a_port_that_nobody_named_is_told_with_the_option(tmp_path, pa
     assert read(path).notes() == [
         (
             f"3 datagrams on port 5234 look like {link.name} traffic and were left out: "
-            f"name the port with --port {link.label}:5234"
+            f"name the port with --set port={link.label}:5234"
         )
     ]
     assert read(path, Options(ports=((link, 5234),))).notes() == []

@@ -68,7 +68,7 @@ def test_the_headers_of_a_real_capture_are_told_from_its_bytes(tmp_path, headers
         else [
             (
                 f"read with cFE's {headers.name}, as the packets' bytes show; "
-                "--telemetry-header 16 reads them with the usual one"
+                "--set telemetry-header=16 reads them with the usual one"
             )
         ]
     )

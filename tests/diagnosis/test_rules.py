@@ -83,7 +83,7 @@ def not_examined(lab, tmp_path, msg_id):
             yield replace(item, destination=(item.destination[0], 5234)) if to_ci else item
 
     found = rover(lab, tmp_path / "x.pcap", moved)
-    assert found.verdicts[0].remedy == "name the port with --port ci:5234"
+    assert found.verdicts[0].remedy == "name the port with --set port=ci:5234"
     assert found.bad
     return found
 

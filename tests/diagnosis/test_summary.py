@@ -64,7 +64,7 @@ def test_the_first_screen_is_true_and_fits(name, diagnosed):
     assert counts == sorted(counts, reverse=True)
     for width in (80, 120):
         shown = lines(found, width, f"{name}.pcap")
-        assert len(shown) <= 24
+        assert sum(max(1, -(-len(line) // width)) for line in shown) <= 23  # the prompt is the 24th
         assert shown[-1].startswith(f"More: edoras doctor -v {name}.pcap")
         assert max(len(line) for line in shown if "edoras" not in line) <= width
         # What can be pasted stands on a line of its own, and whole.
@@ -86,6 +86,30 @@ def test_all_that_is_told_of_a_loss_is_told_once(diagnosed):
         assert len(told) == len(set(told))
         explained = {id(verdict) for item in summary.problems if item.lost for verdict in item.verdicts}
         assert explained.isdisjoint(told)
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("e_ci_errors", "1 of 17 commands on 0x1827 is longer than CI's 768 bytes"),
+        (
+            "scheduler_stopped",
+            "9 topics (0x0805 (TIME_HK), 0x0884 (CI_HK), 0x0801 (EVS_HK), 0x0803 (SB_HK), ...)",
+        ),
+        ("no_ops", "and a MsgId and function code that an application has"),
+    ],
+)
+def test_sentences_fit_what_they_tell(name, sentence, diagnosed):
+    shown = " ".join(line.strip() for line in lines(diagnosed(name), 120))
+    assert sentence in shown
+
+
+def test_a_clean_rate_is_known_as_in_the_advice(diagnosed):
+    """What the screen calls measured is so in tables and charts."""
+    found = diagnosed("q27_three_hops_one_counter")
+    rows = {row["msg_id"]: (row["limit_hz"], row["limit_from"]) for row in found.routes}
+    assert (rows["0x0829"], rows["0x082b"]) == ((8.0, "measured"), (40.0, "measured"))
+    assert "40 a second get through (measured)" in " ".join(lines(found, 120))
 
 
 def test_a_remedy_of_several_problems_is_said_once(diagnosed):

@@ -281,8 +281,8 @@ ROVERS = {
 }
 """Done to a_rover."""
 UNNAMED = {
-    "CI": (port(1234, 5234), "name the port with --port ci:5234"),
-    "TO": (port(1235, 6235), "name the port with --port to:6235"),
+    "CI": (port(1234, 5234), "name the port with --set port=ci:5234"),
+    "TO": (port(1235, 6235), "name the port with --set port=to:6235"),
 }
 HIDDEN = {
     ("n5_app_restarts", "cut to 200"): (108, 108),

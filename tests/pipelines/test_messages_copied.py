@@ -126,7 +126,7 @@ def test_parts_begin_with_what_is_latched(tmp_path):
 def test_what_holds_datagrams_is_refused(tmp_path):
     bag = write_bag(tmp_path / "bag")
     for target, why in (
-        (Target(tmp_path / "x.pcap"), "pcap holds datagrams: write .mcap, or --rosbag2"),
+        (Target(tmp_path / "x.pcap"), "pcap holds datagrams: write .mcap, or --format rosbag2"),
         (Target(tmp_path / "x.pcapng"), "pcapng holds datagrams"),
         (Target(tmp_path / "x.mcap", transforms=True), "--tf"),
     ):

@@ -83,7 +83,7 @@ def test_nearest(store, asked, first):
 
 def test_nothing_near(store):
     assert store.nearest("zzz/msg/Qqqqqq") == []
-    with pytest.raises(RouteError, match="--msg-path"):
+    with pytest.raises(RouteError, match="--set msg-path"):
         store.definition("zzz/msg/Qqqqqq")
 
 

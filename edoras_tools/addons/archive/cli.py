@@ -15,6 +15,7 @@ from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import INTERRUPTED, LOST, tell
 from edoras_tools.cli.main import Command, Group, command_group
+from edoras_tools.cli.options import moment
 from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
 from edoras_tools.errors import ConfigError
 from edoras_tools.older import StrEnum
@@ -71,7 +72,7 @@ class RowOptions(NamedTuple):
     """How rows are printed."""
 
     json: options.Json = False
-    layout: Annotated[RowFormat, Option("--format", help="For people, or CSV.")] = RowFormat.TABLE
+    layout: Annotated[RowFormat, Option("--format", help="Format of the rows.")] = RowFormat.TABLE
     older: Annotated[bool, Option("--csv", hidden=True)] = False
 
     @property
@@ -83,7 +84,7 @@ class RowOptions(NamedTuple):
 class WorkerOptions(NamedTuple):
     """Who reads the captures."""
 
-    jobs: Annotated[int | None, Option(parser=options.count, help="Processes; default: one a core.")] = None
+    jobs: Annotated[int | None, Option(parser=options.count, help="Processes; default: one per core.")] = None
     scheduler: Annotated[str | None, Option(help="Use dask's workers, e.g. tcp://10.0.0.5:8786.")] = None
 
 
@@ -91,8 +92,8 @@ class WorkerOptions(NamedTuple):
 class SpanOptions(NamedTuple):
     """Which captures, by their time."""
 
-    start: Annotated[Any, Option(parser=options.moment, metavar="DATE", help="Which end later.")] = None
-    end: Annotated[Any, Option(parser=options.moment, metavar="DATE", help="Which begin before.")] = None
+    start: Annotated[Any, Option(parser=moment, metavar="DATE", help="Only captures that end later.")] = None
+    end: Annotated[Any, Option(parser=moment, metavar="DATE", help="Only captures that begin before.")] = None
     tz: Annotated[Any, Option(parser=options.time_zone, hidden=True)] = None
 
     def span(self) -> ArchiveSpan:
@@ -235,7 +236,7 @@ def query(
     index: Index = _INDEX,
     printing: RowOptions,
 ) -> None:
-    """Ask the index in SQL; 'edoras help archive' and docs/archive.md name its tables."""
+    """Ask the index in SQL; SHOW TABLES lists its tables, docs/archive.md explains them."""
     from edoras_tools.addons.archive.index import open_index
 
     with open_index(index) as opened:

@@ -137,7 +137,7 @@ class Index:
         except duckdb.Error as error:
             raise ConfigError(_mistake(error)) from error
         if not names:
-            raise ConfigError("the query is empty; 'edoras help archive' names the tables that it may ask")
+            raise ConfigError("the query is empty; SHOW TABLES lists what it may ask")
         return names, self._fetched(result)
 
     def _fetched(self, result: Any) -> Iterator[tuple[Any, ...]]:

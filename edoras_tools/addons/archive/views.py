@@ -101,7 +101,7 @@ def answer_table(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Rendera
         table.add_column(Text(name), justify="right" if right else "left", no_wrap=True, overflow="ellipsis")
     for row in first_rows:
         table.add_row(*(plain(_cell(value), palette.DIM if value is None else "") for value in row))
-    more = [Text(f"and {plural(rest, 'row')} more: --csv", palette.DIM)] if rest else []
+    more = [Text(f"and {plural(rest, 'row')} more: --format csv", palette.DIM)] if rest else []
     return Group(table, *more)
 
 

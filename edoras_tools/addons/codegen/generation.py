@@ -357,13 +357,13 @@ def _command(types: TypeStore, order: LibraryOrder) -> str:
     words += [word for name in sorted(order.mission.files) for word in ("-c", name)]
     words += [word for rule in order.bounds.rules for word in ("--bound", rule.text)]
     for option, value, default in (
-        ("--strings", order.bounds.strings, STRINGS_DEFAULT),
-        ("--sequences", order.bounds.sequences, SEQUENCES_DEFAULT),
-        ("--pool", order.pool, POOL_DEFAULT),
-        ("--envelope", str(order.envelope), str(EnvelopeFormat())),
-        ("--distro", types.distro, USUAL_DISTRO),
+        ("--bound strings=", order.bounds.strings, STRINGS_DEFAULT),
+        ("--bound sequences=", order.bounds.sequences, SEQUENCES_DEFAULT),
+        ("--pool ", order.pool, POOL_DEFAULT),
+        ("--set envelope=", str(order.envelope), str(EnvelopeFormat())),
+        ("--set distro=", types.distro, USUAL_DISTRO),
     ):
-        words += [option, str(value)] if value != default else []
+        words += f"{option}{value}".split(" ", 1) if value != default else []
     words += ["--keep-values"] * order.keep_values
     return shlex.join(words)
 

@@ -21,8 +21,8 @@ def generator_app(msg_id: int) -> dict[str, str]:
         ConfigError: the MsgId is none of a command.
     """
     if not 0x1800 <= msg_id <= 0x1FFF:
-        raise ConfigError(f"--command-mid 0x{msg_id:04x}: a command's MsgId is from 0x1800 to 0x1fff")
-    command = f"edoras codegen generator --command-mid 0x{msg_id:04X}"
+        raise ConfigError(f"--generator 0x{msg_id:04x}: a command's MsgId is from 0x1800 to 0x1fff")
+    command = f"edoras codegen generator --generator 0x{msg_id:04X}"
     head = banner(command, f"Its line in cfe_es_startup.scr:\n\n    {STARTUP}")
     cmake = (_SOURCES / "CMakeLists.txt").read_text(encoding="utf-8")
     defined = f"#define EDORAS_GEN_CMD_MID 0x{msg_id:04X} /**< obeyed: function codes 0 and 2 */\n"

@@ -228,7 +228,7 @@ def plan_messages(types: TypeStore, type_names: Iterable[str], bounds: Bounds) -
         if message.most_bytes > _LARGEST_MESSAGE:
             raise ConfigError(
                 f"{name}: {message.most_bytes:,} bytes at these bounds, {_LARGEST_MESSAGE:,} are the most; "
-                "lower --sequences, --strings or a --bound"
+                "lower a --bound, as sequences=8"
             )
     return CLibrary(tuple(messages.values()), tuple(messages[name] for name in names))
 

@@ -271,5 +271,5 @@ def _difference(ours: OwnEndpoint, item: PeerEndpoint) -> str:
         return f"{ours.topic}: {who} has an invalid type hash, {item.type_hash[:_HASH_LENGTH]!r}; continuing"
     return (
         f"{ours.topic}: {who} has another definition of {ours.type_name} ({item.type_hash[:19]}..., not "
-        f"{ours.type_hash[:19]}...); give theirs with --msg-path, or their --distro"
+        f"{ours.type_hash[:19]}...); give theirs with --set msg-path or distro"
     )

@@ -59,7 +59,7 @@ def structs(
 
     They are read from debug information or headers.
 
-    Give the result to sniff, record and other commands with --structs DIR.
+    Give the result to sniff, record and other commands with --set structs=DIR.
     """
     from edoras_tools.addons.debug_info import writing
     from edoras_tools.structs.files import is_package

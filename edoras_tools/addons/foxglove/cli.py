@@ -50,7 +50,7 @@ class SourceOptions(NamedTuple):
 class OutputOptions(NamedTuple):
     """Where it is shown and recorded."""
 
-    live: Annotated[Any, Option(parser=place, metavar="[HOST:]PORT", help="For Foxglove; 0: any.")] = "8765"
+    live: Annotated[Any, Option(parser=place, metavar="[HOST:]PORT", help="For Foxglove; 0: free.")] = "8765"
     host: Annotated[str | None, Option(hidden=True)] = None
     ws_port: Annotated[int | None, Option(min=0, max=65535, hidden=True)] = None
     allow_origin: Origins = None
@@ -69,7 +69,7 @@ class OutputOptions(NamedTuple):
 class PlaybackOptions(NamedTuple):
     """How a recording is played back."""
 
-    speed: Annotated[float | None, Option(parser=sending.factor, help="Times the recorded speed.")] = None
+    speed: Annotated[float | None, Option(parser=sending.factor, help="Factor; default 1.")] = None
     paused: Annotated[bool, Option("--paused", help="Start paused; play in Foxglove, or space here.")] = False
     loop: Annotated[bool, Option("--loop", help="Start again at the end.")] = False
     wait: Annotated[bool, Option(" /--no-wait", help="Do not wait for the first client.")] = True
@@ -119,7 +119,7 @@ def live(
 ) -> None:
     """Show a link or a recording in Foxglove.
 
-    For example: edoras live -i lo -c rover.yaml; or edoras live --sim two-rovers
+    For example: edoras live --sim two-rovers; or edoras live -i lo -c rover.yaml
     """
     from edoras_tools.addons.foxglove.serving import attach, attach_player
 

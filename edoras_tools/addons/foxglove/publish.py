@@ -100,7 +100,7 @@ class CommandPublisher(Publisher):
         self._stack.close()
 
     def _not_allowed(self, topic: str) -> str:
-        return f"{topic} may not be published; --allow-publish allows {', '.join(self.topics)}"
+        return f"{topic} may not be published; --allow allows {', '.join(self.topics)}"
 
     def _send(self, to: Receiver, encoder: Encoder, cdr: bytes) -> str:
         packet = encoder.packet(cdr, time.time_ns())
@@ -130,7 +130,7 @@ class CommandPublisher(Publisher):
         for pattern in allow:
             if not any(fits(pattern, route.msg_id, mission) for route in routes):
                 existing = ", ".join(route.topic for route in routes) or "none; name a mission with -c"
-                raise RouteError(f"--allow-publish {pattern!r} matches no topic that goes to cFS: {existing}")
+                raise RouteError(f"--allow {pattern!r} matches no topic that goes to cFS: {existing}")
 
 
 def _allowed(bench: Workbench, to: Receiver, allow: Sequence[str]) -> list[Route]:

@@ -333,7 +333,7 @@ class _Writer:
         )
         examined = plural(len(samples), "different message")
         if not fits:
-            self._notes.append(f"{stream.name}: left out: no known type fits {examined}; give its --msg-path")
+            self._notes.append(f"{stream.name}: left out: no known type fits {examined}; give --set msg-path")
             return []
         self._topics += 1
         self._sure += len(fits) == 1

@@ -32,11 +32,7 @@ class RelayOptions(NamedTuple):
     link: Annotated[str, Argument(metavar="LINK", help="The link to relay: ci, to, sbn, fprime ...")]
     listen: Annotated[
         Any,
-        Option(
-            parser=sending.address,
-            metavar="[HOST:]PORT",
-            help="Where clients send to; of to: where cFS does.",
-        ),
+        Option(parser=address, metavar="[HOST:]PORT", help="Where clients send; of link to: where cFS does."),
     ]
     target: Annotated[Any, Option(parser=sending.address, help="Where to send everything.")]
     further: Annotated[
@@ -47,13 +43,9 @@ class RelayOptions(NamedTuple):
     ] = None
     bind: Annotated[
         Any,
-        Option(
-            parser=sending.address,
-            metavar="[HOST:]PORT",
-            help="Where the target sends to, e.g. an SBN peer's port in cFS's table.",
-        ),
+        Option(parser=address, metavar="[HOST:]PORT", help="Where the target sends, as an SBN peer's port."),
     ] = None
-    client: Annotated[Any, Option(parser=sending.address, help="With --bind: the usual client.")] = None
+    client: Annotated[Any, Option(parser=sending.address, help="With --bind: the first client.")] = None
     limit: Annotated[
         list[str] | None,
         Option(

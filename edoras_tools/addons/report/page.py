@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
@@ -35,9 +36,9 @@ if TYPE_CHECKING:
 _MOST_CHARTS: Final = 24
 _MOST_PROBLEMS: Final = 3
 _MOST_VERDICTS: Final = 200
-_KEY: Final = colour_key(
-    (("ci", "CI"), ("to", "TO"), ("sbn", "SBN"), ("error", "lost"), ("dim", "superseded, waiting, not seen"))
-)
+_COLOURS: Final = ("ci", "CI"), ("to", "TO"), ("sbn", "SBN"), ("error", "lost")
+_LINKS: Final = colour_key(_COLOURS)
+_KEY: Final = colour_key((*_COLOURS, ("dim", "superseded, waiting, not seen")))
 _ALIKE: Final = 4
 """Verdicts of one rule from here on share a table."""
 
@@ -47,7 +48,7 @@ def page(result: Diagnosis, name: str, origin: Made) -> str:
     sections = [section("Messages", [_card(sankey(result))], _KEY)]
     drawn = plots(result.case, result.choice) if result.case is not None and result.datagrams else None
     if drawn is not None:
-        sections.append(section("Routes over time", [_card(strip(drawn))]))
+        sections.append(section("Routes over time", [_card(strip(drawn))], _LINKS))
     sections += [section("Links", [links_picture(result)]), _verdicts(result)]
     if drawn is not None:
         sections += [_rates(drawn), _latency(drawn), _time(drawn), _sizes(drawn)]
@@ -73,8 +74,7 @@ def _head(result: Diagnosis, name: str) -> str:
     end = f'<p class="end-note {style}">{escape(summary.headline)}</p><ul>'
     for item in summary.problems[:_MOST_PROBLEMS]:
         count = f"<strong>{item.lost:,}</strong> " if item.lost else ""
-        remedy = f'<p class="remedy">{escape(item.remedy)}</p>' if item.remedy else ""
-        end += f"<li>{count}{escape(item.text)}{remedy}</li>"
+        end += f"<li>{count}{escape(item.text)}{_remedy(item.remedy, item.promise)}</li>"
     end += f"</ul><p>{escape(f'{summary.rest(_MOST_PROBLEMS)} {summary.fine}'.strip())}</p>"
     line = "".join(
         f'<p class="dim">{escape(text)}</p>'
@@ -138,18 +138,26 @@ def _many(result: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
 def _verdict(result: Diagnosis, members: Sequence[Verdict]) -> str:
     """Return one problem: its worst time span in full, all of its spans in a table."""
     worst = max(members, key=lambda item: item.lost or 0)
-    text = f"{_when(result, worst)}, confidence {worst.confidence}"
+    what, text = told_of(members), f"{_when(result, worst)}, confidence {worst.confidence}"
     spans = ""
     if len(members) > 1:
         lost, of = sum(item.lost or 0 for item in members), sum(item.of or 0 for item in members)
-        text = f"{lost:,} of {of:,} lost, in {len(members)} periods"
+        what, text = f"{lost:,} of {of:,} lost; {what}", f"in {len(members)} periods"
         spans = _spans(result, members)
     evidence = "".join(f"<li>{escape(line)}</li>" for line in worst.evidence)
-    remedy = f'<p class="remedy">{escape(worst.remedy)}</p>' if worst.remedy else ""
     return (
-        f'<article class="verdict {worst.severity.label}"><p class="what">{escape(told_of(members))}</p>'
-        f'<p class="rule">{escape(worst.rule)}, {text}</p>{spans}<ul>{evidence}</ul>{remedy}</article>'
+        f'<article class="verdict {worst.severity.label}"><p class="what">{escape(what)}</p>'
+        f'<p class="rule">{escape(worst.rule)}, {text}</p>{spans}<ul>{evidence}</ul>'
+        f"{_remedy(worst.remedy)}</article>"
     )
+
+
+def _remedy(text: str, promise: str = "") -> str:
+    """Return what to do, a line for each command to paste, and what would be left; empty without any."""
+    parts = re.split(r"\s*(edoras [a-z][^;]*);?", escape(text, quote=False))
+    marked = "".join(f"<code>{part}</code>" if place % 2 else part for place, part in enumerate(parts))
+    rest = f'<br><span class="dim">left {promise}</span>' if promise else ""
+    return f'<p class="remedy">{marked}{rest}</p>' if text else ""
 
 
 def _spans(result: Diagnosis, members: Sequence[Verdict]) -> str:
@@ -170,12 +178,11 @@ def _when(result: Diagnosis, item: Verdict) -> str:
 
 
 def _rates(drawn: Plots) -> str:
-    key = colour_key((("ci", "CI"), ("to", "TO"), ("sbn", "SBN"), ("error", "lost")))
     rows = drawn.rates[:_MOST_CHARTS]
     return section(
         "Rates against limits",
         (chart_card(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn)) for row in rows),
-        key,
+        _LINKS,
     )
 
 

@@ -140,19 +140,21 @@ def strip(drawn: Plots) -> str:
     if not rows:
         return ""
     height = _STRIP * 2 * len(rows) + 44
-    texts = "; ".join(f"{row['label']}: {_silent(row, drawn):.0f} s without a message" for row in rows)
+    names = [f"{row['label']}, {row['link'].upper()}" for row in rows]
+    texts = "; ".join(f"{name}: {_became(row, drawn)}" for name, row in zip(names, rows, strict=True))
     frame = charts.Frame(drawn, 1.0, "", f"Routes over time. {texts}", height)
     inside = []
-    for place, row in enumerate(rows):
+    for place, (name, row) in enumerate(zip(names, rows, strict=True)):
         top = 4 + place * _STRIP * 2
-        inside.append(f'<text x="{frame.x(0)}" y="{top + 12}">{escape(clean(row["label"]))}</text>')
+        inside.append(f'<text x="{frame.x(0)}" y="{top + 12}">{escape(clean(name))}</text>')
         inside += list(_cells(frame, row, drawn, top + 17))
     return charts.svg_box("".join([*inside, *frame.seconds()]), height, frame.title)
 
 
-def _silent(row: dict[str, Any], drawn: Plots) -> float:
+def _became(row: dict[str, Any], drawn: Plots) -> str:
     quiet = [not seen and not gone for seen, gone in zip(row["seen"], row["missing"], strict=True)]
-    return sum(quiet) * drawn.bin_s
+    lost, silent = sum(row["missing"]) * drawn.bin_s, sum(quiet) * drawn.bin_s
+    return f"{lost:,.0f} lost, {silent:.0f} s without a message"
 
 
 def _cells(frame: charts.Frame, row: dict[str, Any], drawn: Plots, top: int) -> Iterator[str]:

@@ -139,5 +139,5 @@ class LeftSamples:
             )
         if unread := +unread:
             names, samples = listed(sorted(unread)), plural(unread.total(), "sample")
-            notes.append(f"DDS: {samples} of unknown types ({names}): only bytes; --msg-path adds types")
+            notes.append(f"DDS: {samples} of unknown types ({names}): only bytes; --set msg-path adds types")
         return notes

@@ -302,7 +302,7 @@ class SampleSending(LinkSending):
         if not item.ros_topic.startswith("/"):
             return f"of {item.topic}, which is no topic of ROS: its own node announces or calls with it"
         if not self._site.types.has(item.ros_type):
-            return f"of the unknown type {item.ros_type}: --msg-path adds types"
+            return f"of the unknown type {item.ros_type}: --set msg-path adds types"
         kinds = {one.ros_type for one in self._announced.values() if one.ros_topic == item.ros_topic}
         if kinds - {item.ros_type}:
             return f"of {item.ros_topic} of the type {item.ros_type}: another is sent on it"

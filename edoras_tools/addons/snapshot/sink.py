@@ -359,7 +359,7 @@ class SnapshotSink(Sink):
         if not self.dropped:
             holds = (self._newest_ns - oldest.first_ns) / SECOND
             self._target.on_warning(
-                f"--before-size {self._plan.before_bytes >> 20} MiB holds the last {holds:.1f} s of this "
+                f"--before {self._plan.before_bytes >> 20}MiB holds the last {holds:.1f} s of this "
                 f"traffic, not {self._plan.before_ns / SECOND:g} s; older datagrams are dropped first"
             )
         self.dropped += len(oldest.batch)
@@ -370,7 +370,7 @@ def snapshot_line(one: Snapshot, plan: SnapshotPlan) -> str:
     """Return the line that says what a file holds, and why it was written."""
     more = f" and {len(one.reasons) - 1} more" if len(one.reasons) > 1 else ""
     after = (one.until_ns - one.trigger_ns) / SECOND
-    less = f" (--before-size held no more of the {plan.before_ns / SECOND:g} s)" if one.cut else ""
+    less = f" (--before held no more of the {plan.before_ns / SECOND:g} s)" if one.cut else ""
     return (
         f"snapshot {one.path}: {plural(one.datagrams, 'datagram')}, from {one.before_ns / SECOND:.1f} s "
         f"before{less} to {after:.1f} s after: {one.reasons[0]}{more}"

@@ -28,11 +28,11 @@ _EVERY_NS = 1_000_000_000
 class WhichOptions(NamedTuple):
     """What to follow, where it is no packet."""
 
-    topic: Annotated[str | None, Option(help="A topic: its rounds as a diagram; one message: --nth.")] = None
-    nth: Annotated[int | None, Option(parser=options.count, metavar="N", help="Its N-th message.")] = None
+    topic: Annotated[str | None, Option(help="Draw the rounds of this topic; with --nth one message.")] = None
+    nth: Annotated[int | None, Option(parser=options.count, metavar="N", help="N-th one of --topic.")] = None
     lost: Annotated[
         int | None,
-        Option(parser=options.count, metavar="N", help="The N-th that was lost; doctor --list-lost."),
+        Option(parser=options.count, metavar="N", help="The N-th of doctor --list-lost."),
     ] = None
 
 
@@ -197,11 +197,11 @@ def hz(
     ] = None,
     topic: Annotated[str | None, Option(hidden=True)] = None,
     interface: Annotated[
-        str | None, Option("--interface", "-i", metavar="IFACE", help="Live, of it.")
+        str | None, Option("--interface", "-i", metavar="IFACE", help="Capture here, and print each second.")
     ] = None,
     listen: Annotated[list[str] | None, Option(hidden=True)] = None,
     window: Annotated[
-        int | None, Option("--window", "-w", parser=options.count, help="Messages; the usual is 10,000.")
+        int | None, Option("--window", "-w", parser=options.count, help="Messages; default 10,000.")
     ] = None,
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 _RUNG: Final = 46
 _ROUNDS: Final = 12
 """Rounds that a timing diagram shows."""
+_KEY: Final = parts.colour_key((("note", "came out"), ("error", "did not"), ("rule", "wake-up")))
 
 
 def standalone(svg: str) -> str:
@@ -65,12 +66,13 @@ def timing_picture(timing: Timing, zero_ns: int) -> str:
     inside = depth[mine] if len(rounds.wakes_ns) else depth[mine] * 0 + 1
     points = list(zip(seconds.tolist(), inside.tolist(), rounds.out[mine].tolist(), strict=True))
     most = max([rounds.limit, *inside.tolist()]) + 1
-    frame = charts.Frame(span, most, "messages", f"{timing.topic}: {'; '.join(texts.facts(timing))}")
+    name = texts.named(timing)
+    frame = charts.Frame(span, most, "messages", f"{name}: {'; '.join(texts.facts(timing))}")
     for when in window.wakes_ns:
         frame.line([((when - window.start_ns) / 1e9, 0.0), ((when - window.start_ns) / 1e9, most)], "wake")
     if len(rounds.wakes_ns):
         frame.level(rounds.limit, "limit", "")
-        frame.level(frame.y_most, "", f"{rounds.limit} may wait, {rounds.limit_from}")  # no dot is there
+        frame.level(frame.y_most, "", f"{name}: {rounds.limit} may wait, {rounds.limit_from}")  # no dot here
     shift = 0.4 if len(rounds.wakes_ns) else 0.0
     frame.dots([(at, level) for at, level, out in points if out or not rounds.visible], "run")
     frame.dots([(at, level + shift) for at, level, out in points if not out and rounds.visible], "run lossy")
@@ -95,7 +97,7 @@ def trace_page(subject: MessageTrace | Timing, zero_ns: int, name: str, origin: 
         title, picture = texts.title(subject), trace_picture(subject, zero_ns)
         lines = [line.plain for line in texts.ladder(subject, zero_ns, 80)]
     else:
-        title, picture = subject.topic, timing_picture(subject, zero_ns)
+        title, picture = texts.named(subject), f"{_KEY}{timing_picture(subject, zero_ns)}"
         lines = [line.plain for line in texts.diagram(subject, zero_ns, 80)]
     text = f'<div class="scroll"><pre>{escape(chr(10).join(lines))}</pre></div>'
     body = [parts.heading(name), f'<figure class="chart">{picture}</figure>', text, parts.footer(origin)]

@@ -39,8 +39,13 @@ def title(trace: MessageTrace) -> str:
     """Return which message it is: ``/cmd_vel (0x1827 on CI), message 25 of 600``."""
     if trace.link == "" or not trace.of:
         return clean(trace.topic or "a message")
-    which = f"0x{trace.msg_id:04x} on {trace.link.upper()}" if trace.msg_id >= 0 else trace.link.upper()
-    return clean(f"{trace.topic or 'a message'} ({which}), message {trace.nth:,} of {trace.of:,}")
+    return clean(f"{named(trace)}, message {trace.nth:,} of {trace.of:,}")
+
+
+def named(item: MessageTrace | Timing) -> str:
+    """Return ``/cmd_vel (0x1827 on CI)``; where no mission names a topic, ``0x1827 on CI``."""
+    which = f"0x{item.msg_id:04x} on {item.link.upper()}" if item.msg_id >= 0 else item.link.upper()
+    return f"{item.topic} ({which})" if item.topic and item.topic[:2] != "0x" else which
 
 
 def usual_text(trace: MessageTrace) -> str:
@@ -54,7 +59,7 @@ def usual_text(trace: MessageTrace) -> str:
         return text
     usual = trace.usual
     p50, p99, most = map(units.milliseconds, (usual.p50, usual.p99, usual.most))
-    return f"{text}; the {usual.count:,} of which that is measured: p50 {p50}, p99 {p99}, max {most}"
+    return f"{text}; {usual.count:,} were measured: p50 {p50}, p99 {p99}, max {most}"
 
 
 def ended_text(trace: MessageTrace) -> str:
@@ -235,8 +240,7 @@ def diagram(timing: Timing, zero_ns: int, width: int) -> list[Text]:
         marks[at] = "✗" if "✗" in {mark, marks[at]} else mark
         if len(rounds.wakes_ns):
             waits[at] = str(depth[place]) if depth[place] < 10 else "+"
-    name = f"{timing.topic} (0x{timing.msg_id:04x} on {timing.link.upper()})"
-    lines = [Text(clip(clean(name), width), palette.STRONG)]
+    lines = [Text(clip(clean(named(timing)), width), palette.STRONG)]
     lines += [Text(part) for text in facts(timing) for part in wrap(clean(text), width)]
     begin = (window.start_ns - zero_ns) / 1e9
     lines += [Text(""), Text(f"from {begin:.3f} s, a column is {step / 1e6:.0f} ms", palette.DIM)]

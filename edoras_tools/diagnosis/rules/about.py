@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _FEW: Final = 20
 """So many of one kind are told one by one; more are told together."""
+_OF_ONE: Final = {"are": "is", "have": "has", "do": "does", "carry": "carries"}
 
 
 class AboutMessages(TypedDict):
@@ -74,5 +75,7 @@ def of_messages(
     about |= {"msg_id": where["msg_id"], "link": where["link"], "span": where["span"]}
     if severity is Severity.ERROR:
         about |= {"lost": len(members), "of": of}
-    reason = f"{len(members):,} of {of:,} {noun} on {case.name(msg_id)} {what}"
+    verb, _, rest = what.partition(" ")
+    verb = _OF_ONE.get(verb, verb) if len(members) == 1 else verb
+    reason = f"{len(members):,} of {of:,} {noun} on {case.name(msg_id)} {verb} {rest}"
     return verdict(severity, reason, *evidence, **about)

@@ -236,7 +236,8 @@ def _verdict(case: Case, members: list[int], kind: BadCommandKind) -> Verdict:
         hop="CI_LAB_APP" if kind.finding is Finding.TRUNCATED or refused else None,
         lost=lost,
         of=len(members),
-        remedy=f"send whole commands of {cfe.COMMAND_HEADER_BYTES} to {CI_BUFFER} bytes whose fields agree",
+        remedy=f"send commands of {cfe.COMMAND_HEADER_BYTES} to {CI_BUFFER} bytes with their length, and a "
+        "MsgId and function code that an application has",
         confidence="high" if events or not kind.event else "medium",
         by_type=kind.finding is Finding.CDR_INVALID,
     )

@@ -228,6 +228,7 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
     quoted = "\n".join(told)
     groups: dict[tuple[str, str, int], list[EventRecord]] = {}
     known = {(loss.kind, loss.msg_id, loss.instance) for loss in case.losses}
+    known |= {(loss.kind, msg_id, loss.instance) for loss in case.losses for _, msg_id, _ in loss.rivals}
     for record in case.payloads.events:
         if record.event_type >= EventType.ERROR and not _is_told(case, record, quoted, known):
             groups.setdefault((record.sender, record.app, record.event_id), []).append(record)

@@ -22,6 +22,7 @@ from edoras_tools.links.to import TO
 from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
+from edoras_tools.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 _FIRST: Final = itemgetter(0)
 _FEW: Final = 2
+_NAMED: Final = 4
 _ABOUT: Final = 0.25
 _LEAST: Final = 5
 _WAIT_NS: Final = 5 * SECOND
@@ -424,7 +426,7 @@ def _stopped(case: Case, members: Sequence[Silence]) -> str:
     first = members[0]
     names = [case.name(item.stream.msg_id) for item in members]
     rate = first.rate if len(members) == 1 else None
-    who = names[0] if len(names) == 1 else f"{len(names)} topics ({', '.join(names)})"
+    who = names[0] if len(names) == 1 else f"{len(names)} topics ({listed(names, _NAMED)})"
     before = f" ({_hz(rate.hz, 2)} before)" if rate else ""
     seconds = (first.end_ns - first.start_ns) / SECOND
     until = f" for {seconds:.1f} s" if first.until_ns else " and did not come back"

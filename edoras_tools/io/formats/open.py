@@ -7,6 +7,7 @@ import os
 import sys
 from contextlib import suppress
 from pathlib import Path
+from socket import if_nameindex
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import CaptureError, NoDatagramsError
@@ -197,7 +198,9 @@ def _open(path: str | Path) -> io.FileIO:
     try:
         return io.FileIO(path, "rb")
     except FileNotFoundError as error:
-        raise CaptureError(f"{path}: there is no such file; check the name") from error
+        live = str(path) in {name for _, name in if_nameindex()}
+        hint = f"for live traffic: -i {path}" if live else "check the name"
+        raise CaptureError(f"{path}: there is no such file; {hint}") from error
     except PermissionError as error:
         raise CaptureError(f"{path}: may not be read by this user; check its permissions") from error
     except (OSError, ValueError) as error:

@@ -172,7 +172,9 @@ def check_output(target: Target, inputs: Sequence[Path], *, snapshots: bool = Fa
         ConfigError: the suffix is unknown, or something would be overwritten.
     """
     if target.format is None:
-        raise ConfigError(f"{target.path}: unknown suffix; use {', '.join(FILE_SUFFIXES)}, or --rosbag2")
+        raise ConfigError(
+            f"{target.path}: unknown suffix; use {', '.join(FILE_SUFFIXES)}, or --format rosbag2"
+        )
     split = target.splits
     if target.stream is not None:
         if split or snapshots or target.rosbag2 or target.sync_ns or target.replace:
@@ -181,9 +183,9 @@ def check_output(target: Target, inputs: Sequence[Path], *, snapshots: bool = Fa
             )
         return
     if (target.keep_files or target.keep_bytes) and not (split or snapshots):
-        raise ConfigError("--keep and --keep-size delete the oldest files: split too, e.g. --split-time 10m")
+        raise ConfigError("--keep deletes the oldest files: split too, e.g. --split 10m")
     if 0 < target.keep_bytes < target.split_bytes:
-        raise ConfigError("--keep-size is smaller than --split-size: no complete file would be kept")
+        raise ConfigError("--keep is smaller than --split: no complete file would be kept")
     refuse_input(target.path, inputs)
     if not target.replace and not target.rosbag2 and not snapshots:
         refuse_existing(in_the_way(target.path, split=split))
@@ -199,7 +201,7 @@ def check_recorded(source: Source, bench: Workbench, target: Target) -> None:
         return
     why = ""
     if not target.format.messages:
-        why = f"{target.format.name} holds datagrams: write .mcap, or --rosbag2"
+        why = f"{target.format.name} holds datagrams: write .mcap, or --format rosbag2"
     elif target.transforms:
         why = "--tf makes /tf of what bridges carry: leave it out"
     if why:

@@ -161,7 +161,7 @@ def _counter(words: str, text: str, context: Context) -> Expectation:
     bound = next((item for item in context.structs.all if item.key.msg_id in ids), None)
     if bound is None:
         raise ConfigError(
-            f"--expect {words!r}: no C struct is known for {name}; name its layout with --structs"
+            f"--expect {words!r}: no C struct is known for {name}; name its layout with --set structs"
         )
     values = context.structs.types.decode(bound.type, bound.encode_one(bytes(bound.size), _NOBODY))
     fields = [path for path, value, *_ in bound.spans(values, bound.size) if isinstance(value, int)]

@@ -232,7 +232,7 @@ def _messages(injection: Injection, bench: Workbench, options: SendOptions) -> I
         yield encoder.packet(bench.types.encode(route.type, _values(injection.values)), 0)
         return
     if injection.values:
-        raise ConfigError("--every-field-random sets all values; leave the message out")
+        raise ConfigError("random sets all values; leave the message out")
     dice = Random(injection.seed)  # noqa: S311  for tests, and reproducible
     for _ in range(_in_one_pass(injection.count)):
         values = arbitrary(bench.types, route.type, dice)

@@ -203,7 +203,7 @@ def _nothing(to: Receiver | LinkReceiver, others: Mapping[Link, str], number: in
     if number:
         return f"none of its {number:,} {what} was selected; remove some of the selection options"
     hint = f"it has {listed([*others.values()])}" if others else "it has no traffic at all"
-    return f"contains no {what}; {hint}; other ports: --port"
+    return f"contains no {what}; {hint}; other ports: --set port"
 
 
 def headers_named(name: str) -> cfe.Headers:

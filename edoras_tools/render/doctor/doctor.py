@@ -36,8 +36,8 @@ _STYLES: Final = {
     Severity.SECURITY: Level.WARNING,
     Severity.NOTE: Level.NOTE,
 }
-_SCREEN: Final = 24
-"""Lines of the first screen."""
+_SCREEN: Final = 23
+"""Lines of the first screen: with the shell's prompt below it the first one stays in sight."""
 _WIDEST: Final = 100
 _FULL: Final = 3
 """So many problems are told in full."""
@@ -79,10 +79,10 @@ def screen(result: Diagnosis, width: int, words: str = "", lines: int = _SCREEN)
         body = [line for item in _shared(summary.problems[:full]) for line in _problem(*item, width, words)]
         rest = summary.rest(full)
         below = [line for item in ([plain(rest)] if rest else []) + tail for line in _wrapped(item, width)]
-        if len(head) + len(body) + len(below) + bool(words) <= lines:
+        whole = [*head, *body, *below, *[Text(more, palette.DIM)] * bool(words)]
+        if sum(max(1, -(-line.cell_len // width)) for line in whole) <= lines:  # a long command is cut in two
             break
-    end = [Text(more, palette.DIM)] if words else []
-    return Group(*head, *body, *below, *end)
+    return Group(*whole)
 
 
 def _shared(problems: Sequence[Problem]) -> Iterator[tuple[Problem, bool]]:
@@ -105,7 +105,7 @@ def _problem(item: Problem, remedied: bool, width: int, words: str) -> list[Text
         first, *commands = re.split(r"\s+(?=edoras [a-z])", item.remedy)
         lines += _hanging(Text("  do", palette.GOOD), first.rstrip(), width)
         if words:
-            commands += [f"edoras doctor {option} {words}" for option in re.findall(r"--port \S+", first)]
+            commands += [f"edoras doctor {option} {words}" for option in re.findall(r"--set port=\S+", first)]
         for line in commands:
             text = clean(f"{'':{_COUNT + 2}}{line.rstrip('; ')}")
             lines.append(Text(text, palette.STRONG))
@@ -253,9 +253,9 @@ def _ms(value: Mapping[str, Any] | None, key: str) -> Text:
 
 
 def _latency(row: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the best latency figure: across cFS where it is known, else since publication."""
+    """Return the best latency figure: across cFS, else since publication, else to the robot."""
     crossing = next((item["latency"] for item in row["crossings"] if item["latency"]), None)
-    latency: Mapping[str, Any] | None = crossing or row["delay"]
+    latency: Mapping[str, Any] | None = crossing or row["delay"] or row["to_robot"]
     return latency
 
 
@@ -284,7 +284,7 @@ _COLUMNS: Final = (
     Column("Lost", figure("lost", Level.ERROR.style)),
     Column("Rate", lambda row: Text(units.rate(row["rate_hz"] or None)), rank=1),
     Column("Clean to", lambda row: Text(clean_to(row), palette.DIM), rank=1),
-    Column("p50", lambda row: _ms(_latency(row), "p50_ms"), rank=2),
+    Column("Delay p50", lambda row: _ms(_latency(row), "p50_ms"), rank=2),
     Column("p99", lambda row: _ms(_latency(row), "p99_ms"), rank=2),
     Column("max", lambda row: _ms(_latency(row), "max_ms"), rank=3),
     Column(

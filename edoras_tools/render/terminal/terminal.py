@@ -28,11 +28,12 @@ def error_console() -> Console:
 
 def _console(stream: TextIO) -> Console:
     terminal = detect_terminal(stream)
+    bold = {f"{name} bold": f"{shade} bold" for name, shade in SHADES.items()}  # a theme knows whole styles
     return Console(
         file=stream,
         width=None if terminal.interactive else terminal.width,
         color_system="256" if terminal.colour else None,
-        theme=Theme(SHADES),
+        theme=Theme(SHADES | bold),
         force_terminal=terminal.colour or terminal.interactive,
         highlight=False,
         markup=False,

@@ -122,7 +122,7 @@ def _distro(distro: str) -> str:
         return names[-1]
     if distro not in names:
         raise ConfigError(
-            f"--distro: {distro!r} is not a ROS 2 distribution; known: {', '.join(names)}, latest, rolling"
+            f"distro {distro!r} is not a ROS 2 distribution; known: {', '.join(names)}, latest, rolling"
         )
     return distro
 
@@ -134,7 +134,7 @@ def _index(paths: Iterable[str | os.PathLike[str]]) -> dict[str, Path]:
     for folder in map(Path, paths):
         path = folder.absolute()
         if not path.exists():
-            mistakes.append(f"--msg-path: {folder}: no such file or folder")
+            mistakes.append(f"msg-path {folder}: no such file or folder")
             continue
         candidates = (
             [path] if path.is_file() else [*sorted(path.rglob("*.msg")), *sorted(path.rglob("*.idl"))]
@@ -146,7 +146,7 @@ def _index(paths: Iterable[str | os.PathLike[str]]) -> dict[str, Path]:
         }
         if not entries:
             mistakes.append(
-                f"--msg-path: {folder}: no definition there; expected PACKAGE/msg/NAME.msg or NAME.idl"
+                f"msg-path {folder}: no definition there; expected PACKAGE/msg/NAME.msg or NAME.idl"
             )
         index = entries | index
     if mistakes:

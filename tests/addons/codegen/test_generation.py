@@ -31,8 +31,8 @@ def test_every_file_says_what_made_it():
     made = generate(TypeStore("humble"), order)
     command = (
         "edoras codegen geometry_msgs/Twist builtin_interfaces -c two_rovers_ground.yaml "
-        "--bound std_msgs/Header.frame_id=7 --strings 5 --sequences 6 --pool 2 --envelope '4/4 be' "
-        "--distro humble"
+        "--bound std_msgs/Header.frame_id=7 --bound strings=5 --bound sequences=6 --pool 2 "
+        "--set 'envelope=4/4 be' --set distro=humble"
     )
     for name, text in made.files.items():
         lines = text.splitlines()

@@ -102,7 +102,7 @@ def test_an_emulated_cfs_takes_commands_where_it_is_allowed(started):
         client.publish(2, b"")
         client.until(lambda: client.statuses)
         assert client.statuses[0]["message"] == (
-            "/telemetry_pose may not be published; --allow-publish allows /cmd_vel"
+            "/telemetry_pose may not be published; --allow allows /cmd_vel"
         )
         client.publish(1, CDR)
         client.until(lambda: any(item.data == CDR for item in client.on("/cmd_vel")))

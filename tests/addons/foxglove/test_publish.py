@@ -65,7 +65,7 @@ def test_json_is_encoded(taken):
     [
         (
             ("/robot_2/ground/cmd_vel", TWIST, "cdr", CDR),
-            f"may not be published; --allow-publish allows {CMD}",
+            f"may not be published; --allow allows {CMD}",
         ),
         (("/robot_1/ground/pose", POSE, "cdr", CDR), "may not be published"),
         (("/nowhere", TWIST, "cdr", CDR), "may not be published"),

@@ -110,5 +110,5 @@ def test_no_type_fits(commands):
     made = drafted(commands(lambda cdr: struct.pack("<QQ", 9, 9) + cdr[:4] + b"\xff" * 48))
     assert "1827" not in made.text
     assert made.notes == [
-        "0x1827 (CI): left out: no known type fits 1 different message; give its --msg-path"
+        "0x1827 (CI): left out: no known type fits 1 different message; give --set msg-path"
     ]

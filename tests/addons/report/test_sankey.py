@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from xml.etree import ElementTree as ET
 
 import pytest
 from places import ROOT
 
+from edoras_tools.addons.report.page import page
 from edoras_tools.addons.report.plots import plots
 from edoras_tools.addons.report.sankey import bands, sankey, strip
 from edoras_tools.diagnosis.balance import ways
 from edoras_tools.diagnosis.ledger import summed
+from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.render.pages.parts import Made
 
 MISSION = ROOT / "samples/missions/rover_ground.yaml"
 NAMES = ("a_rover", "c4_cmd_rate", "n12_two_hosts_ground", "season3/q01_two_causes_one_counter")
@@ -53,4 +57,15 @@ def test_it_is_said_in_words(result):
     for item in result.headlines[:3]:
         if item.topic in result.topics.values():
             assert f"{item.topic}: {item.sent:,} sent" in label
-    assert ET.fromstring(strip(plots(result.case))).get("aria-label").startswith("Routes over time. ")
+    told = ET.fromstring(strip(drawn := plots(result.case))).get("aria-label")
+    assert told.startswith("Routes over time. ")
+    for row in drawn.rates:
+        lost = sum(row["missing"]) * drawn.bin_s
+        if lost or any(row["seen"]):
+            assert f"{row['label']}, {row['link'].upper()}: {lost:,.0f} lost, " in told
+
+
+def test_a_report_has_what_would_be_left(result):
+    text = page(result, "x.pcap", Made("edoras report x.pcap", 0))
+    promised = [item.promise for item in summarize(result).problems[:3] if item.promise]
+    assert re.findall(r">left ([^<]+)<", text) == promised

@@ -36,6 +36,6 @@ def test_samples_of_unknown_types_are_told():
     mine = announced("rt/mine", "my::msg::dds_::Thing_")
     assert told(message(data(1, CDR)), mine, message(data(2, CDR))) == [
         "DDS: 1 sample (and copies) came before the writer was announced: no topic",
-        "DDS: 1 sample of unknown types (my/msg/Thing): only bytes; --msg-path adds types",
+        "DDS: 1 sample of unknown types (my/msg/Thing): only bytes; --set msg-path adds types",
     ]
     assert told(announced("rq/mineRequest", "my::srv::dds_::Thing_Request_"), message(data(1, CDR))) == []

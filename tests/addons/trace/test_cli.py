@@ -62,6 +62,7 @@ def test_as_a_picture(call, rover, tmp_path, suffix, which):
         tree = ET.fromstring(text)
         assert tree.get("role") == "img"
         assert "/cmd_vel" in tree.get("aria-label")
+        assert any("/cmd_vel (0x1827 on CI)" in (item.text or "") for item in tree.iter())
     elif suffix == "mmd":
         assert text.startswith("sequenceDiagram\n    participant P0 as publisher\n")
         assert "+356.968 ms (measured)" in text
@@ -86,6 +87,24 @@ def test_what_is_not_there(call, rover, words, said):
     done = call("trace", path, *words, *mission)
     assert (done.code, done.out) == (2 if said[:3] in {"say", "nam", "x.p"} or words[0] == "--nth" else 1, "")
     assert done.err[-1].removeprefix("edoras: ") == said
+
+
+def test_a_topic_without_a_name_is_named_once(call, captures):
+    assert call("trace", captures("a_rover"), "--lost", 3).out.startswith("0x1827 on CI, message 25 of 600\n")
+    assert call("trace", captures("a_rover"), "--topic", "0x1827").out.startswith("0x1827 on CI\n")
+
+
+def test_the_time_that_it_took_is_of_the_delays_of_the_doctor(call, rover):
+    """Its steps add up to it, and its p50 is the one of the table."""
+    trace = call("trace", *rover, "--topic", "/cmd_vel", "--nth", 12, "--json").json()["trace"]
+    times = [step["time_ns"] for step in trace["steps"] if step["time_ns"] is not None]
+    assert times[-1] - times[0] == trace["delay_ns"]
+    (row,) = [row for row in call("doctor", *rover, "--json").json()["routes"] if row["topic"] == "/cmd_vel"]
+    assert trace["usual"]["p50_ms"] == pytest.approx(row["to_robot"]["p50_ms"])
+    (line,) = [
+        line for line in call("doctor", *rover, "-v").out.splitlines() if line.startswith("CI    0x1827")
+    ]
+    assert "258 ms" in line
 
 
 def test_without_a_file(call):

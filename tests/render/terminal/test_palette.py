@@ -54,6 +54,19 @@ def test_sixteen_colours_have_their_names():
     assert shades("xterm") == r"{} ('\x1b[1;33m', '\x1b[0m')"
 
 
+def test_bold_text_has_the_shade_too():
+    """A headline is ``green bold``: rich's own green vanishes on white."""
+    code = "from edoras_tools.render.terminal.terminal import output_console as console; "
+    code += (
+        "print([console().get_style(f'{name} bold').color.number for name in ('green', 'yellow', 'cyan')])"
+    )
+    environment = {**os.environ, "TERM": "xterm-256color"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    )
+    assert done.stdout == "[64, 136, 30]\n"
+
+
 GROUNDS = {"white": (255, 255, 255), "black": (0, 0, 0), "dark": (0, 43, 54), "light": (253, 246, 227)}
 
 

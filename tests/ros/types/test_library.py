@@ -29,7 +29,7 @@ def test_nothing_is_loaded_before_it_is_asked_for(monkeypatch):
 
 def test_an_unknown_distribution_names_those_known():
     with pytest.raises(
-        ConfigError, match=r"^--distro: 'noble' is not a ROS 2 .*foxy, galactic, humble, iron, jazzy.*rolling"
+        ConfigError, match=r"^distro 'noble' is not a ROS 2 .*foxy, galactic, humble, iron, jazzy.*rolling"
     ):
         TypeStore("noble")
 

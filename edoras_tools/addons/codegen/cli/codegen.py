@@ -55,13 +55,13 @@ def codegen(
     folder: FolderOptions,
     bounds: BoundOptions,
     core: CoreOptions,
-    generator: Annotated[Any, Option(parser=options.msg_id, help="Its command's MsgId; 0x18F0.")] = None,
+    generator: Annotated[Any, Option(parser=options.msg_id, help="Its MsgId; default 0x18F0.")] = None,
     quiet: options.Quiet = False,
     decoding: options.DecodingOptions,
 ) -> None:
     """Write messages in C for flight software: no ROS, no heap.
 
-    For example: edoras codegen -c MISSION --bound sensor_msgs/msg/JointState.name=16 -o fsw/src/edoras_msgs
+    For example: edoras codegen std_msgs/Header --bound std_msgs/Header.frame_id=16 -o edoras_msgs
     """
     from edoras_tools.addons.codegen.bounds import BoundRule, Bounds
     from edoras_tools.addons.codegen.generation import LibraryOrder, generate

@@ -32,7 +32,7 @@ def xtce(
 ) -> None:
     """Describe packets for ground systems: XTCE or COSMOS.
 
-    Of the missions that -c names and the C structs of --structs: telemetry of Telemetry Output and of cFE
+    Of the missions that -c names and the C structs of --set: telemetry of Telemetry Output and of cFE
     itself, field by field; commands to Command Ingest of fixed size.
     """
     from edoras_tools.addons.codegen.writing import describe_packets

@@ -491,6 +491,5 @@ def _listen(endpoint: Endpoint) -> socket.socket:
         number = getattr(error, "errno", None) or 0
         why = os.strerror(number) if number > 0 else getattr(error, "strerror", None) or str(error)
         raise CaptureError(
-            f"{endpoint}: cannot listen: {why}; name another port (--ws-port or --live, "
-            "0: any free one) or address"
+            f"{endpoint}: cannot listen: {why}; name another port (--live, 0: any free one) or address"
         ) from None

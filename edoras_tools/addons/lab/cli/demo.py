@@ -13,7 +13,7 @@ from edoras_tools import doors
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import LOST, say, tell
-from edoras_tools.cli.options import Scenario
+from edoras_tools.cli.options import SCENARIOS, Scenario
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.cli.relays import run_relay
 from edoras_tools.errors import ConfigError
@@ -48,16 +48,10 @@ class DemoOptions(NamedTuple):
     ] = 10.0
     state_rate: Annotated[
         float | None,
-        Option(
-            min=0,
-            max=2000,
-            show_default=False,
-            metavar="HZ",
-            help="States that each of two robots sends; default 250.",
-        ),
+        Option(min=0, max=2000, metavar="HZ", help="States a second of each of two robots; default 250."),
     ] = None
     ros_options: options.RosOption = None
-    max_rate: Annotated[float, Option(min=0, metavar="HZ", help="States that are forwarded; 0: all.")] = 30.0
+    max_rate: Annotated[float, Option(min=0, metavar="HZ", help="States forwarded a second; 0: all.")] = 30.0
     live: Annotated[bool, Option("--live", help="Show it in Foxglove, and drive the robots there.")] = False
     ws_port: Annotated[int | None, Option(min=0, max=65535, hidden=True)] = None
     distro: Annotated[str, Option(envvar="ROS_DISTRO", hidden=True)] = options.DISTRO
@@ -86,7 +80,7 @@ class DemoOptions(NamedTuple):
 @grouped
 def demo(
     *,
-    scenario: Annotated[Scenario | None, Argument(help="A demo of the paper; default: the tour.")] = None,
+    scenario: Annotated[Scenario | None, Argument(metavar="[SCENARIO]", help=SCENARIOS)] = None,
     output: Annotated[
         Path | None,
         Option(
@@ -95,12 +89,14 @@ def demo(
     ] = None,
     force: recordings.Force = False,
     duration: Annotated[
-        int | None, Option("--duration", parser=options.duration, help="Default: 6s for the tour, 20s.")
+        int | None, Option("--duration", parser=options.duration, help="Default 20s; of the tour 6s.")
     ] = None,
     demos: DemoOptions,
     printing: options.PrintOptions,
 ) -> None:
     """Show the main features, or run a demo of the paper.
+
+    Without SCENARIO: a tour of the main features.
 
     For example: edoras demo two-rovers --live
     """

@@ -12,7 +12,7 @@ from typer import Argument, Option
 from edoras_tools.cli import options
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import tell_reach
-from edoras_tools.cli.options import Scenario
+from edoras_tools.cli.options import SCENARIOS, Scenario
 
 
 class FlightOptions(NamedTuple):
@@ -29,7 +29,7 @@ class FlightOptions(NamedTuple):
             "--set",
             parser=options.name_value,
             metavar="NAME=VALUE",
-            help="A constant: msg_max=10, to_default_limit=12, extended-header=yes.",
+            help="A constant of cFS: msg_max=10, extended-header=yes; all: edoras help decoding.",
         ),
     ] = None
 
@@ -37,7 +37,7 @@ class FlightOptions(NamedTuple):
 @grouped
 def sim(
     *,
-    scenario: Annotated[Scenario, Argument(help="The EDORAS demo to emulate.")] = Scenario.ROVER,
+    scenario: Annotated[Scenario, Argument(metavar="[SCENARIO]", help=SCENARIOS)] = Scenario.ROVER,
     bridges: Annotated[bool, Option(" /--no-bridges", help="cFS alone, without bridges and robots.")] = True,
     rate: Annotated[float, Option(min=0.01, max=1000, metavar="HZ", help="Commands per second.")] = 5.0,
     flight: FlightOptions,
@@ -47,7 +47,7 @@ def sim(
 ) -> None:
     """Run an emulated cFS on loopback, with the real limits.
 
-    Its console is printed on stdout. Watch it from another terminal: edoras sniff -i lo
+    Its console is printed on stdout. In another terminal, edoras sniff -i lo shows its traffic.
     """
     from threading import Event
 

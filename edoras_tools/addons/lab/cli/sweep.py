@@ -40,12 +40,12 @@ def span(text: str) -> tuple[int, int]:
 class StepOptions(NamedTuple):
     """What to try, for how long, and where."""
 
-    rate: Annotated[Any, Option(parser=span, metavar="FROM..TO", help="Messages a second, or one.")] = None
+    rate: Annotated[Any, Option(parser=span, metavar="FROM..TO", help="Hz to try; default 1..1000.")] = None
     size: Annotated[
-        Any, Option(parser=span, metavar="FROM..TO", help="Bytes of the packet, rising; or one size.")
+        Any, Option(parser=span, metavar="FROM..TO", help="Bytes of a packet to try; or one size.")
     ] = None
-    step_time: Annotated[int | None, Option(parser=options.duration, help="Of one step; usual 8s.")] = None
-    sim: Annotated[Scenario | None, Option(help="Use an emulated cFS: takes a second.")] = None
+    step_time: Annotated[int | None, Option(parser=options.duration, help="Of a step; default 8s.")] = None
+    sim: Annotated[Scenario | None, Option(help="Measure an emulated cFS.")] = None
     limit: Annotated[int | None, Option(min=1, max=255, help="With --sim: messages that may wait.")] = None
     generator: Annotated[
         Any, Option(parser=options.msg_id, help="MsgId of the generator's commands; default 0x18F0.")
@@ -105,7 +105,7 @@ class SendingOptions(NamedTuple):
     sender: sending.As = None
     timeout: sending.Timeout = None
     allow: sending.Allow = None
-    max_rate: Annotated[float | None, Option(parser=sending.limit, metavar="HZ", help="0: no limit.")] = None
+    max_rate: sending.MaxRate = None
     unlimited: Annotated[bool, Option("--unlimited", hidden=True)] = False
     yes: sending.Yes = False
 
@@ -173,7 +173,7 @@ def sweep(
 ) -> None:
     """Raise a route's rate or size until messages are lost.
 
-    The limit, its hop and its cause are told.
+    It prints the limit, its hop and its cause.
 
     For example: edoras sweep /cmd_vel -c rover.yaml, or with an emulated cFS: --sim rover
     """

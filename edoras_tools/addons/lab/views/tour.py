@@ -78,7 +78,7 @@ class Guide:
         console.print(capture_summary(live, explain=False))
         self._title(4, "A capture of a real cFS")
         self._say(
-            f"$ edoras record -r {folder}/a_rover.pcap -c {folder}/missions/rover_ground.yaml "
+            f"$ edoras record {folder}/a_rover.pcap -c {folder}/missions/rover_ground.yaml "
             f"-o {folder}/a_rover.mcap"
         )
         console.print(capture_summary(real))
@@ -87,9 +87,9 @@ class Guide:
             f"Foxglove         open {folder}/two_rovers.mcap, then its layout {folder}/foxglove_layout.json",
             "your own link    edoras sniff -i eth0 -c your_bridge.yaml",
             "                 edoras record -i eth0 -c your_bridge.yaml -o flight.mcap",
-            f"back to a pcap   edoras record -r {folder}/a_rover.mcap -o back.pcap",
+            f"back to a pcap   edoras record {folder}/a_rover.mcap -o back.pcap",
             f"what went wrong  edoras doctor {folder}/a_rover.mcap",
-            "an emulated cFS  edoras sim two-rovers --hz 10   and in another terminal: edoras sniff -i lo",
+            "an emulated cFS  edoras sim two-rovers --rate 10   and in another terminal: edoras sniff -i lo",
         ):
             self._line(f"  {line}")
 

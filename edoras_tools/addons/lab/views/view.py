@@ -236,7 +236,7 @@ def beside(summary: Mapping[str, Any]) -> str:
     ports = summary["ports"]
     names = {"ci": ports["ci"], "to": ports["to"]} | ({"sbn": ports["sbn"]} if "sbn" in ports else {})
     return "in another terminal: edoras sniff -i lo " + " ".join(
-        f"--port {name}:{port}" for name, port in names.items()
+        f"--set port={name}:{port}" for name, port in names.items()
     )
 
 

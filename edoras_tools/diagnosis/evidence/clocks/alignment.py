@@ -235,15 +235,13 @@ class Alignment:
         offset, way = self.line.offset_ns / SECOND, f"ahead of that of {other}"
         if offset < 0:
             offset, low, high, way = -offset, -high, -low, f"behind that of {other}"
-        drift = f"its drift cannot be told (less than {MOST_DRIFT * 1e6:.0f} ppm)"
+        drift = f"its drift is unknown (less than {MOST_DRIFT * 1e6:.0f} ppm)"
         if self.drift is not None:
             least, most = math.floor(self.drift[0] * 1e7) / 10, math.ceil(self.drift[1] * 1e7) / 10
             drift = (
                 f"and drifts by {self.line.drift * 1e6:+.1f} ppm, between {least:+.1f} and {most:+.1f} ppm"
             )
-        return (
-            f"{way} by {seconds(offset, 3)}, between {low:.4f} and {high:.4f} s, {drift}, told by {self.by}"
-        )
+        return f"{way} by {seconds(offset, 3)}, {low:.4f} to {high:.4f} s, {drift}, measured by {self.by}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,7 +70,7 @@ def test_it_compiles_as_it_comes(call, tmp_path):
             "edoras: envelope 'auto' is not known; there are 8/8 le",
         ),
         (("nav_msgs/Path", "--sequences", "9999999"), 2, "edoras: nav_msgs/msg/Path: "),
-        (("std_msgs/Empty", "--distro", "nope"), 2, "edoras: --distro: 'nope' is not a ROS 2 distribution"),
+        (("std_msgs/Empty", "--distro", "nope"), 2, "edoras: distro 'nope' is not a ROS 2 distribution"),
         (("-c", "none.yaml"), 2, "edoras: none.yaml: no such file"),
     ],
 )

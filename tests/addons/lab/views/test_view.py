@@ -162,9 +162,11 @@ def test_a_robot_that_nobody_heard_of_is_told(summary):
 
 
 def test_the_command_to_look_at_it_names_the_ports(summary):
-    assert view.beside(summary).endswith("edoras sniff -i lo --port ci:1 --port to:2 --port sbn:3")
+    assert view.beside(summary).endswith(
+        "edoras sniff -i lo --set port=ci:1 --set port=to:2 --set port=sbn:3"
+    )
     del summary["ports"]["sbn"]
-    assert view.beside(summary).endswith("--port to:2")
+    assert view.beside(summary).endswith("--set port=to:2")
 
 
 def test_it_is_drawn_while_it_runs(summary):
