@@ -138,7 +138,7 @@ def test_query(call, index, monkeypatch):
     assert call("archive", "query", "-", "--csv").out.splitlines() == ["a,b", "1,"]
     assert call("archive", "query", "SELECT 0 / 0.0 AS a", "--json").json()["rows"] == [["NaN"]]
     many = call("archive", "query", "FROM range(1200)").out.splitlines()
-    assert (len(many), many[-1]) == (1002, "and 200 rows more: --csv")
+    assert (len(many), many[-1]) == (1002, "and 200 rows more: --format csv")
 
 
 def test_report(call, index, tmp_path):
