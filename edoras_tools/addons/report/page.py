@@ -138,15 +138,15 @@ def _many(result: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
 def _verdict(result: Diagnosis, members: Sequence[Verdict]) -> str:
     """Return one problem: its worst time span in full, all of its spans in a table."""
     worst = max(members, key=lambda item: item.lost or 0)
-    what, text = told_of(members), f"{_when(result, worst)}, confidence {worst.confidence}"
+    reason, text = told_of(members), f"{_when(result, worst)}, confidence {worst.confidence}"
     spans = ""
     if len(members) > 1:
         lost, of = sum(item.lost or 0 for item in members), sum(item.of or 0 for item in members)
-        what, text = f"{lost:,} of {of:,} lost; {what}", f"in {len(members)} periods"
+        reason, text = f"{lost:,} of {of:,} lost; {reason}", f"in {len(members)} periods"
         spans = _spans(result, members)
     evidence = "".join(f"<li>{escape(line)}</li>" for line in worst.evidence)
     return (
-        f'<article class="verdict {worst.severity.label}"><p class="what">{escape(what)}</p>'
+        f'<article class="verdict {worst.severity.label}"><p class="what">{escape(reason)}</p>'
         f'<p class="rule">{escape(worst.rule)}, {text}</p>{spans}<ul>{evidence}</ul>'
         f"{_remedy(worst.remedy)}</article>"
     )
