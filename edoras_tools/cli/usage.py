@@ -30,7 +30,7 @@ def sections(command: Any, ctx: Any) -> Mapping[str, list[tuple[str, str]]]:
     for item in command.get_params(ctx):
         if record := item.get_help_record(ctx):  # none of a hidden one
             names, text = record
-            names = _TYPE.sub(lambda found: _VALUES.get(found[1], found[1]).upper(), names)
+            names = _TYPE.sub(lambda match: _VALUES.get(match[1], match[1]).upper(), names)
             text = text.removesuffix("  [default: True]")  # of a switch that only has its no
             heading = getattr(item, "rich_help_panel", None) or OWN
             if getattr(item, "multiple", False):
