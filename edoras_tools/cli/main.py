@@ -368,10 +368,10 @@ def run(made: typer.Typer) -> NoReturn:
         _say(str(error), branch.__name__.removesuffix("Error").lower())
     except _USAGE as error:
         code = error.exit_code
-        told = error.format_message().replace("Value error, ", "")  # the prefix of typer's own checks
+        text = error.format_message().replace("Value error, ", "")  # the prefix of typer's own checks
         command = error.ctx.command_path if error.ctx else made.info.name
-        see = f"{' See' if told.endswith('?') else '; see'} {command} -h"
-        _say(f"{told.removesuffix('.')}{see}" if told and not told.startswith("Usage: ") else told, "usage")
+        see = f"{' See' if text.endswith('?') else '; see'} {command} -h"
+        _say(f"{text.removesuffix('.')}{see}" if text and not text.startswith("Usage: ") else text, "usage")
     except SystemExit as error:
         # click ends this way at a broken pipe: the reader of the output, such as `head`, has closed it.
         code = 0 if isinstance(error.__context__, BrokenPipeError) else error.code

@@ -88,44 +88,44 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
         kind[kind == _PLACE[ConversationKind.STRANGER]] = _PLACE[ConversationKind.FOREIGN]
     foreign = kind == _PLACE[ConversationKind.FOREIGN]
     kept = np.flatnonzero(~foreign)
-    told = rows.take(kept) if len(kept) < count else rows
-    names = one_name(told, recorder.endpoints)
+    table = rows.take(kept) if len(kept) < count else rows
+    names = one_name(table, recorder.endpoints)
     if (names != np.arange(len(names))).any():
-        told = followed(replace(told, source=names[told.source], destination=names[told.destination]))
-    passed = find_relayed(told, recorder.endpoints)
-    lost = tuple(loss for item in passed for loss in item.losses(told))
+        table = followed(replace(table, source=names[table.source], destination=names[table.destination]))
+    passed = find_relayed(table, recorder.endpoints)
+    lost = tuple(loss for item in passed for loss in item.losses(table))
     if passed:
-        source, behind = told.source.copy(), np.ones(len(told), bool)
+        source, behind = table.source.copy(), np.ones(len(table), bool)
         for item in passed:
-            source[item.behind] = item.sources(told)
+            source[item.behind] = item.sources(table)
             behind[item.before] = False
-        kept, told = kept[behind], followed(replace(told, source=source).take(np.flatnonzero(behind)))
-    way = told.way()
-    relayed = before_proxy(told, proxied)
+        kept, table = kept[behind], followed(replace(table, source=source).take(np.flatnonzero(behind)))
+    way = table.way()
+    relayed = before_proxy(table, proxied)
     if relayed.any():
         behind = np.flatnonzero(~relayed)
-        kept, told, way = kept[behind], told.take(behind), way[behind]
-    copies = find_copies(told.time_ns, told.identification, way, told.tap, told.bytes_print)
+        kept, table, way = kept[behind], table.take(behind), way[behind]
+    copies = find_copies(table.time_ns, table.identification, way, table.tap, table.bytes_print)
     copy, duplicate, perhaps = copies.copy, copies.duplicate, copies.duplicate[:0]
     if duplicate.any():
         ingest = payloads.ingest
         sources = names[rows.source[ingest["row"]]]
-        who = who_doubled(told, copies, ingest, sources, recorder.endpoints)
+        who = who_doubled(table, copies, ingest, sources, recorder.endpoints)
         if any(item.doubled for item in proxied.values()):
             who[duplicate & (who == 0)] = BY_NETWORK  # a proxy says that it sent some again
         perhaps = duplicate & (who == 0)
         copy, duplicate = copy | perhaps | (who == BY_CAPTURE), who == BY_NETWORK
-    doubled = told.take(np.flatnonzero(perhaps))
+    doubled = table.take(np.flatnonzero(perhaps))
     if copy.any():
         once = np.flatnonzero(~copy)
-        kept, told, duplicate = kept[once], told.take(once), duplicate[once]
+        kept, table, duplicate = kept[once], table.take(once), duplicate[once]
     stranger = kind[kept] == _PLACE[ConversationKind.STRANGER]
     if stranger.any():
-        told = _emptied(told, stranger)
+        table = _emptied(table, stranger)
     if len(kept) < count or stranger.any():
         payloads = payloads.over(np.where(stranger, -1, kept), count)
     return Prepared(
-        rows=with_cut_times(told),
+        rows=with_cut_times(table),
         payloads=payloads,
         flows=flows,
         foreign=int(foreign.sum()),
@@ -251,10 +251,10 @@ def with_cut_times(rows: Rows) -> Rows:
         return rows
     from_ = handed_on(rows, network, output)
     there = from_ >= 0
-    into, told = network[from_[there]], rows.mission_time_ns[output[there]]
+    into, table = network[from_[there]], rows.mission_time_ns[output[there]]
     least, most = np.full(len(rows), np.iinfo(np.int64).max), np.zeros(len(rows), np.int64)
-    np.minimum.at(least, into, told)
-    np.maximum.at(most, into, told)
+    np.minimum.at(least, into, table)
+    np.maximum.at(most, into, table)
     into = np.unique(into)
     sure = least[into] == most[into]
     # Two cFS that were started together give one count at one time: then it tells nothing.
