@@ -12,6 +12,8 @@ import gc
 import os
 import select
 import signal
+import subprocess
+import sys
 import traceback
 import warnings
 from itertools import chain, count, groupby, pairwise
@@ -24,10 +26,19 @@ from order import together
 
 NUMBER = 4
 """Bytes of a file's number in the queue."""
+ALPHABET = "from hypothesis.strategies import text; text().validate()"
+"""Has Hypothesis keep which characters there are: 4 s for each worker, where a clone is new."""
+
+PREPARATION = pytest.StashKey()
 
 
 def pytest_addoption(parser):
     parser.addoption("--workers", type=int, default=0, metavar="N", help="run files of tests in N processes")
+
+
+def pytest_configure(config):
+    if config.option.workers and "hypothesis" in sys.modules and not config.option.collectonly:
+        config.stash[PREPARATION] = subprocess.Popen([sys.executable, "-c", ALPHABET], cwd=config.rootpath)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -70,6 +81,8 @@ class Crew:
         Raises:
             RuntimeError: workers ended without word, and tests did not run.
         """
+        if preparation := self.session.config.stash.get(PREPARATION, None):
+            preparation.wait()
         gc.freeze()  # what was collected is never garbage: the forks leave its memory alone
         try:
             for _ in range(min(size, len(self.files))):
