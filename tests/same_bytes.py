@@ -379,7 +379,8 @@ def hashes(chosen: Sequence[str], texts: Path | None = None) -> dict[str, str]:
         for name in {Path(word).stem for line in chosen for word in line.split() if "emulated" in line}:
             if name in RUNS:
                 emulate(name, place / f"{name}.pcap")
-        with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        # Each imports for itself what 30 lines take.
+        with ProcessPoolExecutor(min(len(os.sched_getaffinity(0)), 1 + len(chosen) // 100)) as pool:
             found = pool.map(partial(hash_of, place=place, texts=texts), chosen, chunksize=4)
             return dict(zip(chosen, found, strict=True))
 

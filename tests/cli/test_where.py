@@ -69,7 +69,7 @@ FIELDS = "number,time,link,msg_id,sbn.msg_type,cfe_event.message,pose.position.x
 
 
 def test_fields_as_csv(call, captures, missions):
-    source = ("-r", captures("a_rover"), *missions("rover_ground"))
+    source = ("-r", captures("a_rover"), "-n", 500, *missions("rover_ground"))
     told = call("sniff", *source, "--fields", FIELDS, "--format", "csv")
     rows = list(csv.DictReader(io.StringIO(told.out)))
     every = call("sniff", *source, "--json").lines()

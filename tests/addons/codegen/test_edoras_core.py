@@ -16,6 +16,7 @@ from edoras_tools.mission import load
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 
+TOGETHER = "a library in C"
 JOINTS = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/Pose"
 APP_FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC")

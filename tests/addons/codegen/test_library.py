@@ -13,6 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from edoras_tools.errors import WireError
 
+TOGETHER = "a library in C"
 PACKAGES = ("geometry_msgs", "sensor_msgs", "std_msgs", "nav_msgs", "builtin_interfaces")
 PROBES = [
     f"probe_msgs/msg/{name}" for name in ("All", "Bounds", "Deep", "Inner", "Wide", "Words", "Defaults")

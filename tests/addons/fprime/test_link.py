@@ -1,8 +1,5 @@
 """F Prime: frames that its own ground system makes and reads, as our readers read them, and any bytes."""
 
-import json
-import subprocess
-import sys
 from collections import Counter
 from contextlib import closing
 from functools import partial
@@ -286,7 +283,7 @@ radio:
 
 
 @pytest.mark.long
-def test_packets_over_the_borders_of_frames_are_whole_where_a_mission_names_the_frames(tmp_path):
+def test_packets_over_the_borders_of_frames_are_whole_where_a_mission_names_the_frames(call, tmp_path):
     down = [packet for packet in PACKETS if packet[:2] != b"\0\0"]
     spaces = [space(packet, count) for count, packet in enumerate(down)]
     stream = b"".join(spaces)
@@ -301,10 +298,8 @@ def test_packets_over_the_borders_of_frames_are_whole_where_a_mission_names_the_
     items = [Udp(10**18 + index, *ends, one) for index, one in enumerate(frames)]
     path = write(tmp_path / "spanned.pcap", items)
     (tmp_path / "radio.yaml").write_text(RADIO)
-    asked = [sys.executable, "-m", "edoras_tools", "sniff", path, "-c", tmp_path / "radio.yaml"]
-    asked += ["--structs", DICTIONARY, "--json", "--link", "fprime"]
-    done = subprocess.run(asked, check=True, capture_output=True, timeout=120)
-    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    words = ("-c", tmp_path / "radio.yaml", "--structs", DICTIONARY, "--json", "--link", "fprime")
+    lines = call("sniff", path, *words).lines()
     found = [item["topic"] for line in lines for item in (line, *line.get("more", []))]
     assert found == [topic for topic, _, _ in sent() if "/commands/" not in topic]
     assert not any(line["findings"] for line in lines)
@@ -321,11 +316,9 @@ def test_info_counts_every_entry():
     assert counted["/fprime/packets/Motion"]["id"] == "0x0001"
 
 
-def test_a_recording_has_the_topics_and_the_log(tmp_path):
+def test_a_recording_has_the_topics_and_the_log(call, tmp_path):
     path = tmp_path / "rover.mcap"
-    edoras = [sys.executable, "-m", "edoras_tools"]
-    made = [*edoras, "record", CAPTURE, "--structs", DICTIONARY, "-o", path, "-q"]
-    subprocess.run(made, check=True, timeout=120)
+    assert call("record", CAPTURE, "--structs", DICTIONARY, "-o", path, "-q").code == 0
     told, values = [], []
     with AnyReader([path]) as reader:
         for connection, _, raw in reader.messages():
@@ -344,10 +337,8 @@ def test_a_recording_has_the_topics_and_the_log(tmp_path):
         (20, "Rover.drive", "ModeChanged", "Mode is LOST at 0.00 m/s, dust \u00e9 of {9223372036854775808}"),
         (40, "Rover.drive", "Stuck", "Stuck"),
     ]
-    asked = [*edoras, "sniff", path, "--json", "--where", "Rover.drive.Odometer.value == 13"]
-    read = subprocess.run(asked, check=True, capture_output=True, timeout=120)
-    (line,) = read.stdout.splitlines()
-    assert [item["message"]["value"] for item in json.loads(line)["more"][:1]] == [13]
+    (line,) = call("sniff", path, "--json", "--where", "Rover.drive.Odometer.value == 13").lines()
+    assert [item["message"]["value"] for item in line["more"][:1]] == [13]
 
 
 FILTERS = {

@@ -17,6 +17,8 @@ from waiting import Program, until
 
 from edoras_tools.addons.dds.graph import DdsGraph
 from edoras_tools.addons.rtps.wire.parameters import read_announcement
+from edoras_tools.pipelines.capture.record import Target, record
+from edoras_tools.pipelines.workbench import Settings, open_files
 
 CAPTURE = ROOT / "samples/rtps/cyclone_sender.pcap.gz"
 TOPICS = {"/cmd_vel": "Twist", "/chatter": "String", "/joint_states": "JointState"}
@@ -61,8 +63,8 @@ class Readers:
 def recorded(tmp_path_factory):
     """The messages of the capture by topic, as its recording has them."""
     target = tmp_path_factory.mktemp("rtps") / "run.mcap"
-    words = (sys.executable, "-m", "edoras_tools", "record", "-q", "-r", CAPTURE, "-o", target)
-    subprocess.run(words, check=True)
+    source = open_files([CAPTURE])
+    record(source, Settings().workbench(source.info), Target(target))
     by_topic = {topic: [] for topic in TOPICS}
     with target.open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages(topics=[*TOPICS]):

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from functools import cache
 from types import SimpleNamespace
 
 import pytest
@@ -103,8 +104,9 @@ def test_what_was_read_before_a_failure_is_judged():
     )
 
 
-def found(scope, **options):
-    return examine(simulated(**options), Settings().workbench(), scope=scope).diagnosis
+@cache
+def found(scope):
+    return examine(simulated(), Settings().workbench(), scope=scope).diagnosis
 
 
 def test_a_span_of_time_is_cut_out_and_the_rest_counted():

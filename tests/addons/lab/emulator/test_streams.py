@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import signal
 import socket
-import subprocess
-import sys
 
 import pytest
 from places import CAPTURES
 from waiting import HOST, Program, free_ports, until
+from warm import EDORAS
 
 from edoras_tools.addons.lab.emulator import Served, Simulation, streams
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
@@ -69,36 +68,18 @@ def test_messages_cross_both_ways_and_a_lost_peer_comes_back(ports):
             until(lambda: not connected(one, OTHER))
 
 
-def test_a_relay_between_two_and_a_replay_to_one(ports, tmp_path):
+def test_a_relay_between_two_and_a_replay_to_one(call, ports):
     own, relay, far = ports
     one, heard = cfs(FIRST, own, (OTHER, relay), (BRIDGE, free_ports(1)[0]))
     other, _ = cfs(OTHER, far, (FIRST, own))
     ends = ("--listen", f"{HOST}:{relay}", "--target", f"{HOST}:{far}")
-    edoras = (sys.executable, "-m", "edoras_tools")
-    with Program(*edoras, "proxy", "sbn", "--tcp", *ends) as proxy, Served(one), Served(other):
+    with Program(EDORAS, "proxy", "sbn", "--tcp", *ends) as proxy, Served(one), Served(other):
         until(lambda: 0x803 in heard)
         assert connected(other, FIRST)
-        words = ("replay", CAPTURES / "f_sbn_disconnect.pcap", "--to", "sbn", "--tcp", "--as", "66:3")
-        more = (
-            "--msg-id",
-            "0x1829",
-            "--count",
-            "40",
-            "--rate",
-            "100",
-            "--linger",
-            "0.1s",
-            "--target",
-            f"{HOST}:{own}",
-        )
-        done = subprocess.run(
-            [*edoras, *map(str, words), *more],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=100,
-        )
-        assert done.returncode == 0, done.stderr
+        words = ("--to", "sbn", "--tcp", "--as", "66:3", "--msg-id", "0x1829", "--count", 40, "--rate", 100)
+        ends = ("--linger", "0.1s", "--target", f"{HOST}:{own}")
+        done = call("replay", CAPTURES / "f_sbn_disconnect.pcap", *words, *ends)
+        assert done.code == 0, done.err
         until(lambda: not connected(one, BRIDGE))
         assert heard.count(0x1829) == 40
         proxy.process.send_signal(signal.SIGINT)
