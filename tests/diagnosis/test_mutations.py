@@ -20,7 +20,7 @@ CASES = CASES[: None if LONG else 30]
 whole = cache(lambda name: frames(FOLDER / f"{name}.pcap.zst"))
 
 
-@pytest.mark.each(3)
+@pytest.mark.each(6)
 @pytest.mark.parametrize(("name", "change"), CASES)
 def test_a_changed_capture_proves_no_more_than_was_lost(name, change, tmp_path):
     path = write(tmp_path / "x.pcap", changed(whole(name), change, 1))

@@ -329,7 +329,7 @@ def whole(tmp_path_factory):
     return cache(lambda name: diagnosed(write(path, captured(name)), name))
 
 
-@pytest.mark.each(3)
+@pytest.mark.each(4)
 @pytest.mark.parametrize(
     ("name", "what", "variant"), long_but(QUICK, CASES), ids=[f"{one}: {two}" for one, two, _ in CASES]
 )

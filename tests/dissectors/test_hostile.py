@@ -144,7 +144,7 @@ def compared(capture, frames, context, judge):
 
 
 def test_fuzzed_datagrams(tshark, write_pcap, tmp_path, judge):
-    capture = write_pcap(tmp_path / "fuzz.pcap", mangled(examples(20_000, 12), seed=4))
+    capture = write_pcap(tmp_path / "fuzz.pcap", mangled(examples(20_000, 25), seed=4))
     frames = tshark(*ROVERS).frames(capture)
     compared(capture, frames, Context(load(ROVERS), TYPES, structs=Structs()), judge)
 
@@ -206,7 +206,7 @@ def test_every_kind_of_field_in_both_byte_orders(distro, zoo, tshark, write_pcap
         for values in (VALUES, {}, {"text": "nul\0inside"}):
             cdr = types.encode("zoo_msgs/msg/Zoo", values, big_endian=big)
             rows.append((1235, 1234, cfe.emit_command(0x1827, 1, envelope(cdr))))
-            for _ in range(150):
+            for _ in range(examples(150, 3)):
                 data = bytearray(cdr)
                 for _ in range(chance.randrange(1, 3)):
                     data[chance.randrange(4, len(data))] = chance.choice(

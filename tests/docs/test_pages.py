@@ -46,6 +46,8 @@ QUICK = [page for page in REFRESHED if page.stem not in {"sweep", "balance", "ar
 @pytest.mark.each(3)
 @pytest.mark.long(
     "docs/doctor.md",
+    "docs/record.md",
+    "docs/check.md",
     "docs/rtps.md",
     "docs/fprime.md",
     "docs/wire.md",

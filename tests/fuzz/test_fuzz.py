@@ -18,7 +18,7 @@ import fuzz_shapes  # noqa: E402
 import fuzz_targets  # noqa: E402
 
 
-@pytest.mark.each(2)
+@pytest.mark.each(3)
 @pytest.mark.parametrize("name", fuzz_targets.TARGETS)
 def test_seeds_and_what_once_broke(name):
     """A seed that shows nothing of its own is a seed too many; a target that sees no difference is blind."""
@@ -55,9 +55,9 @@ def test_seeds_and_what_once_broke(name):
     ],
 )
 def test_for_a_little_while(name, executions):
-    """The same mutations each time, a twentieth of them but in ``make long``; ``make fuzz`` tries others."""
+    """The same mutations each time, a fortieth of them but in ``make long``; ``make fuzz`` tries others."""
     fuzzer = fuzz_engine.Fuzzer(name, fuzz_targets.TARGETS[name], fuzz.seeds(name), Random(name))
-    for _ in range(examples(executions, 20)):
+    for _ in range(examples(executions, 40)):
         fuzzer.step()
     assert [finding.report for finding in fuzzer.findings.values()] == []
 

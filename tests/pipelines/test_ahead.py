@@ -11,7 +11,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from children import children
-from effort import examples, long_but
+from effort import LONG, examples, long_but
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import CAPTURES, ROOT
@@ -62,8 +62,8 @@ def same(one, other):
 @pytest.mark.quick("a_rover")
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
 def test_info_is_the_same_with_any_number_of_processes(path):
-    found = [looked_at(path, jobs).summary() for jobs in (1, 2, 3)]
-    assert found[0] == found[1] == found[2]
+    found = [looked_at(path, jobs).summary() for jobs in ((1, 2, 3) if LONG else (1, 3))]
+    assert all(item == found[0] for item in found)
     assert found[0]["datagrams"] > 500
 
 

@@ -1,7 +1,7 @@
 """What names that tables show stand for."""
 
 import pytest
-from effort import long_but
+from effort import every, long_but
 from places import ROOT
 
 from edoras_tools.errors import RouteError
@@ -31,7 +31,7 @@ def test_every_name_that_info_prints_chooses_what_it_counts(capture):
     rows = counted(capture).ledger.routes()
     names = {row[key] for row in rows for key in ("topic", "name", "msg_id") if row[key]}
     assert names
-    for name in names:
+    for name in every(3, sorted(names)):
         own = sum(row["count"] for row in rows if name in {row["topic"], row["name"], row["msg_id"]})
         chosen = counted(capture, Selection(topics=[name])).ledger
         found = sum(

@@ -34,6 +34,7 @@ def test_twenty_hertz_of_an_emulated_run():
     assert 7.9 < last[-1].rate_hz < 9
 
 
+@pytest.mark.quick("25")
 @pytest.mark.parametrize("rate_hz", [25, 60])
 def test_what_ci_cannot_read_waits_and_does_not_arrive(rate_hz):
     """CI reads 22 a second: the rest waits in its socket; 0x803 has what the pipe loses of what was read."""

@@ -4,7 +4,7 @@ import os
 import signal
 
 import pytest
-from effort import LONG
+from effort import LONG, every
 from textual.events import MouseScrollDown
 
 from edoras_tools.addons.tui.panes import Help
@@ -230,11 +230,12 @@ def test_a_filter_that_nothing_passes_says_so(drive):
 def test_a_wrong_filter_is_shown_with_a_caret_at_the_character(drive):
     async def script(hands):
         app = hands.app
-        for text, at, words in [
+        wrong = [
             ("msg_id == 0x827 and pse.position.x > 1", 20, "did you mean pose.position.x"),
             ("msg_id = 1", 7, "equality is written =="),
             ("link ==", 7, "a value belongs"),
-        ]:
+        ]
+        for text, at, words in every(3, wrong):
             await hands.filter(text)
             line = app.filter_line
             assert app.focused is line.input
@@ -380,7 +381,7 @@ def test_a_field_becomes_a_filter(drive):
 
 def test_search_goes_to_the_next_and_round_the_end(drive):
     async def script(hands):
-        for text in ("Peer 66:3 connected", "msg_id == 0x1829"):
+        for text in every(2, ("Peer 66:3 connected", "msg_id == 0x1829")):
             await hands.press("g", "slash")
             hands.app.prompt.input.value = ""
             await hands.write(text)

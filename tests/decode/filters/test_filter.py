@@ -165,7 +165,7 @@ CASES = [("a_rover", *case) for case in ON_ROVER.items()]
 CASES += [("b_arm_single", *case) for case in ON_ARM.items()]
 
 
-@pytest.mark.each(3)
+@pytest.mark.each(4)
 @pytest.mark.parametrize(("capture", "text", "wanted"), CASES, ids=[case[1] for case in CASES])
 def test_what_passes(capture, text, wanted):
     context, (batch, columns, packets) = capture_of(capture)

@@ -72,7 +72,7 @@ def test_the_answer_is_that_of_reading_it_all(name, monkeypatch, tmp_path):
 
 
 def test_what_asks_for_a_part_or_reads_otherwise_reads(monkeypatch, tmp_path):
-    path = recorded("a_rover", tmp_path / "a.mcap")
+    path = recorded("b_arm_single", tmp_path / "a.mcap")
     for options in (
         {"limits": Limits(count=30)},
         {"limits": Limits(period=Period(0, 9 * SECOND))},
@@ -86,7 +86,7 @@ def test_what_asks_for_a_part_or_reads_otherwise_reads(monkeypatch, tmp_path):
 def test_cut_split_and_repaired_recordings_and_several(monkeypatch, tmp_path):
     whole = recorded("f_sbn_disconnect", tmp_path / "a.mcap")
     octets = whole.read_bytes()
-    recorded("a_rover", tmp_path / "parts.mcap", split_count=700)
+    recorded("b_arm_single", tmp_path / "parts.mcap", split_count=300)
     cut, damaged, repaired = (tmp_path / f"{name}.mcap" for name in ("cut", "damaged", "repaired"))
     cut.write_bytes(octets[:-30_000])
     damaged.write_bytes(octets[:60_000] + bytes(9_000) + octets[69_000:])
@@ -97,6 +97,7 @@ def test_cut_split_and_repaired_recordings_and_several(monkeypatch, tmp_path):
     assert compared([whole], monkeypatch)
 
 
+@pytest.mark.quick("0.3", "0.9")
 @pytest.mark.parametrize("place", [0.3, 0.6, 0.9])
 def test_one_wrong_bit_anywhere_is_seen(place, monkeypatch, tmp_path):
     path = recorded("f_sbn_disconnect", tmp_path / "a.mcap")
@@ -106,6 +107,7 @@ def test_one_wrong_bit_anywhere_is_seen(place, monkeypatch, tmp_path):
     assert not compared([path], monkeypatch)
 
 
+@pytest.mark.long("*no number*", "*datagrams*: 3}*")
 @pytest.mark.parametrize(
     "values",
     [
@@ -128,7 +130,7 @@ def test_counts_that_do_not_fit_are_not_used(values, monkeypatch, tmp_path):
         add(self, name, {**told, **values} if name == COUNTS_METADATA_NAME else told)
 
     monkeypatch.setattr(writer.McapFile, "add_metadata", changed)
-    path = recorded("a_rover", tmp_path / "a.mcap")
+    path = recorded("b_arm_single", tmp_path / "a.mcap")
     assert not compared([path], monkeypatch)
 
 

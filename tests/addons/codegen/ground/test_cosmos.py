@@ -157,6 +157,7 @@ def test_what_follows_a_second_string_or_a_sequence_is_one_block(tmp_path):
     assert (third["items"]["DATA"], "REST" in third["items"]) == ("hello " * 100, False)
 
 
+@pytest.mark.quick("extended")
 @needs_cosmos
 @pytest.mark.parametrize("options", [Options(), Options(extended_header=True)], ids=["usual", "extended"])
 def test_a_command_is_the_packet_that_inject_sends(options, tmp_path):
