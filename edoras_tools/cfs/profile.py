@@ -89,6 +89,7 @@ class SimProfile:
         msg_max: the host's ``fs.mqueue.msg_max``, which cuts every pipe to so many packets; 0 for no cut.
         app_pipe_depth: of an application's pipe.
         app_msg_limit: messages of one MsgId that may wait in it.
+        robot_port: UDP port at which its robot listens, 8585 in flight; 0: none is sent anything.
         sbn_port: UDP port of the Software Bus Network.
         sbn_peers: who it may talk to.
         sbn_table: what an image of SBN's table names, this cFS too; nothing where none was given.
@@ -152,6 +153,7 @@ class SimProfile:
     msg_max: int = 0
     app_pipe_depth: int = 32
     app_msg_limit: int = 4
+    robot_port: int = 0
 
     sbn_port: int = 2234
     sbn_peers: tuple[SbnPeerConfig, ...] = (

@@ -136,9 +136,7 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
     is_round = rounds and abs(rounds.period_ns - queue.round_ns) < queue.round_ns // near
     if rounds and is_round and rounds.share >= _FULL and _is_full(case, loss, rounds.most):
         return replace(queue, round_ns=rounds.period_ns), rounds.most, True
-    command = limit_command(case, loss)
-    limit = command.value if command and isinstance(command.value, int) else queue.limit(loss.msg_id)
-    return queue, limit, False
+    return queue, _limit_of(limit_command(case, loss)) or queue.limit(loss.msg_id), False
 
 
 def _is_full(case: Case, loss: Loss, most: int) -> bool:
@@ -159,7 +157,10 @@ def told_limit(case: Case, stream: Stream) -> int | None:
     """Return how many messages of a stream may wait at Telemetry Output, if the last command says so."""
     if not stream.link.only_from_cfs:
         return None
-    command = _entry_command(case, case.owner(stream), stream.msg_id, case.end_ns)
+    return _limit_of(_entry_command(case, case.owner(stream), stream.msg_id, case.end_ns))
+
+
+def _limit_of(command: Change | None) -> int | None:
     return command.value if command and isinstance(command.value, int) else None
 
 
@@ -196,7 +197,8 @@ def advise(case: Case, loss: Loss) -> Advice:
             if (item.kind, item.hop, item.msg_id, item.instance, id(item.stream)) == key
         )
         at_output = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
-        worst = max(alike, key=lambda item: item.lost)
+        # What holds at the lowest limit that a command set holds at all.
+        worst = max(alike, key=lambda item: (-(_limit_of(limit_command(case, item)) or _MOST), item.lost))
         advice = (_at_pipe if at_output else _at_application)(case, worst)
         still = stood_still(case, worst)
         because = [crowding_of(case, worst) if not at_output else "", still]

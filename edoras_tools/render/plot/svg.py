@@ -49,6 +49,7 @@ def plot_svg(figure: Figure) -> str:
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {PLOT_WIDTH} {height}" width="{PLOT_WIDTH}" '
         f'height="{height}" font-family="sans-serif" font-size="14" role="img">'
         f"<title>{escape(clean(f'{figure.title}, {figure.subtitle}'))}</title>"
+        f"<desc>{escape(clean(' '.join(figure.notes)))}</desc>"
         f"<style>{_style(0)}@media (prefers-color-scheme:dark){{{_style(1)}}}</style>"
         f'<rect class="ground" width="{PLOT_WIDTH}" height="{height}"/>'
     )

@@ -7,31 +7,45 @@ from typing import TYPE_CHECKING
 from typer import Exit
 
 from edoras_tools.addons.lab.proof.run import prove_capture
-from edoras_tools.addons.lab.views.proof import proof_view
+from edoras_tools.addons.lab.views.proof import proof_picture, proof_view
 from edoras_tools.cli.endings import LOST
 from edoras_tools.cli.inputs import open_input
 from edoras_tools.cli.output import file_progress, print_json, print_view
+from edoras_tools.errors import ConfigError
+from edoras_tools.io.outputs import check_new, write_bytes
 
 if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.cli.doctor import TaskOptions
     from edoras_tools.cli.inputs import InputOptions
     from edoras_tools.cli.options import PrintOptions
     from edoras_tools.pipelines.workbench import Settings
 
 
-def prove(given: InputOptions, settings: Settings, profile: SimProfile, printing: PrintOptions) -> None:
-    """Prove a capture, and print that.
+def prove(
+    given: InputOptions, settings: Settings, profile: SimProfile, printing: PrintOptions, task: TaskOptions
+) -> None:
+    """Prove a capture, and print that; where a file is named for the output, draw it too.
 
     Raises:
+        ConfigError: the picture cannot be written.
         Exit: the model does not explain what was lost, or an advice does not keep what was promised.
     """
+    output = task.output
+    if output is not None and output.suffix.lower() != ".svg":
+        raise ConfigError(f"{output}: the picture of --prove is SVG; name a file .svg")
+    if output is not None:
+        check_new(output, given.paths, force=task.force)
     with file_progress(given.paths, quiet=printing.quiet or printing.json) as bar:
         diagnosis, proof = prove_capture(
             lambda: open_input(given, settings, aligned=True, progress=bar), profile
         )
+    if output is not None and not proof.not_modelled:
+        picture = proof_picture(proof, diagnosis.zero_ns, " and ".join(item.name for item in given.paths))
+        write_bytes(output, picture.encode())
     if printing.json:
         print_json(proof.as_json())
     else:
         print_view(lambda width: proof_view(proof, diagnosis.zero_ns, width))
-    if not proof.explained or (proof.promised is not None and not proof.keeps_promise):
+    if not (proof.explained and proof.keeps_promises):
         raise Exit(LOST)

@@ -48,6 +48,7 @@ class Cfs:
         account: what became of everything at its pipes and sockets.
         console: its last lines, ``(time_ns, text)``, events as ``EVS Port1 66/1/APP ID: text``.
         listener: called with every line.
+        muted: MsgIds of telemetry that its applications do not publish here: somebody else does.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class Cfs:
         self.boots = 0
         self.console: deque[tuple[int, str]] = deque(maxlen=10_000)
         self.listener: Callable[[int, str], None] | None = None
+        self.muted: frozenset[int] = frozenset()
         self.begin: Callable[[], object] = lambda: None
         self._reporting: set[int] = set()
         self.ci_endpoint = Endpoint(profile.address, profile.ci_port)
@@ -176,6 +178,8 @@ class Cfs:
 
     def telemetry(self, msg_id: int, payload: bytes, sender: str) -> Publication:
         """Publish a telemetry packet with the time now."""
+        if msg_id in self.muted:
+            return Publication(payload)
         seconds, subseconds = self.mission_time()
         return self.publish(
             cfe.emit_telemetry(msg_id, payload, seconds=seconds, subseconds=subseconds), sender

@@ -196,6 +196,8 @@ class Simulation:
     def endpoints(self) -> tuple[Endpoint, ...]:
         """Every socket of this simulation."""
         parts = [item.endpoint for item in (self.ground, self.flight) if item is not None]
+        if parts and (port := self.cfs.profile.robot_port):
+            parts.append(Endpoint(self.cfs.profile.address, port))
         return *self.cfs.endpoints, *parts
 
     def deliver(self, destination: Endpoint, data: bytes) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.addons.lab.proof.model import BEFORE_NS, CaptureProof, Stimulus, prove, window
+from edoras_tools.cfs import telemetry_output
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.doctor.scope import Scope
@@ -57,19 +58,32 @@ def prove_capture(opened: OpenInput, profile: SimProfile) -> tuple[Diagnosis, Ca
 
 
 def _stimuli(opened: OpenInput, case: Case, span: tuple[int, int]) -> list[Stimulus]:
-    """Return what went into cFS from a while before a span to its end."""
+    """Return what went into cFS from a while before a span to its end, and what had an effect on it then."""
     source, bench = opened()
     stimuli: list[Stimulus] = []
+    lasting: dict[bytes, Stimulus] = {}
+    begin_ns = span[0] - BEFORE_NS
     ports = {
         case.endpoints[item.receiver].port for item in case.streams if item.link.peers and not item.counted
     }
+    streams = [item.rows for item in case.streams if item.link.only_to_cfs]
+    commands = case.rows.number[np.concatenate([np.zeros(0, np.intp), *streams])]
     with reading(source, bench) as loop:
         for rows in loop:
             batch, columns = rows.batch, rows.columns
             to_ci = among(columns.link, lambda link: link.only_to_cfs)
             over = among(columns.link, lambda link: link.peers) & np.isin(batch.destination_port, list(ports))
-            inside = (batch.time_ns >= span[0] - BEFORE_NS) & (batch.time_ns <= span[1])
+            is_early = batch.time_ns < begin_ns
+            lasts = (columns.msg_id == telemetry_output.COMMAND_MSG_ID) | (over & (columns.msg_id < 0))
+            # What was captured twice, or in front of a relay, is in no stream.
+            judged = over | (batch.time_ns < span[0]) | np.isin(batch.number, commands)
+            inside = (lasts | ~is_early) & judged & (batch.time_ns <= span[1])
             for row in np.flatnonzero((to_ci | over) & inside).tolist():
-                when, msg_id = int(batch.time_ns[row]), int(columns.msg_id[row])
-                stimuli.append(Stimulus(when, bool(over[row]), msg_id, bytes(batch[row].payload)))
-    return sorted(stimuli, key=lambda item: item.time_ns)
+                when, msg_id = max(int(batch.time_ns[row]), begin_ns), int(columns.msg_id[row])
+                item = Stimulus(when, bool(over[row]), msg_id, bytes(batch[row].payload))
+                if is_early[row]:
+                    lasting.pop(item.payload, None)  # the last of those that repeat stays, at its place
+                    lasting[item.payload] = item
+                else:
+                    stimuli.append(item)
+    return [*lasting.values(), *sorted(stimuli, key=lambda item: item.time_ns)]

@@ -83,6 +83,17 @@ def test_a_rover_s_commands_reach_it_and_its_pose_comes_back():
     assert simulation.flight.received.keys() == {0x082A, 0x082B}
 
 
+@pytest.mark.parametrize(("scenario", "size"), [("rover", 48), ("arm", 56)])
+def test_a_robot_s_port_gets_each_command_where_it_is_named_and_else_nothing(scenario, size):
+    for port in (0, 8585):
+        simulation = Simulation(SimProfile(robot_port=port), scenario, command_rate_hz=10)
+        sent = [item for item in simulation.run(10 * SECOND) if item.destination.port == 8585]
+        reached = simulation.apps.edoras.robot_commands
+        assert reached > 50
+        assert len(sent) == (reached if port else 0)
+        assert {(item.source.port, len(item.payload)) for item in sent} <= {(8080, size)}
+
+
 def test_commands_end_after_their_count():
     simulation = Simulation(scenario="rover", command_rate_hz=4, command_count=7)
     list(simulation.run(10 * SECOND))

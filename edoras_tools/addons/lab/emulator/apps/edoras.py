@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -10,11 +11,13 @@ from edoras_tools.addons.lab.emulator.messages import FixedStruct
 from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
 from edoras_tools.cfs import edoras_app as facts
 from edoras_tools.errors import WireError
+from edoras_tools.model import Endpoint
 from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of
+from edoras_tools.wire.robot import CFS_PORT
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from edoras_tools.addons.lab.emulator.cfs import Cfs
     from edoras_tools.addons.lab.emulator.robots import Robot
@@ -74,6 +77,7 @@ class SingleRobotApp:
     Attributes:
         robot: takes commands and reports its state.
         robot_commands: commands that reached the robot.
+        has_robot: whether it could bind its socket to the robot.
     """
 
     command: Final = 0x1827
@@ -85,16 +89,15 @@ class SingleRobotApp:
     telemetry: Sequence[int] = (housekeeping, state)
 
     def __init__(self, robot: Robot, struct_bytes: int) -> None:
-        self.robot, self.robot_commands = robot, 0
+        self.robot, self.robot_commands, self.has_robot = robot, 0, False
         self._struct = FixedStruct(struct_bytes)
         self._requests = self._boot = 0
-        self._has_robot = False
 
     def start(self, cfs: Cfs) -> None:
         """Make its pipe and start its task."""
-        self._has_robot = self._boot != cfs.boots
+        self.has_robot = self._boot != cfs.boots
         self._boot = cfs.boots
-        if not self._has_robot:
+        if not self.has_robot:
             cfs.print(facts.PORT_TAKEN)
         # 0x0828 too: the flight app subscribes to it, although nothing here publishes it.
         cfs.spawn(self._run(cfs, _start(cfs, self.request, self.command, 0x0828)))
@@ -113,12 +116,20 @@ class SingleRobotApp:
                 self._requests += 1
             elif msg_id == self.command and _accepted(cfs, packet):
                 values = messages.decode_envelope(self.robot.command_type, packet[cfe.COMMAND_HEADER_BYTES :])
-                self.robot_commands += self._has_robot
+                self.robot_commands += self.has_robot
                 if values is None:
                     cfs.print(facts.UNREADABLE)
-                elif self._has_robot:
+                elif self.has_robot:
                     self.robot.obey(values, now=cfs.scheduler.now)
+                    self._send(cfs, values)
                 yield Work(cfs.profile.obey_work_ns)
+
+    def _send(self, cfs: Cfs, values: Mapping[str, Mapping[str, float]]) -> None:
+        """Send a command to the robot's port, where there is one: bare doubles."""
+        if cfs.profile.robot_port:
+            own, robot = (Endpoint(cfs.profile.address, item) for item in (CFS_PORT, cfs.profile.robot_port))
+            doubles = [number for part in values.values() for number in part.values()]
+            cfs.send(own, robot, struct.pack(f"<{len(doubles)}d", *doubles))
 
 
 @dataclass(slots=True)
