@@ -46,7 +46,7 @@ NOT_EXPLAINED = {
     "flights/stood_still": "its process was stopped",
     "season3/n11_jointstate_sizes": "the structs of the emulated application are large enough",
 }
-"""Captures that the model does not explain, and why it is right: it is not in the capture, or not modelled."""
+"""Captures that the model does not explain, and why it is right: not in the capture, or not modelled."""
 NOT_MODELLED = {"d3_cpu1_cpu2", "cfs7/two_tcp", "season3/hostile_times"}
 GIVEN = sorted(str(path.relative_to(TESTS)).removesuffix(".pcap.zst") for path in TESTS.rglob("*.pcap.zst"))
 QUICK = ["p6b_extended_header", "season3/e2_ci_nosubs", "season3/q12_to_limits_changed"]
