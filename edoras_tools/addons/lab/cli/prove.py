@@ -32,10 +32,10 @@ def prove(
         Exit: the model does not explain what was lost, or an advice does not keep what was promised.
     """
     output = task.output
-    if output is not None and output.suffix.lower() != ".svg":
-        raise ConfigError(f"{output}: the picture of --prove is SVG; name a file .svg")
     if output is not None:
         check_new(output, given.paths, force=task.force)
+        if output.suffix.lower() != ".svg":
+            raise ConfigError(f"{output}: the picture of --prove is SVG; name a file .svg")
     with file_progress(given.paths, quiet=printing.quiet or printing.json) as bar:
         diagnosis, proof = prove_capture(
             lambda: open_input(given, settings, aligned=True, progress=bar), profile
@@ -47,5 +47,5 @@ def prove(
         print_json(proof.as_json())
     else:
         print_view(lambda width: proof_view(proof, diagnosis.zero_ns, width))
-    if not (proof.explained and proof.keeps_promises):
+    if not proof.explained or not all(item.kept for item in proof.advices):
         raise Exit(LOST)

@@ -27,10 +27,11 @@ from edoras_tools.addons.lab.emulator import Scenario, Simulation
 from edoras_tools.addons.lab.emulator.account import LOST, socket
 from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
 from edoras_tools.addons.lab.emulator.services.software_bus import HOP
-from edoras_tools.cfs import edoras_app, telemetry_output
+from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
 from edoras_tools.cfs.queues import QueueEnd
+from edoras_tools.cfs.telemetry_output import COMMAND_MSG_ID as TO_COMMAND
 from edoras_tools.diagnosis.advice import Arrivals, published_at, told_limit
 from edoras_tools.diagnosis.ledger import PEER_RESTARTED, UNHEARD
 from edoras_tools.diagnosis.summary import summarize
@@ -60,19 +61,8 @@ _POSE_BYTES: Final = 60
 """Of the CDR of an arm's command; a rover's Twist has 52."""
 _STATE_BYTES: Final = 100
 """Longer states are an arm's joints."""
-_OUTSIDE: Final = frozenset(
-    {
-        "after",
-        "network",
-        "port_closed",
-        "unreachable",
-        "fragments",
-        "proxy",
-        "bad_command",
-        UNHEARD,
-        PEER_RESTARTED,
-    }
-)
+_NETWORK: Final = {"after", "network", "port_closed", "unreachable", "fragments", "proxy"}
+_OUTSIDE: Final = {*_NETWORK, "bad_command", UNHEARD, PEER_RESTARTED}
 """Causes of losses outside cFS's queues."""
 _PIPES: Final = ("EDORAS", "CI_", "TO_", "SBN", "SCH_", "ES_", "EVS_", "SB_", "TBL_", "TIME_")
 """How the pipes of applications begin that the emulated cFS has."""
@@ -95,15 +85,14 @@ class Host(NamedTuple):
 
 
 _USUAL: Final = SimProfile()
-_MEASURED: Final = tuple(Host(11_000, (17_000, 43_000), obey_ns) for obey_ns in (75_000, 40_000, 15_000))
+_MEASURED: Final = [Host(11_000, (17_000, 43_000), obey_ns) for obey_ns in (75_000, 40_000, 15_000)]
 """On a real cFS on two busy cores, between the system calls of its tasks: Command Ingest took 6 to 40 us for
 each of 1,475 datagrams, the median 11; its application ran after 17 to 43 us, took 50 to 135 for the first
 command of a burst, the median 75, and 10 to 70 for the others."""
-HOSTS: Final = (
-    *(Host(read_ns, _USUAL.latency_ns, _USUAL.obey_work_ns) for read_ns in (3_000, 12_000)),
-    *_MEASURED,
-)
-"""From slow to fast. The first two are assumed: they fit captures of slower hosts than those measured."""
+_ASSUMED: Final = [Host(read_ns, _USUAL.latency_ns, _USUAL.obey_work_ns) for read_ns in (3_000, 12_000)]
+"""These fit captures of slower hosts."""
+HOSTS: Final = {**dict.fromkeys(_ASSUMED, "assumed"), **dict.fromkeys(_MEASURED, "measured")}
+"""From slow to fast, each with where its constants are from."""
 
 
 class Stimulus(NamedTuple):
@@ -243,7 +232,7 @@ class CaptureProof:
     rows: Sequence[ProofRow] = ()
     not_modelled: str = ""
     advices: Sequence[AdviceProof] = ()
-    hosts: tuple[Host, Host] = (HOSTS[0], HOSTS[1])
+    hosts: tuple[Host, Host] = (_ASSUMED[0], _ASSUMED[1])
     run: ModelRun = field(default_factory=lambda: ModelRun({}, Counter()))
     lost_ns: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
@@ -251,17 +240,6 @@ class CaptureProof:
     def explained(self) -> bool:
         """Whether the model explains what was lost."""
         return not self.not_modelled and all(row.explained for row in self.rows)
-
-    @property
-    def hosts_from(self) -> str:
-        """Where the constants of the hosts are from."""
-        source = "measured" if self.hosts[0] in _MEASURED else "assumed"
-        return source if self.hosts[0] in HOSTS else "given"
-
-    @property
-    def keeps_promises(self) -> bool:
-        """Whether each advice keeps what the doctor promised."""
-        return all(item.kept for item in self.advices)
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --prove --json``."""
@@ -273,7 +251,7 @@ class CaptureProof:
             "explained": None if self.not_modelled else self.explained,
             "not_modelled": self.not_modelled or None,
             "hosts": [item._asdict() for item in self.hosts],
-            "hosts_from": self.hosts_from,
+            "hosts_from": HOSTS.get(self.hosts[0], "given"),
             **{name: first.get(name) for name in ("advice", "promised", "left", "kept")},
             "advices": advices,
             "routes": [row.as_json() for row in self.rows],
@@ -403,9 +381,9 @@ def prove(found: Diagnosis, case: Case, stimuli: Sequence[Stimulus], span: tuple
     if why := _not_modelled(case):
         return CaptureProof(seconds, not_modelled=why)
     model = Model(case, *span)
-    hosts: Sequence[Host] = HOSTS
+    hosts = list(HOSTS)
     if model.profile.ci_read_ns != _USUAL.ci_read_ns:
-        hosts = [HOSTS[0]._replace(ci_read_ns=model.profile.ci_read_ns)] * 2
+        hosts = [hosts[0]._replace(ci_read_ns=model.profile.ci_read_ns)] * 2
     inputs = _with_others(case, model, ModelInput(stimuli, model.profile, {}))
     runs, proofs = [model.runs(hosts[0], inputs)], list[CaptureProof]()
     for pair in pairwise(hosts):
@@ -421,7 +399,7 @@ def prove(found: Diagnosis, case: Case, stimuli: Sequence[Stimulus], span: tuple
 
 def _with_others(case: Case, model: Model, inputs: ModelInput) -> ModelInput:
     """Return what cFS gets, with what its applications published that the emulated ones do not."""
-    probe = model.run(0, HOSTS[0], inputs)
+    probe = model.run(0, _ASSUMED[0], inputs)
     published: dict[int, NDArray[np.int64]] = {}
     limits = dict(inputs.profile.to_limits)
     for stream in case.streams:
@@ -460,18 +438,16 @@ def _not_modelled(case: Case) -> str:
 
 
 def _rows(found: Diagnosis, case: Case, runs: Sequence[ModelRun]) -> list[ProofRow]:
-    numbers: dict[int, list[int]] = {}
+    numbers: dict[int, tuple[int, int, int, int]] = {}
     unknown = 0
     for row in found.balance:
         if row.msg_id is None:  # may be of any
             unknown += row.all_lost + row.unaccounted + row.uncertain
             continue
         outside = sum(number for cause, number in row.lost.items() if cause in _OUTSIDE)
-        own = numbers.setdefault(row.msg_id, [0, 0, 0, 0])
-        own[0] = max(own[0], row.came)
-        own[1] += row.all_lost + row.unaccounted - outside
-        own[2] += row.uncertain + row.shared
-        own[3] += outside
+        came, lost, more, away = numbers.get(row.msg_id, (0, 0, 0, 0))
+        more += row.uncertain + row.shared
+        numbers[row.msg_id] = max(came, row.came), lost + row.proven - outside, more, away + outside
     rows = {}
     for msg_id, (sent, lost, more, outside) in sorted(numbers.items()):
         model = _range(runs, msg_id)
@@ -493,10 +469,7 @@ def _lost_times(case: Case) -> dict[str, list[int]]:
     times: dict[str, list[int]] = {}
     for entry in case.ledger.losses():
         place = entry.text.removeprefix("over the message limit of ")
-        first_ns, last_ns = entry.times_ns
-        times.setdefault(place, []).extend(
-            np.linspace(first_ns, last_ns, entry.number, dtype=np.int64).tolist()
-        )
+        times.setdefault(place, []).extend(np.linspace(*entry.times_ns, entry.number).astype(int).tolist())
     return times
 
 
@@ -506,53 +479,37 @@ def _advices(
     """Yield what becomes of each advice that promises what will be left, of the worst loss first."""
     tried: set[tuple[int, str]] = set()
     for problem in summarize(found).problems:
-        verdict = problem.verdicts[0] if problem.verdicts else None
-        if verdict is None or verdict.msg_id is None or problem.left is None:
+        msg_id = problem.verdicts[0].msg_id if problem.verdicts else None
+        if msg_id is None or problem.left is None:
             continue
-        is_input = any(item.msg_id == verdict.msg_id for item in inputs.stimuli)
-        for remedy, trial in _trials(case, problem.remedy, verdict.msg_id, inputs, is_input=is_input):
-            if (verdict.msg_id, remedy) in tried:
-                continue
-            tried.add((verdict.msg_id, remedy))
-            runs = model.runs(host, trial)
-            left = _range(runs, verdict.msg_id, "" if is_input else verdict.hop or "")
-            msg_id, name = f"0x{verdict.msg_id:04x}", case.name(verdict.msg_id)
-            yield AdviceProof(msg_id, name, remedy, problem.left, left, runs[0])
+        for remedy, trial in _trials(case, problem.remedy, msg_id, inputs):
+            if (msg_id, remedy) not in tried:
+                tried.add((msg_id, remedy))
+                runs = model.runs(host, trial)
+                is_input = any(item.msg_id == msg_id for item in inputs.stimuli)
+                left = _range(runs, msg_id, "" if is_input else problem.verdicts[0].hop or "")
+                yield AdviceProof(f"0x{msg_id:04x}", case.name(msg_id), remedy, problem.left, left, runs[0])
 
 
-def _trials(
-    case: Case, text: str, msg_id: int, inputs: ModelInput, *, is_input: bool
-) -> Iterator[tuple[str, ModelInput]]:
+def _trials(case: Case, text: str, msg_id: int, inputs: ModelInput) -> Iterator[tuple[str, ModelInput]]:
     """Yield what an advice says and the model can try, in words, each with what cFS gets then."""
     stimuli, profile, published = inputs
-    # At most so many Hz, or so many in so many ms.
+    # At most so many Hz, or so many in so many ms: each as early as that lets it.
     if slower := re.search(r"(?:send |publish )?at most ([\d.]+) (?:Hz|in (\d+) ms)", text):
-        remedy, number, every_ms = slower[0], float(slower[1]), slower[2]
-        gap_ns = (int(every_ms) * MILLISECOND if every_ms else SECOND) / number
-        if is_input:
-            yield remedy, inputs._replace(stimuli=_spaced(stimuli, msg_id, gap_ns))
-        elif streams := [item for item in case.streams if item.msg_id == msg_id and item.counted]:
-            times = max((published_at(case, item) for item in streams), key=len)
-            even = Arrivals(times, np.full(len(times), msg_id)).spaced(gap_ns, msg_id).time_ns
-            yield remedy, inputs._replace(published={**published, msg_id: even})
+        gap_ns = (int(slower[2]) * MILLISECOND if slower[2] else SECOND) / float(slower[1])
+        own = [item for item in stimuli if item.msg_id == msg_id]
+        every = [published_at(case, item) for item in case.streams if item.msg_id == msg_id and item.counted]
+        times = np.array([item.time_ns for item in own]) if own else max(every, key=len)
+        even = Arrivals(times, np.full(len(times), msg_id)).spaced(gap_ns, msg_id).time_ns
+        if own:
+            others = [item for item in stimuli if item.msg_id != msg_id]
+            others += [item._replace(time_ns=when) for item, when in zip(own, even.tolist(), strict=True)]
+            yield slower[0], inputs._replace(stimuli=sorted(others, key=lambda item: item.time_ns))
+        else:
+            yield slower[0], inputs._replace(published={**published, msg_id: even})
     if raised := re.search(r"raise TO's limit for it to (\d+)", text):
         limits, entry = {**profile.to_limits, msg_id: int(raised[1])}, msg_id.to_bytes(4, "little")
-        others = [
-            item
-            for item in stimuli
-            if item.msg_id != telemetry_output.COMMAND_MSG_ID or entry not in item.payload
-        ]
+        others = [item for item in stimuli if item.msg_id != TO_COMMAND or entry not in item.payload]
         yield raised[0], ModelInput(others, replace(profile, to_limits=limits), published)
     if higher := re.search(r"let the application subscribe with a limit of (\d+)", text):
         yield higher[0], inputs._replace(profile=replace(profile, app_msg_limit=int(higher[1])))
-
-
-def _spaced(stimuli: Sequence[Stimulus], msg_id: int, gap_ns: float) -> list[Stimulus]:
-    """Return the same with so much time between two of a MsgId: each as early as that lets it."""
-    own = [place for place, item in enumerate(stimuli) if item.msg_id == msg_id]
-    times = np.array([stimuli[place].time_ns for place in own])
-    even = Arrivals(times, np.full(len(own), msg_id)).spaced(gap_ns, msg_id).time_ns
-    moved = list(stimuli)
-    for place, time_ns in zip(own, even.tolist(), strict=True):
-        moved[place] = stimuli[place]._replace(time_ns=time_ns)
-    return sorted(moved, key=lambda item: item.time_ns)

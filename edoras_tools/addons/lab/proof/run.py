@@ -63,16 +63,15 @@ def _stimuli(opened: OpenInput, case: Case, span: tuple[int, int]) -> list[Stimu
     stimuli: list[Stimulus] = []
     lasting: dict[bytes, Stimulus] = {}
     begin_ns = span[0] - BEFORE_NS
-    ports = {
-        case.endpoints[item.receiver].port for item in case.streams if item.link.peers and not item.counted
-    }
+    inbound = [item for item in case.streams if item.link.peers and not item.counted]
+    ports = [case.endpoints[item.receiver].port for item in inbound]
     streams = [item.rows for item in case.streams if item.link.only_to_cfs]
     commands = case.rows.number[np.concatenate([np.zeros(0, np.intp), *streams])]
     with reading(source, bench) as loop:
         for rows in loop:
             batch, columns = rows.batch, rows.columns
             to_ci = among(columns.link, lambda link: link.only_to_cfs)
-            over = among(columns.link, lambda link: link.peers) & np.isin(batch.destination_port, list(ports))
+            over = among(columns.link, lambda link: link.peers) & np.isin(batch.destination_port, ports)
             is_early = batch.time_ns < begin_ns
             lasts = (columns.msg_id == telemetry_output.COMMAND_MSG_ID) | (over & (columns.msg_id < 0))
             # What was captured twice, or in front of a relay, is in no stream.

@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Group
 from rich.text import Text
 
+from edoras_tools.addons.lab.proof.model import HOSTS
 from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.plot.terminal import plot_lines
@@ -72,7 +73,8 @@ def _sentences(proof: CaptureProof) -> Iterator[tuple[str, str]]:
     read = sorted(item.ci_read_ns / MICROSECOND for item in proof.hosts)
     wake = sorted(time_ns / MICROSECOND for item in proof.hosts for time_ns in item.latency_ns)
     reads, wakes = (_between(item[0], item[-1]) for item in (read, wake))
-    text = f"Its host: CI reads a datagram in {reads} us, a task runs after {wakes} us ({proof.hosts_from})."
+    source = HOSTS.get(proof.hosts[0], "given")
+    text = f"Its host: CI reads a datagram in {reads} us, a task runs after {wakes} us ({source})."
     yield text, palette.DIM
     if odd := ", ".join(row.name for row in proof.rows if not row.explained):
         yield f"This model does not explain this capture; it departs at {odd}.", Level.ERROR.style
