@@ -47,5 +47,5 @@ def prove(
         print_json(proof.as_json())
     else:
         print_view(lambda width: proof_view(proof, diagnosis.zero_ns, width))
-    if not proof.explained or not all(item.kept for item in proof.advices):
+    if not proof.explained or not all(item.keeps_promise for item in proof.advices):
         raise Exit(LOST)

@@ -205,13 +205,14 @@ class AdviceProof(NamedTuple):
     run: ModelRun
 
     @property
-    def kept(self) -> bool:
+    def keeps_promise(self) -> bool:
         """Whether the advice keeps what the doctor promised."""
         return self.left[0] <= self.promised + _ROOM
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --prove --json``."""
-        return {**{name: value for name, value in self._asdict().items() if name != "run"}, "kept": self.kept}
+        values = {name: value for name, value in self._asdict().items() if name != "run"}
+        return {**values, "kept": self.keeps_promise}
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,14 +259,14 @@ class CaptureProof:
         }
 
 
-def window(found: Diagnosis) -> tuple[int, int]:
+def window(diagnosis: Diagnosis) -> tuple[int, int]:
     """Return from when to when a capture is judged: ns since 1970."""
-    if found.end_ns - found.start_ns <= WINDOW_NS:
-        return found.start_ns, found.end_ns
-    losses = [item for item in found.verdicts if item.lost]
+    if diagnosis.end_ns - diagnosis.start_ns <= WINDOW_NS:
+        return diagnosis.start_ns, diagnosis.end_ns
+    losses = [item for item in diagnosis.verdicts if item.lost]
     worst = max(losses, key=lambda item: item.lost or 0, default=None)
-    middle = (worst.start_ns + worst.end_ns) // 2 if worst else found.start_ns
-    start = min(max(middle - WINDOW_NS // 2, found.start_ns), found.end_ns - WINDOW_NS)
+    middle = (worst.start_ns + worst.end_ns) // 2 if worst else diagnosis.start_ns
+    start = min(max(middle - WINDOW_NS // 2, diagnosis.start_ns), diagnosis.end_ns - WINDOW_NS)
     return start, start + WINDOW_NS
 
 
@@ -403,8 +404,8 @@ def _with_others(case: Case, model: Model, inputs: ModelInput) -> ModelInput:
     published: dict[int, NDArray[np.int64]] = {}
     limits = dict(inputs.profile.to_limits)
     for stream in case.streams:
-        known = stream.known_id in MSG_ID_NAMES or stream.known_id == SingleRobotApp.housekeeping
-        if known or not (stream.counted and stream.link.from_cfs):
+        is_core = stream.known_id in MSG_ID_NAMES or stream.known_id == SingleRobotApp.housekeeping
+        if is_core or not (stream.counted and stream.link.from_cfs):
             continue
         times = published_at(case, stream)
         entered = max((number for key, number in probe.entered.items() if key[0] == stream.msg_id), default=0)
@@ -428,10 +429,10 @@ def _not_modelled(case: Case) -> str:
     names = {item.name for item in case.instances.items}
     if len(names) > 1:
         return f"the capture has {len(names)} cFS, {' and '.join(sorted(names))}, and one is emulated"
-    known = {*MSG_ID_NAMES, SingleRobotApp.command, *TwoRobotApp.commands, *TwoRobotApp.states}
-    known.add(case.profile.generator_msg_id)
+    emulated = {*MSG_ID_NAMES, SingleRobotApp.command, *TwoRobotApp.commands, *TwoRobotApp.states}
+    emulated.add(case.profile.generator_msg_id)
     into = [hop.into for hop in case.hops if hop.into.link.to_cfs and hop.into.is_command]
-    if others := sorted(stream.msg_id for stream in into if stream.known_id not in known):
+    if others := sorted(stream.msg_id for stream in into if stream.known_id not in emulated):
         return f"0x{others[0]:04x} goes to an application that is not EDORAS's"
     pipes = sorted({item.pipe for item in case.reported_losses if not item.pipe.startswith(_PIPES)} - {""})
     return f"{pipes[0]} is of an application that is not EDORAS's" if pipes else ""
@@ -487,8 +488,10 @@ def _advices(
                 tried.add((msg_id, remedy))
                 runs = model.runs(host, trial)
                 is_input = any(item.msg_id == msg_id for item in inputs.stimuli)
-                left = _range(runs, msg_id, "" if is_input else problem.verdicts[0].hop or "")
-                yield AdviceProof(f"0x{msg_id:04x}", case.name(msg_id), remedy, problem.left, left, runs[0])
+                remains = _range(runs, msg_id, "" if is_input else problem.verdicts[0].hop or "")
+                yield AdviceProof(
+                    f"0x{msg_id:04x}", case.name(msg_id), remedy, problem.left, remains, runs[0]
+                )
 
 
 def _trials(case: Case, text: str, msg_id: int, inputs: ModelInput) -> Iterator[tuple[str, ModelInput]]:

@@ -84,7 +84,7 @@ def _sentences(proof: CaptureProof) -> Iterator[tuple[str, str]]:
         yield "Nothing was lost inside cFS, nor by the model.", "green"
     for item in proof.advices:
         text = f"{item.name}: {item.advice}: it loses {_between(*item.left)}; {item.promised:,} promised."
-        yield text, "green" if item.kept else Level.ERROR.style
+        yield text, "green" if item.keeps_promise else Level.ERROR.style
 
 
 def _figure(proof: CaptureProof, zero_ns: int, name: str, notes: Sequence[str] = ()) -> Figure:
