@@ -53,7 +53,9 @@ class TaskOptions(NamedTuple):
         ),
     ] = None
     predict: Annotated[bool, Option("--predict", help="Only say how much each route can carry.")] = False
-    prove: Annotated[bool, Option("--prove", help="Emulate this cFS with and without the advice.")] = False
+    prove: Annotated[bool, Option("--prove", help="Emulate cFS and the advice; -o FILE.svg draws it.")] = (
+        False
+    )
     max_loss: Annotated[float | None, Option(parser=share, help="Exit code 3 beyond it, e.g. 1%.")] = None
     strict: Annotated[bool, Option("--strict", help="Exit code 3 also for what may be lost.")] = False
     list_lost: Annotated[Listing | None, Option(help="Only list the messages that were lost.")] = None
@@ -85,7 +87,7 @@ def doctor(
     settings, scope = decoding.settings(constants=True), part.scope()
     profile = profile_with(decoding.constants)
     _check_task(task, given, duration, decoding.constants)
-    if task.output is not None:
+    if task.output is not None and not task.prove:
         write = doors.part("report")
         write(given.files, task.output, force=task.force, printing=printing, part=part, decoding=decoding)
     elif task.predict:
@@ -93,7 +95,7 @@ def doctor(
     elif task.prove:
         if not given.paths:
             raise ConfigError("--prove reads the capture several times: name files")
-        doors.part("prove")(given, settings, profile, printing)
+        doors.part("prove")(given, settings, profile, printing, task)
     elif task.list_lost is not None:
         _list_lost(settings, profile, scope, given, task.list_lost, printing, jobs or 0)
     elif task.bag:
