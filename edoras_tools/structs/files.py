@@ -30,7 +30,7 @@ from edoras_tools.wire.msg_id import VERSION_1, VERSION_2
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
 LAYOUT_VERSION: Final = 1
 LAYOUT_FILE: Final = "structs.yaml"
@@ -60,10 +60,13 @@ class Database:
     Attributes:
         recognise: tells from a file's whole content whether it is of this kind; raises nothing.
         read: makes the layout of a content and the file's name; raises ``ConfigError`` with all mistakes.
+        read_together: makes one layout of several files, with options as of a compiler; None of a kind that
+            lies in one.
     """
 
     recognise: Callable[[bytes], bool]
     read: Callable[[bytes, str], StructLayout]
+    read_together: Callable[[Sequence[tuple[bytes, str]], Sequence[str]], StructLayout] | None = None
 
 
 def load_layout(path: str | os.PathLike[str]) -> StructLayout:
@@ -74,6 +77,24 @@ def load_layout(path: str | os.PathLike[str]) -> StructLayout:
     """
     file, data = read_layout(path)
     return parse_layout(data, str(file))
+
+
+def load_together(paths: Sequence[Path], flags: Sequence[str] = ()) -> StructLayout:
+    """Read files that make one layout; one alone may be any layout file.
+
+    Args:
+        flags: options as of a compiler, for the kind that they are of.
+
+    Raises:
+        ConfigError: one cannot be read, they are of no kind that lies in several files, or hold mistakes.
+    """
+    files = [(data, str(file)) for file, data in map(read_layout, paths)]
+    database = _database(files[0][0])
+    if database is not None and database.read_together is not None:
+        return database.read_together(files, flags)
+    if len(files) > 1:
+        raise ConfigError(f"{files[1][1]}: a second file, which only data sheets have; name one")
+    return parse_layout(*files[0])
 
 
 def read_layout(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
@@ -104,14 +125,15 @@ def parse_layout(data: bytes, name: str) -> StructLayout:
     """
     if len(data) > _LARGEST:
         raise ConfigError(f"{name}: larger than {_LARGEST >> 20} MiB; that is not a layout file")
-    return _of_database(data, name) or layout_of(plain_values(data, name), name)
+    database = _database(data)
+    return layout_of(plain_values(data, name), name) if database is None else database.read(data, name)
 
 
-def _of_database(data: bytes, name: str) -> StructLayout | None:
-    """Return the layout in a file of a kind that an add-on or a package reads; None if it is of none.
+def _database(data: bytes) -> Database | None:
+    """Return what of an add-on or a package reads a file; None if nothing does.
 
     Raises:
-        ConfigError: the file holds mistakes, or the package cannot be loaded.
+        ConfigError: the package cannot be loaded.
     """
     ships = [item for item in doors.shipped("databases").values() if not item.absent]
     for item in (*ships, *doors.installed("databases")):
@@ -119,7 +141,7 @@ def _of_database(data: bytes, name: str) -> StructLayout | None:
         if not isinstance(loaded, Database):
             raise item.error(f"{item.place} is not an object of Database")
         if loaded.recognise(data):
-            return loaded.read(data, name)
+            return loaded
     return None
 
 

@@ -60,6 +60,8 @@ def packets(msg_ids: MsgIds) -> dict[int, str]:
 
 
 ByteOrder = Literal["little", "big"]
+Range = tuple[float | None, float | None]
+"""The lowest and the highest value that belong to it; None for no end."""
 OPEN: Final = 0
 """The dimension of an array that extends to the end of the packet; only the last member may have it."""
 
@@ -148,6 +150,10 @@ class Member:
             byte order is little, from the most significant where it is big, as compilers do.
         base: of the number when it is shown: 10 or 16.
         doc: one line.
+        unit: of its value, once it is calibrated.
+        polynomial: coefficients by rising power, which make a value of the number; nothing: they are one.
+        yellow: values that give no reason for attention; None for no such limits.
+        red: values that are not an alarm.
     """
 
     name: str
@@ -158,6 +164,10 @@ class Member:
     bit: int = 0
     base: Literal[10, 16] = 10
     doc: str = ""
+    unit: str = ""
+    polynomial: tuple[float, ...] = ()
+    yellow: Range | None = None
+    red: Range | None = None
 
     @property
     def text(self) -> bool:
@@ -274,6 +284,7 @@ class StructLayout:
         package: ROS package of the messages.
         origin: the file it was read from, for messages.
         entries: of a dictionary, in the order of their keys; these have no cFE header. Else None.
+        notes: what of its files was not read, a line each.
     """
 
     structs: Mapping[str, Struct]
@@ -283,6 +294,7 @@ class StructLayout:
     package: str = "cfs_msgs"
     origin: str = ""
     entries: LayoutEntries | None = None
+    notes: tuple[str, ...] = ()
 
     def enumeration(self, member: Member) -> Enumeration | None:
         """Return the enumeration that a member is of, or None."""

@@ -35,7 +35,8 @@ def binding(text: str) -> tuple[Key, str]:
 @grouped
 def structs(
     file: Annotated[
-        Path | None, Argument(metavar="FILE", help="ELF file, C header, or layout; default: built in.")
+        Path | None,
+        Argument(metavar="FILE", help="ELF file, C header, layout, or data sheets; default: built in."),
     ] = None,
     names: Annotated[list[str] | None, Argument(metavar="NAME...", help="Default: list them all.")] = None,
     output: Annotated[Path | None, Option("--output", "-o", help="For .msg files and structs.yaml.")] = None,
@@ -57,7 +58,7 @@ def structs(
 ) -> None:
     """Turn C structs of flight software into ROS messages.
 
-    They are read from debug information or headers.
+    They are read from debug information, headers or data sheets (CCSDS 876.0, several files).
 
     Give the result to sniff, record and other commands with --set structs=DIR.
     """
@@ -66,14 +67,18 @@ def structs(
 
     if package is not None and not is_package(package):
         raise ConfigError(f"--package: {package!r} is not a ROS package name; write a name like rover_msgs")
-    source = writing.open_types(file, include or (), cflag or ())
+    more = [Path(name) for name in names or () if not name.replace(" ", "_").isidentifier()]
+    names = [name for name in names or () if name.replace(" ", "_").isidentifier()]
+    source = writing.open_types(file, include or (), cflag or (), more)
     bindings = writing.bindings_of(bind or ())
     out = sys.stdout
     if not names and not bindings and output is None:
         bound = writing.bound(source)
         out.writelines(f"{line}\n" for line in listing(source.list(), bound))
+        for line in source.warnings:
+            tell(line)
         return
-    taken = writing.take(source, names or (), bindings, package)
+    taken = writing.take(source, names, bindings, package)
     for line in source.warnings:
         tell(line)
     if output is None:

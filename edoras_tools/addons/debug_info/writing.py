@@ -10,7 +10,7 @@ from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.outputs import write_files
 from edoras_tools.structs import cfe
 from edoras_tools.structs.bindings import Bindings
-from edoras_tools.structs.files import LAYOUT_FILE, dumps, load_layout
+from edoras_tools.structs.files import LAYOUT_FILE, dumps, load_together
 from edoras_tools.structs.shapes import ENTRY_KEY, Key, StructLayout
 from edoras_tools.words import did_you_mean
 
@@ -27,12 +27,12 @@ class LayoutFile:
     """A layout file as a source of structs.
 
     Attributes:
-        warnings: always empty.
+        warnings: what was not read, a line each.
     """
 
     def __init__(self, layout: StructLayout) -> None:
         self._layout = layout
-        self.warnings: list[str] = []
+        self.warnings = list(layout.notes)
 
     def list(self) -> list[Listed]:
         """Return every struct, sorted by name."""
@@ -84,8 +84,13 @@ class LayoutFile:
         raise ConfigError(f"{self._layout.origin}: no struct {name!r}; {hint}")
 
 
-def open_types(path: Path | None, include: Sequence[Path], flags: Sequence[str]) -> DebugInfo | LayoutFile:
+def open_types(
+    path: Path | None, include: Sequence[Path], flags: Sequence[str], more: Sequence[Path] = ()
+) -> DebugInfo | LayoutFile:
     """Open a source of structs: an ELF file, a C header, a layout file; None: the built-in layouts.
+
+    Args:
+        more: files that make one layout with the first, as data sheets do.
 
     Raises:
         ConfigError: it cannot be read.
@@ -105,7 +110,7 @@ def open_types(path: Path | None, include: Sequence[Path], flags: Sequence[str])
         ) from error
     if start == _ARCHIVE:
         raise ConfigError(f"{path}: is an archive; extract its objects with 'ar x {path}', and name one")
-    return DebugInfo(path) if start.startswith(_ELF) else LayoutFile(load_layout(path))
+    return DebugInfo(path) if start.startswith(_ELF) else LayoutFile(load_together([path, *more], flags))
 
 
 def bindings_of(pairs: Iterable[tuple[Key, str]]) -> dict[Key, str]:
@@ -151,7 +156,8 @@ def take(
     """
     if not names and not bindings:
         listed = source.list()
-        names = [item.name for item in listed if item.header] or [item.name for item in listed]
+        headed = [item.name for item in listed if item.header]
+        names = headed or list(bound(source)) or [item.name for item in listed]
     if isinstance(source, DebugInfo):
         layout, called = source.layout(names, bindings, package or StructLayout({}).package)
     else:

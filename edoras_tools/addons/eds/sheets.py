@@ -1,0 +1,244 @@
+"""Reads electronic data sheets: their packages become structs, the topics of their components packets.
+
+1. All files are read together: a package may stand in several, and what one names another may have.
+2. A container that is based on one of cFE's headers is a packet. Which one says the component that has an
+   interface with it, by its topic; of a command also the function code in a constraint of the container.
+3. What cannot be read is noted with file and line; all else is.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.addons.eds.documents import Node, SheetError, parse
+from edoras_tools.addons.eds.parameters import Parameters
+from edoras_tools.addons.eds.types import DATA_TYPES, HEADERS, Types, identifier
+from edoras_tools.errors import ConfigError
+from edoras_tools.structs.files import Database
+from edoras_tools.structs.shapes import ByteOrder, Key, StructLayout
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+_ROOTS: Final = ("PackageFile", "DataSheet", "DesignParameters")
+_ROOT: Final = re.compile(rb"<(?:[\w.-]+:)?(?:%s)[\s>/]" % "|".join(_ROOTS).encode())
+_SEARCHED: Final = 1 << 16
+_TOPICS: Final = {
+    "command": (
+        ("CFE_MISSION/TELECOMMAND_BASE_TOPICID", 0x1800),
+        ("CFE_MISSION/GLOBAL_CMD_BASE_TOPICID", 0x1860),
+    ),
+    "telemetry": (
+        ("CFE_MISSION/TELEMETRY_BASE_TOPICID", 0x0800),
+        ("CFE_MISSION/GLOBAL_TLM_BASE_TOPICID", 0x0860),
+    ),
+}
+"""Where the topics of each processor and of all begin, and the MsgIds of the first of them."""
+_MOST_TOPICS: Final = 0x100
+_MACHINES: Final[dict[str, ByteOrder]] = {"-mlittle-endian": "little", "-mbig-endian": "big"}
+_DEFINE: Final = re.compile(r"-D\s*([\w/]+)=(.*)", re.ASCII)
+_READ: Final = DATA_TYPES.union(
+    ("Package", "Define", "DataTypeSet", "DimensionList", "Dimension", "EnumerationList", "Enumeration"),
+    ("Range", "ValidRange", "SafeRange", "SafeRangeSet", "NominalRange", "NominalRangeSet", "MinMaxRange"),
+    ("PrecisionRange", "ConstraintSet", "ValueConstraint", "EntryList", "TrailerEntryList", "PaddingEntry"),
+    ("Entry", "LengthEntry", "FixedValueEntry", "ErrorControlEntry", "ListEntry", "Semantics", "Component"),
+    ("IntegerDataEncoding", "FloatDataEncoding", "BooleanDataEncoding", "StringDataEncoding", "Interface"),
+    ("PolynomialCalibrator", "Term", "ComponentSet", "RequiredInterfaceSet", "ProvidedInterfaceSet"),
+    ("Implementation", "GenericTypeMapSet", "GenericTypeMap", "VariableSet", "Variable", "ParameterMapSet"),
+    ("ParameterMap",),
+)
+_QUIET: Final = frozenset({"LongDescription", "Metadata", "DeclaredInterfaceSet", "PresentWhen"})
+"""Elements that say nothing of packets, or are noted where they stand; what is in neither list is noted."""
+
+
+def is_sheet(data: bytes) -> bool:
+    """Tell whether a file is a data sheet, or design parameters of some."""
+    return data[:4].lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") and bool(_ROOT.search(data[:_SEARCHED]))
+
+
+def read_sheets(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) -> StructLayout:
+    """Make one layout of data sheets.
+
+    Args:
+        files: content and name of each.
+        flags: as of a compiler: ``-DPACKAGE/NAME=VALUE``, a design parameter, before what sheets say;
+            ``-mlittle-endian`` or ``-mbig-endian``, for the C structs of such a machine.
+
+    Raises:
+        ConfigError: a file is not XML, a flag is none of these, or there is no data type in any file.
+    """
+    machine: ByteOrder | None = None
+    defines: dict[str, str] = {}
+    for flag in flags:
+        match = _DEFINE.fullmatch(flag)
+        if match:
+            defines[match[1] if "/" in match[1] else f"CFE_MISSION/{match[1]}"] = match[2].strip()
+        elif flag in _MACHINES:
+            machine = _MACHINES[flag]
+        else:
+            known = f"-DPACKAGE/NAME=VALUE, {' and '.join(_MACHINES)}"
+            raise ConfigError(f"--cflag: {flag!r} says nothing of data sheets; there are {known}")
+    sheets = _Sheets([parse(*file) for file in files], defines)
+    layout = sheets.layout(machine or "big", machine=machine is not None)
+    if machine is None and sheets.little:
+        layout = sheets.layout("little", machine=False)
+    return layout
+
+
+def read_sheet(data: bytes, name: str) -> StructLayout:
+    """Make the layout of one data sheet; see :func:`read_sheets`."""
+    return read_sheets([(data, name)])
+
+
+SHEETS: Final = Database(is_sheet, read_sheet, read_sheets)
+
+
+class _Sheets:
+    """The packages of some sheets.
+
+    Attributes:
+        little: whether the last layout has more little-endian numbers than big-endian ones.
+    """
+
+    def __init__(self, roots: Sequence[Node], defines: dict[str, str]) -> None:
+        self._notes: dict[str, Node] = {}
+        self._nodes: dict[str, Node] = {}
+        self._components: list[tuple[str, Node]] = []
+        self._file = roots[0].file
+        self.little = False
+        written: dict[str, str] = {}
+        for root in roots:
+            if root.tag not in _ROOTS:
+                self._note(root, f"{root.tag} is no data sheet")
+                continue
+            for package in root.inside("Package"):
+                for item in package.inside("Define"):
+                    key, value = f"{package.name}/{item.name}", item.attributes.get("value", "")
+                    if written.setdefault(key, value) != value:
+                        self._note(item, f"parameter {key} has another value in an earlier file, which holds")
+                for item in (node for each in package.inside("DataTypeSet") for node in each.children):
+                    name = f"{package.name}/{item.name}"
+                    if item.tag in DATA_TYPES and self._nodes.setdefault(name, item) is not item:
+                        self._note(item, f"type {name} is declared in {self._nodes[name]}, too, which holds")
+                self._components += (
+                    (package.name, item) for item in package.inside("ComponentSet", "Component")
+                )
+                self._unread(package)
+        self._parameters = Parameters({**written, **defines})
+
+    def _unread(self, node: Node) -> None:
+        """Note the elements that are not read, each kind once."""
+        if node.tag not in _READ | _QUIET:
+            self._note(node, f"{node.tag} is not read")
+        elif node.tag not in _QUIET:
+            for item in node.children:
+                self._unread(item)
+
+    def _note(self, node: Node, text: str) -> None:
+        self._notes.setdefault(text, node)
+
+    def layout(self, order: ByteOrder, *, machine: bool) -> StructLayout:
+        """Return all structs, with numbers of a byte order, and what lies in packets."""
+        before = dict(self._notes)
+        types = Types(self._nodes, self._parameters, order, machine=machine, note=self._note)
+        names: dict[str, str] = {}
+        for name, node in self._nodes.items():
+            try:
+                made = types.find(name)
+                if node.tag == "ContainerDataType":
+                    names[name] = str(made.kind)
+            except SheetError as error:
+                self._note(node, str(error))
+        bindings: dict[Key, str] = {}
+        for key, name, node in self._packets(types):
+            if name in names and bindings.setdefault(key, names[name]) != names[name]:
+                self._note(node, f"{key} is {bindings[key]} already, not {names[name]}")
+        self.little = types.orders["little"] > types.orders["big"]
+        notes = tuple(f"{node}: {text}" for text, node in self._notes.items())
+        self._notes = before
+        if not types.structs:
+            raise ConfigError(
+                *(notes or (f"{self._file}: no container in it; name the sheets of packages, too",))
+            )
+        return StructLayout(types.structs, types.enums, bindings, order, origin=self._file, notes=notes)
+
+    def _packets(self, types: Types) -> Iterator[tuple[Key, str, Node]]:
+        """Yield which packets there are: the container in each, and the interface that says so."""
+        derived: dict[str, list[str]] = {}
+        kinds: dict[str, str] = {}
+        for name, node in self._nodes.items():
+            if node.tag != "ContainerDataType":
+                continue
+            try:
+                *_, last = bases = list(types.bases(name))
+                kinds[name] = HEADERS.get(last, "")
+            except SheetError as error:
+                self._note(node, str(error))
+                continue
+            for base in bases[1:]:
+                derived.setdefault(base, []).append(name)
+        for package, component in self._components:
+            for interface, topic, name in self._topics(types, package, component):
+                kind = kinds.get(name, "")
+                try:
+                    msg_id = self._msg_id(topic, kind, name)
+                    for item in derived.get(name, ()):
+                        code = self._function_code(types, item)
+                        if code is not None and kind == "command":
+                            yield Key(msg_id, code), item, interface
+                        elif code is not None or item not in derived:
+                            self._note(
+                                self._nodes[item], f"{item} has no function code; its packets are {name}"
+                            )
+                    if name not in derived:
+                        own = types.structs.get(identifier(name))
+                        bare = kind == "command" and own is not None and not own.size
+                        yield Key(msg_id, 0 if bare else None), name, interface
+                except SheetError as error:
+                    self._note(interface, f"{component.name}.{interface.name} of {package}: {error}")
+
+    def _topics(self, types: Types, package: str, component: Node) -> Iterator[tuple[Node, int, str]]:
+        """Yield the interfaces of a component that have a topic: its number, and the type that goes there."""
+        initial = {
+            item.name: item.attributes.get("initialValue", "")
+            for item in component.inside("Implementation", "VariableSet", "Variable")
+        }
+        variables = {
+            item.attributes.get("interface", ""): item.attributes.get("variableRef", "")
+            for item in component.inside("Implementation", "ParameterMapSet", "ParameterMap")
+            if item.attributes.get("parameter") == "TopicId"
+        }
+        for group in ("RequiredInterfaceSet", "ProvidedInterfaceSet"):
+            for interface in component.inside(group, "Interface"):
+                if interface.name not in variables:
+                    continue
+                for item in interface.inside("GenericTypeMapSet", "GenericTypeMap"):
+                    try:
+                        number = self._parameters.integer(initial.get(variables[interface.name], ""), package)
+                        yield interface, number, types.full_name(item.attributes.get("type", ""), package)
+                    except SheetError as error:
+                        self._note(interface, f"topic of {interface.name}: {error}")
+
+    def _msg_id(self, topic: int, kind: str, name: str) -> int:
+        """Return the MsgId of a topic, as cFE maps it on the first processor."""
+        if not kind:
+            raise SheetError(f"{name} is based on none of {', '.join(HEADERS)}")
+        for parameter, first in _TOPICS[kind]:
+            place = topic - self._parameters.integer(f"${{{parameter}}}", "")
+            if 0 <= place < _MOST_TOPICS:
+                return first + place
+        raise SheetError(f"topic {topic} is not one of {kind}")
+
+    def _function_code(self, types: Types, name: str) -> int | None:
+        """Return the function code that the constraints of a container and of its bases say."""
+        for base in types.bases(name):
+            if base in HEADERS:
+                break
+            for item in self._nodes[base].inside("ConstraintSet", "ValueConstraint"):
+                if item.attributes.get("entry", "").rpartition(".")[2] == "FunctionCode":
+                    code = self._parameters.integer(item.attributes.get("value", ""), base.rpartition("/")[0])
+                    if not 0 <= code <= 0x7F:
+                        raise SheetError(f"function code {code} of {name} is not 0 to 127")
+                    return code
+        return None

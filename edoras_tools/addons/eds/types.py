@@ -1,0 +1,495 @@
+"""The data types of sheets as structs: where every entry of a container lies, packed as CCSDS 876.0 says.
+
+Entries follow each other bit by bit, the most significant bit first. With a machine's byte order they lie as
+in the C structs of a cFS that is built without data sheets: each at a multiple of its size.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from math import prod
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.addons.eds.documents import Node, SheetError
+from edoras_tools.structs.messages import unique
+from edoras_tools.structs.shapes import (
+    BASIC,
+    OPEN,
+    Basic,
+    BasicKind,
+    ByteOrder,
+    Enumeration,
+    Member,
+    Range,
+    Struct,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from edoras_tools.addons.eds.parameters import Number, Parameters
+
+HEADERS: Final = {"CFE_HDR/CommandHeader": "command", "CFE_HDR/TelemetryHeader": "telemetry"}
+"""The containers that are cFE's headers, on which every packet's is based: what such a packet is."""
+DATA_TYPES: Final = frozenset(
+    f"{kind}DataType"
+    for kind in (
+        *("Alias", "Array", "Binary", "Boolean", "Container", "Enumerated", "Float", "Integer", "String"),
+        "SubRange",
+    )
+)
+_PLAIN: Final = Member("", BASIC["byte"], 0)
+_WRAPPERS: Final = frozenset({"Value", "BaseType"})
+_ENTRIES: Final = frozenset({"Entry", "LengthEntry", "FixedValueEntry", "ErrorControlEntry", "ListEntry"})
+_DEEPEST: Final = 64
+_LARGEST: Final = 1 << 27
+"""Bits of a value at the most."""
+_MOST_ELEMENTS: Final = 1 << 16
+_ENDS: Final = {
+    "exclusiveMinExclusiveMax": (1, 1),
+    "inclusiveMinExclusiveMax": (0, 1),
+    "exclusiveMinInclusiveMax": (1, 0),
+    "greaterThan": (1, 0),
+    "lessThan": (0, 1),
+}
+"""Which ends of a range are no part of it: the lower, the upper."""
+
+
+@dataclass(frozen=True, slots=True)
+class DataType:
+    """What a name of a type stands for.
+
+    Attributes:
+        kind: a basic type, or the name of an enumeration or a struct.
+        bits: of one element; of a text all its characters.
+        dims: of an array; the last of a text its length.
+        scalar: whether it is a number, a flag or an enumeration.
+        order: of the bytes of one; nothing where it has one byte.
+        alignment: in C, in bytes; of a scalar the bytes that hold it.
+        doubt: why its number cannot be read, which is then shown as bytes.
+        variable: whether its length varies, so that nothing behind it has a fixed place.
+        like: a member with its unit and limits.
+    """
+
+    kind: Basic | str
+    bits: int
+    dims: tuple[int, ...] = ()
+    scalar: bool = False
+    order: ByteOrder | None = None
+    alignment: int = 1
+    doubt: str = ""
+    variable: bool = False
+    like: Member = _PLAIN
+
+    @property
+    def text(self) -> bool:
+        """Whether it is a text or an array of texts."""
+        return self.kind == BASIC["char"] and bool(self.dims)
+
+    @property
+    def whole_bits(self) -> int:
+        """All its bits."""
+        return self.bits * prod(self.dims[:-1] if self.text else self.dims)
+
+
+class Types:
+    """Makes structs of the data types of sheets, each once.
+
+    Args:
+        nodes: the data types by package and name.
+        parameters: the design parameters.
+        order: that of the layout's numbers; others become bytes.
+        machine: whether numbers lie as in C structs of a machine with this order.
+        note: is told of what cannot be read, with its place.
+
+    Attributes:
+        structs: the containers that were read, by their names in C.
+        enums: the enumerations.
+        orders: how many entries have numbers of each byte order.
+    """
+
+    def __init__(
+        self,
+        nodes: Mapping[str, Node],
+        parameters: Parameters,
+        order: ByteOrder,
+        *,
+        machine: bool,
+        note: Callable[[Node, str], None],
+    ) -> None:
+        self._nodes = nodes
+        self._parameters = parameters
+        self._order = order
+        self._machine = machine
+        self._note = note
+        self._types: dict[str, DataType | SheetError] = {}
+        self._open: list[str] = []
+        self._used: set[str] = {*BASIC}
+        self.structs: dict[str, Struct] = {}
+        self.enums: dict[str, Enumeration] = {}
+        self.orders: dict[ByteOrder, int] = {"little": 0, "big": 0}
+
+    def full_name(self, raw: str, package: str) -> str:
+        """Return the package and name of a type that is named in a package."""
+        text = self._parameters.text(raw, package)
+        return text if "/" in text else f"{package}/{text}"
+
+    def bases(self, name: str) -> Iterator[str]:
+        """Yield a container, what it is based on, and so on up to cFE's header or the last.
+
+        Raises:
+            SheetError: it is based on itself.
+        """
+        passed: list[str] = []
+        while name:
+            if name in passed or len(passed) > _DEEPEST:
+                raise SheetError(f"{name} is based on itself")
+            passed.append(name)
+            yield name
+            node = self._nodes.get(name) if name not in HEADERS else None
+            base = node.attributes.get("baseType", "") if node is not None else ""
+            name = self.full_name(base, name.rpartition("/")[0]) if base else ""
+
+    def find(self, name: str) -> DataType:
+        """Return a type by its package and name.
+
+        Raises:
+            SheetError: it is in none of the sheets, contains itself, or cannot be read.
+        """
+        known = self._types.get(name)
+        if known is None:
+            if name not in self._nodes:
+                raise SheetError(f"type {name} is in none of these files")
+            if name in self._open or len(self._open) > _DEEPEST:
+                raise SheetError(f"type {name} contains itself")
+            self._open.append(name)
+            try:
+                known = self._made(self._nodes[name], name)
+            except SheetError as error:
+                known = error
+            else:
+                if known.whole_bits > _LARGEST or prod(known.dims) > _MOST_ELEMENTS:
+                    known = SheetError(f"type {name} is larger than any packet")
+            self._open.pop()
+            self._types[name] = known
+        if isinstance(known, SheetError):
+            raise SheetError(str(known))
+        return known
+
+    def _made(self, node: Node, name: str) -> DataType:
+        package = name.rpartition("/")[0]
+        kind = node.tag.removesuffix("DataType")
+        if kind == "Container":
+            return self._container(node, name)
+        if kind == "Alias":
+            return self.find(self.full_name(self._required(node, "type"), package))
+        if kind == "SubRange":
+            base = self.find(self.full_name(self._required(node, "baseType"), package))
+            return replace(base, like=self._like(node, package, base))
+        if kind == "Array":
+            element = self.find(self.full_name(self._required(node, "dataTypeRef"), package))
+            if element.variable:
+                raise SheetError(f"array {name}: the length of {element.kind} varies")
+            return replace(element, dims=(*self._dimensions(node, package), *element.dims))
+        if kind == "String":
+            size = self._count(node, "length", package)
+            return DataType(BASIC["char"], 8 * size, (size,))
+        if kind == "Binary":
+            return DataType(BASIC["byte"], 8, (-(-self._count(node, "sizeInBits", package) // 8),))
+        encoding = next(node.inside(f"{kind.replace('Enumerated', 'Integer')}DataEncoding"), None)
+        return self._scalar(node, name, kind, encoding, package)
+
+    def _dimensions(self, node: Node, package: str) -> Iterator[int]:
+        for item in node.inside("DimensionList", "Dimension"):
+            if "size" in item.attributes:
+                yield self._count(item, "size", package)
+                continue
+            name = self.full_name(self._required(item, "indexTypeRef"), package)
+            labels = self.enums.get(str(self.find(name).kind))
+            low, high = self.find(name).like.red or (0, None)
+            if labels is None and (low is None or high is None):
+                raise SheetError(f"index {name} has neither labels nor a range")
+            yield len(labels.names) if labels else int((high or 0) - (low or 0)) + 1
+
+    def _scalar(self, node: Node, name: str, kind: str, encoding: Node | None, package: str) -> DataType:
+        """Return the type of a number, a flag or an enumeration."""
+        labels: dict[int, str] = {}
+        used: set[str] = set()
+        for item in node.inside("EnumerationList", "Enumeration"):
+            try:
+                value = self._parameters.integer(self._required(item, "value"), package)
+            except SheetError as error:
+                self._note(item, str(error))
+                continue
+            labels.setdefault(value, unique(identifier(item.attributes.get("label", "")), used))
+        like = self._like(node, package)
+        words = encoding.attributes if encoding is not None else {}
+        coded = self._parameters.text(words.get("encoding", "unsigned"), package)
+        least, most = (min(labels), max(labels)) if labels else (like.red or (0, None))
+        if encoding is None and kind != "Boolean":
+            bits = max(int(abs(least or 0)) * 2, int(abs(most or 0))).bit_length()
+            coded = "twosComplement" if (least or 0) < 0 else "unsigned"
+        else:
+            bits = self._count(encoding, "sizeInBits", package) if "sizeInBits" in words else 1
+        if not bits:
+            raise SheetError(f"{name} has no encoding that says its size")
+        order = self._byte_order(words.get("byteOrder", "bigEndian"), package) if bits > 8 else None
+        basic_kind = {"Boolean": BasicKind.BOOL, "Float": BasicKind.FLOAT}.get(kind, BasicKind.UINT)
+        doubt = ""
+        if kind == "Float":
+            precision = self._parameters.text(
+                words.get("encodingAndPrecision", "IEEE754_2008_single"), package
+            )
+            if not precision.startswith("IEEE754") or bits not in {32, 64}:
+                doubt = f"encoding {precision} of {bits} bits"
+        elif coded == "twosComplement":
+            basic_kind = BasicKind.INT
+        elif coded != "unsigned":
+            doubt = f"encoding {coded}"
+        if words.get("falseValue", "zeroIsFalse") != "zeroIsFalse":
+            basic_kind, labels = BasicKind.UINT, {0: "TRUE", 1: "FALSE"}
+        octets = 1 << max(0, (-(-bits // 8) - 1).bit_length())
+        if octets > 8:
+            octets, doubt = 8, doubt or f"{bits} bits"
+        basic = BASIC["float64"] if doubt else BASIC[str(Basic(basic_kind, octets))]
+        low = -(1 << (bits - 1)) if basic_kind is BasicKind.INT else 0
+        red = like.red or (None, None)
+        if (red[0] is None or red[0] <= low) and (red[1] is None or red[1] >= low + (1 << bits) - 1):
+            like = replace(like, red=None)  # what its bits hold anyway
+        made = DataType(basic, bits, scalar=True, order=order, alignment=octets, doubt=doubt, like=like)
+        if not labels or doubt:
+            return made
+        called = unique(identifier(name), self._used)
+        names = {value: label for value, label in labels.items() if basic.holds(value)}
+        self.enums[called] = Enumeration(called, basic, names)
+        return replace(made, kind=called)
+
+    def _byte_order(self, raw: str, package: str) -> ByteOrder:
+        text = self._parameters.text(raw, package)
+        if text not in {"bigEndian", "littleEndian"}:
+            raise SheetError(f"byte order {text!r} is neither bigEndian nor littleEndian")
+        return self._order if self._machine else "big" if text == "bigEndian" else "little"
+
+    def _container(self, node: Node, name: str) -> DataType:
+        """Lay out a container: the entries of what it is based on, its own, and those of both at the end."""
+        entries: list[tuple[Node, str]] = []
+        trailers: list[tuple[Node, str]] = []
+        for base in self.bases(name):
+            if base in HEADERS:
+                break
+            if base not in self._nodes:
+                raise SheetError(f"type {base} is in none of these files")
+            own, place = self._nodes[base], base.rpartition("/")[0]
+            entries = [(item, place) for item in own.children if item.tag == "EntryList"] + entries
+            trailers += [(item, place) for item in own.children if item.tag == "TrailerEntryList"]
+        maker = _Placement(self._order, machine=self._machine)
+        for listed, place in (*entries, *trailers):
+            for entry in listed.children:
+                self._entry(maker, entry, place, name)
+        size = maker.end()
+        if maker.wrapped and base not in HEADERS:
+            return maker.wrapped
+        called = unique(identifier(name), self._used)
+        self.structs[called] = Struct(called, -(-size // 8), tuple(maker.members), doc=node.doc)
+        return DataType(called, size, alignment=maker.alignment, variable=maker.varies)
+
+    def _entry(self, maker: _Placement, entry: Node, package: str, owner: str) -> None:
+        """Place an entry; if the places of what follows are unknown then, the rest of the packet is bytes."""
+        if maker.varies or entry.tag == "LongDescription":
+            return
+        try:
+            why = self._laid(maker, entry, package, owner)
+        except SheetError as error:
+            why = f"{error}; {owner} from there on is shown as bytes"
+            maker.rest(BASIC["byte"])
+            self._note(entry, why)
+            return
+        if why:
+            self._note(entry, f"{owner}.{entry.name}: {why}")
+
+    def _laid(self, maker: _Placement, entry: Node, package: str, owner: str) -> str:
+        """Place an entry, and return why it cannot be shown as what it is; nothing if it can."""
+        if entry.tag == "PaddingEntry":
+            maker.pad(self._count(entry, "sizeInBits", package))
+            return ""
+        if entry.tag not in _ENTRIES:
+            raise SheetError(f"{entry.tag} is no entry")
+        if next(entry.inside("PresentWhen"), None) is not None:
+            raise SheetError(f"{owner}.{entry.name} is there only sometimes")
+        data_type = self._entry_type(entry, package, owner)
+        if entry.tag == "ListEntry":
+            return maker.open(entry.name, data_type)
+        if data_type.order and not data_type.doubt:
+            self.orders[data_type.order] += 1
+        return maker.place(identifier(entry.name), data_type)
+
+    def _entry_type(self, entry: Node, package: str, owner: str) -> DataType:
+        """Return the type of an entry, which may have an encoding, a unit and limits of its own."""
+        name = self.full_name(self._required(entry, "type"), package)
+        data_type = self.find(name)
+        own = next((item for item in entry.children if item.tag.endswith("DataEncoding")), None)
+        if own is not None:
+            kind = self._nodes[name].tag.removesuffix("DataType")
+            data_type = self._scalar(self._nodes[name], f"{owner}_{entry.name}", kind, own, package)
+        return replace(data_type, like=self._like(entry, package, data_type))
+
+    def _like(self, node: Node, package: str, base: DataType | None = None) -> Member:
+        """Return a member with the unit, the limits and the documentation of a node, over those of a type."""
+        like = base.like if base else _PLAIN
+        attributes = [node.attributes, *(item.attributes for item in node.inside("Semantics"))]
+        unit = next((item["unit"] for item in attributes if item.get("unit")), like.unit)
+        like = replace(like, unit=" ".join(unit.split()), doc=node.doc)
+        terms: dict[int, float] = {}
+        for item in node.inside("PolynomialCalibrator", "Term"):
+            if node.tag == "LengthEntry":
+                break  # how bytes are counted, not what a value means
+            exponent = self._parameters.integer(self._required(item, "exponent"), package)
+            if not 0 <= exponent <= _DEEPEST:
+                raise SheetError(f"exponent {exponent} of a calibration is not 0 to {_DEEPEST}")
+            terms[exponent] = float(self._parameters.number(self._required(item, "coefficient"), package))
+        if terms:
+            like = replace(like, polynomial=tuple(terms.get(place, 0.0) for place in range(max(terms) + 1)))
+        for tag in ("Range", "ValidRange", "SafeRange", "SafeRangeSet", "NominalRange", "NominalRangeSet"):
+            for holder in node.inside(tag):
+                for item in holder.walk():
+                    if item.tag == "MinMaxRange":
+                        among = self._range(item, package)
+                        like = replace(like, yellow=among) if "Nominal" in tag else replace(like, red=among)
+        return like
+
+    def _range(self, node: Node, package: str) -> Range:
+        ends: list[Number | None] = [
+            self._parameters.number(node.attributes[key], package) if key in node.attributes else None
+            for key in ("min", "max")
+        ]
+        for end, (outside, inwards) in enumerate(
+            zip(_ENDS.get(node.attributes.get("rangeType", ""), (0, 0)), (1, -1), strict=True)
+        ):
+            value = ends[end]
+            if outside and isinstance(value, int):
+                ends[end] = value + inwards
+        return ends[0], ends[1]
+
+    def _count(self, node: Node | None, key: str, package: str) -> int:
+        assert node is not None, "its attribute was there"
+        value = self._parameters.integer(self._required(node, key), package)
+        if not 0 <= value <= _LARGEST:
+            raise SheetError(f"{key} {value} is not a number of 0 to {_LARGEST}")
+        return value
+
+    def _required(self, node: Node, key: str) -> str:
+        if key not in node.attributes:
+            raise SheetError(f"{node.tag} {node.name}".rstrip() + f" has no {key}")
+        return node.attributes[key]
+
+
+class _Placement:
+    """The members of one container, and the bit behind the last.
+
+    Attributes:
+        members: in their order.
+        alignment: of the whole in C, in bytes.
+        varies: whether nothing more has a fixed place.
+        wrapped: type of the only entry, where it has a name that says nothing, as ``Value``.
+    """
+
+    def __init__(self, order: ByteOrder, *, machine: bool) -> None:
+        self._little = order == "little"
+        self._order = order
+        self._machine = machine
+        self._bit = 0
+        self._names: set[str] = set()
+        self.members: list[Member] = []
+        self.alignment = 1
+        self.varies = False
+        self.wrapped: DataType | None = None
+
+    def pad(self, bits: int) -> None:
+        self._bit += bits
+
+    def end(self) -> int:
+        """Return the bits of the whole."""
+        if self._machine and not self.varies:
+            self._align(self.alignment)
+        if self._bit > _LARGEST:
+            raise SheetError(f"its {self._bit // 8:,} bytes are more than any packet holds")
+        return self._bit
+
+    def _align(self, alignment: int) -> None:
+        self._bit = -(-self._bit // (8 * alignment)) * 8 * alignment
+
+    def open(self, name: str, item: DataType) -> str:
+        """Add a list to the end of the packet; return why its elements are not shown, or nothing."""
+        whole = item.bits == 8 * item.alignment if item.scalar else item.bits % 8 == 0
+        if not whole or self._bit % 8 or item.doubt or item.variable or item.order not in {None, self._order}:
+            self.rest(BASIC["byte"], name)
+            return (
+                item.doubt or "its elements are not alike, or of other than whole bytes; it is shown as bytes"
+            )
+        self.rest(item.kind, name, item.dims, item.like)
+        return ""
+
+    def rest(
+        self, kind: Basic | str, name: str = "rest", dims: tuple[int, ...] = (), like: Member | None = None
+    ) -> None:
+        """Add what reaches to the end of the packet."""
+        self._bit = -(-self._bit // 8) * 8
+        named = unique(identifier(name), self._names)
+        self.members.append(
+            replace(like or _PLAIN, name=named, type=kind, offset=self._bit // 8, dims=(OPEN, *dims))
+        )
+        self.varies = True
+
+    def place(self, name: str, item: DataType) -> str:
+        """Add a member behind the last; return why it cannot be shown as what it is, or nothing."""
+        if self._machine and item.bits % 8 == 0:
+            self._align(item.alignment)
+            self.alignment = max(self.alignment, item.alignment)
+        byte, bit = divmod(self._bit, 8)
+        self.wrapped = item if not self._bit and item.scalar and not item.dims and name in _WRAPPERS else None
+        self._bit += item.whole_bits
+        if item.dims and not item.whole_bits:
+            return ""
+        why = item.doubt
+        if not why and item.order not in {None, self._order}:
+            why = f"its {item.order}-endian number is beside {self._order}-endian ones"
+        member = replace(
+            item.like, name=unique(name, self._names), type=item.kind, offset=byte, dims=item.dims
+        )
+        start = None if why or item.dims else self._start(item, bit)
+        if (
+            not why
+            and not bit
+            and item.bits % 8 == 0
+            and (not item.scalar or item.bits == 8 * item.alignment)
+        ):
+            self.members.append(member)
+        elif start is not None:
+            self.members.append(replace(member, bits=item.bits, bit=start))
+        elif bit or item.whole_bits % 8:
+            return f"{why or 'it does not begin and end with a byte'}; it is left out"
+        else:
+            doc = f"{item.whole_bits // item.bits} x {item.bits} bits" if item.dims else member.doc
+            self.members.append(Member(member.name, BASIC["byte"], byte, (item.whole_bits // 8,), doc=doc))
+        if item.variable and len(self.members) > 1:
+            self.rest(BASIC["byte"])
+        self.varies = item.variable
+        return why and f"{why}; it is shown as bytes"
+
+    def _start(self, item: DataType, bit: int) -> int | None:
+        """Return where a bit-field starts, as ``Member.bit`` counts; None if it cannot be one."""
+        if not item.scalar or (bit + item.bits + 7) // 8 > 8 or str(item.kind).startswith("float"):
+            return None
+        if not self._little or self._machine or item.bits % 8 == bit == 0:
+            return bit
+        return 8 - bit - item.bits if bit + item.bits <= 8 else None
+
+
+_NO_NAME: Final = re.compile(r"\W+", re.ASCII)
+
+
+def identifier(name: str) -> str:
+    """Return a name as in C: ``CFE_ES/HousekeepingTlm`` is ``CFE_ES_HousekeepingTlm``."""
+    plain = _NO_NAME.sub("_", name) or "unnamed"
+    return plain if not plain[0].isdigit() else f"_{plain}"
