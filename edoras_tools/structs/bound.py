@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -180,6 +181,17 @@ class Bound:
             struct, whole = self.layout.structs.get(str(match.type), struct), False
         return match
 
+    @cached_property
+    def limited(self) -> dict[str, Member]:
+        """The numbers with limits, by the dotted path of their field."""
+        leaves = self.plan(self._least + self._step if self._step else self.size).leaves
+        numbers = [
+            leaf for leaf in leaves if (leaf.member.yellow or leaf.member.red) and not leaf.member.text
+        ]
+        return {
+            ".".join(part for part in leaf.path if isinstance(part, str)): leaf.member for leaf in numbers
+        }
+
     def values(self, member: Member) -> Mapping[int, str]:
         """Return the names of the values of a member."""
         enum = self.layout.enumeration(member)
@@ -195,6 +207,10 @@ class Bound:
             number = f"0x{value:0{2 * basic.size if basic else 1}x}"
         else:
             number = f"{value:.9g}" if isinstance(value, float) else str(value)
+        if member.polynomial:
+            number = f"{f'{member.calibrated(value):.9g} {member.unit}'.rstrip()} ({number})"
+        elif member.unit:
+            number += f" {member.unit}"
         return f"{name} ({number})" if name else number
 
     def _row(self, member: Member) -> int:

@@ -44,6 +44,9 @@ _TYPE: Final = re.compile(
 _DIMENSION: Final = re.compile(r"\[(\w*)\]")
 _TOP: Final = {"edoras_structs", "byte_order", "package", "bind", "enums", "structs"}
 _STRUCT: Final = {"size", "header", "union", "packed", "members", "doc"}
+_ABOUT: Final = ("doc", "unit", "polynomial", "yellow", "red")
+_NUMBERS: Final = {int, float}
+_FINITE: Final = 1e300
 _PACKAGE: Final = re.compile(r"[a-z](?:_?[a-z0-9])*", re.ASCII)
 _IN_C: Final = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _SECONDARY_HEADER: Final = 0x0800
@@ -275,12 +278,29 @@ class _Reader:
             self._mistake(where, f"{name}: {_printed(raw[name])} is neither true nor false")
         return raw.get(name) is True
 
-    def _doc(self, where: str, raw: Mapping[str, Any]) -> str:
+    def _doc(self, where: str, raw: Mapping[str, Any], key: str = "doc") -> str:
         """Return the documentation of an item, on one line: it becomes a comment."""
-        if not isinstance(raw.get("doc", ""), str):
-            self._mistake(where, f"doc: {_printed(raw['doc'])} is not text")
+        if not isinstance(raw.get(key, ""), str):
+            self._mistake(where, f"{key}: {_printed(raw[key])} is not text")
             return ""
-        return " ".join(raw.get("doc", "").split())
+        return " ".join(raw.get(key, "").split())
+
+    def _about(self, where: str, raw: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what a member's value means: documentation, unit, calibration and limits."""
+        self._check_keys(where, raw, {"type", *_ABOUT})
+        about: dict[str, Any] = {key: self._doc(where, raw, key) for key in ("doc", "unit")}
+        for key in raw.keys() & set(_ABOUT[2:]):
+            values, form = raw[key], "[LOW, HIGH], null for no end"
+            fits = isinstance(values, list) and len(values) == 2
+            if key == "polynomial":
+                form, fits = "a list of numbers", isinstance(values, list) and None not in values
+            if fits and all(
+                item is None or (type(item) in _NUMBERS and abs(item) < _FINITE) for item in values
+            ):
+                about[key] = tuple(values)
+            else:
+                self._mistake(where, f"{key}: {_printed(values)} is not {form}")
+        return about
 
     def _enum(self, name: str, raw: Any) -> None:
         where = f"enums.{name}"
@@ -344,14 +364,9 @@ class _Reader:
         self._structs[name] = Struct(name, size, tuple(members), union, header, self._doc(where, raw))
 
     def _extent(self, member: Member) -> int:
-        basic = member.type if isinstance(member.type, Basic) else None
         if member.bits:
             return (member.bit + member.bits + 7) // 8
-        if basic is None:
-            name = str(member.type)
-            size = self._enums[name].basic.size if name in self._enums else self._structs[name].size
-            return size * member.count
-        return member.count * (member.dims[-1] if member.text else basic.size)
+        return member.count * (member.dims[-1] if member.text else self._measures(member.type)[0])
 
     def _kind(self, name: str, where: str) -> Basic | str | None:
         """Return the type of a name, read if it is a struct of the file; None where it is none."""
@@ -366,10 +381,9 @@ class _Reader:
         return None
 
     def _member(self, name: str, raw: Any, where: str) -> Wanted | None:
-        doc = ""
+        about: dict[str, Any] = {}
         if isinstance(raw, dict):
-            self._check_keys(where, raw, {"type", "doc"})
-            raw, doc = raw.get("type"), self._doc(where, raw)
+            raw, about = raw.get("type"), self._about(where, raw)
         match = _TYPE.fullmatch(raw.strip()) if isinstance(raw, str) else None
         if match is None:
             self._mistake(where, f"{_printed(raw)} is not TYPE, TYPE[N], TYPE:BITS or TYPE @OFFSET")
@@ -385,7 +399,7 @@ class _Reader:
             return None
         bits, bit = int(match["bits"] or 0), int(match["bit"] or 0)
         size, alignment = self._measures(kind)
-        basic = kind if isinstance(kind, Basic) else self._enums[kind].basic if kind in self._enums else None
+        basic = self._basic(kind)
         integer = basic is not None and basic.kind in _BITS and not dims
         for wrong, rule in (
             (
@@ -401,16 +415,20 @@ class _Reader:
             if wrong:
                 self._mistake(where, f"{raw!r}: {rule}")
                 return None
-        member = Member(name, kind, offset, dims, bits, bit, 16 if match["hex"] else 10, doc)
+        member = Member(name, kind, offset, dims, bits, bit, 16 if match["hex"] else 10, **about)
         one = member.dims[-1] if member.text else size
         return Wanted(member, one, alignment, match["offset"] is not None)
 
     def _measures(self, kind: Basic | str) -> tuple[int, int]:
-        if isinstance(kind, Basic):
-            return kind.size, kind.size
-        if kind in self._enums:
-            return self._enums[kind].basic.size, self._enums[kind].basic.size
-        return self._structs[kind].size, self._alignments[kind]
+        basic = self._basic(kind)
+        return (
+            (basic.size, basic.size)
+            if basic
+            else (self._structs[str(kind)].size, self._alignments[str(kind)])
+        )
+
+    def _basic(self, kind: Basic | str) -> Basic | None:
+        return kind if isinstance(kind, Basic) else self._enums[kind].basic if kind in self._enums else None
 
 
 _SHORT: Final = reprlib.Repr()
@@ -498,7 +516,9 @@ def _order(item: tuple[Key, str]) -> tuple[int, int]:
 
 def _member_text(member: Member) -> str:
     text = type_text(member) + f" @{member.offset}" + (f".{member.bit}" if member.bits else "")
-    return f"{{type: '{text}', doc: {json.dumps(member.doc)}}}" if member.doc else text
+    about = {key: getattr(member, key) for key in _ABOUT}
+    words = "".join(f", {key}: {json.dumps(value)}" for key, value in about.items() if value)
+    return f"{{type: '{text}'{words}}}" if words else text
 
 
 def type_text(member: Member) -> str:

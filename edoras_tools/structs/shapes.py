@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from math import prod
+from math import inf, prod
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 from edoras_tools.cfs import sbn, telemetry_output
@@ -62,6 +62,7 @@ def packets(msg_ids: MsgIds) -> dict[int, str]:
 ByteOrder = Literal["little", "big"]
 Range = tuple[float | None, float | None]
 """The lowest and the highest value that belong to it; None for no end."""
+_ANY: Final[Range] = (None, None)
 OPEN: Final = 0
 """The dimension of an array that extends to the end of the packet; only the last member may have it."""
 
@@ -188,6 +189,32 @@ class Member:
     def row(self) -> int:
         """Elements of one row of an open array."""
         return prod(self.array[1:])
+
+    def calibrated(self, number: Any) -> Any:
+        """Return the value of a number, or of each of an array, in its unit."""
+        value = 0.0
+        for coefficient in reversed(self.polynomial):
+            value = value * number + coefficient
+        return value if self.polynomial else number
+
+    def beyond(self, value: Any) -> tuple[Any, Any]:
+        """Tell whether a value, or each of an array, is outside the yellow limits, and the red ones."""
+        ends = ((-inf if low is None else low, inf if high is None else high) for low, high in self._ranges)
+        yellow, red = ((value < low) | (value > high) for low, high in ends)
+        return yellow, red
+
+    @property
+    def limits(self) -> str:
+        """Its limits in words."""
+        return ", ".join(
+            f"{color} {' to '.join('any' if end is None else f'{end:.9g}' for end in ends)}"
+            for color, ends in zip(("yellow", "red"), self._ranges, strict=True)
+            if ends != _ANY
+        )
+
+    @property
+    def _ranges(self) -> tuple[Range, Range]:
+        return self.yellow or _ANY, self.red or _ANY
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,6 +62,12 @@ class Structs:
             return (cfe.shipped_layout(self.msg_ids),)
         return tuple(self._layouts)
 
+    @cached_property
+    def limited(self) -> bool:
+        """Whether a layout sets limits to a value."""
+        structs = [struct for layout in self._layouts or () for struct in layout.structs.values()]
+        return any(member.yellow or member.red for struct in structs for member in struct.members)
+
     @property
     def _bindings(self) -> Bindings:
         return self._whole._own_bindings  # noqa: SLF001  of its own kind

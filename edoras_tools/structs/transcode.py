@@ -66,9 +66,9 @@ class Bits(NamedTuple):
     width: int
     shift: int
     into: int
-    signed: bool
-    truth: bool
-    order: str
+    signed: bool = False
+    truth: bool = False
+    order: str = "<"
 
 
 @dataclass(slots=True)
@@ -248,11 +248,7 @@ class StructPlan:
             for index in range(count):
                 source = HEAD.itemsize + at + index * basic.size
                 target = self._room(1, 1)
-                self._block.bits.append(
-                    Bits(
-                        source, target, basic.size, 8 * basic.size, 0, 1, signed=False, truth=True, order="<"
-                    )
-                )
+                self._block.bits.append(Bits(source, target, basic.size, 8 * basic.size, 0, 1, truth=True))
         elif count:
             self._copy(HEAD.itemsize + at, basic.size * count, basic.size, self._layout.byte_order)
 
@@ -261,20 +257,9 @@ class StructPlan:
         little = self._layout.byte_order == "little"
         shift = member.bit if little else 8 * size - member.bit - member.bits
         into = _SIZES[PRIMITIVES[primitive(basic)]]
-        target = self._room(into, into)
-        self._block.bits.append(
-            Bits(
-                HEAD.itemsize + at,
-                target,
-                size,
-                member.bits,
-                shift,
-                into,
-                signed=basic.kind is BasicKind.INT,
-                truth=basic.kind is BasicKind.BOOL,
-                order="<" if little else ">",
-            )
-        )
+        place = HEAD.itemsize + at, self._room(into, into), size, member.bits, shift, into
+        signed, truth = basic.kind is BasicKind.INT, basic.kind is BasicKind.BOOL
+        self._block.bits.append(Bits(*place, signed, truth, "<" if little else ">"))
 
     @property
     def _block(self) -> Block:

@@ -245,7 +245,7 @@ class MessageFieldFinder:
         if len(indices) > 1 and any(index is not None for index in indices):
             return None
         index = indices[0] if indices else None
-        return partial(_read, messages, path, index)
+        return partial(field_series, messages, path, index)
 
     def _single(self, name: str) -> str:
         """Return the path of a value that every message of a type has exactly one of, if there is any."""
@@ -380,7 +380,10 @@ def _read_whole(read: Callable[[ColumnRows], Owned], rows: ColumnRows) -> Series
     return Series(len(rows), np.zeros(len(owner), INDEX_DTYPE), owner)
 
 
-def _read(read: Callable[[ColumnRows], Owned], path: str, index: int | None, rows: ColumnRows) -> Series:
+def field_series(
+    read: Callable[[ColumnRows], Owned], path: str, index: int | None, rows: ColumnRows
+) -> Series:
+    """Return a field's values, those of all elements of an array or of one, and the rows that hold them."""
     owner, messages = read(rows)
     column, valid = messages.fields[path], messages.valid
     holders = owner[valid]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services, telemetry_output
 from edoras_tools.cfs.arguments import APPLICATIONS, ARGUMENTS, arguments_of, command_text
+from edoras_tools.decode.filters.messages import field_series, held_messages, structs_of
 from edoras_tools.errors import TruncatedError
 from edoras_tools.links.table import among
 from edoras_tools.model import Columns, Finding, PacketBatch
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
+    from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.structs.shapes import Member
 
 _MOST: Final = 200_000
 """Of each kind; a link that sends more than this says nothing new with the rest."""
@@ -197,7 +201,7 @@ class CommandRecord:
         return command_text(self.msg_id, self.function_code, self.values)
 
 
-_SAMPLES: Final = ("housekeeping", "ingest", "commanded", "subscriptions")
+_SAMPLES: Final = ("housekeeping", "ingest", "commanded", "subscriptions", "beyond")
 _RECORDS: Final = ("events", "commands")
 
 
@@ -213,6 +217,8 @@ class Payloads:
         contents: what they say, each once.
         events: of 0x808 what applications said.
         commands: those that change what a cFS does, with their arguments; nothing that cFS itself sends.
+        beyond: values outside limits; ``field`` is a number in ``limited``, ``value`` the bytes of a float64.
+        limited: number and member of each field with limits, by struct and path.
     """
 
     housekeeping: Samples = field(
@@ -224,6 +230,8 @@ class Payloads:
     contents: list[SubscriptionMessage] = field(default_factory=list)
     events: list[EventRecord] = field(default_factory=list)
     commands: list[CommandRecord] = field(default_factory=list)
+    beyond: Samples = field(default_factory=lambda: Samples.of("field", "value", "red"))
+    limited: dict[str, tuple[int, Member]] = field(default_factory=dict)
     _content: dict[int, int] = field(default_factory=dict)
 
     def add(self, batch: PacketBatch, columns: Columns, base: int) -> None:
@@ -264,6 +272,20 @@ class Payloads:
             if (values := arguments_of(*key, content, cut=cut)) is not None:
                 is_whole = len(content) >= ARGUMENTS[key].size
                 self.commands.append(CommandRecord(base + row, *key, values, is_whole))
+
+    def add_limits(self, packets: ColumnRows, base: int) -> None:
+        """Read which numbers of a batch are outside limits; see ``add``."""
+        for bound in structs_of(packets):
+            for path, member in bound.limited.items():
+                series = field_series(partial(held_messages, bound), path, None, packets)
+                value = member.calibrated(series.values.astype(np.float64))
+                yellow, red = member.beyond(value)
+                out, number = np.flatnonzero(yellow | red), len(self.limited)
+                at = np.asarray(series.owner)[out]
+                field = np.full(len(at), self.limited.setdefault(f"{bound.name}.{path}", (number, member))[0])
+                self.beyond.add(
+                    base + at, packets.batch.time_ns[at], field, value[out].view(np.int64), red[out]
+                )
 
     def outputs(self, *codes: int) -> list[CommandRecord]:
         """Return the commands to Telemetry Output that have one of some function codes."""

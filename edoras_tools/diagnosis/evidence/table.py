@@ -9,6 +9,7 @@ import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.conversations import Conversations
+from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.diagnosis.evidence.fingerprint import (
     SharedFields,
     of_values,
@@ -251,6 +252,8 @@ class Recorder:
             self.states.add_states(batch)
             return
         self.payloads.add(batch, columns, self._kept)
+        if self.context.structs.limited:
+            self.payloads.add_limits(ColumnRows(self.context, 0, batch, columns), self._kept)
         offset, length, space, claimed = self._messages(batch, columns)
         self.states.add_messages(batch, columns, offset, length)
         body, plain, stamped = self._fingerprints(batch, columns, offset, length)

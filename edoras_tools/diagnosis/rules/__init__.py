@@ -63,6 +63,7 @@ RULES: Final[dict[str, Rule]] = {
         content.changed_values,
         content.old_values,
         content.old_states,
+        content.value_limits,
         silence.telemetry_vanished,
         silence.topic_silent,
         pipes.ci_cut,

@@ -8,9 +8,10 @@ import numpy as np
 
 from edoras_tools.diagnosis.rules.about import packet
 from edoras_tools.diagnosis.verdict import NOTHING_SENT, Severity, Verdict, verdict, warning
+from edoras_tools.links.table import link
 from edoras_tools.links.to import TO
 from edoras_tools.units import SECOND
-from edoras_tools.words import listed
+from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -121,6 +122,29 @@ def old_states(case: Case) -> Iterator[Verdict]:
             f"robot send at most {passed:.1f} a second",
             confidence="high",
         )
+
+
+def value_limits(case: Case) -> Iterator[Verdict]:
+    """Values are outside the limits that the layout of their struct sets.
+
+    Name each field, how many values are outside its yellow and its red limits, and the lowest and highest.
+    """
+    beyond = case.payloads.beyond
+    for name, (number, member) in case.payloads.limited.items():
+        among = beyond["field"] == number
+        rows, value = beyond["row"][among], beyond["value"][among].view(np.float64)
+        red, unit = int(beyond["red"][among].sum()), f" {member.unit}".rstrip()
+        if len(rows):
+            yield warning(
+                f"{name}: {plural(len(rows), 'value')} outside its limits, {red:,} outside the red ones",
+                f"{packet(case, int(rows[0]))}: {value[0]:.9g}{unit}",
+                f"lowest {value.min():.9g}{unit}, highest {value.max():.9g}{unit}; limits: {member.limits}",
+                msg_id=int(case.rows.msg_id[rows[0]]),
+                link=link(int(case.rows.link[rows[0]])).label,
+                span=case.span(rows),
+                remedy="look for the cause on board, or correct the limits in the layout or the data sheet",
+                confidence="high",
+            )
 
 
 def _about(

@@ -61,6 +61,7 @@ class PacketItem:
         little: whether its least significant byte comes first.
         fixed: its bytes where a command always has the same; none where they are an argument.
         enum: names of its values, if they have some.
+        member: of a struct, which has its unit, calibration and limits; None for none of them.
     """
 
     name: str
@@ -70,6 +71,7 @@ class PacketItem:
     little: bool = True
     fixed: bytes = b""
     enum: Enumeration | None = None
+    member: Member | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,4 +290,6 @@ def _elements(layout: StructLayout, member: Member, name: str) -> tuple[Items, b
     if member.count > _MOST_ELEMENTS:
         return (PacketItem(name, "bytes", bits * member.count, member.doc),), True
     enum = layout.enumeration(member)
-    return tuple(PacketItem(item, encoding, bits, member.doc, little, enum=enum) for item in names), True
+    more = member if member.unit or member.polynomial or member.limits else None
+    items = (PacketItem(item, encoding, bits, member.doc, little, enum=enum, member=more) for item in names)
+    return tuple(items), True

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from edoras_tools.addons.codegen.ground.packets import GroundPacket, Items
+    from edoras_tools.structs.shapes import Member
     from edoras_tools.wire.cfe import Headers
 
 _NAMESPACE: Final = "http://www.omg.org/spec/XTCE/20180204"
@@ -183,7 +184,10 @@ def _fixed(entries: ET.Element, value: bytes) -> None:
 
 def _type_name(item: PacketItem) -> str:
     order = "" if item.bits <= 8 or item.encoding in {"bytes", "text"} else "_le" if item.little else "_be"
-    return f"{item.encoding}{item.bits}{order}{f'_{identifier(item.enum.name)}' if item.enum else ''}"
+    words = [item.enum.name] if item.enum else []
+    if item.member:
+        words += [item.member.unit, *map(str, item.member.polynomial), item.member.limits]
+    return "_".join([f"{item.encoding}{item.bits}{order}", *map(identifier, words)])
 
 
 def _length_of(string: StringItem) -> list[PacketItem]:
@@ -193,19 +197,22 @@ def _length_of(string: StringItem) -> list[PacketItem]:
 def _data_type(types: ET.Element, role: str, name: str, item: PacketItem) -> None:
     order = {} if item.bits <= 8 else {"byteOrder": "leastSignificantByteFirst"} if item.little else {}
     bits = {"sizeInBits": str(item.bits)}
+    member = item.member if role == "Parameter" else None
     if item.encoding == "float":
         element = ET.SubElement(types, f"Float{role}Type", {"name": name, **bits})
-        ET.SubElement(element, "FloatDataEncoding", {**bits, "encoding": "IEEE754_1985", **order})
+        encoded = ET.SubElement(element, "FloatDataEncoding", {**bits, "encoding": "IEEE754_1985", **order})
     elif item.encoding in {"uint", "int"}:
         signed = item.encoding == "int"
         if item.enum:
             element = ET.SubElement(types, f"Enumerated{role}Type", {"name": name})
+        elif member and member.polynomial:
+            element = ET.SubElement(types, f"Float{role}Type", {"name": name})
         else:
             element = ET.SubElement(
                 types, f"Integer{role}Type", {"name": name, "signed": str(signed).lower()}
             )
         encoding = "twosComplement" if signed else "unsigned"
-        ET.SubElement(element, "IntegerDataEncoding", {**bits, "encoding": encoding, **order})
+        encoded = ET.SubElement(element, "IntegerDataEncoding", {**bits, "encoding": encoding, **order})
         if item.enum:
             listed = ET.SubElement(element, "EnumerationList")
             for value, label in item.enum.names.items():
@@ -220,6 +227,26 @@ def _data_type(types: ET.Element, role: str, name: str, item: PacketItem) -> Non
         element = ET.SubElement(types, f"Binary{role}Type", {"name": name})
         size = ET.SubElement(ET.SubElement(element, "BinaryDataEncoding"), "SizeInBits")
         ET.SubElement(size, "FixedValue").text = str(item.bits)
+    if member and not item.enum and item.encoding in {"float", "uint", "int"}:
+        _add_meaning(element, encoded, member)
+
+
+def _add_meaning(element: ET.Element, encoded: ET.Element, member: Member) -> None:
+    """Add the unit of a parameter's type, its calibration and its limits."""
+    if member.unit:
+        element.insert(0, ET.Element("UnitSet"))
+        ET.SubElement(element[0], "Unit").text = member.unit
+    if member.polynomial:
+        calibrator = ET.SubElement(ET.SubElement(encoded, "DefaultCalibrator"), "PolynomialCalibrator")
+        for exponent, coefficient in enumerate(member.polynomial):
+            ET.SubElement(calibrator, "Term", {"coefficient": str(coefficient), "exponent": str(exponent)})
+    if member.limits:
+        alarms = ET.SubElement(ET.SubElement(element, "DefaultAlarm"), "StaticAlarmRanges")
+        for tag, ends in (("WarningRange", member.yellow), ("CriticalRange", member.red)):
+            named = zip(("minInclusive", "maxInclusive"), ends or (), strict=False)
+            limits = {key: str(end) for key, end in named if end is not None}
+            if limits:
+                ET.SubElement(alarms, tag, limits)
 
 
 def _conditions(values: dict[str, int]) -> ET.Element:
