@@ -108,10 +108,10 @@ class Lab:
             examination.add(batch, bench.columns.decode(batch))
         return examination.diagnose(Capture(drops, outages=tuple(outages), host=tuple(host)))
 
-    def read(self, path, config=()):
+    def read(self, path, config=(), structs=()):
         """Return the diagnosis of a capture."""
         source = open_file(path)
-        bench = Settings(configs=list(config)).workbench()
+        bench = Settings(configs=list(config), structs=structs).workbench()
         examination = Examination(bench.columns.context)
         for batch in source.batches():
             examination.add(batch, bench.columns.decode(batch))

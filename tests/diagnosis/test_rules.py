@@ -395,6 +395,29 @@ def old_states(lab, tmp_path, msg_id):
     return rover(lab, tmp_path / "a.pcap", late)
 
 
+LIMITS = """
+bind: {0x0803: Mine, 0x0826: App}
+structs:
+  Mine: {members: {counters: {type: 'uint8[4]', red: [0, 255]}, text: {type: 'char[4]', red: [1, 2]}}}
+  Part: {members: {on: {type: bool, yellow: [1, 1]}, commands: {type: uint8, red: [9, null]}}}
+  App: {members: {commands: {type: uint8, polynomial: [0, 0.5], unit: V, yellow: [0, 2], red: [0, 3]},
+    requests: uint8, parts: 'Part[]'}}
+"""
+
+
+@case
+def value_limits(lab, tmp_path, msg_id):
+    """The housekeeping of EDORAS_APP counts commands: nothing is a limit of text, or is outside ``Mine``."""
+    (tmp_path / "limits.yaml").write_text(LIMITS)
+    found = lab.read(CAPTURES / "a_rover.pcap", structs=[tmp_path / "limits.yaml"])
+    told = {item.reason.partition(":")[0]: item for item in found.verdicts if item.rule == "value_limits"}
+    assert told.keys() == {"App.commands", "App.parts.on", "App.parts.commands"}
+    one = told["App.commands"]
+    assert (one.msg_id, one.link, one.confidence) == (0x0826, "to", "high")
+    assert one.evidence[-1].endswith("limits: yellow 0 to 2, red 0 to 3")
+    return found
+
+
 @case
 def telemetry_vanished(lab, tmp_path, msg_id):
     sent, _ = lab.simulate(seconds=40)

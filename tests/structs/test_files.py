@@ -65,6 +65,22 @@ def test_what_is_written_reads_the_same():
     assert (again.package, again.byte_order) == (made.package, made.byte_order)
 
 
+def test_units_calibrations_and_limits():
+    text = """
+    structs: {A: {members: {x: {type: uint8, unit: degC, polynomial: [-40, 0.5, 1e-05], yellow: [0, 50.5],
+      red: [null, 60]}, y: {type: 'uint8[3]', red: [1, null]}}}}
+    """
+    made = parse_layout(text.encode(), "x")
+    x, y = made.structs["A"].members
+    assert (x.unit, x.polynomial, x.yellow, x.red) == ("degC", (-40, 0.5, 1e-05), (0, 50.5), (None, 60))
+    assert (x.limits, y.limits) == ("yellow 0 to 50.5, red any to 60", "red 1 to any")
+    assert (x.calibrated(100), y.calibrated(7)) == (pytest.approx(10.1), 7)
+    assert [x.beyond(value) for value in (-1, 50, 55, 61)] == [
+        *((True, False), (False, False), (True, False), (True, True)),
+    ]
+    assert parse_layout(dumps(made).encode(), "x").structs == made.structs
+
+
 def test_names_that_yaml_would_take_for_something_else():
     text = """
     bind: {0x890: 'null'}
@@ -111,6 +127,20 @@ def test_names_that_yaml_would_take_for_something_else():
         ("structs: {A: {packed: [], members: {}}}", "f: structs.A: packed: [] is neither true nor false"),
         ("structs: {A: {doc: {a: b}, members: {}}}", "f: structs.A: doc: {'a': 'b'} is not text"),
         ("structs: {A: {members: {x: {type: uint8, doc: 1}}}}", "f: structs.A.x: doc: 1 is not text"),
+        ("structs: {A: {members: {x: {type: uint8, unit: [V]}}}}", "f: structs.A.x: unit: ['V'] is not text"),
+        (
+            "structs: {A: {members: {x: {type: uint8, polynomial: [1, null]}}}}",
+            "f: structs.A.x: polynomial: [1, None] is not a list of numbers",
+        ),
+        (
+            "structs: {A: {members: {x: {type: uint8, yellow: [.nan, 1]}}}}",
+            "f: structs.A.x: yellow: [nan, 1] is not [LOW, HIGH], null for no end",
+        ),
+        ("structs: {A: {members: {x: {type: uint8, red: [1]}}}}", "f: structs.A.x: red: [1] is not [LOW,"),
+        (
+            "structs: {A: {members: {x: {type: uint8, red: [1, " + "9" * 400 + "]}}}}",
+            "f: structs.A.x: red: [1, 99",
+        ),
         ("structs: {A: {members: {\xe9: uint8}}}", "f: no layout file: it is not text"),
         ("structs: {'A\\u00e9': {members: {}}}", "f: structs: 'A\\\\u00e9' is not a name in C"),
         (

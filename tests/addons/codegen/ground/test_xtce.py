@@ -147,6 +147,31 @@ def test_a_c_struct_is_read_as_a_compiler_lays_it_out(order, definition, tmp_pat
     assert path == [1.5, 2.5, 3.5, 4.5]
 
 
+def test_units_calibrations_and_limits(definition, tmp_path):
+    """The reader calibrates; limits are where XTCE has them."""
+    (tmp_path / "own.yaml").write_text(
+        "bind: {0x0890: Own}\nstructs: {Own: {members: {charge: {type: 'uint16', unit: V, polynomial: [9, 0.01],"
+        " yellow: [11.5, 16.8], red: [10.5, null]}, plain: {type: int16, red: [-5, 5]}}}}"
+    )
+    text = describe_packets(Settings(structs=[tmp_path / "own.yaml"]).workbench()).text
+    theirs = parsed(definition(text), cfe.emit_telemetry(0x0890, struct.pack("<Hh", 200, -7)))
+    assert (theirs["Own_charge"], theirs["Own_charge"].raw_value, theirs["Own_plain"]) == (11.0, 200, -7)
+    root = ET.fromstring(text)
+    types = {item.get("name"): item for item in root.find(f".//{NS}ParameterTypeSet")}
+    found = {
+        item.get("name"): [
+            (part.tag.removeprefix(NS), part.text, dict(part.attrib))
+            for part in types[item.get("parameterTypeRef")].iter()
+        ]
+        for item in root.iter(f"{NS}Parameter")
+    }
+    assert ("Unit", "V", {}) in found["Own_charge"]
+    assert ("WarningRange", None, {"minInclusive": "11.5", "maxInclusive": "16.8"}) in found["Own_charge"]
+    assert ("CriticalRange", None, {"minInclusive": "10.5"}) in found["Own_charge"]
+    ranges = [item for item in found["Own_plain"] if item[0].endswith("Range")]
+    assert ranges == [("CriticalRange", None, {"minInclusive": "-5", "maxInclusive": "5"})]
+
+
 def test_msg_ids_of_version_2_are_refused():
     bench = Settings([MISSIONS / "rover_ground.yaml"], options=Options(msg_id_version=2)).workbench()
     with pytest.raises(ConfigError, match="use version 1"):
