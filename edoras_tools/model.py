@@ -479,12 +479,14 @@ class RosMessage:
         topic: the configured topic.
         values: plain dict of the fields, nested, as ``TypeStore.decode`` gives them.
         cdr: the bytes, encapsulation included, padding cut.
+        shipped: whether it is one of the built-in structs of cFE.
     """
 
     type: str
     topic: str
     values: Mapping[str, Any]
     cdr: bytes
+    shipped: bool = False
 
 
 @dataclass(frozen=True, slots=True)

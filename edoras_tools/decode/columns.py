@@ -338,10 +338,9 @@ class _Pass:
         """Judge whether packets are as long as the C structs they should hold."""
         structs = self.context.structs
         samples = payloads(structs, self.out.__getitem__, partial(getattr, self.batch), self.batch.data)
-        for bound, members, fits in structs.split(samples):
-            unlike = ~fits
-            if bound.command:  # a command of a wrong length is flagged already
-                unlike &= (self.out["findings"][members.row] & np.uint32(Finding.COMMAND_LENGTH)) == 0
+        for _, members, fits in structs.split(samples):
+            # A command of a wrong length is flagged already.
+            unlike = ~fits & ((self.out["findings"][members.row] & np.uint32(Finding.COMMAND_LENGTH)) == 0)
             self.flag(Finding.STRUCT_LENGTH, members.row, unlike)
         if structs.dictionary is not None:
             self.flag(Finding.UNKNOWN_MSG_ID, samples.row, samples.key == structs.dictionary.unknown)

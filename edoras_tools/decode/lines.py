@@ -157,7 +157,9 @@ def _content(decoded: Decoded) -> _Content:
         kind = kind or ("cmd" if values["packet_type"] else "tlm")
     if decoded.datagram.topic != NO_ROUTE:
         name, type_ = recorded_topic(decoded)
-    elif decoded.message and (not name or decoded.layer("edoras")):
+    elif decoded.message and (
+        not name or decoded.layer("edoras") or (kind == "cmd" and not decoded.message.shipped)
+    ):
         name = decoded.message.topic  # of a C struct the packet's name says as much, and is shorter
     text = decoded.summary or (str(decoded.stop) if decoded.stop else "")
     return _Content(kind, msg_id, name, text, type_)
@@ -191,7 +193,7 @@ def _contents(rows: ColumnRows) -> list[_Content | None]:
         name = names_of[value]
         if row in contents:
             topic, text = contents[row]
-            if routed[row] or not name:
+            if routed[row] or not name or context.msg_ids.is_command(value):
                 name = topic
         elif row in commands:
             text = commands[row]

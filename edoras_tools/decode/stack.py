@@ -241,7 +241,7 @@ class _Dissection(Reading):
             return
         cdr = bound.encode_one(self.data[at:], origin)
         values = self.context.structs.types.decode(bound.type, cdr)
-        self.message = RosMessage(bound.type, bound.topic, values, cdr)
+        self.message = RosMessage(bound.type, bound.topic, values, cdr, bound.shipped)
         dissected = bound.shipped and any(layer.name in OWN_LAYERS for layer in self.layers)
         if self.detail and not dissected:
             fields = tuple(

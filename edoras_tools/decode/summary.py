@@ -85,12 +85,10 @@ def _message_text(decoded: Decoded, values: Mapping[str, Any], msg_ids: MsgIds) 
 def _command_text(decoded: Decoded, msg_ids: MsgIds) -> str:
     """Return a command of the built-in table with its arguments; nothing for another message."""
     packet, command, message = decoded.layer("ccsds"), decoded.layer("cfe_command"), decoded.message
-    if packet is None or command is None or message is None:
+    if packet is None or command is None or message is None or not message.shipped:
         return ""
     key = msg_ids.standard(packet.values()["msg_id"]), command.values()["function_code"]
-    layout = ARGUMENTS.get(key)
-    names = {"header", *(layout.by_name if layout else ())} - {"spare"}
-    return command_line(*key, message.values) if names == set(message.values) else ""
+    return command_line(*key, message.values) if key in ARGUMENTS else ""
 
 
 def _unit_of(decoded: Decoded) -> LinkProtocol | None:

@@ -121,8 +121,9 @@ class Structs:
         return None
 
     def name(self, msg_id: int) -> str:
-        """Return a short description of the packets of a MsgId; empty if it is not known."""
-        return " or ".join(item.name for item in self.bound_to(msg_id))
+        """Return the struct of a MsgId; empty if there is none, or several: each packet has its own."""
+        names = [item.name for item in self.bound_to(msg_id)]
+        return names[0] if len(names) == 1 else ""
 
     def is_shipped(self, msg_id: int) -> bool:
         """Tell whether the structs of a MsgId are the built-in ones of cFE."""

@@ -196,12 +196,13 @@ def test_from_sheets_to_a_recording_and_the_doctor(call, tmp_path, write_pcap):
     low = PAYLOAD[:2] + struct.pack(">H", 100 << 6) + PAYLOAD[4:]
     drive = cfe.emit_command(0x1890, 2, struct.pack(">ffH", 3, 4, 500))
     sent = [cfe.emit_telemetry(0x0890, PAYLOAD), cfe.emit_telemetry(0x0890, low, sequence_count=1), drive]
+    sent.append(cfe.emit_command(0x1890, 0))
     capture = write_pcap(
         tmp_path / "a.pcap",
         [(place * 10**9, _frame(item), len(_frame(item))) for place, item in enumerate(sent)],
     )
     read = ("--structs", tmp_path / "rover")
-    first, _, last = call("sniff", "-r", capture, *read, "--json").lines()
+    first, _, last, bare = call("sniff", "-r", capture, *read, "--json").lines()
     assert (first["topic"], first["message"]["driver"], first["message"]["mode"]) == (
         "/cfs/ROVER_HkTlm",
         "ada",
@@ -215,6 +216,12 @@ def test_from_sheets_to_a_recording_and_the_doctor(call, tmp_path, write_pcap):
     assert (last["topic"], last["message"]["target"], last["message"]["speed"]) == (
         *("/cfs/ROVER_DriveCmd", {"x": 3.0, "y": 4.0}, 500),
     )
+    assert (bare["topic"], [*bare["message"]]) == ("/cfs/ROVER_NoopCmd", ["header"])
+    lines = call("sniff", "-r", capture, *read).out.splitlines()[1:]
+    names = [line.split("  ") for line in lines]
+    assert [[item.strip() for item in words if "ROVER" in item] for words in names] == [
+        *(["ROVER_HkTlm"], ["ROVER_HkTlm"], ["/cfs/ROVER_DriveCmd"], ["/cfs/ROVER_NoopCmd"]),
+    ]
     listed = call("sniff", "-r", capture, *read, "--where", "mode == LOST and battery > 150", "-V").out
     assert "11 V (200)" in listed
     assert "of the main bus" in listed
@@ -225,7 +232,7 @@ def test_from_sheets_to_a_recording_and_the_doctor(call, tmp_path, write_pcap):
     assert "lowest 10 V, highest 11 V; limits: yellow 11.5 to 16.8, red 10.5 to any" in limits["evidence"]
     assert call("record", "-r", capture, *read, "-o", tmp_path / "a.mcap", "-q").code == 0
     assert [item["topic"] for item in call("sniff", "-r", tmp_path / "a.mcap", "--json").lines()] == [
-        *("/cfs/ROVER_HkTlm", "/cfs/ROVER_HkTlm", "/cfs/ROVER_DriveCmd"),
+        *("/cfs/ROVER_HkTlm", "/cfs/ROVER_HkTlm", "/cfs/ROVER_DriveCmd", "/cfs/ROVER_NoopCmd"),
     ]
 
 

@@ -150,8 +150,9 @@ def test_a_c_struct_is_read_as_a_compiler_lays_it_out(order, definition, tmp_pat
 def test_units_calibrations_and_limits(definition, tmp_path):
     """The reader calibrates; limits are where XTCE has them."""
     (tmp_path / "own.yaml").write_text(
-        "bind: {0x0890: Own}\nstructs: {Own: {members: {charge: {type: 'uint16', unit: V, polynomial: [9, 0.01],"
-        " yellow: [11.5, 16.8], red: [10.5, null]}, plain: {type: int16, red: [-5, 5]}}}}"
+        "bind: {0x0890: Own}\nstructs: {Own: {members: {charge: {type: 'uint16', unit: V,"
+        " polynomial: [9, 0.01], yellow: [11.5, 16.8], red: [10.5, null]},"
+        " plain: {type: int16, red: [-5, 5]}}}}"
     )
     text = describe_packets(Settings(structs=[tmp_path / "own.yaml"]).workbench()).text
     theirs = parsed(definition(text), cfe.emit_telemetry(0x0890, struct.pack("<Hh", 200, -7)))
