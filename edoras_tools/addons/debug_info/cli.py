@@ -67,9 +67,8 @@ def structs(
 
     if package is not None and not is_package(package):
         raise ConfigError(f"--package: {package!r} is not a ROS package name; write a name like rover_msgs")
-    more = [Path(name) for name in names or () if not name.replace(" ", "_").isidentifier()]
-    names = [name for name in names or () if name.replace(" ", "_").isidentifier()]
-    source = writing.open_types(file, include or (), cflag or (), more)
+    names, sheets = _sorted_out(names or ())
+    source = writing.open_types(file, include or (), cflag or (), sheets)
     bindings = writing.bindings_of(bind or ())
     out = sys.stdout
     if not names and not bindings and output is None:
@@ -94,6 +93,12 @@ def structs(
             f"no packet is bound yet: add --bind 0x0890={unbound[0] if unbound else 'NAME'}, "
             f"or an entry under 'bind' in {output / 'structs.yaml'}"
         )
+
+
+def _sorted_out(words: Sequence[str]) -> tuple[list[str], list[Path]]:
+    """Return the names among words, and the data sheets."""
+    sheets = [word for word in words if word.lower().endswith(".xml")]
+    return [word for word in words if word not in sheets], list(map(Path, sheets))
 
 
 def listing(items: Sequence[Listed], bound: dict[str, str]) -> Iterator[str]:

@@ -97,7 +97,7 @@ def open_types(
     """
     if path is None or (str(path) == cfe.LAYOUT_NAME and not path.exists()):
         return LayoutFile(cfe.shipped_layout())
-    if path.suffix.lower() in SOURCE_SUFFIXES:
+    if path.suffix.lower() in SOURCE_SUFFIXES and not more:
         return compiled(path, include, flags)
     try:
         with path.open("rb") as file:
@@ -110,7 +110,9 @@ def open_types(
         ) from error
     if start == _ARCHIVE:
         raise ConfigError(f"{path}: is an archive; extract its objects with 'ar x {path}', and name one")
-    return DebugInfo(path) if start.startswith(_ELF) else LayoutFile(load_together([path, *more], flags))
+    if start.startswith(_ELF) and not more:
+        return DebugInfo(path)
+    return LayoutFile(load_together([path, *more], flags))
 
 
 def bindings_of(pairs: Iterable[tuple[Key, str]]) -> dict[Key, str]:

@@ -64,7 +64,7 @@ class Node:
         return f"{self.file}:{self.line}"
 
 
-def parse(data: bytes, name: str) -> Node:
+def parse_document(data: bytes, name: str) -> Node:
     """Return the root of a document.
 
     Raises:

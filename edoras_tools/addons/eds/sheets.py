@@ -11,9 +11,9 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.eds.documents import Node, SheetError, parse
+from edoras_tools.addons.eds.documents import Node, SheetError, parse_document
 from edoras_tools.addons.eds.parameters import Parameters
-from edoras_tools.addons.eds.types import DATA_TYPES, HEADERS, Types, identifier
+from edoras_tools.addons.eds.types import DATA_TYPES, PACKET_HEADERS, Types
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.files import Database
 from edoras_tools.structs.shapes import ByteOrder, Key, StructLayout
@@ -79,7 +79,7 @@ def read_sheets(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) -
         else:
             known = f"-DPACKAGE/NAME=VALUE, {' and '.join(_MACHINES)}"
             raise ConfigError(f"--cflag: {flag!r} says nothing of data sheets; there are {known}")
-    sheets = _Sheets([parse(*file) for file in files], defines)
+    sheets = _Sheets([parse_document(*file) for file in files], defines)
     layout = sheets.layout(machine or "big", machine=machine is not None)
     if machine is None and sheets.little:
         layout = sheets.layout("little", machine=False)
@@ -172,7 +172,7 @@ class _Sheets:
                 continue
             try:
                 *_, last = bases = list(types.bases(name))
-                kinds[name] = HEADERS.get(last, "")
+                kinds[name] = PACKET_HEADERS.get(last, "")
             except SheetError as error:
                 self._note(node, str(error))
                 continue
@@ -192,8 +192,7 @@ class _Sheets:
                                 self._nodes[item], f"{item} has no function code; its packets are {name}"
                             )
                     if name not in derived:
-                        own = types.structs.get(identifier(name))
-                        bare = kind == "command" and own is not None and not own.size
+                        bare = kind == "command" and not types.find(name).bits
                         yield Key(msg_id, 0 if bare else None), name, interface
                 except SheetError as error:
                     self._note(interface, f"{component.name}.{interface.name} of {package}: {error}")
@@ -223,7 +222,7 @@ class _Sheets:
     def _msg_id(self, topic: int, kind: str, name: str) -> int:
         """Return the MsgId of a topic, as cFE maps it on the first processor."""
         if not kind:
-            raise SheetError(f"{name} is based on none of {', '.join(HEADERS)}")
+            raise SheetError(f"{name} is based on none of {', '.join(PACKET_HEADERS)}")
         for parameter, first in _TOPICS[kind]:
             place = topic - self._parameters.integer(f"${{{parameter}}}", "")
             if 0 <= place < _MOST_TOPICS:
@@ -233,7 +232,7 @@ class _Sheets:
     def _function_code(self, types: Types, name: str) -> int | None:
         """Return the function code that the constraints of a container and of its bases say."""
         for base in types.bases(name):
-            if base in HEADERS:
+            if base in PACKET_HEADERS:
                 break
             for item in self._nodes[base].inside("ConstraintSet", "ValueConstraint"):
                 if item.attributes.get("entry", "").rpartition(".")[2] == "FunctionCode":

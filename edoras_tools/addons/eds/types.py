@@ -6,16 +6,15 @@ in the C structs of a cFS that is built without data sheets: each at a multiple 
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import prod
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.eds.documents import Node, SheetError
+from edoras_tools.addons.eds.placement import MOST_VALUE_BITS, UNNAMED, DataType, Placement, c_name
 from edoras_tools.structs.messages import unique
 from edoras_tools.structs.shapes import (
     BASIC,
-    OPEN,
     Basic,
     BasicKind,
     ByteOrder,
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.eds.parameters import Number, Parameters
 
-HEADERS: Final = {"CFE_HDR/CommandHeader": "command", "CFE_HDR/TelemetryHeader": "telemetry"}
+PACKET_HEADERS: Final = {"CFE_HDR/CommandHeader": "command", "CFE_HDR/TelemetryHeader": "telemetry"}
 """The containers that are cFE's headers, on which every packet's is based: what such a packet is."""
 DATA_TYPES: Final = frozenset(
     f"{kind}DataType"
@@ -39,13 +38,17 @@ DATA_TYPES: Final = frozenset(
         "SubRange",
     )
 )
-_PLAIN: Final = Member("", BASIC["byte"], 0)
-_WRAPPERS: Final = frozenset({"Value", "BaseType"})
 _ENTRIES: Final = frozenset({"Entry", "LengthEntry", "FixedValueEntry", "ErrorControlEntry", "ListEntry"})
 _DEEPEST: Final = 64
-_LARGEST: Final = 1 << 27
-"""Bits of a value at the most."""
 _MOST_ELEMENTS: Final = 1 << 16
+_SINGLE: Final = "IEEE754_2008_single"
+_KINDS: Final = {
+    "Boolean": BasicKind.BOOL,
+    "Float": BasicKind.FLOAT,
+    "unsigned": BasicKind.UINT,
+    "twosComplement": BasicKind.INT,
+}
+"""How bytes are read, by the kind of a type, or by the encoding of an integer."""
 _ENDS: Final = {
     "exclusiveMinExclusiveMax": (1, 1),
     "inclusiveMinExclusiveMax": (0, 1),
@@ -54,43 +57,6 @@ _ENDS: Final = {
     "lessThan": (0, 1),
 }
 """Which ends of a range are no part of it: the lower, the upper."""
-
-
-@dataclass(frozen=True, slots=True)
-class DataType:
-    """What a name of a type stands for.
-
-    Attributes:
-        kind: a basic type, or the name of an enumeration or a struct.
-        bits: of one element; of a text all its characters.
-        dims: of an array; the last of a text its length.
-        scalar: whether it is a number, a flag or an enumeration.
-        order: of the bytes of one; nothing where it has one byte.
-        alignment: in C, in bytes; of a scalar the bytes that hold it.
-        doubt: why its number cannot be read, which is then shown as bytes.
-        variable: whether its length varies, so that nothing behind it has a fixed place.
-        like: a member with its unit and limits.
-    """
-
-    kind: Basic | str
-    bits: int
-    dims: tuple[int, ...] = ()
-    scalar: bool = False
-    order: ByteOrder | None = None
-    alignment: int = 1
-    doubt: str = ""
-    variable: bool = False
-    like: Member = _PLAIN
-
-    @property
-    def text(self) -> bool:
-        """Whether it is a text or an array of texts."""
-        return self.kind == BASIC["char"] and bool(self.dims)
-
-    @property
-    def whole_bits(self) -> int:
-        """All its bits."""
-        return self.bits * prod(self.dims[:-1] if self.text else self.dims)
 
 
 class Types:
@@ -147,7 +113,7 @@ class Types:
                 raise SheetError(f"{name} is based on itself")
             passed.append(name)
             yield name
-            node = self._nodes.get(name) if name not in HEADERS else None
+            node = self._nodes.get(name) if name not in PACKET_HEADERS else None
             base = node.attributes.get("baseType", "") if node is not None else ""
             name = self.full_name(base, name.rpartition("/")[0]) if base else ""
 
@@ -169,7 +135,7 @@ class Types:
             except SheetError as error:
                 known = error
             else:
-                if known.whole_bits > _LARGEST or prod(known.dims) > _MOST_ELEMENTS:
+                if known.whole_bits > MOST_VALUE_BITS or prod(known.dims) > _MOST_ELEMENTS:
                     known = SheetError(f"type {name} is larger than any packet")
             self._open.pop()
             self._types[name] = known
@@ -212,8 +178,8 @@ class Types:
                 raise SheetError(f"index {name} has neither labels nor a range")
             yield len(labels.names) if labels else int((high or 0) - (low or 0)) + 1
 
-    def _scalar(self, node: Node, name: str, kind: str, encoding: Node | None, package: str) -> DataType:
-        """Return the type of a number, a flag or an enumeration."""
+    def _labels(self, node: Node, package: str) -> dict[int, str]:
+        """Return the labels of an enumeration by their values."""
         labels: dict[int, str] = {}
         used: set[str] = set()
         for item in node.inside("EnumerationList", "Enumeration"):
@@ -221,49 +187,48 @@ class Types:
                 value = self._parameters.integer(self._required(item, "value"), package)
             except SheetError as error:
                 self._note(item, str(error))
-                continue
-            labels.setdefault(value, unique(identifier(item.attributes.get("label", "")), used))
-        like = self._like(node, package)
+            else:
+                labels.setdefault(value, unique(c_name(item.attributes.get("label", "")), used))
+        return labels
+
+    def _scalar(self, node: Node, name: str, kind: str, encoding: Node | None, package: str) -> DataType:
+        """Return the type of a number, a flag or an enumeration."""
+        labels, like = self._labels(node, package), self._like(node, package)
         words = encoding.attributes if encoding is not None else {}
         coded = self._parameters.text(words.get("encoding", "unsigned"), package)
-        least, most = (min(labels), max(labels)) if labels else (like.red or (0, None))
-        if encoding is None and kind != "Boolean":
+        bits = self._count(encoding, "sizeInBits", package) if "sizeInBits" in words else kind == "Boolean"
+        if encoding is None and kind != "Boolean":  # as many bits as its values need
+            least, most = (min(labels), max(labels)) if labels else (like.red or (0, None))
             bits = max(int(abs(least or 0)) * 2, int(abs(most or 0))).bit_length()
             coded = "twosComplement" if (least or 0) < 0 else "unsigned"
-        else:
-            bits = self._count(encoding, "sizeInBits", package) if "sizeInBits" in words else 1
         if not bits:
             raise SheetError(f"{name} has no encoding that says its size")
         order = self._byte_order(words.get("byteOrder", "bigEndian"), package) if bits > 8 else None
-        basic_kind = {"Boolean": BasicKind.BOOL, "Float": BasicKind.FLOAT}.get(kind, BasicKind.UINT)
-        doubt = ""
-        if kind == "Float":
-            precision = self._parameters.text(
-                words.get("encodingAndPrecision", "IEEE754_2008_single"), package
-            )
-            if not precision.startswith("IEEE754") or bits not in {32, 64}:
-                doubt = f"encoding {precision} of {bits} bits"
-        elif coded == "twosComplement":
-            basic_kind = BasicKind.INT
-        elif coded != "unsigned":
-            doubt = f"encoding {coded}"
+        basic_kind = _KINDS.get(kind) or _KINDS.get(coded, BasicKind.BYTE)
         if words.get("falseValue", "zeroIsFalse") != "zeroIsFalse":
             basic_kind, labels = BasicKind.UINT, {0: "TRUE", 1: "FALSE"}
+        doubt = self._doubt(kind, words, bits, package) or f"encoding {coded}" * (
+            basic_kind is BasicKind.BYTE
+        )
         octets = 1 << max(0, (-(-bits // 8) - 1).bit_length())
         if octets > 8:
             octets, doubt = 8, doubt or f"{bits} bits"
         basic = BASIC["float64"] if doubt else BASIC[str(Basic(basic_kind, octets))]
-        low = -(1 << (bits - 1)) if basic_kind is BasicKind.INT else 0
-        red = like.red or (None, None)
-        if (red[0] is None or red[0] <= low) and (red[1] is None or red[1] >= low + (1 << bits) - 1):
-            like = replace(like, red=None)  # what its bits hold anyway
-        made = DataType(basic, bits, scalar=True, order=order, alignment=octets, doubt=doubt, like=like)
+        if like.red and _all_of(like.red, bits, signed=basic_kind is BasicKind.INT):
+            like = replace(like, red=None)
+        made = DataType(basic, int(bits), scalar=True, order=order, alignment=octets, doubt=doubt, like=like)
         if not labels or doubt:
             return made
-        called = unique(identifier(name), self._used)
+        called = unique(c_name(name), self._used)
         names = {value: label for value, label in labels.items() if basic.holds(value)}
         self.enums[called] = Enumeration(called, basic, names)
         return replace(made, kind=called)
+
+    def _doubt(self, kind: str, words: Mapping[str, str], bits: int, package: str) -> str:
+        """Return why a float cannot be read; nothing of one that can, and of other kinds."""
+        precision = self._parameters.text(words.get("encodingAndPrecision", _SINGLE), package)
+        sound = kind != "Float" or (precision.startswith("IEEE754") and bits in {32, 64})
+        return "" if sound else f"encoding {precision} of {bits} bits"
 
     def _byte_order(self, raw: str, package: str) -> ByteOrder:
         text = self._parameters.text(raw, package)
@@ -276,25 +241,25 @@ class Types:
         entries: list[tuple[Node, str]] = []
         trailers: list[tuple[Node, str]] = []
         for base in self.bases(name):
-            if base in HEADERS:
+            if base in PACKET_HEADERS:
                 break
             if base not in self._nodes:
                 raise SheetError(f"type {base} is in none of these files")
             own, place = self._nodes[base], base.rpartition("/")[0]
             entries = [(item, place) for item in own.children if item.tag == "EntryList"] + entries
             trailers += [(item, place) for item in own.children if item.tag == "TrailerEntryList"]
-        maker = _Placement(self._order, machine=self._machine)
+        maker = Placement(self._order, machine=self._machine)
         for listed, place in (*entries, *trailers):
             for entry in listed.children:
                 self._entry(maker, entry, place, name)
         size = maker.end()
-        if maker.wrapped and base not in HEADERS:
+        if maker.wrapped and base not in PACKET_HEADERS:
             return maker.wrapped
-        called = unique(identifier(name), self._used)
+        called = unique(c_name(name), self._used)
         self.structs[called] = Struct(called, -(-size // 8), tuple(maker.members), doc=node.doc)
         return DataType(called, size, alignment=maker.alignment, variable=maker.varies)
 
-    def _entry(self, maker: _Placement, entry: Node, package: str, owner: str) -> None:
+    def _entry(self, maker: Placement, entry: Node, package: str, owner: str) -> None:
         """Place an entry; if the places of what follows are unknown then, the rest of the packet is bytes."""
         if maker.varies or entry.tag == "LongDescription":
             return
@@ -308,7 +273,7 @@ class Types:
         if why:
             self._note(entry, f"{owner}.{entry.name}: {why}")
 
-    def _laid(self, maker: _Placement, entry: Node, package: str, owner: str) -> str:
+    def _laid(self, maker: Placement, entry: Node, package: str, owner: str) -> str:
         """Place an entry, and return why it cannot be shown as what it is; nothing if it can."""
         if entry.tag == "PaddingEntry":
             maker.pad(self._count(entry, "sizeInBits", package))
@@ -322,7 +287,7 @@ class Types:
             return maker.open(entry.name, data_type)
         if data_type.order and not data_type.doubt:
             self.orders[data_type.order] += 1
-        return maker.place(identifier(entry.name), data_type)
+        return maker.place(c_name(entry.name), data_type)
 
     def _entry_type(self, entry: Node, package: str, owner: str) -> DataType:
         """Return the type of an entry, which may have an encoding, a unit and limits of its own."""
@@ -336,7 +301,7 @@ class Types:
 
     def _like(self, node: Node, package: str, base: DataType | None = None) -> Member:
         """Return a member with the unit, the limits and the documentation of a node, over those of a type."""
-        like = base.like if base else _PLAIN
+        like = base.like if base else UNNAMED
         attributes = [node.attributes, *(item.attributes for item in node.inside("Semantics"))]
         unit = next((item["unit"] for item in attributes if item.get("unit")), like.unit)
         like = replace(like, unit=" ".join(unit.split()), doc=node.doc)
@@ -374,8 +339,8 @@ class Types:
     def _count(self, node: Node | None, key: str, package: str) -> int:
         assert node is not None, "its attribute was there"
         value = self._parameters.integer(self._required(node, key), package)
-        if not 0 <= value <= _LARGEST:
-            raise SheetError(f"{key} {value} is not a number of 0 to {_LARGEST}")
+        if not 0 <= value <= MOST_VALUE_BITS:
+            raise SheetError(f"{key} {value} is not a number of 0 to {MOST_VALUE_BITS}")
         return value
 
     def _required(self, node: Node, key: str) -> str:
@@ -384,112 +349,8 @@ class Types:
         return node.attributes[key]
 
 
-class _Placement:
-    """The members of one container, and the bit behind the last.
-
-    Attributes:
-        members: in their order.
-        alignment: of the whole in C, in bytes.
-        varies: whether nothing more has a fixed place.
-        wrapped: type of the only entry, where it has a name that says nothing, as ``Value``.
-    """
-
-    def __init__(self, order: ByteOrder, *, machine: bool) -> None:
-        self._little = order == "little"
-        self._order = order
-        self._machine = machine
-        self._bit = 0
-        self._names: set[str] = set()
-        self.members: list[Member] = []
-        self.alignment = 1
-        self.varies = False
-        self.wrapped: DataType | None = None
-
-    def pad(self, bits: int) -> None:
-        self._bit += bits
-
-    def end(self) -> int:
-        """Return the bits of the whole."""
-        if self._machine and not self.varies:
-            self._align(self.alignment)
-        if self._bit > _LARGEST:
-            raise SheetError(f"its {self._bit // 8:,} bytes are more than any packet holds")
-        return self._bit
-
-    def _align(self, alignment: int) -> None:
-        self._bit = -(-self._bit // (8 * alignment)) * 8 * alignment
-
-    def open(self, name: str, item: DataType) -> str:
-        """Add a list to the end of the packet; return why its elements are not shown, or nothing."""
-        whole = item.bits == 8 * item.alignment if item.scalar else item.bits % 8 == 0
-        if not whole or self._bit % 8 or item.doubt or item.variable or item.order not in {None, self._order}:
-            self.rest(BASIC["byte"], name)
-            return (
-                item.doubt or "its elements are not alike, or of other than whole bytes; it is shown as bytes"
-            )
-        self.rest(item.kind, name, item.dims, item.like)
-        return ""
-
-    def rest(
-        self, kind: Basic | str, name: str = "rest", dims: tuple[int, ...] = (), like: Member | None = None
-    ) -> None:
-        """Add what reaches to the end of the packet."""
-        self._bit = -(-self._bit // 8) * 8
-        named = unique(identifier(name), self._names)
-        self.members.append(
-            replace(like or _PLAIN, name=named, type=kind, offset=self._bit // 8, dims=(OPEN, *dims))
-        )
-        self.varies = True
-
-    def place(self, name: str, item: DataType) -> str:
-        """Add a member behind the last; return why it cannot be shown as what it is, or nothing."""
-        if self._machine and item.bits % 8 == 0:
-            self._align(item.alignment)
-            self.alignment = max(self.alignment, item.alignment)
-        byte, bit = divmod(self._bit, 8)
-        self.wrapped = item if not self._bit and item.scalar and not item.dims and name in _WRAPPERS else None
-        self._bit += item.whole_bits
-        if item.dims and not item.whole_bits:
-            return ""
-        why = item.doubt
-        if not why and item.order not in {None, self._order}:
-            why = f"its {item.order}-endian number is beside {self._order}-endian ones"
-        member = replace(
-            item.like, name=unique(name, self._names), type=item.kind, offset=byte, dims=item.dims
-        )
-        start = None if why or item.dims else self._start(item, bit)
-        if (
-            not why
-            and not bit
-            and item.bits % 8 == 0
-            and (not item.scalar or item.bits == 8 * item.alignment)
-        ):
-            self.members.append(member)
-        elif start is not None:
-            self.members.append(replace(member, bits=item.bits, bit=start))
-        elif bit or item.whole_bits % 8:
-            return f"{why or 'it does not begin and end with a byte'}; it is left out"
-        else:
-            doc = f"{item.whole_bits // item.bits} x {item.bits} bits" if item.dims else member.doc
-            self.members.append(Member(member.name, BASIC["byte"], byte, (item.whole_bits // 8,), doc=doc))
-        if item.variable and len(self.members) > 1:
-            self.rest(BASIC["byte"])
-        self.varies = item.variable
-        return why and f"{why}; it is shown as bytes"
-
-    def _start(self, item: DataType, bit: int) -> int | None:
-        """Return where a bit-field starts, as ``Member.bit`` counts; None if it cannot be one."""
-        if not item.scalar or (bit + item.bits + 7) // 8 > 8 or str(item.kind).startswith("float"):
-            return None
-        if not self._little or self._machine or item.bits % 8 == bit == 0:
-            return bit
-        return 8 - bit - item.bits if bit + item.bits <= 8 else None
-
-
-_NO_NAME: Final = re.compile(r"\W+", re.ASCII)
-
-
-def identifier(name: str) -> str:
-    """Return a name as in C: ``CFE_ES/HousekeepingTlm`` is ``CFE_ES_HousekeepingTlm``."""
-    plain = _NO_NAME.sub("_", name) or "unnamed"
-    return plain if not plain[0].isdigit() else f"_{plain}"
+def _all_of(ends: Range, bits: int, *, signed: bool) -> bool:
+    """Tell whether a range is all that so many bits can hold."""
+    low = -(1 << (bits - 1)) if signed else 0
+    least, most = ends
+    return (least is None or least <= low) and (most is None or most >= low + (1 << bits) - 1)

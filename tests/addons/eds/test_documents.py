@@ -7,7 +7,7 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edoras_tools.addons.eds.documents import parse
+from edoras_tools.addons.eds.documents import parse_document
 from edoras_tools.errors import ConfigError
 
 BOMB = b'<!DOCTYPE a [<!ENTITY b "bbbbbbbb"><!ENTITY c "&b;&b;&b;&b;">]>\n<PackageFile>&c;</PackageFile>'
@@ -15,7 +15,7 @@ OUTSIDE = b'<!DOCTYPE a [<!ENTITY f SYSTEM "file:///etc/passwd">]><PackageFile>&
 
 
 def test_a_node_knows_its_place_and_no_name_space():
-    root = parse(
+    root = parse_document(
         b'<a:A xmlns:a="urn:x">\n <B name="n"\n  a:c="d" shortDescription="* \\brief two\n words"/>\n</a:A>',
         "f",
     )
@@ -41,7 +41,7 @@ def test_a_node_knows_its_place_and_no_name_space():
 )
 def test_what_is_refused(data, message):
     with pytest.raises(ConfigError) as error:
-        parse(data, "f")
+        parse_document(data, "f")
     assert str(error.value).startswith(message)
 
 
@@ -49,4 +49,4 @@ def test_what_is_refused(data, message):
 @given(st.binary(max_size=60) | st.text("<>/ab&;=' \n!?-[", max_size=60).map(str.encode))
 def test_any_bytes_are_read_or_refused(data):
     with suppress(ConfigError):
-        parse(data, "f")
+        parse_document(data, "f")
