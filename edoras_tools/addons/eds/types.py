@@ -179,12 +179,13 @@ class Types:
             yield len(labels.names) if labels else int((high or 0) - (low or 0)) + 1
 
     def _labels(self, node: Node, package: str) -> dict[int, str]:
-        """Return the labels of an enumeration by their values."""
+        """Return the labels of an enumeration by their values; one without a value follows the one before."""
         labels: dict[int, str] = {}
         used: set[str] = set()
+        value = -1
         for item in node.inside("EnumerationList", "Enumeration"):
             try:
-                value = self._parameters.integer(self._required(item, "value"), package)
+                value = self._parameters.integer(item.attributes.get("value", str(value + 1)), package)
             except SheetError as error:
                 self._note(item, str(error))
             else:

@@ -29,7 +29,7 @@ TYPES = f"""
 <BinaryDataType name="blob" sizeInBits="24"/>
 <StringDataType name="text" length="2 * 3"/>
 <EnumeratedDataType name="Color"><EnumerationList><Enumeration label="RED hot" value="0"/>
-<Enumeration label="GREEN" value="2"/></EnumerationList></EnumeratedDataType>
+<Enumeration label="GREEN" value="1 + 0"/><Enumeration label="BLUE"/></EnumerationList></EnumeratedDataType>
 <AliasDataType name="alias" type="u16b"/>
 <SubRangeDataType name="percent" baseType="u8b" unit="%"><Range><MinMaxRange min="0" max="100"/></Range>
 </SubRangeDataType>
@@ -79,7 +79,7 @@ def entry(*kinds):
         ),
         (["bit", "u16b", "u3b"], ["e0 bool @0.0:1", "e1 uint16 @0.1:16", "e2 uint8 @2.1:3"], 3),
         (["u24b", "f64"], ["e0 uint32 @0.0:24", "e1 float64 @3"], 11),
-        (["grid", "text", "by_color"], ["e0 uint16[2][3] @0", "e1 char[6] @12", "e2 char[2][6] @18"], 30),
+        (["grid", "text", "by_color"], ["e0 uint16[2][3] @0", "e1 char[6] @12", "e2 char[3][6] @18"], 36),
         (["bits", "blob", "Color"], ["e0 byte[2] @0", "e1 byte[3] @2", "e2 P_Color @5.0:2"], 6),
         (["Id", "alias", "free"], ["e0 uint32 @0", "e1 uint16 @4", "e2 int8 @6.0:4"], 7),
         (["inverted"], ["e0 P_inverted @0"], 1),
@@ -200,6 +200,12 @@ def test_units_calibrations_and_limits():
     assert (motor.yellow, motor.red, percent.unit, percent.red) == ((0, 49), (0, 100), "%", (0, 100))
     assert (length.polynomial, plain.red) == ((), None)
     assert motor.calibrated(10) == 10
+
+
+def test_a_label_without_a_value_follows_the_one_before():
+    sheet = f'<PackageFile><Package name="P"><DataTypeSet>{TYPES}</DataTypeSet></Package></PackageFile>'
+    layout = read_sheets([(sheet.encode(), "s")])
+    assert layout.enums["P_Color"].names == {0: "RED_hot", 1: "GREEN", 2: "BLUE"}
 
 
 def test_the_values_of_packed_bits(structs_decode):
