@@ -254,7 +254,7 @@ class Types:
             for entry in listed.children:
                 self._entry(maker, entry, place, name)
         size = maker.end()
-        if maker.wrapped and base not in PACKET_HEADERS:
+        if maker.wrapped and base not in PACKET_HEADERS and not name.endswith("Payload"):
             return maker.wrapped
         called = unique(c_name(name), self._used)
         self.structs[called] = Struct(called, -(-size // 8), tuple(maker.members), doc=node.doc)
