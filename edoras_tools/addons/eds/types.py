@@ -267,12 +267,11 @@ class Types:
         try:
             why = self._laid(maker, entry, package, owner)
         except SheetError as error:
-            why = f"{error}; {owner} from there on is shown as bytes"
+            self._note(entry, f"{error}; {owner} from there on is shown as bytes")
             maker.rest(BASIC["byte"])
-            self._note(entry, why)
-            return
-        if why:
-            self._note(entry, f"{owner}.{entry.name}: {why}")
+        else:
+            if why:
+                self._note(entry, f"{owner}.{entry.name}: {why}")
 
     def _laid(self, maker: Placement, entry: Node, package: str, owner: str) -> str:
         """Place an entry, and return why it cannot be shown as what it is; nothing if it can."""
