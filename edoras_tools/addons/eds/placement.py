@@ -113,9 +113,9 @@ class Placement:
     ) -> None:
         """Add what reaches to the end of the packet."""
         self._bit = -(-self._bit // 8) * 8
-        named = unique(c_name(name), self._names)
+        own_name = unique(c_name(name), self._names)
         self.members.append(
-            replace(like or UNNAMED, name=named, type=kind, offset=self._bit // 8, dims=(OPEN, *dims))
+            replace(like or UNNAMED, name=own_name, type=kind, offset=self._bit // 8, dims=(OPEN, *dims))
         )
         self.varies = True
 

@@ -77,8 +77,8 @@ def read_sheets(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) -
         elif flag in _MACHINES:
             machine = _MACHINES[flag]
         else:
-            known = f"-DPACKAGE/NAME=VALUE, {' and '.join(_MACHINES)}"
-            raise ConfigError(f"--cflag: {flag!r} says nothing of data sheets; there are {known}")
+            flags_read = f"-DPACKAGE/NAME=VALUE, {' and '.join(_MACHINES)}"
+            raise ConfigError(f"--cflag: {flag!r} says nothing of data sheets; there are {flags_read}")
     sheets = _Sheets([parse_document(*file) for file in files], defines)
     layout = sheets.layout(machine or "big", machine=machine is not None)
     if machine is None and sheets.little:
@@ -145,9 +145,9 @@ class _Sheets:
         names: dict[str, str] = {}
         for name, node in self._nodes.items():
             try:
-                made = types.find(name)
+                data_type = types.find(name)
                 if node.tag == "ContainerDataType":
-                    names[name] = str(made.kind)
+                    names[name] = str(data_type.kind)
             except SheetError as error:
                 self._note(node, str(error))
         bindings: dict[Key, str] = {}

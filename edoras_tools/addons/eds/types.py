@@ -123,25 +123,25 @@ class Types:
         Raises:
             SheetError: it is in none of the sheets, contains itself, or cannot be read.
         """
-        known = self._types.get(name)
-        if known is None:
+        result = self._types.get(name)
+        if result is None:
             if name not in self._nodes:
                 raise SheetError(f"type {name} is in none of these files")
             if name in self._open or len(self._open) > _DEEPEST:
                 raise SheetError(f"type {name} contains itself")
             self._open.append(name)
             try:
-                known = self._made(self._nodes[name], name)
+                result = self._made(self._nodes[name], name)
             except SheetError as error:
-                known = error
+                result = error
             else:
-                if known.whole_bits > MOST_VALUE_BITS or prod(known.dims) > _MOST_ELEMENTS:
-                    known = SheetError(f"type {name} is larger than any packet")
+                if result.whole_bits > MOST_VALUE_BITS or prod(result.dims) > _MOST_ELEMENTS:
+                    result = SheetError(f"type {name} is larger than any packet")
             self._open.pop()
-            self._types[name] = known
-        if isinstance(known, SheetError):
-            raise SheetError(str(known))
-        return known
+            self._types[name] = result
+        if isinstance(result, SheetError):
+            raise SheetError(str(result))
+        return result
 
     def _made(self, node: Node, name: str) -> DataType:
         package = name.rpartition("/")[0]
@@ -217,13 +217,15 @@ class Types:
         basic = BASIC["float64"] if doubt else BASIC[str(Basic(basic_kind, octets))]
         if like.red and _all_of(like.red, bits, signed=basic_kind is BasicKind.INT):
             like = replace(like, red=None)
-        made = DataType(basic, int(bits), scalar=True, order=order, alignment=octets, doubt=doubt, like=like)
+        scalar_type = DataType(
+            basic, int(bits), scalar=True, order=order, alignment=octets, doubt=doubt, like=like
+        )
         if not labels or doubt:
-            return made
+            return scalar_type
         called = unique(c_name(name), self._used)
         names = {value: label for value, label in labels.items() if basic.holds(value)}
         self.enums[called] = Enumeration(called, basic, names)
-        return replace(made, kind=called)
+        return replace(scalar_type, kind=called)
 
     def _doubt(self, kind: str, words: Mapping[str, str], bits: int, package: str) -> str:
         """Return why a float cannot be read; nothing of one that can, and of other kinds."""
