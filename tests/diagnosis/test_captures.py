@@ -230,5 +230,5 @@ def test_f_garbage_is_no_overrun_where_the_malformed_packet_is_not_in_the_captur
     diagnosis = lab.examine(without, lab.missions("two-rovers"))
     (verdict,) = found(diagnosis, "struct_overrun")
     assert verdict.confidence == "medium"
-    assert "are garbage" in verdict.reason
+    assert "is garbage: its envelope" in verdict.reason
     assert not any("overwritten" in line for line in verdict.evidence)

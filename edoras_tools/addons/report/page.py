@@ -156,7 +156,7 @@ def _remedy(text: str, promise: str = "") -> str:
     """Return what to do, a line for each command to paste, and what would be left; empty without any."""
     parts = re.split(r"\s*(edoras [a-z][^;]*);?", escape(text, quote=False))
     marked = "".join(f"<code>{part}</code>" if place % 2 else part for place, part in enumerate(parts))
-    rest = f'<br><span class="dim">left {promise}</span>' if promise else ""
+    rest = f'<span class="dim left">left {promise}</span>' if promise else ""
     return f'<p class="remedy">{marked}{rest}</p>' if text else ""
 
 

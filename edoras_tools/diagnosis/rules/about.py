@@ -76,6 +76,7 @@ def of_messages(
     if severity is Severity.ERROR:
         about |= {"lost": len(members), "of": of}
     verb, _, rest = what.partition(" ")
-    verb = _OF_ONE.get(verb, verb) if len(members) == 1 else verb
+    if len(members) == 1:
+        verb, rest = _OF_ONE.get(verb, verb), rest.replace("their ", "its ")
     reason = f"{len(members):,} of {of:,} {noun} on {case.name(msg_id)} {verb} {rest}"
     return verdict(severity, reason, *evidence, **about)
