@@ -11,7 +11,6 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.accounting.budget import Budget
 from edoras_tools.diagnosis.accounting.budget import predict as predict_budgets
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
@@ -23,6 +22,7 @@ from edoras_tools.pipelines.workbench import Settings
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.io import Source
 
 __all__ = ["Diagnosis", "Examination", "Severity", "Verdict", "examine", "predict"]
@@ -47,7 +47,8 @@ def examine(
     """
     opened = open_file(Path(source)) if isinstance(source, (str, os.PathLike)) else source
     bench = Settings(configs=[Path(item) for item in config]).workbench(opened.info)
-    findings = examine_source(opened, bench, profile=profile)
+    examination = Examination(bench.columns.context, profile)
+    findings = examine_source(opened, bench, examination=examination)
     if findings.failure is not None:
         raise findings.failure
     return findings.diagnosis
@@ -60,4 +61,4 @@ def predict(config: Sequence[str | os.PathLike[str]], *, profile: SimProfile | N
         ConfigError: a mission file has mistakes.
     """
     bench = Settings(configs=[Path(item) for item in config]).workbench()
-    return predict_budgets(bench.mission, bench.types, profile or SimProfile())
+    return predict_budgets(bench.mission, bench.types, profile or bench.mission.software.profile)

@@ -44,6 +44,7 @@ ELSEWHERE = {
     "addons/check/*": "addons/check/test_run.py",
     "addons/compare/*": "addons/compare/test_cli.py",
     "addons/fprime/*": "diagnosis/test_rules.py",
+    "addons/mission_draft/constants.py": "addons/mission_draft/test_learn.py",
     "addons/frames/*": "diagnosis/test_rules.py",
     "addons/proxy/*": "addons/proxy/test_run.py",
     "addons/racs2/*": "addons/racs2/test_link.py",

@@ -6,8 +6,8 @@ over UDP). Times are integer nanoseconds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.errors import ConfigError
@@ -126,6 +126,7 @@ class SimProfile:
         obey_work_ns: processor time of a command that goes on to a robot: decoded, printed, sent.
         work_jitter: how much of ``work_ns`` a piece of work may take more or less, 0 to 1.
         seed: of the latencies: a seed, a run.
+        stated: names of the constants that somebody said, and MsgIds whose limits; the others are assumed.
     """
 
     spacecraft_id: int = 0x42
@@ -192,6 +193,7 @@ class SimProfile:
     obey_work_ns: int = 90 * MICROSECOND
     work_jitter: float = 0.5
     seed: int = 1
+    stated: frozenset[str | int] = frozenset()
 
     def __post_init__(self) -> None:
         periods = ("ci_wake_ns", "to_wake_ns", "sbn_wake_ns", "housekeeping_ns", "wakeup_ns", "cores")
@@ -205,6 +207,13 @@ class SimProfile:
             raise ConfigError(
                 f"sim profile: latency_ns: {self.latency_ns} is not allowed; (shortest, longest)"
             )
+
+    def stating(self, constants: Mapping[str, Any], limits: Mapping[int, int] | None = None) -> Self:
+        """Return the same with constants that somebody says, by name, and limits at Telemetry Output."""
+        limits = limits or {}
+        whole = replace(self, **constants)
+        names = {*self.stated, *constants, *constants.get("to_limits", ()), *limits}
+        return replace(whole, to_limits={**whole.to_limits, **limits}, stated=frozenset(names))
 
     def on(self, ports: Ports) -> Self:
         """Return the same on other ports, with the flight bridge its only SBN peer."""
@@ -220,3 +229,8 @@ class SimProfile:
     def peer(self) -> Peer:
         """This instance as its SBN peers know it."""
         return Peer(self.spacecraft_id, self.processor_id)
+
+
+def constant_names() -> tuple[str, ...]:
+    """Return the names of the constants that are whole numbers, which users can say."""
+    return tuple(item.name for item in fields(SimProfile) if type(item.default) is int)

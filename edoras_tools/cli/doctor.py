@@ -23,7 +23,6 @@ from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
-    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.balance import Chain
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.pipelines.doctor.against import BagComparison
@@ -82,28 +81,25 @@ def doctor(
     It prints one screen, one line with -q, all with -v. With -i it shows a table of verdicts that is updated
     live. Exit code 3: a loss or an error was found.
     """
-    from edoras_tools.pipelines.doctor.doctor import profile_with
-
     settings, scope = decoding.settings(constants=True), part.scope()
-    profile = profile_with(decoding.constants)
     _check_task(task, given, duration, decoding.constants)
     if task.output is not None and not task.prove:
         write = doors.part("report")
         write(given.files, task.output, force=task.force, printing=printing, part=part, decoding=decoding)
     elif task.predict:
-        _predict(settings, profile, scope, json=printing.json)
+        _predict(settings, scope, json=printing.json)
     elif task.prove:
         if not given.paths:
             raise ConfigError("--prove reads the capture several times: name files")
-        doors.part("prove")(given, settings, profile, printing, task)
+        doors.part("prove")(given, settings, printing, task)
     elif task.list_lost is not None:
-        _list_lost(settings, profile, scope, given, task.list_lost, printing, jobs or 0)
+        _list_lost(settings, scope, given, task.list_lost, printing, jobs or 0)
     elif task.bag:
         _compare_bags(settings, scope, given, task.bag, printing, verbose=verbose)
     elif task.against is not None:
         _compare(settings, scope, given.paths, task.against, printing)
     else:
-        found = _examine(settings, profile, scope, given, duration or 0, printing, jobs or 0, verbose=verbose)
+        found = _examine(settings, scope, given, duration or 0, printing, jobs or 0, verbose=verbose)
         reasons = [] if task.max_loss is None else found.beyond(task.max_loss, strict=task.strict)
         for reason in reasons:
             tell(reason)
@@ -138,7 +134,6 @@ def _check_task(task: TaskOptions, given: InputOptions, duration: int | None, co
 
 def _examine(
     settings: Settings,
-    profile: SimProfile,
     scope: Scope,
     given: InputOptions,
     duration_ns: int,
@@ -160,7 +155,7 @@ def _examine(
         source, bench = open_input(given, settings, aligned=True, progress=bar)
         with LiveVerdicts(source.info.name, quiet=quiet) if live else nullcontext() as onlooker:
             pace = Pace(monotonic_ns, _EVERY_NS if live else 0, duration_ns, onlooker, jobs)
-            findings = examine(source, bench, profile=profile, scope=scope, pace=pace, progress=bar)
+            findings = examine(source, bench, scope=scope, pace=pace, progress=bar)
     if json:
         print_json(findings.summary())
     elif source.statistics.datagrams:
@@ -191,7 +186,6 @@ def _print(found: Diagnosis, name: str, *, quiet: bool, verbose: bool) -> None:
 
 def _list_lost(
     settings: Settings,
-    profile: SimProfile,
     scope: Scope,
     given: InputOptions,
     listing: Listing,
@@ -207,7 +201,7 @@ def _list_lost(
     with file_progress(files, quiet=printing.quiet) as bar:
         source, bench = open_input(given, settings, aligned=True, progress=bar)
         pace = Pace(monotonic_ns, jobs=jobs)
-        examination = Examination(bench.columns.context, profile)
+        examination = Examination(bench.columns.context)
         examination.listing = True
         findings = examine(source, bench, scope=scope, pace=pace, progress=bar, examination=examination)
         again, _ = open_input(given, settings, aligned=True, progress=bar)
@@ -228,7 +222,7 @@ def _list_lost(
         raise Exit(LOST)
 
 
-def _predict(settings: Settings, profile: SimProfile, scope: Scope, *, json: bool) -> None:
+def _predict(settings: Settings, scope: Scope, *, json: bool) -> None:
     from edoras_tools.diagnosis.accounting.budget import predict
 
     bench = settings.workbench()
@@ -239,9 +233,10 @@ def _predict(settings: Settings, profile: SimProfile, scope: Scope, *, json: boo
             "--predict does not read a capture: --where, --start and --end cannot be used with it"
         )
     chosen = scope.selection.over(bench)
+    profile, headers = bench.mission.software.profile, bench.columns.context.headers
     budgets = [
         item
-        for item in predict(bench.mission, bench.types, profile, bench.columns.context.headers)
+        for item in predict(bench.mission, bench.types, profile, headers)
         if chosen.about(item.route.link.label, item.route.msg_id, bench.mission)
     ]
     if json:

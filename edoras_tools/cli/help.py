@@ -141,9 +141,7 @@ def help_(
 
 def _decoding(context: Any) -> str:
     """Return what ``--set`` and ``edoras.toml`` can say of how packets are decoded."""
-    import dataclasses
-
-    from edoras_tools.cfs.profile import SimProfile
+    from edoras_tools.cfs.profile import SimProfile, constant_names
 
     formatter = context.make_formatter()
     formatter.write_text(
@@ -155,8 +153,7 @@ def _decoding(context: Any) -> str:
         formatter.write_dl([(name.replace("_", "-"), text) for name, text in fields.items()])
     with formatter.section("Constants of cFS, for doctor, report, trace, hz, check and sim"):
         usual = SimProfile()
-        numbers = {item.name: getattr(usual, item.name) for item in dataclasses.fields(usual)}
-        whole = [f"{name}={value}" for name, value in numbers.items() if type(value) is int]
+        whole = [f"{name}={getattr(usual, name)}" for name in constant_names()]
         formatter.write_text(", ".join([*whole, "to_limits=FILE", "sbn_table=FILE"]))
     return str(formatter.getvalue())
 

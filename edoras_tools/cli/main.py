@@ -202,11 +202,17 @@ def _version_option() -> Any:
 
 
 class Group(typer.core.TyperGroup):
-    """Several commands."""
+    """Several commands.
+
+    Attributes:
+        hides_colour: leaves --color out of its help text, which that of ``edoras`` has.
+    """
+
+    hides_colour = True
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
-        self.params.append(_colour_option())
+        self.params.append(_colour_option(hidden=self.hides_colour))
 
     format_options = Command.format_options
 
@@ -234,6 +240,8 @@ def _name(ctx: Any) -> str:
 
 class _Edoras(Group):
     """``edoras`` itself."""
+
+    hides_colour = False
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)

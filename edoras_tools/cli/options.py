@@ -408,6 +408,11 @@ class DecodingOptions(NamedTuple):
 
         if not constants:
             _refuse_constants(self.constants)
+        stated: dict[str, Any] = {}
+        if constants and self.constants:
+            from edoras_tools.pipelines.constants import read_constants
+
+            stated = read_constants(self.constants)
         now = self.merged()
         options = Options(
             extended_header=now.extended_header,
@@ -422,6 +427,7 @@ class DecodingOptions(NamedTuple):
             tuple(now.msg_path or ()),
             options,
             tuple(now.structs or ()),
+            stated,
         )
 
 

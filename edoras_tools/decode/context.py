@@ -105,6 +105,15 @@ class Options:
             msg_id_version=headers.msg_ids.version,
         )
 
+    def saying(self, headers: Mapping[str, Any]) -> Options:
+        """Return these options, and where they name nothing what a mission file says, by their names.
+
+        Raises:
+            ConfigError: it cannot be so.
+        """
+        own = {name: value for name, value in headers.items() if getattr(self, name, 0) is None}
+        return replace(self, **own).over({"ports": headers.get("ports", "")})
+
     def over(self, recorded: Mapping[str, str]) -> Options:
         """Return these options, and where they name nothing those that a recording was made with."""
         kinds = {item.name: item for item in cfe.HEADERS}

@@ -105,7 +105,7 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
 
     Measured: messages of it were lost at a pipe that is emptied in rounds, and it comes in these. Else
     constants of cFS are assumed, unless the capture shows that they are others: more of it got through
-    without a loss.
+    without a loss. What a mission or an option says of them counts as measured.
     """
     lost_at_pipe = [loss for loss in case.losses_of(stream) if loss.kind in PIPE_EVENTS]
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
@@ -121,7 +121,12 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
     fastest_hz = max((span.offered_hz for span in case.spans(stream)), default=0.0)
     if not assumed_hz or (arrives and not lost_at_pipe and fastest_hz > _OVER * assumed_hz):
         return None, None
-    return assumed_hz, "assumed"
+    names: tuple[str | int, ...] = ("ci_wake_ns", "app_msg_limit")
+    if stream.link.only_from_cfs:
+        names = ("to_wake_ns", stream.msg_id)
+    elif stream.link.peers:
+        names = ("sbn_wake_ns", "app_msg_limit" if to_cfs else "sbn_msg_limit")
+    return assumed_hz, "measured" if case.origin(*names) == "told" else "assumed"
 
 
 def _named(case: Case, period_ns: int) -> bool:

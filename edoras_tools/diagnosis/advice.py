@@ -215,7 +215,8 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     why = f"{'TO keeps' if output else 'it keeps'} {limit} of this MsgId and "
     why += f"{'sends' if output else 'SBN empties it'} every {every}: {rate:.0f} a second get through "
     command = limit_command(case, loss)
-    told = "measured" if measured else "assumed"
+    shown = (loss.msg_id, "to_wake_ns") if output else ("sbn_msg_limit", "sbn_wake_ns")
+    told: str = "measured" if measured else case.origin(*shown)
     if command is not None and command.value == limit:
         told = f"set by a command at {case.at(command.not_before_ns)}"
     why += f"({told})"
@@ -332,13 +333,16 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     socket = queues.ci_socket(case.profile)
     limit, clean = pipe.usual_limit, pipe.rate_hz(pipe.usual_limit)
     every, who = f"every {pipe.round_ns // MILLISECOND} ms", "SBN" if over_network else "CI"
+    names = ("sbn_wake_ns" if over_network else "ci_wake_ns", "app_msg_limit")
     if loss.kind == "socket":
+        names = ("ci_wake_ns", "ci_datagrams_per_wake")
         why = f"CI reads {socket.reads} {every}, {socket.rate_hz(socket.reads):.0f} a second of all"
     else:
         why = f"it keeps {limit} of one MsgId, and {who} hands over a burst {every}"
     if loss.stream is None:
         return Advice(
-            f"{why} (assumed)", f"send at most {_safe(clean):g} Hz, or {_subscribed('a higher limit')}"
+            f"{why} ({case.origin(*names)})",
+            f"send at most {_safe(clean):g} Hz, or {_subscribed('a higher limit')}",
         )
     stream = loss.stream
     if loss.kind != "socket" and (shown := case.shown_hz(stream, clean)):
@@ -359,7 +363,7 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     fits = _explains(
         arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id), lost or loss.lost, waiting
     )
-    why += f" (assumed{', and fits what was lost' if fits else ''})"
+    why += f" ({case.origin(*names)}{', and fits what was lost' if fits else ''})"
     senders = len(np.unique(case.rows.source[stream.rows]))
     slower = f"send at most {_safe(clean):g} Hz"
     if senders > 1:

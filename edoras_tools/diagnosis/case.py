@@ -6,7 +6,7 @@ from bisect import bisect_left, bisect_right
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 import numpy as np
 
@@ -201,7 +201,8 @@ class Case:
         self.context: Context = recorder.context
         msg_ids = recorder.context.msg_ids
         limits = {msg_ids.of_known(item): limit for item, limit in profile.to_limits.items()}
-        self.assumed = replace(profile, to_limits=limits)
+        stated = {msg_ids.of_known(item) if isinstance(item, int) else item for item in profile.stated}
+        self.assumed = replace(profile, to_limits=limits, stated=frozenset(stated))
         self.capture = capture
         self.refused: list[Verdict] = []
         self.verdicts: list[Verdict] = []
@@ -223,6 +224,10 @@ class Case:
     def profile(self) -> SimProfile:
         """The constants of cFS: learned from the capture, else assumed."""
         return self.constants.profile
+
+    def origin(self, *names: str | int) -> Literal["told", "assumed"]:
+        """Return what constants rest on that the capture does not show: told by a mission or an option."""
+        return "told" if self.assumed.stated.issuperset(names) else "assumed"
 
     @property
     def mission(self) -> Mission:

@@ -42,6 +42,7 @@ _SMALL: Final = 6
 """Of rounds that are larger one message more or less is as good as none."""
 _WAITS: Final = 0.7, 1.3
 """A message waits for at most a round: the longest wait of nearly all is between these shares of it."""
+_BEHIND: Final = 2
 _ALIKE: Final = 0.1
 
 
@@ -79,7 +80,7 @@ class Constants:
     Attributes:
         profile: all of them: learned, else assumed.
         rounds: name of a constant to the period that the capture shows, ns.
-        learned: names of those that the capture shows, and MsgIds whose limits it shows.
+        learned: names of those that the capture shows or somebody said, and MsgIds whose limits are so.
     """
 
     profile: SimProfile
@@ -113,7 +114,7 @@ def learn_constants(
         if _usual(assumed, name) and abs(item / getattr(assumed, name) - 1) > _ALIKE:
             profile = replace(profile, **{name: item})  # type: ignore[arg-type]
     limits = _limits(assumed, rows, streams, losses) if "to_wake_ns" in rounds else {}
-    names: set[str | int] = {*rounds, *limits}
+    names: set[str | int] = {*rounds, *limits, *assumed.stated}
     profile = replace(profile, to_limits={**assumed.to_limits, **limits})
     lacking = sum(int(item.missing.sum()) for item in streams if item.link.only_from_cfs)
     if overflows and lacking > _ALIKE * len(output):
@@ -131,7 +132,8 @@ def _limits(
     at_output = {item.msg_id for item in losses if item.kind == "limit" and item.at_output}
     for stream in streams:
         limit = assumed.to_limits.get(stream.msg_id)
-        if not stream.link.only_from_cfs or limit != _USUAL.to_limits.get(stream.known_id):
+        is_usual = limit == _USUAL.to_limits.get(stream.known_id) and stream.msg_id not in assumed.stated
+        if not stream.link.only_from_cfs or not is_usual:
             continue
         if stream.duplicates + stream.reordered > _ALIKE * len(stream):
             continue  # a network that doubles and delays makes other rounds of them
@@ -146,8 +148,8 @@ def _limits(
 
 
 def _usual(profile: SimProfile, name: str) -> bool:
-    """Tell whether nobody said another value than the lab applications'."""
-    return bool(getattr(profile, name) == getattr(_USUAL, name))
+    """Tell whether nobody said a value, and it is the lab applications'."""
+    return bool(name not in profile.stated and getattr(profile, name) == getattr(_USUAL, name))
 
 
 def _last(hops: Sequence[Hop]) -> list[Hop]:
@@ -161,6 +163,7 @@ def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
     if found is None:
         return None
     delays = np.concatenate([hop.delays_ns for hop in _last(hops)])
+    delays = delays[delays < _BEHIND * found]  # a socket that was full holds them for many rounds
     longest = float(np.quantile(delays, 0.9)) / found if len(delays) else 0.0
     return found if _WAITS[0] < longest < _WAITS[1] else None
 

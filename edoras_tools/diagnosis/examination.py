@@ -9,7 +9,6 @@ from itertools import chain
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode.conversations import Conversations, Flow, Unnamed, unnamed
 from edoras_tools.diagnosis.accounts import accounts
 from edoras_tools.diagnosis.balance import Chain, Headline, WaySum, chains, headlines, not_counted, sent, ways
@@ -29,6 +28,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
+    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
     from edoras_tools.links.doors import LinkEvidence
     from edoras_tools.sessions.faults.fault import Fault
@@ -341,7 +341,7 @@ class Examination:
         self.listing = False
         self._apart: Apart | None = None
         self.context = context
-        self.profile = profile or SimProfile()
+        self.profile = profile or context.mission.software.profile
         self._recorder = Recorder(context)
         self._evidence: LinkStates[LinkEvidence] = LinkStates(lambda link: link.evidence(context))
         self._before: list[Callable[[], Diagnosis]] = []

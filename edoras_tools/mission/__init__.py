@@ -10,6 +10,7 @@ from edoras_tools.mission.loading import load, loads
 from edoras_tools.mission.model import (
     Bridge,
     FlightLink,
+    FlightSoftware,
     FramedPort,
     GroundLink,
     Handling,
@@ -24,6 +25,7 @@ from edoras_tools.mission.scalars import read_scalar
 __all__ = [
     "Bridge",
     "FlightLink",
+    "FlightSoftware",
     "FramedPort",
     "GroundLink",
     "Handling",

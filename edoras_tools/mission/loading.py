@@ -8,6 +8,7 @@ from pathlib import Path, PurePath
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.cfs.profile import constant_names
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import link_of_label, links
 from edoras_tools.mission.bridges import (
@@ -19,11 +20,13 @@ from edoras_tools.mission.bridges import (
     read_transfer,
     warn_of_unknown,
 )
-from edoras_tools.mission.fields import Fields
-from edoras_tools.mission.model import FramedPort, Mission
+from edoras_tools.mission.fields import Fields, suggestion
+from edoras_tools.mission.model import FlightSoftware, FramedPort, Mission
 from edoras_tools.mission.parameters import NodeParameters, read_nodes
 from edoras_tools.mission.report import Mistakes
+from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.mission.tree import LARGEST_FILE, yaml_text
+from edoras_tools.wire.cfe import HIGHEST_MSG_ID
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FrameFormat
 from edoras_tools.words import either
@@ -133,6 +136,7 @@ class _Loading:
         self._framed: list[FramedPort] = []
         self._pdus: list[int] = []
         self._topics: list[StoredTopic] = []
+        self._software: FlightSoftware | None = None
 
     def add(self, name: str, content: bytes | str, *, of_folder: bool) -> None:
         """Read a file.
@@ -157,7 +161,13 @@ class _Loading:
         framing = [node for node in nodes if FRAMES_GROUP in node.groups]
         for node in framing:
             self._framed += read_framed_ports(node, report, self._ports)
-        if nodes and not (bridges or framing or report.mistakes or any(map(is_transfer, nodes))):
+        software = [node for node in nodes if CFS_GROUP in node.groups]
+        for node in software:
+            if self._software is not None:
+                report.mistake(node.line_of(CFS_GROUP), CFS_GROUP, "another one; a mission has one cFS")
+            self._software = read_flight_software(node, report, self._msg_ids)
+        others = framing or software or any(map(is_transfer, nodes))
+        if nodes and not (bridges or others or report.mistakes):
             problem = "no node here is a bridge; it needs communication, command and telemetry"
             (report.warn if of_folder else report.mistake)(nodes[0].line, nodes[0].name, problem)
         for node in bridges:
@@ -187,6 +197,7 @@ class _Loading:
             tuple(self._framed),
             tuple(dict.fromkeys(self._pdus)),
             tuple(dict.fromkeys(self._topics)),
+            software=self._software or FlightSoftware(),
         )
 
     def _add_transfer(self, node: NodeParameters, report: Mistakes) -> None:
@@ -285,3 +296,50 @@ def _framed_port(fields: Fields, name: str) -> FramedPort | None:
         )
         return None
     return FramedPort(name, port, form, link_of_label(link), fields.report.file, fields.node.lines[group])
+
+
+CFS_GROUP: Final = "cfs"
+"""The group of these keys."""
+_CFS_LIMITS: Final = "to_limits"
+_CFS_PORTS: Final = "ports"
+_CFS_HEADERS: Final = {"extended_header": None, "telemetry_header": (12, 16), "msg_id_version": (1, 2)}
+"""How packets are built, as ``decode.Options`` has it: a flag, or the numbers that are allowed."""
+
+
+def read_flight_software(node: NodeParameters, report: Mistakes, msg_ids: MsgIds) -> FlightSoftware:
+    """Read the group of a node; mistakes go to ``report``.
+
+    Args:
+        msg_ids: how the MsgIds of the file are built.
+    """
+    fields, whole = Fields(node, report), constant_names()
+    names = (*whole, _CFS_LIMITS, _CFS_PORTS, *_CFS_HEADERS)
+    constants: dict[str, int] = {}
+    headers: dict[str, Any] = {}
+    for name in node.children(CFS_GROUP):
+        place = f"{CFS_GROUP}.{name}"
+        if name == _CFS_PORTS:
+            headers[name] = " ".join(str(item.value) for item in fields.keys(place))
+        elif name in _CFS_HEADERS:
+            allowed = _CFS_HEADERS[name]
+            headers[name] = fields.integer(place) if allowed else fields.flag(place)
+            if allowed and headers[name] not in allowed:
+                fields.mistake(place, f"{either(list(map(str, allowed)))} is needed")
+        elif name in whole:
+            constants[name] = fields.integer(place, 0) or 0
+        else:
+            fields.mistake(place, f"not known; {suggestion(name, names)}edoras help decoding lists constants")
+    limits: dict[int, int] = {}
+    for name in node.children(f"{CFS_GROUP}.{_CFS_LIMITS}"):
+        place, msg_id = f"{CFS_GROUP}.{_CFS_LIMITS}.{name}", read_scalar(name)
+        limit = fields.integer(place, 0, 0xFF)
+        if type(msg_id) is not int or not 0 < msg_id <= HIGHEST_MSG_ID:
+            fields.mistake(place, "not a MsgId; write 0x0827: 4")
+        elif limit is not None:
+            limits[msg_ids.standard(msg_id)] = limit
+    software = FlightSoftware(constants, limits, headers)
+    try:
+        _ = software.profile
+    except ConfigError as error:
+        fields.mistake(CFS_GROUP, str(error))
+    return software

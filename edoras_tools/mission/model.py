@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.errors import RouteError
 from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.model import Endpoint, Link
@@ -241,6 +242,36 @@ class Bridge:
 
 
 @dataclass(frozen=True, slots=True)
+class FlightSoftware:
+    """One cFS, as files and the command line have it; what nobody says is not here.
+
+    Attributes:
+        constants: by their names in ``SimProfile``.
+        limits: MsgId of version 1 to how many of it may wait at Telemetry Output.
+        headers: how packets are built, by the names of ``decode.Options``; ``ports`` are those of links that
+            no bridge has, ``LINK:PORT`` each.
+    """
+
+    constants: Mapping[str, Any] = field(default_factory=dict)
+    limits: Mapping[int, int] = field(default_factory=dict)
+    headers: Mapping[str, Any] = field(default_factory=dict)
+
+    def stating(self, constants: Mapping[str, Any]) -> FlightSoftware:
+        """Return the same with other constants in place of those that it has."""
+        limits = {} if "to_limits" in constants else self.limits
+        return replace(self, constants={**self.constants, **constants}, limits=limits)
+
+    @property
+    def profile(self) -> SimProfile:
+        """All constants: those that nobody says are the usual ones.
+
+        Raises:
+            ConfigError: one cannot have that value.
+        """
+        return SimProfile().stating(self.constants, self.limits)
+
+
+@dataclass(frozen=True, slots=True)
 class Mission:
     """The content of all mission files; ``Mission()`` is valid and empty.
 
@@ -254,6 +285,7 @@ class Mission:
         frames: the ports of transfer frames; no port twice.
         pdu_msg_ids: of packets that hold a CFDP PDU each, as those of cFS's CF app.
         stored_topics: topics whose messages travel as files.
+        software: what they say of the flight software itself.
         recorded: not of files: the topics of a recording without datagrams, one for each of ``routes``.
     """
 
@@ -267,6 +299,7 @@ class Mission:
     pdu_msg_ids: tuple[int, ...] = ()
     stored_topics: tuple[StoredTopic, ...] = ()
     recorded: tuple[RecordedTopic, ...] = ()
+    software: FlightSoftware = field(default_factory=FlightSoftware)
 
     def numbered(self, msg_ids: MsgIds) -> Mission:
         """Return the same mission with the MsgIds that its packets have in another version."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.errors import CaptureError
@@ -57,9 +57,12 @@ class Workbench:
 
     def fresh(self) -> Workbench:
         """Return the same for another source: nothing is read again, and nothing decoded yet is known."""
+        return self.with_mission(self.mission)
+
+    def with_mission(self, mission: Mission) -> Workbench:
+        """Return one with another mission, for another source."""
         old = self.columns.context
-        context = Context(self.mission, self.types, old.options, old.structs)
-        return _bench(self.mission, self.types, context)
+        return _bench(mission, self.types, Context(mission, self.types, old.options, old.structs))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,7 @@ class Settings:
         msg_paths: folders with more ``.msg`` and ``.idl`` files.
         options: how to read the bytes.
         structs: layouts of C structs; they take precedence over cFE's own.
+        constants: of cFS, by name; they take precedence over those of mission files.
     """
 
     configs: Sequence[Path] = ()
@@ -79,6 +83,7 @@ class Settings:
     msg_paths: Sequence[Path] = ()
     options: Options = Options()  # noqa: RUF009  frozen, and the same for all
     structs: Sequence[Path] = ()
+    constants: Mapping[str, Any] = field(default_factory=dict)
 
     def workbench(self, info: SourceInfo | None = None, paths: Sequence[Path] = ()) -> Workbench:
         """Load the mission, the types and the layouts.
@@ -93,13 +98,17 @@ class Settings:
         """
         attached = info.attachments if info else {}
         options = self.options.over(info.read_with) if info else self.options
-        msg_ids = options.msg_ids
         types = TypeStore(self.distro, self.msg_paths, info.definitions if info else None)
-        if self.configs:
-            mission = load(self.configs, check_type=types.check, msg_ids=msg_ids)
-        else:
-            bridges = {name: data for name, data in attached.items() if not name.startswith(_LAYOUTS)}
-            mission = loads(bridges, check_type=types.check, msg_ids=msg_ids)
+        bridges = {name: data for name, data in attached.items() if not name.startswith(_LAYOUTS)}
+        read = partial(load, self.configs) if self.configs else partial(loads, bridges)
+        mission = read(check_type=types.check, msg_ids=options.msg_ids)
+        if headers := mission.software.headers:
+            options = options.saying(headers)
+            if options.msg_ids is not mission.msg_ids:
+                mission = read(check_type=types.check, msg_ids=options.msg_ids)
+        if self.constants:
+            mission = replace(mission, software=mission.software.stating(self.constants))
+        msg_ids = options.msg_ids
         carried = {name: data for name, data in attached.items() if name.startswith(_LAYOUTS)}
         structs = shipped_structs(msg_ids)
         if self.structs or carried:

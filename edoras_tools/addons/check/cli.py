@@ -51,9 +51,9 @@ def check(
     from edoras_tools.addons.check.run import check as run
     from edoras_tools.addons.check.run import write_junit
     from edoras_tools.io.outputs import check_new
-    from edoras_tools.pipelines.doctor.doctor import Pace, profile_with
+    from edoras_tools.pipelines.doctor.doctor import Pace
 
-    scope, profile = part.scope(), profile_with(decoding.constants)
+    scope = part.scope()
     if task.init:
         _draft(given, task, scope, printing, decoding)
         return
@@ -74,7 +74,7 @@ def check(
             given, decoding.settings(constants=True), aligned=True, messages=True, progress=bar
         )
         pace = Pace(monotonic_ns, 0, duration or 0)
-        report = run(source, bench, expected, profile=profile, scope=scope, pace=pace, progress=bar)
+        report = run(source, bench, expected, scope=scope, pace=pace, progress=bar)
     _check_whole(report.findings)
     if task.junit is not None:
         write_junit(report, task.junit)
@@ -108,7 +108,6 @@ def _draft(
     decoding: options.DecodingOptions,
 ) -> None:
     from edoras_tools.addons.check.draft import draft
-    from edoras_tools.pipelines.doctor.doctor import profile_with
 
     if task.junit or printing.json:
         raise ConfigError("--init only drafts expectations: --junit and --json cannot be used with it")
@@ -119,8 +118,7 @@ def _draft(
         source, bench = open_input(
             given, decoding.settings(constants=True), aligned=True, messages=True, progress=bar
         )
-        profile = profile_with(decoding.constants)
-        made = draft(source, bench, profile=profile, scope=scope, progress=bar)
+        made = draft(source, bench, scope=scope, progress=bar)
     _check_whole(made.findings)
     _end(source, made.findings, live=False)
     recordings.put_text(made.text, path)

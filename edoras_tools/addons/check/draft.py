@@ -24,7 +24,6 @@ from edoras_tools.pipelines.names import PacketKinds, SampleTopics
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode.context import Context
     from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.ledger import Ledger
@@ -157,13 +156,12 @@ def draft(
     source: Source,
     bench: Workbench,
     *,
-    profile: SimProfile | None = None,
     scope: Scope | None = None,
     progress: Progress | None = None,
 ) -> Draft:
     """Read a source to its end and draft expectations from it; the source is closed."""
     counting = Counting(source, bench)
-    findings = examine_or_count(source, bench, counting, profile=profile, scope=scope, progress=progress)
+    findings = examine_or_count(source, bench, counting, scope=scope, progress=progress)
     return Draft(counting.report.ledger, bench.columns.context, findings, source.info.name)
 
 

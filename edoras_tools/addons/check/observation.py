@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.addons.check.expectations import Expectations, FieldExpectation
-    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.errors import EdorasError
@@ -70,7 +69,6 @@ def examine_or_count(
     bench: Workbench,
     counting: Counting,
     *,
-    profile: SimProfile | None = None,
     scope: Scope | None = None,
     pace: Pace | None = None,
     progress: Progress | None = None,
@@ -82,9 +80,7 @@ def examine_or_count(
         ConfigError: its filter has an error, or it selects datagrams of a recording.
     """
     if not bench.mission.recorded:
-        return examine(
-            source, bench, profile=profile, scope=scope, pace=pace, progress=progress, counting=counting
-        )
+        return examine(source, bench, scope=scope, pace=pace, progress=progress, counting=counting)
     scope = scope or Scope()
     with reading(source, bench, scope.selection, examined=scope.period, keeps_failure=True) as loop:
         for rows in loop:

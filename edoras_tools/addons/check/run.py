@@ -37,7 +37,6 @@ if TYPE_CHECKING:
         FieldExpectation,
         Tolerance,
     )
-    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.io import Source
     from edoras_tools.links.doors import SampleStream
@@ -323,7 +322,6 @@ def check(
     bench: Workbench,
     expected: Expectations,
     *,
-    profile: SimProfile | None = None,
     scope: Scope | None = None,
     pace: Pace | None = None,
     progress: Progress | None = None,
@@ -331,7 +329,6 @@ def check(
     """Read a source to its end and hold it against expectations; the source is closed.
 
     Args:
-        profile: the constants of the cFS on the link.
         scope: what is examined; expectations of topics that it leaves out are left out.
 
     Raises:
@@ -342,9 +339,7 @@ def check(
     except BaseException:
         source.close()
         raise
-    findings = examine_or_count(
-        source, bench, observed, profile=profile, scope=scope, pace=pace, progress=progress
-    )
+    findings = examine_or_count(source, bench, observed, scope=scope, pace=pace, progress=progress)
     expected = observed.about(scope.selection.over(bench)) if scope else expected
     results = tuple(_results(expected, observed, findings))
     ledger = observed.report.ledger

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
@@ -13,13 +13,13 @@ from edoras_tools.cli.endings import tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.main import Command, command_group
 from edoras_tools.cli.output import file_progress
+from edoras_tools.errors import ConfigError
+
+if TYPE_CHECKING:
+    from edoras_tools.addons.mission_draft.draft import MissionDraft
 
 mission = command_group("mission", "Draft a mission file from what is in a capture.")
-
-
-@mission.callback()
-def _mission() -> None:
-    """Keep ``draft`` a command of its own: typer drops the name of an only command."""
+Output = Annotated[Path | None, Option("--output", "-o", help="Default: standard output.")]
 
 
 @mission.command(cls=Command)
@@ -27,7 +27,7 @@ def _mission() -> None:
 def draft(
     *,
     files: FileOptions,
-    output: Annotated[Path | None, Option("--output", "-o", help="Default: standard output.")] = None,
+    output: Output = None,
     force: recordings.Force = False,
     quiet: options.Quiet = False,
     decoding: options.DecodingOptions,
@@ -37,20 +37,55 @@ def draft(
     What -c names is left out. The names of topics are made from MsgIds: edit them.
     """
     from edoras_tools.addons.mission_draft.draft import draft_mission
-    from edoras_tools.words import plural
 
     paths = files.named()
     output = recordings.text_output(output, paths, force=force)
     with file_progress(paths, quiet=quiet) as bar:
         source, bench = open_input(InputOptions(files), decoding.settings())
         made = draft_mission(source, bench, progress=bar)
+    _end(made, output, quiet=quiet)
+
+
+@mission.command(cls=Command)
+@grouped
+def learn(
+    *,
+    files: FileOptions,
+    output: Output = None,
+    force: Annotated[bool, Option("--force", hidden=True)] = False,
+    quiet: options.Quiet = False,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Learn a system from captures: a draft with ports, headers, rounds, depths and limits of its cFS.
+
+    Each with its interval and what shows it; what nothing shows is missing. -c takes the file: doctor, check,
+    --predict and sweep go by it, and edoras sim -c emulates the system.
+    """
+    from edoras_tools.addons.mission_draft.learn import learn_mission
+
+    paths = files.named()
+    if "-" in map(str, paths):
+        raise ConfigError("learn reads the captures several times, so it needs files, not stdin: name files")
+    output = recordings.text_output(output, paths, force=force)
+    with file_progress(paths, quiet=quiet) as bar:
+        made = learn_mission(
+            lambda settings: open_input(InputOptions(files), settings, aligned=True, progress=bar),
+            decoding.settings(),
+            bar,
+        )
+    _end(made, output, quiet=quiet)
+
+
+def _end(made: MissionDraft, output: Path | None, *, quiet: bool) -> None:
+    """Write a draft, and say what is to be known of it."""
+    from edoras_tools.words import plural
+
     recordings.put_text(made.text, output)
     for note in () if quiet else made.notes:
         tell(note)
     if output is not None and not quiet:
-        tell(
-            f"{output}: {plural(made.topics, 'topic')}; several types fit {made.topics - made.sure} of them: "
-            "check these"
-        )
+        learned = f", {plural(made.constants, 'constant')} of cFS" if made.constants else ""
+        check = f"; several types fit {made.topics - made.sure} of them: check these" if made.topics else ""
+        tell(f"{output}: {plural(made.topics, 'topic')}{learned}{check}")
     if made.failure is not None:
         raise made.failure

@@ -25,10 +25,11 @@ from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat, detect
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from edoras_tools.decode.conversations import Flow
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.io import Source
     from edoras_tools.pipelines.workbench import Workbench
@@ -172,6 +173,7 @@ class MissionDraft:
         sure: how many of them one type only fits.
         notes: what it does not have, a line each.
         failure: why the capture ended early, if it did; the draft is of what is before.
+        constants: how many of cFS it has.
     """
 
     text: str
@@ -179,6 +181,7 @@ class MissionDraft:
     sure: int
     notes: Sequence[str]
     failure: CaptureError | None = None
+    constants: int = 0
 
 
 def draft_mission(source: Source, bench: Workbench, *, progress: Progress | None = None) -> MissionDraft:
@@ -187,31 +190,72 @@ def draft_mission(source: Source, bench: Workbench, *, progress: Progress | None
     Raises:
         CaptureError: the source cannot be read, or holds no EDORAS message under such a MsgId.
     """
+    return read_traffic(source, bench, progress).draft()
+
+
+@dataclass(frozen=True, slots=True)
+class CapturedTraffic:
+    """What was read of a capture.
+
+    Attributes:
+        name: of the capture.
+        bench: what it was read with.
+        traffic: what it says of the bridges.
+        flows: its conversations.
+        failure: why it ended early, if it did.
+    """
+
+    name: str
+    bench: Workbench
+    traffic: _Traffic
+    flows: Sequence[Flow]
+    failure: CaptureError | None
+
+    def draft(self, rates: Mapping[tuple[str, int], float] | None = None) -> MissionDraft:
+        """Draft a mission file.
+
+        Args:
+            rates: highest clean rate, Hz, by label of the link and MsgId, which comments name.
+
+        Raises:
+            CaptureError: there is nothing to draft.
+        """
+        return replace(_Writer(self, rates or {}).draft(), failure=self.failure)
+
+
+def read_traffic(source: Source, bench: Workbench, progress: Progress | None = None) -> CapturedTraffic:
+    """Read a source to its end.
+
+    Raises:
+        CaptureError: it cannot be read.
+    """
     traffic = _Traffic(bench.mission.msg_ids)
-    with reading(source, bench, keeps_failure=True) as loop:
+    with reading(source, bench, keeps_failure=True, conversing=True) as loop:
         for rows in loop:
             traffic.add(rows)
             if progress is not None:
                 progress.read(source)
     if loop.failure is not None and not traffic.streams:
         raise loop.failure
-    return replace(_Writer(traffic, bench).draft(source.info.name), failure=loop.failure)
+    return CapturedTraffic(source.info.name, bench, traffic, loop.conversations.judge(), loop.failure)
 
 
 class _Writer:
     """Writes the file."""
 
-    def __init__(self, traffic: _Traffic, bench: Workbench) -> None:
-        self._traffic, self._types = traffic, bench.types
+    def __init__(self, captured: CapturedTraffic, rates: Mapping[tuple[str, int], float]) -> None:
+        self._name, self._rates = captured.name, rates
+        self._traffic, self._types = captured.traffic, captured.bench.types
         self._notes: list[str] = []
         self._topics = self._sure = 0
 
-    def draft(self, name: str) -> MissionDraft:
+    def draft(self) -> MissionDraft:
         """Return the draft.
 
         Raises:
             CaptureError: there is nothing to draft.
         """
+        name = self._name
         streams = [item for item in self._traffic.streams.values() if self._is_message(item)]
         streams.sort(key=lambda item: (item.link.code, -item.count, item.msg_id))
         lines = [
@@ -342,6 +386,8 @@ class _Writer:
         else:
             sure = f"? a guess, tested on {examined}; {listed(fits[1:], 4)} fit too"
         lines = [f"    {_key(stream)}: # {plural(stream.count, 'packet')}", f"      # {sure}"]
+        if rate := self._rates.get((stream.link.label, stream.msg_id)):
+            lines.append(f"      # none of it was lost at {rate:.1f} Hz, the highest clean rate here")
         if stream.bare:
             looked = stream.bare + stream.formats.total()
             lines.append(f"      # {stream.bare:,} of {looked:,} looked at hold no whole EDORAS envelope")

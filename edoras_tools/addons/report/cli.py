@@ -35,18 +35,17 @@ def report(
     """
     from edoras_tools.addons.report.page import page
     from edoras_tools.diagnosis.verdict import group_verdicts
-    from edoras_tools.pipelines.doctor.doctor import examine, profile_with
+    from edoras_tools.pipelines.doctor.doctor import examine
     from edoras_tools.render.pages.parts import Made
 
     files, scope, (json, quiet) = inputs.named(), part.scope(), printing
-    profile = profile_with(decoding.constants)
     path = output or Path(f"{files[0].name if str(files[0]) != '-' else 'report'}.html")
     check_new(path, files, force=force)
     with file_progress(files, quiet=quiet or json) as bar:
         source, bench = open_input(
             InputOptions(inputs), decoding.settings(constants=True), aligned=True, progress=bar
         )
-        findings = examine(source, bench, profile=profile, scope=scope, progress=bar)
+        findings = examine(source, bench, scope=scope, progress=bar)
     if findings.failure is None:
         no_datagrams(source)
     elif not findings.diagnosis.datagrams:

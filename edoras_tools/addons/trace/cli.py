@@ -60,7 +60,7 @@ def trace(
     shows that. Exit code 3: it was lost.
     """
     from edoras_tools.addons.trace.tracing import Tracing
-    from edoras_tools.pipelines.doctor.doctor import examine, profile_with
+    from edoras_tools.pipelines.doctor.doctor import examine
     from edoras_tools.pipelines.doctor.scope import Scope
 
     files, request = _request(arguments or [], read or [], which)
@@ -72,7 +72,7 @@ def trace(
     with file_progress(files, quiet=quiet) as bar:
         inputs = InputOptions(FileOptions(files))
         source, bench = open_input(inputs, decoding.settings(constants=True), aligned=True, progress=bar)
-        tracing = Tracing(bench.columns.context, profile_with(decoding.constants), request)
+        tracing = Tracing(bench.columns.context, request)
         findings = examine(source, bench, scope=scope, progress=bar, examination=tracing)
     no_datagrams(source)
     if findings.failure is not None:
@@ -213,7 +213,7 @@ def hz(
     from edoras_tools.addons.trace.rounds import USUAL_WINDOW
     from edoras_tools.addons.trace.texts import rate_lines
     from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
-    from edoras_tools.pipelines.doctor.doctor import Pace, examine, profile_with
+    from edoras_tools.pipelines.doctor.doctor import Pace, examine
 
     words = list(arguments or ())
     if topic is None and words and not (words[-1] == "-" or Path(words[-1]).exists()):
@@ -226,7 +226,7 @@ def hz(
     with file_progress(words, quiet=quiet) as bar:
         source, bench = open_input(inputs, decoding.settings(constants=True), aligned=True, progress=bar)
         request = TraceRequest(topic=topic, window=window or USUAL_WINDOW)
-        tracing = Tracing(bench.columns.context, profile_with(decoding.constants), request)
+        tracing = Tracing(bench.columns.context, request)
         watcher = _Printer(tracing) if is_live and not printing.json else None
         pace = Pace(monotonic_ns, _EVERY_NS if is_live else 0, watcher=watcher)
         findings = examine(source, bench, pace=pace, progress=bar, examination=tracing)

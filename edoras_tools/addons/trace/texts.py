@@ -10,7 +10,6 @@ import numpy as np
 from rich.text import Text
 
 from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
-from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.render import units
 from edoras_tools.render.capture.sequence import mermaid_text
 from edoras_tools.render.severity import Level
@@ -297,7 +296,7 @@ def packet_ladder(
     Raises:
         RouteError: the packet is no message of a link.
     """
-    tracing = Tracing(context, SimProfile(), TraceRequest(number))
+    tracing = Tracing(context, TraceRequest(number))
     for batch, columns in batches:
         if cancelled():
             return None

@@ -26,7 +26,6 @@ from edoras_tools.words import did_you_mean, plural
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
     from edoras_tools.diagnosis.evidence.table import Recorder
     from edoras_tools.diagnosis.matching.streams import Stream
@@ -60,8 +59,8 @@ class Tracing(Examination):
         rates: the rates of the topic, of the last chapter that has it.
     """
 
-    def __init__(self, context: Context, profile: SimProfile, request: TraceRequest) -> None:
-        super().__init__(context, profile)
+    def __init__(self, context: Context, request: TraceRequest) -> None:
+        super().__init__(context)
         self.request = request
         self.trace: MessageTrace | None = None
         self.timing: Timing | None = None

@@ -78,9 +78,10 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
             remedy=advise(case, loss),
         )
     every = f"{period // 1_000_000} ms"
+    origin = case.origin("sbn_wake_ns" if over_network else "ci_wake_ns", "app_msg_limit")
     reason = (
         f"{least}{lost_at(case, loss, 'commands')}: more than {limit} of one MsgId waiting while {who} "
-        f"delivers in {every} bursts (assumed)"
+        f"delivers in {every} bursts ({origin})"
     )
     still = stood_still(case, loss)
     evidence = list(loss.evidence)
@@ -91,7 +92,7 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
         most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
         sent = f"sent at {loss.span.rate_hz:.1f} Hz"
         if loss.span.rate_hz > clean and times[-1] - times[0] > period:
-            evidence.append(f"{sent}; up to {clean:g} Hz get through (assumed)")
+            evidence.append(f"{sent}; up to {clean:g} Hz get through ({origin})")
         elif most > limit:
             evidence.append(f"up to {most:,} were sent within {every}; {limit} are clean")
         elif still:

@@ -7,25 +7,21 @@ from collections import deque
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cache, partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import Dissector
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.diagnosis.summary import summarize
-from edoras_tools.errors import CaptureError, ConfigError, EdorasError
-from edoras_tools.io.formats.cfe.contents import message_limits, network_peers
+from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.text import json_value
 from edoras_tools.io.processes import Workers
 from edoras_tools.io.processors import jobs_for
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.reading import Limits, reading
-from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -154,10 +150,6 @@ def judged_apart(examination: Examination, source: Source, jobs: int) -> Iterato
         yield
 
 
-_TABLES: Final = {"to_limits": message_limits, "sbn_table": network_peers}
-"""The constants that are read from a file: an image of a table."""
-
-
 @dataclass(frozen=True, slots=True)
 class Pace:
     """How often a live source is judged, and for how long.
@@ -221,7 +213,6 @@ def examine(
     source: Source,
     bench: Workbench,
     *,
-    profile: SimProfile | None = None,
     scope: Scope | None = None,
     pace: Pace | None = None,
     progress: Progress | None = None,
@@ -233,7 +224,6 @@ def examine(
     Args:
         source: where datagrams come from; it is closed.
         bench: mission, types and decoders.
-        profile: the constants of the cFS on the link.
         scope: what is examined and shown; all by default.
         pace: for a live source, and how many processes share the work; by default one.
         progress: updated after every batch, and while judging.
@@ -244,7 +234,7 @@ def examine(
         RouteError: the scope names a topic that is not configured.
         ConfigError: its filter has an error.
     """
-    examination = examination or Examination(bench.columns.context, profile)
+    examination = examination or Examination(bench.columns.context)
     if progress is not None:
         examination.progress = partial(progress.step, "judging")
     scope = scope or Scope()
@@ -308,37 +298,6 @@ def examine(
                 # Judging takes at most a fifth of the time, however large the capture is.
                 pause = max(pace.every_ns, 5 * (judged - now))
         return Findings(diagnose(), source, loop.failure)
-
-
-def profile_with(constants: Sequence[str]) -> SimProfile:
-    """Return the default constants of cFS with some of them replaced.
-
-    Args:
-        constants: ``NAME=VALUE`` each, whole numbers; ``to_limits=FILE`` and ``sbn_table=FILE``: images of
-            the tables of Telemetry Output and of SBN.
-
-    Raises:
-        ConfigError: there is no such constant, or it cannot have that value.
-        CaptureError: the table image cannot be read.
-    """
-    profile = SimProfile()
-    names = {item.name for item in fields(profile) if type(getattr(profile, item.name)) is int}
-    changes: dict[str, Any] = {}
-    for text in constants:
-        name, _, value = text.partition("=")
-        if name in _TABLES:
-            changes[name] = _TABLES[name](Path(value))
-            continue
-        if name not in names:
-            hint = (
-                did_you_mean(name, sorted({*names, *_TABLES}), 1) or f"there are {', '.join(sorted(names))}"
-            )
-            raise ConfigError(f"constant {name!r} is not known; {hint}")
-        try:
-            changes[name] = int(value, 0)
-        except ValueError:
-            raise ConfigError(f"constant {text!r}: {value!r} is not a whole number; write {name}=8") from None
-    return replace(profile, **changes)
 
 
 def list_missing(

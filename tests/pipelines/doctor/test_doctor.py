@@ -17,11 +17,11 @@ from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import SimulatedSource
 from edoras_tools.diagnosis import examination
 from edoras_tools.diagnosis.rules import shipped_rules
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceDefaults
 from edoras_tools.links.to import TO
 from edoras_tools.model import SourceInfo, SourceStatistics
-from edoras_tools.pipelines.doctor.doctor import Pace, examine, profile_with
+from edoras_tools.pipelines.doctor.doctor import Pace, examine
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
@@ -160,18 +160,6 @@ def test_importing_the_package_does_not_bring_the_doctor():
     code = "import sys, edoras_tools; print('numpy' in sys.modules, 'edoras_tools.doctor' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
-
-
-def test_constants_are_named():
-    assert profile_with(["app_msg_limit=0x10", "ci_wake_ns=250000000"]).app_msg_limit == 16
-    for text, words in (
-        ("app_limit=3", "did you mean app_msg_limit"),
-        ("app_msg_limit=many", "is not a whole number"),
-        ("seed", "is not a whole number"),
-        ("cores=0", "1 or more"),
-    ):
-        with pytest.raises(ConfigError, match=words):
-            profile_with([text])
 
 
 CAPTURES = sorted((ROOT / "samples/captures").glob("*.pcap"))

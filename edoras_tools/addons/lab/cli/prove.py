@@ -15,16 +15,13 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.io.outputs import check_new, write_bytes
 
 if TYPE_CHECKING:
-    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.cli.doctor import TaskOptions
     from edoras_tools.cli.inputs import InputOptions
     from edoras_tools.cli.options import PrintOptions
     from edoras_tools.pipelines.workbench import Settings
 
 
-def prove(
-    given: InputOptions, settings: Settings, profile: SimProfile, printing: PrintOptions, task: TaskOptions
-) -> None:
+def prove(given: InputOptions, settings: Settings, printing: PrintOptions, task: TaskOptions) -> None:
     """Prove a capture, and print that; where a file is named for the output, draw it too.
 
     Raises:
@@ -37,9 +34,7 @@ def prove(
         if output.suffix.lower() != ".svg":
             raise ConfigError(f"{output}: the picture of --prove is SVG; name a file .svg")
     with file_progress(given.paths, quiet=printing.quiet or printing.json) as bar:
-        diagnosis, proof = prove_capture(
-            lambda: open_input(given, settings, aligned=True, progress=bar), profile
-        )
+        diagnosis, proof = prove_capture(lambda: open_input(given, settings, aligned=True, progress=bar))
     if output is not None and not proof.not_modelled:
         picture = proof_picture(proof, diagnosis.zero_ns, " and ".join(item.name for item in given.paths))
         write_bytes(output, picture.encode())

@@ -38,6 +38,7 @@ class FlightOptions(NamedTuple):
 def sim(
     *,
     scenario: Annotated[Scenario, Argument(metavar="[SCENARIO]", help=SCENARIOS)] = Scenario.ROVER,
+    config: options.Config = None,
     bridges: Annotated[bool, Option(" /--no-bridges", help="cFS alone, without bridges and robots.")] = True,
     rate: Annotated[float, Option(min=0.01, max=1000, metavar="HZ", help="Commands per second.")] = 5.0,
     flight: FlightOptions,
@@ -47,34 +48,37 @@ def sim(
 ) -> None:
     """Run an emulated cFS on loopback, with the real limits.
 
-    Its console is printed on stdout. In another terminal, edoras sniff -i lo shows its traffic.
+    Its console is printed on stdout. In another terminal, edoras sniff -i lo shows its traffic. With -c it is
+    the cFS of a mission file: its MsgIds, ports, envelopes and constants, as edoras mission learn finds them.
     """
     from threading import Event
 
     from edoras_tools.addons.lab.emulator import Simulation, serve
     from edoras_tools.addons.lab.emulator.messages import bus_id
+    from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of
     from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
     from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.doctor.doctor import profile_with
     from edoras_tools.pipelines.interrupt import on_interrupt
 
     # When bound to every address, the parts still use loopback among themselves.
     address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  the user asked for it
-    built = options.DecodingOptions(set_values=flight.set_values).merged()
-    profile = profile_with(built.constants)
+    built = options.DecodingOptions(config=config, set_values=flight.set_values).merged()
+    bench = built.settings(constants=True).workbench()
+    profile = mission_profile(bench)
     limit = flight.limit or profile.to_default_limit
     # The lab's table names the first processor too: each of its cFS has the others as peers.
     first = SimProfile()
     table = (SbnPeerConfig(first.peer, first.sbn_port), *profile.sbn_peers)
     peers = tuple(replace(peer, address=address) for peer in table if peer.peer != profile.peer)
     limits = {msg_id: limit if room == first.to_default_limit else room for msg_id, room in TO_TABLE.items()}
+    limits |= {msg_id: room for msg_id, room in profile.to_limits.items() if msg_id in profile.stated}
     profile = replace(
         profile,
         to_default_limit=limit,
         to_limits=limits,
         msg_max=flight.msg_max or profile.msg_max,
-        extended_header=flight.extended_header or bool(built.extended_header),
-        msg_id_version=built.msg_id_version or flight.msg_id_version,
+        extended_header=flight.extended_header or profile.extended_header,
+        msg_id_version=max(profile.msg_id_version, flight.msg_id_version),
         address=address,
         sbn_peers=peers,
         sbn_says_start=True,
@@ -82,7 +86,12 @@ def sim(
     if flight.generator is not None:
         profile = replace(profile, generator_msg_id=bus_id(flight.generator, profile))
     simulation = Simulation(
-        profile, scenario.value, start_ns=time_ns(), bridges=bridges, command_rate_hz=rate, state_rate_hz=rate
+        profile,
+        routes_of(bench) if config else scenario.value,
+        start_ns=time_ns(),
+        bridges=bridges,
+        command_rate_hz=rate,
+        state_rate_hz=rate,
     )
     stop = Event()
     # The system chooses the source port of telemetry.
@@ -94,7 +103,7 @@ def sim(
     def ready() -> None:
         tell_reach(Endpoint(host, profile.ci_port), "command the emulated cFS", instead="leave --bind out")
         over = f", SBN over TCP {profile.sbn_port}" if profile.sbn_tcp else ""
-        sys.stderr.write(f"emulated cFS ({scenario.value}) on {host}, UDP {ends}{over}; Ctrl-C ends\n")
+        sys.stderr.write(f"emulated cFS ({simulation.scenario}) on {host}, UDP {ends}{over}; Ctrl-C ends\n")
 
     def line(time_ns: int, text: str) -> None:
         sys.stdout.write(f"{time_ns / 1e9:.6f} {text}\n")

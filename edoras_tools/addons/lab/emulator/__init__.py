@@ -4,12 +4,12 @@
 >>> datagrams = list(simulation.run(until_ns=10_000_000_000))
 """
 
+from edoras_tools.addons.lab.emulator.routes import Scenario
 from edoras_tools.addons.lab.emulator.server import Served, serve
 from edoras_tools.addons.lab.emulator.simulation import (
     BOOT_NS,
     MISSIONS,
     SCENARIOS,
-    Scenario,
     Simulation,
     WireDatagram,
 )

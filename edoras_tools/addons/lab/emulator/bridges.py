@@ -7,12 +7,14 @@ from math import cos, sin
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.lab.emulator import messages
+from edoras_tools.addons.lab.emulator.routes import DEMO_ROUTES, SystemRoutes
 from edoras_tools.cfs import edoras_app, limits, telemetry_output
 from edoras_tools.sessions.sbn.connection import SbnConnection
 from edoras_tools.sessions.sbn.events import AppMessage
 from edoras_tools.sessions.sbn.habits import PUBLIC_BRIDGE
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire import cfe, envelope
+from edoras_tools.wire import cfe
+from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -27,9 +29,11 @@ _ENABLE_AFTER_NS: Final = SECOND // 2
 _POLL_NS: Final = 100 * MILLISECOND
 
 
-def command_packet(msg_id: int, cdr: bytes, headers: cfe.Headers = cfe.STANDARD) -> bytes:
+def command_packet(
+    msg_id: int, cdr: bytes, headers: cfe.Headers = cfe.STANDARD, form: EnvelopeFormat = DEFAULT
+) -> bytes:
     """Return a command as the bridges send it: sequence word 0, checksum 0."""
-    body = envelope.DEFAULT.emit(cdr)
+    body = form.emit(cdr)
     return cfe.emit_command(
         msg_id, edoras_app.SET, body, sequence_flags=0, with_checksum=False, headers=headers
     )
@@ -43,6 +47,7 @@ class GroundOperator:
         command_type: ROS type of a command.
         msg_ids: MsgId of each robot.
         rate_hz: commands per second and robot.
+        routes: types and envelopes of the MsgIds.
         start_ns: first command, from the start of the simulation.
         count: commands per robot; None for no end.
     """
@@ -52,13 +57,23 @@ class GroundOperator:
     rate_hz: float
     start_ns: int = SECOND
     count: int | None = None
+    routes: SystemRoutes | None = None
+
+    def packet(self, index: int, robot: int, headers: cfe.Headers) -> bytes:
+        """Return command number ``index`` for robot number ``robot`` as it is sent."""
+        msg_id, form = self.msg_ids[robot], DEFAULT
+        if self.routes is not None:
+            form = self.routes.envelope(headers.msg_ids.standard(msg_id))
+        return command_packet(msg_id, self.cdr(index, robot), headers, form)
 
     def cdr(self, index: int, robot: int) -> bytes:
         """Return command number ``index`` for robot number ``robot``: arcs for rovers, targets for arms."""
         phase = index / self.rate_hz + robot
         if self.command_type == messages.TWIST:
             return messages.twist(0.5 + 0.1 * sin(phase / 3), 0.2 * cos(phase / 2))
-        return messages.encode(messages.POSE, messages.pose(0.5 + 0.2 * sin(phase / 4), 0.1 * robot, 0.7))
+        if self.command_type == messages.POSE:
+            return messages.encode(messages.POSE, messages.pose(0.5 + 0.2 * sin(phase / 4), 0.1 * robot, 0.7))
+        return messages.encode(self.command_type, {}, self.routes.store if self.routes else None)
 
 
 class GroundBridge:
@@ -104,9 +119,8 @@ class GroundBridge:
         self._send(self.endpoint, self._ci, command)
 
     def _command(self, index: int) -> None:
-        for robot, msg_id in enumerate(self._operator.msg_ids):
-            packet = command_packet(msg_id, self._operator.cdr(index, robot), self.headers)
-            self._send(self.endpoint, self._ci, packet)
+        for robot in range(len(self._operator.msg_ids)):
+            self._send(self.endpoint, self._ci, self._operator.packet(index, robot, self.headers))
             self.sent += 1
         if self._operator.count is None or index + 1 < self._operator.count:
             due = self._first_ns + int((index + 1) * SECOND / self._operator.rate_hz)
@@ -121,9 +135,11 @@ class FlightBridge:
         received: MsgId to packets that arrived.
         sent: robot states sent.
         headers: as those of the ground bridge.
+        routes: types and envelopes of the MsgIds.
     """
 
     headers = cfe.STANDARD
+    routes = DEMO_ROUTES["two-rovers"]
 
     def __init__(
         self,
@@ -178,13 +194,16 @@ class FlightBridge:
         msg_id = self.headers.msg_ids.of(packet)
         self.received[msg_id] = self.received.get(msg_id, 0) + 1
         robot = self._commanded.get(msg_id)
-        values = robot and messages.decode_envelope(robot.command_type, packet[cfe.TELEMETRY_HEADER_BYTES :])
+        form = self.routes.envelope(self.headers.msg_ids.standard(msg_id))
+        data = packet[cfe.TELEMETRY_HEADER_BYTES :]
+        values = robot and messages.decode_envelope(robot.command_type, data, form, self.routes.store)
         if robot and values:
             robot.obey(values, now=now)
 
     def _state(self, index: int) -> None:
         for (state, _), robot in self._robots.items():
-            packet = command_packet(state, robot.state(now=self._scheduler.now), self.headers)
+            form = self.routes.envelope(self.headers.msg_ids.standard(state))
+            packet = command_packet(state, robot.state(now=self._scheduler.now), self.headers, form)
             self._send(self.endpoint, self._sbn, self._connection.frame(packet))
             self.sent += 1
         due = self._first_ns + int((index + 1) * SECOND / self._rate_hz)

@@ -10,6 +10,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.lab.emulator.account import ArrivalAccount, socket
+from edoras_tools.addons.lab.emulator.routes import DEMO_ROUTES
 from edoras_tools.addons.lab.emulator.services.clock import Clock
 from edoras_tools.addons.lab.emulator.services.events import Event, EventServices
 from edoras_tools.addons.lab.emulator.services.executive_services import ExecutiveServices, LoadedApp
@@ -45,6 +46,7 @@ class Cfs:
         events: its event services.
         executive: its executive services: the applications that run.
         clock: its time services.
+        routes: the messages of its EDORAS application.
         account: what became of everything at its pipes and sockets.
         console: its last lines, ``(time_ns, text)``, events as ``EVS Port1 66/1/APP ID: text``.
         listener: called with every line.
@@ -74,6 +76,7 @@ class Cfs:
         self.muted: frozenset[int] = frozenset()
         self.begin: Callable[[], object] = lambda: None
         self._reporting: set[int] = set()
+        self.routes = DEMO_ROUTES["rover"]
         self.ci_endpoint = Endpoint(profile.address, profile.ci_port)
         self.sbn_endpoint = Endpoint(profile.address, profile.sbn_port)
         self._to_sockets = -1

@@ -10,6 +10,7 @@ from edoras_tools.errors import FieldError, WireError
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, envelope
+from edoras_tools.wire.robot import ROBOT_COMMAND, ROBOT_POSE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -62,12 +63,16 @@ def command_length(size: int, profile: SimProfile) -> int:
 class FixedStruct:
     """A C struct that messages are copied into: after a shorter message, bytes of a longer one remain.
 
+    Args:
+        size: bytes; 0 for as many as the longest message so far.
+        form: of the envelope.
+
     Attributes:
         data: the whole struct.
     """
 
-    def __init__(self, size: int) -> None:
-        self._bytes = bytearray(size)
+    def __init__(self, size: int, form: envelope.EnvelopeFormat = envelope.DEFAULT) -> None:
+        self._bytes, self._form, self._grows = bytearray(size), form, not size
 
     @property
     def data(self) -> bytes:
@@ -80,23 +85,33 @@ class FixedStruct:
         Raises:
             FieldError: it does not fit; flight code would write past the end.
         """
-        content = envelope.DEFAULT.emit(cdr)
+        content = self._form.emit(cdr)
+        if self._grows:
+            self._bytes.extend(bytes(max(0, len(content) - len(self._bytes))))
         if len(content) > len(self._bytes):
             raise FieldError("edoras", "data", f"{len(content)} bytes exceed the struct's {len(self._bytes)}")
         self._bytes[: len(content)] = content
 
 
-def encode(type_name: str, values: Mapping[str, Any]) -> bytes:
-    """Return the CDR of a message, encapsulation included."""
-    return _types().encode(type_name, values)
+def encode(type_name: str, values: Mapping[str, Any], store: TypeStore | None = None) -> bytes:
+    """Return the CDR of a message, encapsulation included.
+
+    Args:
+        store: of types that the demos have not.
+    """
+    return (store or _types()).encode(type_name, values)
 
 
-def decode_envelope(type_name: str, data: bytes) -> Mapping[str, Any] | None:
+def decode_envelope(
+    type_name: str,
+    data: bytes,
+    form: envelope.EnvelopeFormat = envelope.DEFAULT,
+    store: TypeStore | None = None,
+) -> Mapping[str, Any] | None:
     """Return the values of a message in its envelope, or None where they cannot be read."""
     try:
-        length, _ = envelope.DEFAULT.parse(data)
-        start = envelope.DEFAULT.size
-        return _types().decode(type_name, data[start : start + length])
+        length, _ = form.parse(data)
+        return (store or _types()).decode(type_name, data[form.size : form.size + length])
     except WireError:
         return None
 
@@ -138,3 +153,13 @@ def joint_state(now: int, names: Sequence[str], positions: Sequence[float]) -> b
         "effort": [],
     }
     return encode(JOINT_STATE, values)
+
+
+def robot_datagram(values: Mapping[str, Any]) -> bytes | None:
+    """Return a Twist or a Pose as the public flight applications send it to their robot; None of others."""
+    for layout, names in ((ROBOT_COMMAND, ("linear", "angular")), (ROBOT_POSE, ("position", "orientation"))):
+        if names[0] in values:
+            return layout.emit(
+                {f"{name}_{axis}": number for name in names for axis, number in values[name].items()}
+            )
+    return None

@@ -11,6 +11,8 @@ from edoras_tools.units import SECOND
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from edoras_tools.ros import TypeStore
+
 ARM_JOINTS: Final = 7
 ARM_TIME_CONSTANT_S: Final = 0.5
 COMMAND_AGE_S: Final = 5.0
@@ -79,6 +81,21 @@ class Rover:
         self.heading = end
 
 
+class StillRobot:
+    """One that takes commands of any type, and reports its state as it was first."""
+
+    def __init__(self, command_type: str, state_type: str, state: bytes) -> None:
+        self.command_type, self.state_type, self._state = command_type, state_type, state
+
+    def obey(self, values: Mapping[str, Any], *, now: int) -> None:
+        """Take a command; nothing moves."""
+
+    def state(self, *, now: int) -> bytes:
+        """Return the state."""
+        del now
+        return self._state
+
+
 class Arm:
     """Seven joints that move towards a target pose, each by its own share.
 
@@ -111,3 +128,18 @@ class Arm:
         self._positions = [
             at + (to - at) * share for at, to in zip(self._positions, self._target, strict=True)
         ]
+
+
+def robot_of(
+    command_type: str, state_type: str, store: TypeStore | None, *, now: int, number: int = 0
+) -> Robot:
+    """Return the robot for messages of some types: a rover, an arm, or one that stands still.
+
+    Args:
+        number: of the robot, from 0.
+    """
+    if (command_type, state_type) == (Rover.command_type, Rover.state_type):
+        return Rover(now=now, y=float(number))
+    if (command_type, state_type) == (Arm.command_type, Arm.state_type):
+        return Arm(now=now, name=("big_arm", "little_arm")[number % 2])
+    return StillRobot(command_type, state_type, messages.encode(state_type, {}, store) if state_type else b"")

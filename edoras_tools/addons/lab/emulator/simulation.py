@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.addons.lab.emulator.apps import generator, lab
 from edoras_tools.addons.lab.emulator.apps.core import start_core
@@ -14,10 +14,11 @@ from edoras_tools.addons.lab.emulator.apps.sbn import SbnApp
 from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge, GroundOperator
 from edoras_tools.addons.lab.emulator.cfs import Cfs
 from edoras_tools.addons.lab.emulator.messages import headers_of, link_id
-from edoras_tools.addons.lab.emulator.robots import Arm, Robot, Rover
+from edoras_tools.addons.lab.emulator.robots import robot_of
+from edoras_tools.addons.lab.emulator.routes import DEMO_ROUTES, Scenario, SystemRoutes
 from edoras_tools.addons.lab.emulator.scheduler import Scheduler
 from edoras_tools.cfs import command_ingest, edoras_app, sbn, telemetry_output
-from edoras_tools.cfs.profile import FLIGHT_BRIDGE, SimProfile
+from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import Endpoint
 from edoras_tools.units import MICROSECOND, SECOND
@@ -65,7 +66,6 @@ class Apps:
         self.ci = CiLab(self._cfs)
 
 
-Scenario = Literal["rover", "arm", "two-rovers", "two-arms"]
 SCENARIOS: Final[tuple[Scenario, ...]] = ("rover", "arm", "two-rovers", "two-arms")
 MISSIONS: Final[Mapping[Scenario, tuple[str, ...]]] = {
     "rover": ("rover_ground",),
@@ -92,7 +92,8 @@ class Simulation:
     """An emulated cFS with the EDORAS application of a demo.
 
     Attributes:
-        scenario: which demo.
+        scenario: which demo; ``mission`` of a system of its own.
+        routes: its messages.
         cfs: the flight side.
         apps: what runs on it.
         ground: the emulated ground bridge; None where the caller takes its place.
@@ -103,7 +104,7 @@ class Simulation:
     def __init__(
         self,
         profile: SimProfile | None = None,
-        scenario: Scenario = "rover",
+        scenario: Scenario | SystemRoutes = "rover",
         *,
         start_ns: int = 0,
         bridges: bool = True,
@@ -115,7 +116,8 @@ class Simulation:
         """Boot, at ``start_ns``.
 
         Args:
-            scenario: ``rover`` and ``arm`` have the robot behind the application, the others have two on SBN.
+            scenario: a demo, or the messages of a system: ``rover`` and ``arm`` have the robot behind the
+                application, the others have two on SBN.
             start_ns: what the clock shows at start, ns since 1970.
             command_rate_hz: commands per second and robot.
             command_count: commands per robot; None for no end.
@@ -125,43 +127,47 @@ class Simulation:
         Raises:
             ConfigError: there is no such scenario, a rate is below 0, or the profile lacks the bridge's peer.
         """
-        if scenario not in SCENARIOS:
+        if not isinstance(scenario, SystemRoutes) and scenario not in SCENARIOS:
             raise ConfigError(f"scenario {scenario!r} is not known; there are {', '.join(SCENARIOS)}")
         if min(command_rate_hz, state_rate_hz) < 0:
             raise ConfigError("a rate is 0 Hz or more")
         profile = profile or SimProfile()
-        self.scenario = scenario
+        routes = scenario if isinstance(scenario, SystemRoutes) else DEMO_ROUTES[scenario]
+        self.scenario = "mission" if isinstance(scenario, SystemRoutes) else scenario
+        self.routes = routes
         self.routed = True
         self._outbox: deque[WireDatagram] = deque()
         self._scheduler = Scheduler(profile, start_ns=start_ns)
         self.cfs = Cfs(profile, self._scheduler, self._send, with_account=with_account)
-        self.apps = Apps(self.cfs, _application(scenario, start_ns))
+        self.cfs.routes = routes
+        self.apps = Apps(self.cfs, _application(routes, self.scenario, start_ns))
         self.ground: GroundBridge | None = None
         self.flight: FlightBridge | None = None
         if bridges:
-            command_type = messages_of(scenario)[0]
-            commands: Sequence[int] = TwoRobotApp.commands if "two" in scenario else (SingleRobotApp.command,)
-            commands = _on_links(commands, profile)
-            operator = GroundOperator(command_type, commands, command_rate_hz, count=command_count)
+            commands = _on_links(routes.commands, profile)
+            command_type = routes.types[routes.commands[0]] if commands else ""
+            operator = GroundOperator(
+                command_type, commands, command_rate_hz, count=command_count, routes=routes
+            )
             ground = Endpoint(profile.address, profile.to_port)
             self.ground = GroundBridge(self._scheduler, ground, self.cfs.ci_endpoint, operator, self._send)
             self.ground.headers = headers_of(profile)
-            if "two" in scenario:
+            if routes.flight:
                 self.flight = self._flight(profile, state_rate_hz)
-                self.flight.headers = headers_of(profile)
+                self.flight.headers, self.flight.routes = headers_of(profile), routes
 
     def _flight(self, profile: SimProfile, rate_hz: float) -> FlightBridge:
         if profile.sbn_tcp:
             raise ConfigError("the flight bridge speaks SBN over UDP alone: leave it out, --no-bridges")
-        peer = next((item for item in profile.sbn_peers if item.peer == FLIGHT_BRIDGE), None)
+        routes = self.routes
+        peer = next((item for item in profile.sbn_peers if item.peer == routes.bridge), None)
         if peer is None:
-            raise ConfigError(f"sim profile: sbn_peers: the flight bridge, {FLIGHT_BRIDGE}, is missing")
-        robots: list[Robot] = (
-            [Rover(now=self.now, y=float(index)) for index in range(2)]
-            if self.scenario == "two-rovers"
-            else [Arm(now=self.now, name=name) for name in ("big_arm", "little_arm")]
-        )
-        names = (_on_links(item, profile) for item in (TwoRobotApp.states, TwoRobotApp.flight))
+            raise ConfigError(f"sim profile: sbn_peers: the flight bridge, {routes.bridge}, is missing")
+        robots = [
+            robot_of(routes.types[command], routes.types[state], routes.store, now=self.now, number=number)
+            for number, (command, state) in enumerate(zip(routes.flight, routes.states, strict=True))
+        ]
+        names = (_on_links(item, profile) for item in (routes.states, routes.flight))
         links = zip(*names, strict=True)
         return FlightBridge(
             self._scheduler,
@@ -247,13 +253,24 @@ def _on_links(msg_ids: Sequence[int], profile: SimProfile) -> list[int]:
 
 def messages_of(scenario: Scenario) -> tuple[str, str]:
     """Return the ROS types of a scenario's commands and states."""
-    robot = Rover if "rover" in scenario else Arm
-    return robot.command_type, robot.state_type
+    routes = DEMO_ROUTES[scenario]
+    return routes.types[routes.commands[0]], routes.types[routes.telemetry[0]]
 
 
-def _application(scenario: Scenario, now: int) -> EdorasApp:
-    if scenario == "rover":
-        return SingleRobotApp(Rover(now=now), 100)
-    if scenario == "arm":
-        return SingleRobotApp(Arm(now=now), 260)
-    return TwoRobotApp(*messages_of(scenario), 120 if scenario == "two-rovers" else 300)
+_STRUCT_BYTES: Final[Mapping[str, tuple[int, ...]]] = {
+    "rover": (100,),
+    "arm": (260,),
+    "two-rovers": (120, 80),
+    "two-arms": (300, 80),
+}
+"""Of the structs of the demos' applications: of states, and of commands to the robots."""
+
+
+def _application(routes: SystemRoutes, scenario: str, now: int) -> EdorasApp:
+    sizes = _STRUCT_BYTES.get(scenario, ())
+    if routes.flight:
+        return TwoRobotApp(routes, *sizes)
+    command, state = (
+        routes.types[items[0]] if items else "" for items in (routes.commands, routes.telemetry)
+    )
+    return SingleRobotApp(robot_of(command, state, routes.store, now=now), routes, *sizes)

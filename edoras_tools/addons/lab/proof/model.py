@@ -25,7 +25,8 @@ import numpy as np
 
 from edoras_tools.addons.lab.emulator import Scenario, Simulation
 from edoras_tools.addons.lab.emulator.account import LOST, socket
-from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp, TwoRobotApp
+from edoras_tools.addons.lab.emulator.apps.edoras import HOUSEKEEPING, SingleRobotApp
+from edoras_tools.addons.lab.emulator.routes import DEMO_ROUTES
 from edoras_tools.addons.lab.emulator.services.software_bus import HOP
 from edoras_tools.cfs import edoras_app
 from edoras_tools.cfs.names import MSG_ID_NAMES
@@ -281,7 +282,7 @@ class Model:
 
     def __init__(self, case: Case, start_ns: int, end_ns: int) -> None:
         self._span = start_ns, end_ns
-        self._followed = {*TwoRobotApp.flight, *(hop.out.msg_id for hop in case.hops)}
+        self._followed = {*DEMO_ROUTES["two-rovers"].flight, *(hop.out.msg_id for hop in case.hops)}
         rows = case.rows
         to_ci = among(rows.link, lambda link: link.only_to_cfs)
         extended = bool((rows.header_length[to_ci] == WITH_EXTENDED.command_bytes).mean() > 1 / 2)
@@ -304,8 +305,10 @@ class Model:
         )
         lengths = {stream.msg_id: int(np.median(rows.cdr_length[stream.rows])) for stream in case.streams}
         two = bool(peers)
-        arm = lengths.get(SingleRobotApp.command) == _POSE_BYTES or (
-            two and max((lengths.get(item, 0) for item in TwoRobotApp.states), default=0) > _STATE_BYTES
+        arm = lengths.get(DEMO_ROUTES["arm"].commands[0]) == _POSE_BYTES or (
+            two
+            and max((lengths.get(item, 0) for item in DEMO_ROUTES["two-arms"].states), default=0)
+            > _STATE_BYTES
         )
         name = f"two-{'arms' if arm else 'rovers'}" if two else "arm" if arm else "rover"
         self.scenario = cast("Scenario", name)
@@ -404,7 +407,7 @@ def _with_others(case: Case, model: Model, inputs: ModelInput) -> ModelInput:
     published: dict[int, NDArray[np.int64]] = {}
     limits = dict(inputs.profile.to_limits)
     for stream in case.streams:
-        is_core = stream.known_id in MSG_ID_NAMES or stream.known_id == SingleRobotApp.housekeeping
+        is_core = stream.known_id in MSG_ID_NAMES or stream.known_id == HOUSEKEEPING
         if is_core or not (stream.counted and stream.link.from_cfs):
             continue
         times = published_at(case, stream)
@@ -429,7 +432,10 @@ def _not_modelled(case: Case) -> str:
     names = {item.name for item in case.instances.items}
     if len(names) > 1:
         return f"the capture has {len(names)} cFS, {' and '.join(sorted(names))}, and one is emulated"
-    emulated = {*MSG_ID_NAMES, SingleRobotApp.command, *TwoRobotApp.commands, *TwoRobotApp.states}
+    emulated = {
+        *MSG_ID_NAMES,
+        *(own for demo in DEMO_ROUTES.values() for own in (*demo.commands, *demo.states)),
+    }
     emulated.add(case.profile.generator_msg_id)
     into = [hop.into for hop in case.hops if hop.into.link.to_cfs and hop.into.is_command]
     if others := sorted(stream.msg_id for stream in into if stream.known_id not in emulated):

@@ -18,7 +18,6 @@ from edoras_tools.pipelines.selection import Period
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.io import Source
@@ -27,18 +26,17 @@ if TYPE_CHECKING:
     OpenInput = Callable[[], tuple[Source, Workbench]]
 
 
-def prove_capture(opened: OpenInput, profile: SimProfile) -> tuple[Diagnosis, CaptureProof]:
+def prove_capture(opened: OpenInput) -> tuple[Diagnosis, CaptureProof]:
     """Judge a capture and prove it; return what is said of all of it, and the proof.
 
     Args:
         opened: opens the same input anew.
-        profile: constants of cFS that were given.
 
     Raises:
         CaptureError: it cannot be read.
     """
     source, bench = opened()
-    whole = examine(source, bench, profile=profile)
+    whole = examine(source, bench)
     if whole.failure is not None:
         raise whole.failure
     every = whole.diagnosis
@@ -48,7 +46,7 @@ def prove_capture(opened: OpenInput, profile: SimProfile) -> tuple[Diagnosis, Ca
         start_ns = span[0] - every.zero_ns
         period = Period(start_ns=start_ns, end_ns=start_ns + span[1] - span[0])
         source, bench = opened()
-        part = examine(source, bench, profile=profile, scope=Scope(period=period)).diagnosis
+        part = examine(source, bench, scope=Scope(period=period)).diagnosis
     case = part.case
     if case is None or not part.datagrams:
         return every, CaptureProof((0.0, 0.0), not_modelled="nothing of cFS was examined")

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.apps import generator
+from edoras_tools.addons.lab.emulator.routes import routes_of
 from edoras_tools.addons.lab.sweep import plan as packets
 from edoras_tools.addons.lab.sweep.judge import Judge, StepOutcome, Sweep, SweepStep
 from edoras_tools.addons.lab.sweep.line import COMMAND_NS, Line, reset_filters
 from edoras_tools.addons.lab.sweep.observer import Observer
 from edoras_tools.cfs import software_bus
 from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
-from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
+from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.transmit import Listener, SendStatistics, Transmitter
 from edoras_tools.io.net.wire import Arrival, UdpWire, Wire, precise_timing
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from edoras_tools.addons.lab.sweep.plan import SweepPlan
+    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.mission import Mission
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.pipelines.workbench import Workbench
@@ -91,7 +93,8 @@ def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
     """
     options, route, limit = plan.options, plan.route, plan.limit
     msg_ids = plan.headers.msg_ids
-    profile = SimProfile(
+    profile = replace(
+        mission.software.profile,
         generator_msg_id=msg_ids.standard(plan.generator),
         extended_header=plan.headers.extended,
         msg_id_version=msg_ids.version,
@@ -111,8 +114,8 @@ def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
     return replace(profile, ci_port=options.target.port, to_port=options.listen.port)
 
 
-def emulated(plan: SweepPlan, profile: SimProfile) -> SimulatedWire:
-    """Boot the emulated cFS of a plan.
+def emulated(plan: SweepPlan, profile: SimProfile, bench: Workbench) -> SimulatedWire:
+    """Boot the emulated cFS of a plan: that of the mission, where this says how it is built.
 
     Args:
         plan: its scenario must not be None.
@@ -120,7 +123,8 @@ def emulated(plan: SweepPlan, profile: SimProfile) -> SimulatedWire:
     """
     assert plan.options.listen is not None
     assert plan.scenario is not None
-    simulation = Simulation(profile, plan.scenario, bridges=False)
+    system = routes_of(bench) if bench.mission.software.profile.stated else plan.scenario
+    simulation = Simulation(profile, system, bridges=False)
     on_network = plan.route.link.peers
     target = simulation.cfs.sbn_endpoint if on_network else simulation.cfs.ci_endpoint
     own = replace(plan.options.listen, address=profile.address)
@@ -161,7 +165,7 @@ def sweep(
         local = options.listen
         if plan.scenario is not None:
             name = f"the emulated cFS ({plan.scenario})"
-            wire: Wire = emulated(plan, profile_of(plan, bench.mission))
+            wire: Wire = emulated(plan, profile_of(plan, bench.mission), bench)
         else:
             name = str(options.target)
             is_sbn = plan.route.link.peers

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from edoras_tools.addons.lab.emulator import messages
 from edoras_tools.addons.lab.emulator.messages import FixedStruct
@@ -21,10 +20,15 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.lab.emulator.cfs import Cfs
     from edoras_tools.addons.lab.emulator.robots import Robot
+    from edoras_tools.addons.lab.emulator.routes import SystemRoutes
     from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.addons.lab.emulator.services.software_bus import Pipe
 
 _ROBOT_WORK: Final = 4
+_REQUEST: Final = 0x1828
+HOUSEKEEPING: Final = 0x0826
+_WAKEUP: Final = 0x182B
+"""MsgIds of an application that are no route's: the usual one, or the next that no route has."""
 
 
 class EdorasApp(Protocol):
@@ -68,6 +72,12 @@ def _accepted(cfs: Cfs, packet: bytes) -> bool:
     return False
 
 
+def _decoded(cfs: Cfs, type_name: str, packet: bytes) -> Mapping[str, Any] | None:
+    """Return the values of a command; None where they cannot be read."""
+    form = cfs.routes.envelope(msg_id_of(packet))
+    return messages.decode_envelope(type_name, packet[cfe.COMMAND_HEADER_BYTES :], form, cfs.routes.store)
+
+
 class SingleRobotApp:
     """Demos 1 and 2: the robot is connected to the application; its state goes to the ground once a second.
 
@@ -78,19 +88,21 @@ class SingleRobotApp:
         robot: takes commands and reports its state.
         robot_commands: commands that reached the robot.
         has_robot: whether it could bind its socket to the robot.
+        command: MsgId of the robot's commands.
     """
 
-    command: Final = 0x1827
-    request: Final = 0x1828
-    state: Final = 0x0827
-    housekeeping: Final = 0x0826
     wakeups: Sequence[int] = ()
-    requests: Sequence[int] = (request,)
-    telemetry: Sequence[int] = (housekeeping, state)
 
-    def __init__(self, robot: Robot, struct_bytes: int) -> None:
+    def __init__(self, robot: Robot, routes: SystemRoutes, struct_bytes: int = 0) -> None:
         self.robot, self.robot_commands, self.has_robot = robot, 0, False
-        self._struct = FixedStruct(struct_bytes)
+        self.command, *_ = *routes.commands, 0
+        self._states = [(item, FixedStruct(struct_bytes, routes.envelope(item))) for item in routes.telemetry]
+        used = {*routes.commands, *routes.telemetry}
+        self.request = next(item for item in range(_REQUEST, cfe.HIGHEST_MSG_ID) if item not in used)
+        self.housekeeping = next(item for item in range(HOUSEKEEPING, 0, -1) if item not in used)
+        self.requests: Sequence[int] = (self.request,)
+        self.telemetry: Sequence[int] = (self.housekeeping, *routes.telemetry)
+        self._routes = routes
         self._requests = self._boot = 0
 
     def start(self, cfs: Cfs) -> None:
@@ -100,7 +112,7 @@ class SingleRobotApp:
         if not self.has_robot:
             cfs.print(facts.PORT_TAKEN)
         # 0x0828 too: the flight app subscribes to it, although nothing here publishes it.
-        cfs.spawn(self._run(cfs, _start(cfs, self.request, self.command, 0x0828)))
+        cfs.spawn(self._run(cfs, _start(cfs, self.request, *self._routes.commands, 0x0828)))
 
     def _run(self, cfs: Cfs, pipe: Pipe) -> Task:
         while cfs.executive.run_loop(facts.NAME):
@@ -108,28 +120,35 @@ class SingleRobotApp:
             msg_id = msg_id_of(packet)
             if msg_id == self.request:
                 yield Work(_ROBOT_WORK * cfs.profile.work_ns)
-                self._struct.put(self.robot.state(now=cfs.scheduler.now))
-                cfs.telemetry(self.state, self._struct.data, facts.NAME)
+                for place, (state, struct) in enumerate(self._states):
+                    own = self._routes.types[state]
+                    struct.put(
+                        messages.encode(own, {}, self._routes.store)
+                        if place
+                        else self.robot.state(now=cfs.scheduler.now)
+                    )
+                    cfs.telemetry(state, struct.data, facts.NAME)
                 yield Work(_ROBOT_WORK * cfs.profile.work_ns)
                 counters = bytes([2 * self._requests & 0xFF, self._requests & 0xFF])
                 cfs.telemetry(self.housekeeping, counters.ljust(56, b"\0"), facts.NAME)
                 self._requests += 1
-            elif msg_id == self.command and _accepted(cfs, packet):
-                values = messages.decode_envelope(self.robot.command_type, packet[cfe.COMMAND_HEADER_BYTES :])
+            elif msg_id in self._routes.commands and _accepted(cfs, packet):
+                values = _decoded(cfs, self._routes.types[msg_id], packet)
                 self.robot_commands += self.has_robot
                 if values is None:
                     cfs.print(facts.UNREADABLE)
                 elif self.has_robot:
-                    self.robot.obey(values, now=cfs.scheduler.now)
+                    if msg_id == self.command:
+                        self.robot.obey(values, now=cfs.scheduler.now)
                     self._send(cfs, values)
                 yield Work(cfs.profile.obey_work_ns)
 
-    def _send(self, cfs: Cfs, values: Mapping[str, Mapping[str, float]]) -> None:
-        """Send a command to the robot's port, where there is one: bare doubles."""
-        if cfs.profile.robot_port:
-            own, robot = (Endpoint(cfs.profile.address, item) for item in (CFS_PORT, cfs.profile.robot_port))
-            doubles = [number for part in values.values() for number in part.values()]
-            cfs.send(own, robot, struct.pack(f"<{len(doubles)}d", *doubles))
+    def _send(self, cfs: Cfs, values: Mapping[str, Any]) -> None:
+        """Send a command to the robot, where that has a port."""
+        profile, data = cfs.profile, messages.robot_datagram(values)
+        if profile.robot_port and data is not None:
+            own, robot = (Endpoint(profile.address, port) for port in (CFS_PORT, profile.robot_port))
+            cfs.send(own, robot, data)
 
 
 @dataclass(slots=True)
@@ -151,18 +170,22 @@ class TwoRobotApp:
         crossed: MsgId to messages sent on under it.
     """
 
-    commands: Final = (0x1827, 0x1828)
-    states: Final = (0x1829, 0x182A)
-    flight: Final = (0x082A, 0x082B)
-    telemetry: Sequence[int] = (0x0828, 0x0829)
     requests: Sequence[int] = ()
-    wakeups: Sequence[int] = (0x182B,)
 
-    def __init__(self, command_type: str, state_type: str, state_bytes: int, command_bytes: int = 80) -> None:
+    def __init__(self, routes: SystemRoutes, state_bytes: int = 0, command_bytes: int = 0) -> None:
+        self.commands, self.states = routes.commands, routes.states
+        self.flight, self.telemetry = routes.flight, routes.telemetry
+        used = {*self.commands, *self.states}
+        wakeup = next(item for item in range(_WAKEUP, cfe.HIGHEST_MSG_ID) if item not in used)
+        self.wakeups: Sequence[int] = (wakeup,)
         self.crossed = dict.fromkeys((*self.flight, *self.telemetry), 0)
-        self._command_type, self._state_type = command_type, state_type
+        self._types = routes.types
         self._channels = [
-            _Channel(FixedStruct(command_bytes), FixedStruct(state_bytes)) for _ in self.commands
+            _Channel(
+                FixedStruct(command_bytes, routes.envelope(command)),
+                FixedStruct(state_bytes, routes.envelope(state)),
+            )
+            for command, state in zip(self.flight, self.telemetry, strict=True)
         ]
 
     def start(self, cfs: Cfs) -> None:
@@ -181,22 +204,23 @@ class TwoRobotApp:
             elif _accepted(cfs, packet):
                 if msg_id in self.commands:
                     channel = self._channels[self.commands.index(msg_id)]
-                    self._read(cfs, self._command_type, packet, channel.command)
+                    self._read(cfs, packet, channel.command)
                     channel.fresh = True
                 else:
                     index = self.states.index(msg_id)
-                    self._read(cfs, self._state_type, packet, self._channels[index].state)
+                    self._read(cfs, packet, self._channels[index].state)
                     self._publish(cfs, self.telemetry[index], self._channels[index].state)
             yield Work(cfs.profile.work_ns)
 
-    def _read(self, cfs: Cfs, type_name: str, packet: bytes, struct: FixedStruct) -> None:
+    def _read(self, cfs: Cfs, packet: bytes, struct: FixedStruct) -> None:
         """Decode and encode again; a message that cannot be decoded leaves the last one in place."""
-        values = messages.decode_envelope(type_name, packet[cfe.COMMAND_HEADER_BYTES :])
+        type_name = self._types[msg_id_of(packet)]
+        values = _decoded(cfs, type_name, packet)
         if values is None:
             cfs.print(facts.UNREADABLE)
             return
         try:
-            struct.put(messages.encode(type_name, values))
+            struct.put(messages.encode(type_name, values, cfs.routes.store))
         except WireError:
             cfs.print(facts.UNREADABLE)
 

@@ -87,7 +87,7 @@ class Generator:
 
     def _generate(self, slot: int, turn: int, msg_id: int, rate: int, kind: int, length: int) -> Task:
         cfs = self._cfs
-        struct_ = FixedStruct(length)
+        struct_ = FixedStruct(length, cfs.routes.envelope(msg_id))
         first, count = cfs.scheduler.now + _FIRST_NS, 0
         yield SleepUntil(first)
         while self._round[slot] == turn and cfs.executive.run_loop(NAME):

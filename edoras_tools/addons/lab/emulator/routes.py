@@ -1,0 +1,118 @@
+"""The messages of an emulated system: those of a demo, or those that a mission file names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from edoras_tools.addons.lab.emulator.messages import JOINT_STATE, POSE, POSE_STAMPED, TWIST
+from edoras_tools.cfs.profile import FLIGHT_BRIDGE, SbnPeerConfig, SimProfile
+from edoras_tools.errors import ConfigError
+from edoras_tools.model import Peer
+from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from edoras_tools.mission import Route
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.ros import TypeStore
+
+Scenario = Literal["rover", "arm", "two-rovers", "two-arms"]
+
+
+@dataclass(frozen=True, slots=True)
+class SystemRoutes:
+    """MsgIds as on the bus, types and envelopes.
+
+    Attributes:
+        types: ROS type by MsgId.
+        commands: of the ground, the first that of the robot that the application has itself.
+        telemetry: to the ground.
+        states: of the robots on SBN, in the order of ``telemetry``.
+        flight: commands to those, in the order of ``commands``.
+        envelopes: by MsgId, where it is not the usual one.
+        bridge: the flight bridge as it calls itself.
+        store: of the types; None for that of the demos.
+    """
+
+    types: Mapping[int, str]
+    commands: Sequence[int]
+    telemetry: Sequence[int]
+    states: Sequence[int] = ()
+    flight: Sequence[int] = ()
+    envelopes: Mapping[int, EnvelopeFormat] = field(default_factory=dict)
+    bridge: Peer = FLIGHT_BRIDGE
+    store: TypeStore | None = None
+
+    def envelope(self, msg_id: int) -> EnvelopeFormat:
+        """Return the envelope of a MsgId."""
+        return self.envelopes.get(msg_id, DEFAULT)
+
+
+def _demo(command_type: str, state_type: str, *, two: bool) -> SystemRoutes:
+    commands, telemetry, states, flight = [0x1827], [0x0827], list[int](), list[int]()
+    if two:
+        commands, telemetry = [0x1827, 0x1828], [0x0828, 0x0829]
+        states, flight = [0x1829, 0x182A], [0x082A, 0x082B]
+    types = dict.fromkeys([*commands, *flight], command_type) | dict.fromkeys(
+        [*telemetry, *states], state_type
+    )
+    return SystemRoutes(types, commands, telemetry, states, flight)
+
+
+DEMO_ROUTES: Final[Mapping[Scenario, SystemRoutes]] = {
+    "rover": _demo(TWIST, POSE_STAMPED, two=False),
+    "arm": _demo(POSE, JOINT_STATE, two=False),
+    "two-rovers": _demo(TWIST, POSE_STAMPED, two=True),
+    "two-arms": _demo(POSE, JOINT_STATE, two=True),
+}
+
+
+def routes_of(bench: Workbench) -> SystemRoutes:
+    """Return the messages of a mission; of several bridges of a kind, of the first.
+
+    Raises:
+        ConfigError: no bridge of it sends commands over CI, or receives from TO.
+    """
+    mission, standard = bench.mission, bench.mission.msg_ids.standard
+
+    def some(kind: str, *, to_cfs: bool) -> list[Route]:
+        bridge = next((item for item in mission.bridges if item.link.kind == kind), None)
+        return [item for item in bridge.routes if item.to_cfs == to_cfs] if bridge else []
+
+    groups = [some(kind, to_cfs=to_cfs) for kind in ("ground", "flight") for to_cfs in (True, False)]
+    if not groups[0] and not groups[1]:
+        raise ConfigError("the mission has no ground bridge with a topic: sim has nothing to emulate")
+    routes = [item for group in groups for item in group]
+    forms = dict(zip(mission.routes, bench.columns.context.envelopes, strict=True))
+    ids = [[standard(item.msg_id) for item in group] for group in groups]
+    return SystemRoutes(
+        {standard(item.msg_id): item.type for item in routes},
+        commands=ids[0],
+        telemetry=ids[1],
+        states=ids[2][: len(ids[1])],
+        flight=ids[3][: len(ids[0])],
+        envelopes={standard(item.msg_id): forms.get(item) or DEFAULT for item in routes},
+        bridge=next((Peer(own.spacecraft_id, own.processor_id) for own in mission.flight), FLIGHT_BRIDGE),
+        store=bench.types,
+    )
+
+
+def mission_profile(bench: Workbench) -> SimProfile:
+    """Return the constants of a mission's cFS, with its ports and SBN peers; of several, of the first."""
+    mission, profile = bench.mission, bench.mission.software.profile
+    ports: dict[str, Any] = {}
+    for ground in mission.ground[:1]:
+        ports |= {"ci_port": ground.fsw_port, "to_port": ground.bridge_port}
+    for flight in mission.flight[:1]:
+        bridge = SbnPeerConfig(Peer(flight.spacecraft_id, flight.processor_id), flight.udp_receive_port)
+        profile = replace(profile, sbn_peers=(bridge,))
+        ports["sbn_port"] = flight.peer_port
+    headers = bench.columns.context.headers
+    return replace(
+        profile,
+        **{name: port for name, port in ports.items() if name not in profile.stated},
+        extended_header=headers.extended,
+        msg_id_version=headers.msg_ids.version,
+    )

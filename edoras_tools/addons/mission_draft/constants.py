@@ -1,0 +1,275 @@
+"""What a capture shows of the constants of one cFS, each with its interval and what shows it.
+
+The doctor goes by fewer of them, and where its own differ from the usual ones. Rules:
+
+1. A round is the time between bursts of one sender, of which nearly all others are multiples.
+2. How many of a MsgId a pipe keeps shows in the rounds behind which some are missing; a command that sets it
+   shows it better.
+3. What nothing shows is not there. Nothing is assumed.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.cfs import telemetry_output
+from edoras_tools.diagnosis.accounting.pipes import measured_depth
+from edoras_tools.diagnosis.advice import told_limit
+from edoras_tools.diagnosis.constants import find_round
+from edoras_tools.diagnosis.evidence.instances import NOBODY
+from edoras_tools.diagnosis.matching.streams import bursts, full_rounds
+from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire import cfe
+from edoras_tools.words import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.diagnosis.accounting.losses import Loss
+    from edoras_tools.diagnosis.case import Case
+    from edoras_tools.diagnosis.matching.streams import Stream
+
+_NEAR: Final = 0.15
+_LEAST: Final = 3
+"""Rounds that show a limit."""
+_OFTEN: Final = 0.25
+"""So many of them have to show the same."""
+_RANGE: Final = 0.05, 0.95
+
+
+class LearnedConstant(NamedTuple):
+    """A constant that a capture shows.
+
+    Attributes:
+        name: as ``SimProfile`` has it.
+        value: of it.
+        evidence: its interval, and what shows it.
+        msg_id: of a limit at Telemetry Output.
+    """
+
+    name: str
+    value: int
+    evidence: str
+    msg_id: int | None = None
+
+
+class _Round(NamedTuple):
+    """A round, ns: the usual one, and the interval of nearly all."""
+
+    period_ns: int
+    low_ns: int
+    high_ns: int
+    rounds: int
+
+    @property
+    def value(self) -> int:
+        """In whole milliseconds: how long the work takes beside the wait is not part of it."""
+        return round(self.period_ns / MILLISECOND) * MILLISECOND
+
+    def __str__(self) -> str:
+        low, usual, high = (item / MILLISECOND for item in (self.low_ns, self.period_ns, self.high_ns))
+        return f"{usual:.2f} ms ({low:.2f} to {high:.2f}): {plural(self.rounds, 'round')}"
+
+
+def shown_constants(case: Case) -> dict[str, list[LearnedConstant]]:
+    """Return what a capture shows of each cFS, by its name: that which sends the ground the most first."""
+    sent = Counter[int]()
+    for stream in case.streams:
+        owner = case.owner(stream)
+        if owner != NOBODY:
+            sent[owner] += len(stream) * (1 + stream.link.only_from_cfs * len(case.rows))
+    names = {case.instances.items[owner].name: owner for owner, _ in reversed(sent.most_common())}
+    return {name: [*_Learner(case, owner).constants()] for name, owner in reversed(names.items())}
+
+
+def clean_rates(case: Case) -> dict[tuple[str, int], float]:
+    """Return the highest rate, Hz, at which messages lost nothing for ten seconds, by link and MsgId."""
+    rates: dict[tuple[str, int], float] = {}
+    for stream in case.streams:
+        fate = case.commands.fates.get(id(stream))
+        shows = fate.seen if fate is not None else stream.counted
+        if shows and (rate := case.shown_hz(stream, 0.0)):
+            key = stream.link.label, stream.msg_id
+            rates[key] = max(rate, rates.get(key, 0.0))
+    return rates
+
+
+class _Learner:
+    """Learns from a case what it shows of one cFS."""
+
+    def __init__(self, case: Case, instance: int) -> None:
+        self._case, self._own = case, instance
+        self._system = case.instances.systems[instance]
+        self._hops = [
+            hop
+            for hop in case.hops
+            if hop.into.link.only_to_cfs and hop.out.link.last_hop and case.goes_to(hop.into, instance)
+        ]
+
+    def constants(self) -> Iterator[LearnedConstant]:
+        """Yield them, application by application."""
+        case, own = self._case, self._case.instances.items[self._own]
+        spacecraft, _, processor = own.name.partition(":")
+        if processor:
+            for name, value in (("spacecraft_id", spacecraft), ("processor_id", processor)):
+                yield LearnedConstant(name, int(value), f"{own.name} in its events, or on SBN")
+        yield from self._ports({item.kind for item in case.mission.links})
+        yield from self._housekeeping()
+        if self._hops and "ci_wake_ns" in case.constants.rounds:
+            yield from self._ingest()
+            yield from self._application(case.constants.rounds["ci_wake_ns"])
+        out = [item for item in case.streams if self._is_own(item)]
+        yield from self._output([item for item in out if item.link.only_from_cfs])
+        yield from self._network([item for item in out if item.link.peers and not item.is_command])
+
+    def _is_own(self, stream: Stream) -> bool:
+        owner = self._case.owner(stream)
+        return owner != NOBODY and self._case.instances.systems[owner] == self._system
+
+    def _times(self, stream: Stream) -> NDArray[np.int64]:
+        return self._case.rows.time_ns[stream.rows]
+
+    def _ports(self, bridges: Container[str]) -> Iterator[LearnedConstant]:
+        """Yield the ports that no bridge of the mission has."""
+        case = self._case
+        into = [item for item in case.streams if case.goes_to(item, self._own)]
+        out = [item for item in case.streams if self._is_own(item)]
+        for name, kind, ends in (
+            ("ci_port", "ground", [item.receiver for item in into if item.link.only_to_cfs]),
+            ("to_port", "ground", [item.receiver for item in out if item.link.only_from_cfs]),
+            ("sbn_port", "flight", [item.sender for item in out if item.link.peers]),
+            ("robot_port", "robot", [hop.out.receiver for hop in self._hops]),
+        ):
+            ports = {case.endpoints[item].port for item in ends}
+            if len(ports) == 1 and kind not in bridges:
+                text = f"{plural(len(ends), 'stream')}, none at another port"
+                yield LearnedConstant(name, ports.pop(), text)
+
+    def _housekeeping(self) -> Iterator[LearnedConstant]:
+        for stream in self._case.streams:
+            if stream.known_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID and self._is_own(stream):
+                if pace := _round(self._case.instances.made_ns[stream.rows]):
+                    yield LearnedConstant("housekeeping_ns", pace.value, f"{pace} of 0x803")
+                return
+
+    def _ingest(self) -> Iterator[LearnedConstant]:
+        case = self._case
+        times = [case.rows.time_ns[hop.out.rows[hop.out_rows]] for hop in self._hops]
+        pace = _round(np.sort(np.concatenate(times)))
+        if pace is None:
+            return
+        yield LearnedConstant("ci_wake_ns", pace.value, f"{pace} in which commands came to the robot")
+        counts, when = case.payloads.ingest["packets"], case.payloads.ingest["time_ns"]
+        steps = np.diff(counts)[np.abs(np.diff(when) - SECOND) < _NEAR * SECOND]
+        usual, again = Counter(steps[steps > 0].tolist()).most_common(1)[0] if steps.any() else (0, 0)
+        reads, rest = divmod(usual * pace.value, SECOND)
+        backlog = any(loss.cause == "socket" for item in case.ingests for loss in item.losses)
+        if backlog and again >= _OFTEN * len(steps) and not rest:
+            text = f"{usual} read in a second from a full socket, by 0x884: {plural(again, 'time')}"
+            yield LearnedConstant("ci_datagrams_per_wake", reads, text)
+
+    def _application(self, period_ns: int) -> Iterator[LearnedConstant]:
+        case = self._case
+        for hop in self._hops:
+            order = np.argsort(hop.out_rows)
+            times = case.rows.time_ns[hop.out.rows[hop.out_rows[order]]]
+            missing = np.maximum(np.append(np.diff(hop.in_rows[order]) - 1, 0), 0)
+            limited = any(loss.kind == "limit" for loss in case.losses_of(hop.into))
+            if limited or full_rounds(times, missing, period_ns, fewer=2):
+                limit = _kept(times, missing, period_ns // 4)
+                if limit is not None:
+                    yield LearnedConstant("app_msg_limit", limit[0], f"{limit[1]} of 0x{hop.into.msg_id:04x}")
+                    return
+
+    def _output(self, streams: list[Stream]) -> Iterator[LearnedConstant]:
+        case, name = self._case, telemetry_output.NAME
+        if not streams:
+            return
+        every = np.isin(case.rows.source, [item.sender for item in streams])
+        every &= case.rows.link == streams[0].link
+        times = case.rows.time_ns[every]
+        pace = _round(times)
+        if pace is None:
+            return
+        yield LearnedConstant("to_wake_ns", pace.value, f"{pace} of {name}")
+        losses = [loss for item in streams for loss in case.losses_of(item)]
+        if any(_at_pipe(loss, "overflow", telemetry_output.PIPE) for loss in losses):
+            depth = measured_depth(times, pace.value)
+            if depth < len(times):
+                _, sizes = bursts(times, pace.value // 2)
+                text = (
+                    f"none of {plural(len(sizes), 'round')} had more, {int((sizes == depth).sum())} so many"
+                )
+                yield LearnedConstant("to_pipe_depth", depth, text)
+        limits = {item.msg_id: item for stream in streams for item in self._limit(stream, pace.value)}
+        yield from limits.values()
+
+    def _limit(self, stream: Stream, period_ns: int) -> Iterator[LearnedConstant]:
+        """Yield how many of a MsgId may wait at Telemetry Output."""
+        case = self._case
+        command = told_limit(case, stream)
+        known_id = case.context.msg_ids.of_known(stream.known_id)
+        if command:
+            yield LearnedConstant("to_limits", command, "the last command that adds it says so", known_id)
+            return
+        lost = Counter[str]()
+        for loss in case.losses_of(stream):
+            lost[loss.kind] += loss.lost * loss.hop.startswith(telemetry_output.PIPE)
+        if lost["limit"] > lost["overflow"]:
+            limit = _kept(self._times(stream), stream.missing, period_ns // 4)
+            if limit is not None:
+                yield LearnedConstant("to_limits", *limit, known_id)
+
+    def _network(self, streams: list[Stream]) -> Iterator[LearnedConstant]:
+        case = self._case
+        for receiver in dict.fromkeys(item.receiver for item in streams):
+            own = [item for item in streams if item.receiver == receiver]
+            times = np.sort(np.concatenate([self._times(item) for item in own]))
+            pace = _round(times)
+            if pace is None:
+                continue
+            yield LearnedConstant("sbn_wake_ns", pace.value, f"{pace} to {case.endpoints[receiver]}")
+            for stream in own:
+                lost = any(_at_pipe(loss, "limit", "SBN") for loss in case.losses_of(stream))
+                limit = _kept(self._times(stream), stream.missing, pace.value // 4) if lost else None
+                if limit is not None:
+                    yield LearnedConstant("sbn_msg_limit", limit[0], f"{limit[1]} of 0x{stream.msg_id:04x}")
+                    return
+            return
+
+
+def _at_pipe(loss: Loss, kind: str, pipe: str) -> bool:
+    return loss.kind == kind and loss.hop.startswith(pipe)
+
+
+def _round(times: NDArray[np.int64]) -> _Round | None:
+    """Return the round in which bursts come; None where they show none."""
+    period = find_round(times)
+    if period is None:
+        return None
+    begins, _ = bursts(times, min(20 * MILLISECOND, period // 4))
+    steps = np.diff(times[begins])
+    own = steps[np.abs(steps - period) < _NEAR * period]
+    low, high = np.quantile(own, _RANGE)
+    return _Round(int(np.median(own)), int(low), int(high), len(own))
+
+
+def _kept(times: NDArray[np.int64], missing: NDArray[Any], pause_ns: int) -> tuple[int, str] | None:
+    """Return how many a round has behind which some are missing, and what shows it; None where they differ.
+
+    One more may come with a round that is read while it comes in, so the fewest count that are met often.
+    """
+    begins, sizes = bursts(times, pause_ns)
+    full = sizes[np.flatnonzero(np.add.reduceat(missing, begins))]
+    if len(full) < _LEAST:
+        return None
+    low, high = (int(item) for item in np.quantile(full, _RANGE, method="nearest"))
+    same = int((full == low).sum())
+    if same < _OFTEN * len(full):
+        return None
+    return low, f"{low} to {high}: {same} of {plural(len(full), 'round')} behind which some are missing"

@@ -1,0 +1,102 @@
+"""A system that is learned from its capture: each constant, and a twin that loses what the first lost."""
+
+import pytest
+from made_system import CONSTANTS, LIMITS, PORTS, STATE, lost, play, write
+from places import ROOT
+
+from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of
+from edoras_tools.addons.mission_draft.learn import learn_mission
+from edoras_tools.errors import CaptureError
+from edoras_tools.mission import loads
+from edoras_tools.pipelines.workbench import Settings, open_files
+from edoras_tools.units import MILLISECOND, SECOND
+
+MS_500 = 500 * MILLISECOND
+
+
+def learned(path):
+    def opened(settings):
+        source = open_files([path])
+        return source, settings.workbench(source.info, [path])
+
+    return learn_mission(opened, Settings())
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The file of the made system, and what it lost with some seeds."""
+    folder = tmp_path_factory.mktemp("made")
+    path = folder / "system.yaml"
+    sent, first = play()
+    path.write_text(learned(write(sent, folder / "made.pcap")).text, encoding="utf-8")
+    return path, [lost(first), *(lost(play(seed=seed)[1]) for seed in (2, 3))]
+
+
+def test_each_constant_of_a_made_system_is_learned(made):
+    bench = Settings([made[0]]).workbench()
+    profile = mission_profile(bench)
+    for name, value in (CONSTANTS | PORTS).items():
+        assert getattr(profile, name) == pytest.approx(value, rel=0.1), name
+    assert profile.to_limits[STATE] == pytest.approx(LIMITS[STATE], rel=0.1)
+    assert {*CONSTANTS, *LIMITS} <= profile.stated
+    assert [(item.type, item.msg_id) for item in bench.mission.routes] == [
+        ("geometry_msgs/msg/Twist", 0x1A01),
+        ("geometry_msgs/msg/PoseStamped", 0x0A01),
+    ]
+    assert bench.mission.warnings == ()
+
+
+def test_a_twin_loses_what_the_first_lost(made):
+    path, real = made
+    bench = Settings([path]).workbench()
+    twins = [lost(play(mission_profile(bench), routes_of(bench), seed=seed)[1]) for seed in (1, 2, 3)]
+    for place in range(3):
+        first, twin = (sorted(item[place] for item in runs) for runs in (real, twins))
+        noise = 1 + first[-1] - first[0]
+        assert first[0] - noise <= twin[0]
+        assert twin[-1] <= first[-1] + noise
+
+
+# As tests/captures/README.md has it: rounds of 500 ms, peers of 200 ms, depths and limits; no more is shown.
+REAL = {
+    "a_rover": ({"ci_wake_ns": MS_500, "to_wake_ns": MS_500, "app_msg_limit": 4}, {}),
+    "c3_mqueue10": ({"to_wake_ns": MS_500, "to_pipe_depth": 10}, {0x827: 4}),
+    "c4_cmd_rate": (
+        {"ci_wake_ns": MS_500, "to_wake_ns": MS_500, "app_msg_limit": 4, "ci_datagrams_per_wake": 11},
+        {},
+    ),
+    "d3_cpu1_cpu2": ({"to_wake_ns": MS_500, "sbn_wake_ns": 200 * MILLISECOND}, {0x828: 4}),
+    "season3/q12_to_limits_changed": ({"to_wake_ns": MS_500}, {0x827: 2}),
+}
+ANY = {"spacecraft_id", "processor_id", "ci_port", "to_port", "sbn_port", "robot_port", "housekeeping_ns"}
+
+
+def check_others(text):
+    """Check that what is known of the other cFS of d3 is there, as comments."""
+    others = text.partition("# Of cFS 66:2, for a file of its own:\n")[2]
+    assert (
+        "#       sbn_msg_limit: 8 # 8 to 8: 49 of 51 rounds behind which some are missing of 0x0828\n"
+        in others
+    )
+    assert all(line.startswith("#") for line in others.splitlines())
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_of_a_real_capture_what_it_shows_and_no_more(name):
+    constants, limits = REAL[name]
+    draft = learned(ROOT / f"tests/captures/{name}.pcap.zst")
+    profile = loads({"system.yaml": draft.text.encode()}).software.profile
+    names = {item for item in profile.stated if isinstance(item, str)}
+    assert names - ANY == constants.keys()
+    assert {item: getattr(profile, item) for item in constants} == constants
+    assert {item: profile.to_limits[item] for item in profile.stated - names} == limits
+    assert (profile.spacecraft_id, profile.processor_id) == (66, 1)
+    if name.startswith("d3"):
+        check_others(draft.text)
+    if "housekeeping_ns" in names:
+        assert profile.housekeeping_ns == SECOND
+
+
+def test_a_capture_without_cfs_is_refused():
+    with pytest.raises(CaptureError, match="nothing of a cFS is in it"):
+        learned(ROOT / "samples/rtps/cyclone_sender.pcap.gz")
