@@ -45,3 +45,14 @@ def test_what_topics_do_not_have(words, code, told, bag, call):
     done = call("info", bag, *words)
     assert (done.code, done.out) == (code, "")
     assert any(told in line for line in done.err)
+
+
+def test_a_mission_of_another_system_is_said(call, tmp_path):
+    path, mission = tmp_path / "rover.yaml", ROOT / "samples/missions/rover_ground.yaml"
+    path.write_text(mission.read_text(encoding="utf-8").replace("PoseStamped", "Twist"))
+    capture = ROOT / "samples/captures/a_rover.pcap"
+    (line,) = call("info", capture, "-c", path).err
+    assert line.startswith(
+        "edoras: 0 of 63 messages of /telemetry_pose fit geometry_msgs/msg/Twist: a mission"
+    )
+    assert call("info", capture, "-c", mission).err == []
