@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "88c9dfa5fee80c5a"
+local DIGEST = "6480f10064b89178"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -4652,11 +4652,48 @@ D.layouts = {
 	},
 }
 D.formats = {
-	{width = 8, little = true},
-	{width = 8, little = false},
-	{width = 4, little = true},
-	{width = 4, little = false},
-	{width = 1, little = true},
+	{
+		reader = "envelope_1",
+		size = 16,
+		little = true,
+		words = {{name = "buffer_length", at = 0, size = 8}, {name = "buffer_capacity", at = 8, size = 8}},
+	},
+	{
+		reader = "envelope_2",
+		size = 16,
+		little = false,
+		words = {{name = "buffer_length", at = 0, size = 8}, {name = "buffer_capacity", at = 8, size = 8}},
+	},
+	{
+		reader = "envelope_3",
+		size = 8,
+		little = true,
+		words = {{name = "buffer_length", at = 0, size = 4}, {name = "buffer_capacity", at = 4, size = 4}},
+	},
+	{
+		reader = "envelope_4",
+		size = 8,
+		little = false,
+		words = {{name = "buffer_length", at = 0, size = 4}, {name = "buffer_capacity", at = 4, size = 4}},
+	},
+	{
+		reader = "envelope_5",
+		size = 4,
+		little = true,
+		words = {{name = "buffer_length", at = 0, size = 2}, {name = "buffer_capacity", at = 2, size = 2}},
+	},
+	{
+		reader = "envelope_6",
+		size = 4,
+		little = false,
+		words = {{name = "buffer_length", at = 0, size = 2}, {name = "buffer_capacity", at = 2, size = 2}},
+	},
+	{
+		reader = "envelope_7",
+		size = 2,
+		little = true,
+		words = {{name = "buffer_length", at = 0, size = 1}, {name = "buffer_capacity", at = 1, size = 1}},
+	},
 }
 D.limits = {
 	bridge_modulus = 256,
@@ -4983,7 +5020,7 @@ D.findings = {
 		label = "checksum_bad",
 		severity = "warning",
 		short = "checksum",
-		meaning = "The command's checksum is neither 0 nor correct; no cFS app here checks it, so it is executed; of a transfer frame or a CFDP PDU, its CRC is wrong, and its receiver drops it.",
+		meaning = "The command's checksum is neither 0 nor correct; no cFS app here checks it, so it is executed; of a transfer frame, a CFDP PDU or an own envelope, its CRC is wrong, and its receiver drops it.",
 		unknowable = true,
 	},
 	{
@@ -5957,35 +5994,49 @@ function D.read.cdr(s, p)
 	return representation, options
 end
 
-function D.read.envelope_8_little(s, p)
+function D.read.envelope_1(s, p)
 	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, b13, b14, b15 = byte(s, p + 0, p + 15)
 	local buffer_length = ((((((b7 * 256.0 + b6) * 256.0 + b5) * 256.0 + b4) * 256.0 + b3) * 256.0 + b2) * 256.0 + b1) * 256.0 + b0
 	local buffer_capacity = ((((((b15 * 256.0 + b14) * 256.0 + b13) * 256.0 + b12) * 256.0 + b11) * 256.0 + b10) * 256.0 + b9) * 256.0 + b8
 	return buffer_length, buffer_capacity
 end
 
-function D.read.envelope_8_big(s, p)
+function D.read.envelope_2(s, p)
 	local b0, b1, b2, b3, b4, b5, b6, b7, b8, b9, b10, b11, b12, b13, b14, b15 = byte(s, p + 0, p + 15)
 	local buffer_length = ((((((b0 * 256.0 + b1) * 256.0 + b2) * 256.0 + b3) * 256.0 + b4) * 256.0 + b5) * 256.0 + b6) * 256.0 + b7
 	local buffer_capacity = ((((((b8 * 256.0 + b9) * 256.0 + b10) * 256.0 + b11) * 256.0 + b12) * 256.0 + b13) * 256.0 + b14) * 256.0 + b15
 	return buffer_length, buffer_capacity
 end
 
-function D.read.envelope_4_little(s, p)
+function D.read.envelope_3(s, p)
 	local b0, b1, b2, b3, b4, b5, b6, b7 = byte(s, p + 0, p + 7)
 	local buffer_length = ((b3 * 256 + b2) * 256 + b1) * 256 + b0
 	local buffer_capacity = ((b7 * 256 + b6) * 256 + b5) * 256 + b4
 	return buffer_length, buffer_capacity
 end
 
-function D.read.envelope_4_big(s, p)
+function D.read.envelope_4(s, p)
 	local b0, b1, b2, b3, b4, b5, b6, b7 = byte(s, p + 0, p + 7)
 	local buffer_length = ((b0 * 256 + b1) * 256 + b2) * 256 + b3
 	local buffer_capacity = ((b4 * 256 + b5) * 256 + b6) * 256 + b7
 	return buffer_length, buffer_capacity
 end
 
-function D.read.envelope_1_little(s, p)
+function D.read.envelope_5(s, p)
+	local b0, b1, b2, b3 = byte(s, p + 0, p + 3)
+	local buffer_length = b1 * 256 + b0
+	local buffer_capacity = b3 * 256 + b2
+	return buffer_length, buffer_capacity
+end
+
+function D.read.envelope_6(s, p)
+	local b0, b1, b2, b3 = byte(s, p + 0, p + 3)
+	local buffer_length = b0 * 256 + b1
+	local buffer_capacity = b2 * 256 + b3
+	return buffer_length, buffer_capacity
+end
+
+function D.read.envelope_7(s, p)
 	local b0, b1 = byte(s, p + 0, p + 1)
 	local buffer_length = b0
 	local buffer_capacity = b1
@@ -6232,6 +6283,8 @@ end
 local F = {
 	buffer_length = new_field("edoras", "edoras.buffer_length", "uint64", "buffer_length", base.DEC),
 	buffer_capacity = new_field("edoras", "edoras.buffer_capacity", "uint64", "buffer_capacity", base.DEC),
+	spare = new_field("edoras", "edoras.spare", "uint64", "spare", base.HEX),
+	crc = new_field("edoras", "edoras.crc", "uint32", "crc", base.HEX),
 	link = new_field("edoras", "edoras.link", "string", "Link"),
 	msg_id = new_field("edoras", "edoras.msg_id", "uint16", "MsgId", base.HEX),
 	name = new_field("edoras", "edoras.name", "string", "Name"),
@@ -6924,7 +6977,7 @@ local function begin(s, link, pinfo, key, listed, cut_off)
 	W.s, W.link, W.pinfo, W.key, W.listed, W.cut = s, link, pinfo, key, listed, cut_off
 	W.layers, W.findings, W.entries, W.spacecraft, W.processor, W.bare = 0, 0, 0, 0, 0, false
 	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
-	W.route, W.message, W.envelope, W.padding, W.known = nil, nil, nil, nil, nil
+	W.route, W.message, W.envelope, W.padding, W.known, W.crc_at = nil, nil, nil, nil, nil, nil
 	W.pdu, W.packets, W.entries_read = nil, nil, nil
 end
 
@@ -7138,8 +7191,7 @@ settle(
 	D.extended_header, D.telemetry_header == L.ccsds.size + L.telemetry_short.size, D.msg_id_version == 2
 )
 for _, form in ipairs(D.formats) do
-	form.read = read[format("envelope_%d_%s", form.width, form.little and "little" or "big")]
-	form.size = 2 * form.width
+	form.read = read[form.reader]
 end
 for _, route in ipairs(routes) do
 	route.format = D.formats[route.format]  -- nil where the bytes shall tell
@@ -7225,7 +7277,7 @@ end
 local function detect(s, at)
 	for _, form in ipairs(D.formats) do
 		local start = at + form.size
-		if #s >= start + 4 then
+		if #s >= start + 4 and not form.own then
 			local length, capacity = form.read(s, at + 1)
 			if length >= 4 and length <= capacity and length <= #s - start
 				and s:find("^\0[\0\1]\0\0", start + 1) then
@@ -7246,7 +7298,7 @@ local function suits(route, at)
 	local start = at + form.size
 	if #s < start + 4 then return false end
 	local length = form.read(s, at + 1)
-	local representation = length >= 4 and length <= #s - start and read.cdr(s, start + 1) or 2
+	local representation = length >= 4 and length <= #s - start - (form.crc or 0) and read.cdr(s, start + 1) or 2
 	if representation > 1 or not route.kind then return false end
 	local left = bytes_left(route.kind, s, start + L.cdr.size + 1, start + length, representation == 0)
 	return left ~= nil and left <= route.kind.trailing
@@ -7265,7 +7317,8 @@ local function envelope(claims, at)
 	if #s - at < form.size then return truncated("edoras", at, form.size) end
 	local length, capacity = form.read(s, at + 1)
 	local start = at + form.size
-	local space = #s - start
+	local crc = form.crc or 0
+	local space = math.max(0, #s - start - crc)
 	W.envelope, W.form = at, form
 	if length > space or capacity < length then note("envelope_overrun") end
 	if length > space then
@@ -7277,8 +7330,13 @@ local function envelope(claims, at)
 		return
 	end
 	local stop = start + length
-	if any_nonzero(s, stop + 1, #s) then note("stale_tail") end
-	if stop < #s then W.padding = stop end
+	if crc > 0 then
+		local right = crc == 2 and crc16(s, at + 1, stop) or crc32(s, at + 1, stop)
+		if unpack((form.little and "<I" or ">I") .. crc, s, stop + 1) ~= right then note("checksum_bad") end
+	end
+	if any_nonzero(s, stop + crc + 1, #s) then note("stale_tail") end
+	if stop + crc < #s then W.padding = stop + crc end
+	W.crc_at = crc > 0 and stop or nil
 	local representation = read.cdr(s, start + 1)
 	add_layer(L.cdr, start)
 	W.body, W.body_end = start + L.cdr.size, stop
@@ -8427,10 +8485,12 @@ local function info()
 	return text
 end
 
-local function show_length(node, record, tvb, at)
-	local size, little = W.form.width, W.form.little
+local function show_word(node, record, tvb, at, size)
+	local little = W.form.little
 	local range = cut(tvb, at, size)
 	if size == 8 then
+		(little and add_le or add)(node, record.field, range)
+	elseif record == F.crc then
 		(little and add_le or add)(node, record.field, range)
 	else  -- Wireshark would take 8 bytes
 		add(node, record.field, range, little and range:le_uint64() or range:uint64())
@@ -8444,15 +8504,16 @@ local function show_own(tree, tvb, visible)
 	if not visible then
 		node = add(tree, edoras)
 	elseif at then
-		node = add(tree, edoras, cut(tvb, at, 2 * W.form.width), "EDORAS Envelope")
+		node = add(tree, edoras, cut(tvb, at, W.form.size), "EDORAS Envelope")
 	else
 		node = add(tree, edoras)
 		set_generated(node)
 	end
-	if at and (visible or F.buffer_length.on) then show_length(node, F.buffer_length, tvb, at) end
-	if at and (visible or F.buffer_capacity.on) then
-		show_length(node, F.buffer_capacity, tvb, at + W.form.width)
+	for _, word in ipairs(at and W.form.words or {}) do
+		local record = F[word.name]
+		if visible or record.on then show_word(node, record, tvb, at + word.at, word.size) end
 	end
+	if W.crc_at and (visible or F.crc.on) then show_word(node, F.crc, tvb, W.crc_at, W.form.crc) end
 	return node
 end
 

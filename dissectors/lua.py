@@ -188,14 +188,13 @@ end
 
 
 def _data(knowledge: Knowledge) -> str:
+    formats = _formats(knowledge)
     layouts = {name: _layout(layout, place) for name, (layout, place) in _layouts(knowledge).items()}
     arguments = {key: item for key, item in ARGUMENTS.items() if item.size and key not in BARE_TOO}
     layouts |= {layout.name: _arguments(key, layout) for key, layout in arguments.items()}
     data = {
         "layouts": layouts,
-        "formats": [
-            {"width": item.width, "little": item.byte_order == "little"} for item in ENVELOPE_FORMATS
-        ],
+        "formats": [_format(number, item) for number, item in enumerate(_formats(knowledge), 1)],
         "limits": {
             "bridge_modulus": limits.BRIDGE_LENGTH_MODULUS,
             "software_bus": limits.SOFTWARE_BUS_MAXIMUM,
@@ -276,7 +275,7 @@ def _data(knowledge: Knowledge) -> str:
             {
                 "topic": item.topic,
                 "type": item.type,
-                "format": ENVELOPE_FORMATS.index(item.envelope) + 1 if item.envelope else None,
+                "format": formats.index(item.envelope) + 1 if item.envelope else None,
             }
             for item in knowledge.routes
         ],
@@ -358,6 +357,29 @@ def _framed(form: FrameFormat, label: str) -> dict[str, Any]:
     }
 
 
+def _formats(knowledge: Knowledge) -> list[EnvelopeFormat]:
+    """Return the formats of envelopes: those that are told from the bytes, then those of routes alone."""
+    own = [item.envelope for item in knowledge.routes if item.envelope not in {None, *ENVELOPE_FORMATS}]
+    return [*ENVELOPE_FORMATS, *dict.fromkeys(item for item in own if item is not None)]
+
+
+_LENGTHS: Final = ("buffer_length", "buffer_capacity")
+
+
+def _format(number: int, form: EnvelopeFormat) -> dict[str, Any]:
+    return {
+        "reader": f"envelope_{number}",
+        "size": form.size,
+        "little": form.byte_order == "little",
+        "own": bool(form.own) or None,
+        "crc": form.crc or None,
+        "words": [
+            {"name": name if name in _LENGTHS else "spare", "at": slot.start, "size": slot.end - slot.start}
+            for name, slot in form.layout.by_name.items()
+        ],
+    }
+
+
 def _from_one(claims: Mapping[int, Sequence[int]]) -> dict[int, list[int]]:
     """Number routes from 1, as Lua does."""
     return {msg_id: [index + 1 for index in indexes] for msg_id, indexes in claims.items()}
@@ -433,10 +455,10 @@ def _readers(knowledge: Knowledge) -> str:
     lines = ["local byte = string.byte", "D.read = {}"]
     for name, (layout, _) in _layouts(knowledge).items():
         lines += _reader(name, layout)
-    for item in ENVELOPE_FORMATS:
-        lines += _reader(
-            f"envelope_{item.width}_{'little' if item.byte_order == 'little' else 'big'}", item.layout
-        )
+    for number, item in enumerate(_formats(knowledge), 1):
+        *reader, _, end = _reader(f"envelope_{number}", item.layout)
+        capacity = "buffer_capacity" if "buffer_capacity" in item.layout.by_name else "buffer_length"
+        lines += [*reader, f"\treturn buffer_length, {capacity}", end]
     return "\n".join(lines) + "\n"
 
 

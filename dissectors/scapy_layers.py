@@ -184,7 +184,7 @@ class _Secondary(Packet):  # type: ignore[misc]
         msg_id = packet.msg_id_with(extended) if packet is not None else -1
         if msg_id in _known.routes:
             chosen = _known.envelope or detect(payload) or DEFAULT
-            return ENVELOPES[chosen] if len(payload) >= chosen.size else Raw
+            return envelope(chosen) if len(payload) >= chosen.size else Raw
         for known, layer, layout in (
             (cfe.EVENT_MSG_ID, Event, cfe.EVENT),
             (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, SoftwareBusHousekeeping, cfe.SOFTWARE_BUS_HOUSEKEEPING),
@@ -281,10 +281,13 @@ class _Envelope(Packet):  # type: ignore[misc]
 
     def post_build(self, header: bytes, payload: bytes) -> bytes:
         """Fill in the lengths: of the CDR, not of what follows it."""
-        length = len(payload) - (len(bytes(self.payload.payload)) if isinstance(self.payload, CDR) else 0)
+        behind = len(bytes(self.payload.payload)) if isinstance(self.payload, CDR) else 0
+        length = len(payload) - behind
         for name in ("buffer_length", "buffer_capacity"):
-            if self.getfieldval(name) is None:
+            if name in self.format.layout.by_name and self.getfieldval(name) is None:
                 header = put(header, self.format.layout, name, length)
+        if self.format.crc and not behind:
+            payload += self.format.check(header + payload).to_bytes(self.format.crc, self.format.byte_order)
         return header + payload
 
     def guess_payload_class(self, payload: bytes) -> type[Packet]:
@@ -292,18 +295,22 @@ class _Envelope(Packet):  # type: ignore[misc]
         return CDR if cdr.ENCAPSULATION.size <= self.buffer_length <= len(payload) else Raw
 
 
-def _envelope(chosen: EnvelopeFormat) -> type[Packet]:
+@cache
+def envelope(chosen: EnvelopeFormat) -> type[Packet]:
+    """Return the envelope layer of a format; a CRC is the payload of its CDR, written where that has none."""
     suffix = "" if chosen == DEFAULT else f"{8 * chosen.width}{chosen.byte_order.title()}"
+    suffix = "Own" if chosen.own else suffix
+    lengths = {slot.field.name: None for slot in chosen.layout.slots if slot.field.name.startswith("buffer_")}
     members = {
         "__module__": __name__,
         "__doc__": f"The EDORAS envelope, {chosen}.",
         "format": chosen,
-        "fields_desc": fields(chosen.layout, buffer_length=None, buffer_capacity=None),
+        "fields_desc": fields(chosen.layout, **lengths),
     }
     return type(f"EdorasEnvelope{suffix}", (_Envelope,), members)
 
 
-ENVELOPES: Final = {item: _envelope(item) for item in ENVELOPE_FORMATS}
+ENVELOPES: Final = {item: envelope(item) for item in ENVELOPE_FORMATS}
 """The envelope layer of each format."""
 EdorasEnvelope = ENVELOPES[DEFAULT]
 

@@ -137,10 +137,12 @@ local function info()
 	return text
 end
 
-local function show_length(node, record, tvb, at)
-	local size, little = W.form.width, W.form.little
+local function show_word(node, record, tvb, at, size)
+	local little = W.form.little
 	local range = cut(tvb, at, size)
 	if size == 8 then
+		(little and add_le or add)(node, record.field, range)
+	elseif record == F.crc then
 		(little and add_le or add)(node, record.field, range)
 	else  -- Wireshark would take 8 bytes
 		add(node, record.field, range, little and range:le_uint64() or range:uint64())
@@ -154,15 +156,16 @@ local function show_own(tree, tvb, visible)
 	if not visible then
 		node = add(tree, edoras)
 	elseif at then
-		node = add(tree, edoras, cut(tvb, at, 2 * W.form.width), "EDORAS Envelope")
+		node = add(tree, edoras, cut(tvb, at, W.form.size), "EDORAS Envelope")
 	else
 		node = add(tree, edoras)
 		set_generated(node)
 	end
-	if at and (visible or F.buffer_length.on) then show_length(node, F.buffer_length, tvb, at) end
-	if at and (visible or F.buffer_capacity.on) then
-		show_length(node, F.buffer_capacity, tvb, at + W.form.width)
+	for _, word in ipairs(at and W.form.words or {}) do
+		local record = F[word.name]
+		if visible or record.on then show_word(node, record, tvb, at + word.at, word.size) end
 	end
+	if W.crc_at and (visible or F.crc.on) then show_word(node, F.crc, tvb, W.crc_at, W.form.crc) end
 	return node
 end
 

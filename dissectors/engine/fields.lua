@@ -85,6 +85,8 @@ end
 local F = {
 	buffer_length = new_field("edoras", "edoras.buffer_length", "uint64", "buffer_length", base.DEC),
 	buffer_capacity = new_field("edoras", "edoras.buffer_capacity", "uint64", "buffer_capacity", base.DEC),
+	spare = new_field("edoras", "edoras.spare", "uint64", "spare", base.HEX),
+	crc = new_field("edoras", "edoras.crc", "uint32", "crc", base.HEX),
 	link = new_field("edoras", "edoras.link", "string", "Link"),
 	msg_id = new_field("edoras", "edoras.msg_id", "uint16", "MsgId", base.HEX),
 	name = new_field("edoras", "edoras.name", "string", "Name"),

@@ -15,7 +15,7 @@ local function begin(s, link, pinfo, key, listed, cut_off)
 	W.s, W.link, W.pinfo, W.key, W.listed, W.cut = s, link, pinfo, key, listed, cut_off
 	W.layers, W.findings, W.entries, W.spacecraft, W.processor, W.bare = 0, 0, 0, 0, 0, false
 	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
-	W.route, W.message, W.envelope, W.padding, W.known = nil, nil, nil, nil, nil
+	W.route, W.message, W.envelope, W.padding, W.known, W.crc_at = nil, nil, nil, nil, nil, nil
 	W.pdu, W.packets, W.entries_read = nil, nil, nil
 end
 

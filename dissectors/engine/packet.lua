@@ -19,8 +19,7 @@ settle(
 	D.extended_header, D.telemetry_header == L.ccsds.size + L.telemetry_short.size, D.msg_id_version == 2
 )
 for _, form in ipairs(D.formats) do
-	form.read = read[format("envelope_%d_%s", form.width, form.little and "little" or "big")]
-	form.size = 2 * form.width
+	form.read = read[form.reader]
 end
 for _, route in ipairs(routes) do
 	route.format = D.formats[route.format]  -- nil where the bytes shall tell
@@ -106,7 +105,7 @@ end
 local function detect(s, at)
 	for _, form in ipairs(D.formats) do
 		local start = at + form.size
-		if #s >= start + 4 then
+		if #s >= start + 4 and not form.own then
 			local length, capacity = form.read(s, at + 1)
 			if length >= 4 and length <= capacity and length <= #s - start
 				and s:find("^\0[\0\1]\0\0", start + 1) then
@@ -127,7 +126,7 @@ local function suits(route, at)
 	local start = at + form.size
 	if #s < start + 4 then return false end
 	local length = form.read(s, at + 1)
-	local representation = length >= 4 and length <= #s - start and read.cdr(s, start + 1) or 2
+	local representation = length >= 4 and length <= #s - start - (form.crc or 0) and read.cdr(s, start + 1) or 2
 	if representation > 1 or not route.kind then return false end
 	local left = bytes_left(route.kind, s, start + L.cdr.size + 1, start + length, representation == 0)
 	return left ~= nil and left <= route.kind.trailing
@@ -146,7 +145,8 @@ local function envelope(claims, at)
 	if #s - at < form.size then return truncated("edoras", at, form.size) end
 	local length, capacity = form.read(s, at + 1)
 	local start = at + form.size
-	local space = #s - start
+	local crc = form.crc or 0
+	local space = math.max(0, #s - start - crc)
 	W.envelope, W.form = at, form
 	if length > space or capacity < length then note("envelope_overrun") end
 	if length > space then
@@ -158,8 +158,13 @@ local function envelope(claims, at)
 		return
 	end
 	local stop = start + length
-	if any_nonzero(s, stop + 1, #s) then note("stale_tail") end
-	if stop < #s then W.padding = stop end
+	if crc > 0 then
+		local right = crc == 2 and crc16(s, at + 1, stop) or crc32(s, at + 1, stop)
+		if unpack((form.little and "<I" or ">I") .. crc, s, stop + 1) ~= right then note("checksum_bad") end
+	end
+	if any_nonzero(s, stop + crc + 1, #s) then note("stale_tail") end
+	if stop + crc < #s then W.padding = stop + crc end
+	W.crc_at = crc > 0 and stop or nil
 	local representation = read.cdr(s, start + 1)
 	add_layer(L.cdr, start)
 	W.body, W.body_end = start + L.cdr.size, stop

@@ -313,11 +313,6 @@ CHANGES: Final = frozenset(
 """Commands that change what a cFS does: MsgId and function code."""
 
 
-@cache
-def _big(layout: Layout) -> Layout:
-    return Layout(layout.name, layout.title, *(slot.field for slot in layout.slots))
-
-
 def arguments_of(
     msg_id: int, function_code: int, payload: bytes, *, big_endian: bool = False, cut: bool = False
 ) -> dict[str, Any] | None:
@@ -335,7 +330,8 @@ def arguments_of(
     """
     if (msg_id, function_code) not in CHANGES:
         return None
-    layout = _big(ARGUMENTS[msg_id, function_code]) if big_endian else ARGUMENTS[msg_id, function_code]
+    layout = ARGUMENTS[msg_id, function_code]
+    layout = layout.big if big_endian else layout
 
     def is_there(slot: Slot) -> bool:
         part = payload[slot.start : slot.end]

@@ -111,6 +111,7 @@ class SimProfile:
         housekeeping_ns: period of the housekeeping requests.
         wakeup_ns: period of the wake-up that the two-robot application sends its commands on.
         generator_msg_id: MsgId of the telemetry generator's commands; 0 where there is no generator.
+        big_endian: 1: counters and events have the highest byte first.
         extended_header: whether cFE is built with the extended header.
         msg_id_version: how its MsgIds are built: 1, or 2, which needs the extended header. MsgIds of this
             profile are those of version 1 also then; ``wire.msg_id`` says what they are on the links.
@@ -134,6 +135,7 @@ class SimProfile:
     address: str = "127.0.0.1"
 
     generator_msg_id: int = GENERATOR_MSG_ID
+    big_endian: int = 0
     extended_header: bool = False
     msg_id_version: int = 1
 

@@ -21,7 +21,14 @@ from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.arrays.window import any_nonzero, gather, xor_bytes
 from edoras_tools.wire.cdr import ROUNDED
-from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
+from edoras_tools.wire.envelope import (
+    DEFAULT,
+    ENVELOPE_FORMATS,
+    EnvelopeFormat,
+    capacity_column,
+    holds,
+    intact_rows,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -367,7 +374,7 @@ class _Pass:
         envelope = self.context.envelopes[route]
         offset = self.out["packet_offset"][rows] + self.out["header_length"][rows]
         have = self.out["packet_length"][rows] - self.out["header_length"][rows]
-        head = gather(self.batch.data, offset, DEFAULT.size + 4)
+        head = gather(self.batch.data, offset, max(DEFAULT.size, envelope.size if envelope else 0) + 4)
         if envelope is not None:
             self._bodies(route, rows, offset, have, head, envelope)
             return
@@ -394,14 +401,14 @@ class _Pass:
             rows: (n,) rows of the batch.
             offset: (n,) where the envelope starts in the batch's data.
             have: (n,) bytes from there to the end of the packet.
-            head: (n, 20) those bytes.
+            head: (n, 20 or more) those bytes.
         """
         size = envelope.size
         whole = have >= size
         self.flag(Finding.TRUNCATED, rows, ~whole)
         claimed = envelope.layout.column("buffer_length", head).astype(np.uint64)
-        capacity = envelope.layout.column("buffer_capacity", head).astype(np.uint64)
-        space = np.maximum(have - size, 0).astype(np.uint64)
+        capacity = capacity_column(envelope, head, claimed)
+        space = np.maximum(have - size - envelope.crc, 0).astype(np.uint64)
         over = claimed > space
         self.flag(Finding.ENVELOPE_OVERRUN, rows, whole & (over | (capacity < claimed)))
         self.flag(Finding.CDR_INVALID, rows, whole & ~over & (claimed < 4))
@@ -409,7 +416,7 @@ class _Pass:
         if not read.all():
             rows, offset, head = rows[read], offset[read], head[read]
             claimed, space = claimed[read], space[read]
-        offset = offset + size
+        start, offset = offset, offset + size
         length, space = claimed.astype(np.int32), space.astype(np.int32)
         self.out["cdr_offset"][rows] = offset
         self.out["cdr_length"][rows] = length
@@ -425,5 +432,7 @@ class _Pass:
                 self.flag(Finding.CDR_TOO_LONG, rows, over)
         self.flag(Finding.CDR_INVALID, rows, ~valid)
         self.flag(Finding.CDR_BIG_ENDIAN, rows, plain & (head[:, size + 1] == 0))
-        stale = any_nonzero(self.batch.data, offset + length, space - length)
+        if envelope.crc:
+            self.flag(Finding.CHECKSUM_BAD, rows, ~intact_rows(self.batch.data, start, length, envelope))
+        stale = any_nonzero(self.batch.data, offset + length + envelope.crc, space - length)
         self.flag(Finding.STALE_TAIL, rows, stale)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.ros import TypeStore
+    from edoras_tools.wire.layout import Layout
     from edoras_tools.wire.msg_id import MsgIds
 
 
@@ -191,7 +192,8 @@ class Context:
         self.options = options or Options()
         self.headers = self.options.headers or cfe.STANDARD
         self.msg_ids = self.options.msg_ids
-        self.structs = (structs or shipped_structs(self.msg_ids)).unclaimed(
+        big_endian = self.mission.software.big_endian
+        self.structs = (structs or shipped_structs(self.msg_ids, big_endian=big_endian)).unclaimed(
             route.msg_id for route in self.mission.routes
         )
         self.peers = Peers()
@@ -263,6 +265,10 @@ class Context:
         self.unrouted = [EnvelopeFormat.of_name(usual) if usual else DEFAULT] * 2
         envelopes = [route.envelope or self.options.envelope or str(DEFAULT) for route in self.mission.routes]
         self.envelopes = [None if text == "auto" else EnvelopeFormat.of_name(text) for text in envelopes]
+
+    def in_order(self, layout: Layout) -> Layout:
+        """Return the table of a payload in the byte order of the flight computer."""
+        return layout.big if self.structs.big_endian else layout
 
     def routes_on(self, link: Link) -> NDArray[np.int16]:
         """Return the route of each MsgId on a link, i16 (65536,); ``NO_ROUTE`` where there is none."""

@@ -249,7 +249,7 @@ def _commands(rows: ColumnRows, easy: NDArray[np.bool_]) -> Iterator[tuple[int, 
             continue
         owner = packets.rows[easy[packets.rows]]
         key = rows.context.msg_ids.standard(bound.key.msg_id), bound.key.function_code or 0
-        layout, header = ARGUMENTS[key], rows.column("header_length")[owner]
+        layout, header = rows.context.in_order(ARGUMENTS[key]), rows.column("header_length")[owner]
         payloads = gather(rows.batch.data, rows.column("packet_offset")[owner] + header, layout.size)
         words = [[layout.title] * len(owner)]
         for slot, word in argument_words(*key):

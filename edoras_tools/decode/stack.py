@@ -211,7 +211,7 @@ class _Dissection(Reading):
                 (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING),
             ):
                 if self.context.msg_ids.standard(msg_id) == standard and len(self.data) - at >= layout.size:
-                    self.read(layout, at)
+                    self.read(self.context.in_order(layout), at)
             self._packet_struct(msg_id, start, header, code)
             return
         if length == header:
@@ -296,8 +296,8 @@ class _Dissection(Reading):
         envelope = self.context.envelopes[route] or detect(self.data, at) or DEFAULT
         values = self.read(envelope.layout, at)
         start, claimed = at + envelope.size, values["buffer_length"]
-        space = len(self.data) - start
-        if claimed > space or values["buffer_capacity"] < claimed:
+        space = max(0, len(self.data) - start - envelope.crc)
+        if claimed > space or values.get("buffer_capacity", claimed) < claimed:
             self.findings |= Finding.ENVELOPE_OVERRUN
         if claimed > space:
             raise TruncatedError("cdr", start, claimed, space)
@@ -305,7 +305,10 @@ class _Dissection(Reading):
             self.findings |= Finding.CDR_INVALID
             raise TruncatedError("cdr", start, ENCAPSULATION.size, claimed)
         end = start + claimed
-        if any(self.data[end:]):
+        if not envelope.intact(self.data, at, claimed):
+            self.findings |= Finding.CHECKSUM_BAD
+        rest = end + envelope.crc
+        if any(self.data[rest:]):
             self.findings |= Finding.STALE_TAIL
         representation = self.read(ENCAPSULATION, start)["representation"]
         if representation == CDR_BE:
@@ -316,8 +319,10 @@ class _Dissection(Reading):
             self.findings |= Finding.CDR_INVALID
             raise
         finally:
-            if end < len(self.data):
-                self._padding(end)
+            if envelope.trailer is not None:
+                self.read(envelope.trailer, end)
+            if rest < len(self.data):
+                self._padding(rest)
 
     def _body(self, route: int, start: int, end: int, representation: int) -> None:
         if representation not in {CDR_BE, CDR_LE}:

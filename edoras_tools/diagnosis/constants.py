@@ -42,7 +42,6 @@ _SMALL: Final = 6
 """Of rounds that are larger one message more or less is as good as none."""
 _WAITS: Final = 0.7, 1.3
 """A message waits for at most a round: the longest wait of nearly all is between these shares of it."""
-_BEHIND: Final = 2
 _ALIKE: Final = 0.1
 
 
@@ -163,7 +162,6 @@ def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
     if found is None:
         return None
     delays = np.concatenate([hop.delays_ns for hop in _last(hops)])
-    delays = delays[delays < _BEHIND * found]  # a socket that was full holds them for many rounds
     longest = float(np.quantile(delays, 0.9)) / found if len(delays) else 0.0
     return found if _WAITS[0] < longest < _WAITS[1] else None
 

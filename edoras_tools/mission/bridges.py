@@ -335,14 +335,19 @@ class _Routes:
         name = f"{key}.envelope"
         if not self.fields.has(name):
             return None
-        text = self.fields.text(name, "auto, 8/8, 4/4 or 1/1 is needed")
+        value = self.fields.node.values.get(name)
+        if isinstance(value, tuple):
+            text: str | None = ", ".join(str(item.value) for item in value)
+        else:
+            text = self.fields.text(name, "auto, 8/8, 4/4, 2/2 or 1/1 is needed, or a list of words")
         if text is None or text == "auto":
             return text
         try:
             return str(EnvelopeFormat.of_name(text))
-        except ConfigError:
-            allowed = "auto, 8/8, 4/4 and 1/1 are allowed, the first numbers with le or be behind"
-            self.fields.mistake(name, f'"{printable(text)}" is not an envelope; {allowed}')
+        except ConfigError as error:
+            allowed = "auto, 8/8, 4/4, 2/2 and 1/1 are allowed, the first numbers with le or be behind"
+            plain = f'"{printable(text)}" is not an envelope; {allowed}'
+            self.fields.mistake(name, str(error) if isinstance(value, tuple) else plain)
             return None
 
     def _claim(self, route: Route) -> bool:

@@ -262,6 +262,11 @@ class FlightSoftware:
         return replace(self, constants={**self.constants, **constants}, limits=limits)
 
     @property
+    def big_endian(self) -> bool:
+        """Whether counters and events have the highest byte first."""
+        return bool(self.constants.get("big_endian"))
+
+    @property
     def profile(self) -> SimProfile:
         """All constants: those that nobody says are the usual ones.
 

@@ -130,7 +130,7 @@ class _Reader:
             case ScalarNode():
                 node.values[name] = self.scalar(name, tree)
             case SequenceNode():
-                items = [self.scalar(name, item) for item in tree.items]
+                items = [self.scalar(name, _word(item) or item) for item in tree.items]
                 readable = tuple(item for item in items if item is not None)
                 if len({type(item.value) for item in readable}) > 1:
                     self.report.mistake(
@@ -171,6 +171,15 @@ class _Reader:
                     child = ScalarNode("", "", key.line, missing=True)  # noqa: PLW2901
                 usable.append((key.text, key.line, child))
         return usable
+
+
+def _word(tree: Tree) -> ScalarNode | None:
+    """Return ``NAME: TYPE`` of a mapping that holds no more: a word of an envelope, which is our own key."""
+    match tree:
+        case MappingNode(entries=((ScalarNode() as name, ScalarNode(missing=False) as kind),)):
+            text = f"{name.text}: {kind.text}"
+            return ScalarNode(text, text, name.line)
+    return None
 
 
 def _with_wildcards(nodes: list[NodeParameters]) -> list[NodeParameters]:

@@ -110,7 +110,7 @@ class Settings:
             mission = replace(mission, software=mission.software.stating(self.constants))
         msg_ids = options.msg_ids
         carried = {name: data for name, data in attached.items() if name.startswith(_LAYOUTS)}
-        structs = shipped_structs(msg_ids)
+        structs = shipped_structs(msg_ids, big_endian=mission.software.big_endian)
         if self.structs or carried:
             from edoras_tools.structs.files import parse_layout as loads_layout
             from edoras_tools.structs.files import read_layout
@@ -118,7 +118,7 @@ class Settings:
             layout_files = [read_layout(path) for path in self.structs]
             contents = [(str(file), data) for file, data in layout_files] or list(carried.items())
             layouts = [loads_layout(data, name) for name, data in contents]
-            structs = Structs([*layouts, *structs.layouts], msg_ids)
+            structs = Structs([*layouts, *structs.layouts], msg_ids, big_endian=structs.big_endian)
             names = [f"{_LAYOUTS}{place}_{file.name}" for place, (file, _) in enumerate(layout_files, 1)]
             files = dict(zip(names or carried, (data for _, data in contents), strict=True))
             mission = replace(mission, files={**mission.files, **files})

@@ -68,7 +68,7 @@ EXPLANATIONS: Final = {
         _WARNING,
         "checksum",
         "The command's checksum is neither 0 nor correct; no cFS app here checks it, so it is executed; of "
-        "a transfer frame or a CFDP PDU, its CRC is wrong, and its receiver drops it.",
+        "a transfer frame, a CFDP PDU or an own envelope, its CRC is wrong, and its receiver drops it.",
     ),
     Finding.CHECKSUM_ABSENT: Explanation(
         _NOTE,

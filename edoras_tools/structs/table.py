@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Final
 
@@ -35,6 +36,7 @@ class Structs:
 
     Args:
         layouts: in that order; None for that of what cFE itself sends, which is read once a packet needs it.
+        big_endian: whether what cFE itself sends has the highest byte first.
 
     Attributes:
         msg_ids: as given.
@@ -44,8 +46,14 @@ class Structs:
         ConfigError: a struct cannot become a message.
     """
 
-    def __init__(self, layouts: Sequence[StructLayout] | None = (), msg_ids: MsgIds = VERSION_1) -> None:
-        self.msg_ids = msg_ids
+    def __init__(
+        self,
+        layouts: Sequence[StructLayout] | None = (),
+        msg_ids: MsgIds = VERSION_1,
+        *,
+        big_endian: bool = False,
+    ) -> None:
+        self.msg_ids, self.big_endian = msg_ids, big_endian
         self._layouts = layouts
         self._whole = self
         entries = sum(len(layout.entries or ()) for layout in layouts or ())
@@ -59,7 +67,8 @@ class Structs:
         if self._layouts is None:
             from edoras_tools.structs import cfe
 
-            return (cfe.shipped_layout(self.msg_ids),)
+            layout = cfe.shipped_layout(self.msg_ids)
+            return (replace(layout, byte_order="big") if self.big_endian else layout,)
         return tuple(self._layouts)
 
     @cached_property
@@ -192,6 +201,6 @@ class Structs:
 
 
 @cache
-def shipped_structs(msg_ids: MsgIds = VERSION_1) -> Structs:
-    """Return the structs of what cFE itself sends, with MsgIds of a version."""
-    return Structs(None, msg_ids)
+def shipped_structs(msg_ids: MsgIds = VERSION_1, *, big_endian: bool = False) -> Structs:
+    """Return the structs of what cFE itself sends, with MsgIds of a version, in a byte order."""
+    return Structs(None, msg_ids, big_endian=big_endian)

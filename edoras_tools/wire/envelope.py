@@ -2,11 +2,12 @@
 
 A bridge copies ``buffer_length`` and ``buffer_capacity`` of an ``rcutils_uint8_array_t`` (two ``size_t``) and
 then the CDR. A 64-bit little-endian sender makes 8 + 8 bytes; a 32-bit one 4 + 4; the EDORAS paper describes
-1 + 1.
+1 + 1. A mission may say an envelope of its own: other words, and a CRC behind the CDR.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -14,6 +15,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from edoras_tools.errors import ConfigError, TruncatedError
+from edoras_tools.wire.arrays.crc import CRC16_BYTES, crc16, crc16_rows, crc32, crc32_rows
+from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE
 from edoras_tools.wire.layout import Field, Layout
 
@@ -25,37 +28,64 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class EnvelopeFormat:
-    """Word size and byte order of an envelope.
+    """The words of an envelope, and their byte order.
 
     Attributes:
-        width: bytes of each of the two lengths: 8, 4 or 1.
-        byte_order: of both.
+        width: bytes of each of the two lengths of a bridge: 8, 4, 2 or 1.
+        byte_order: of every word.
+        own: words in place of the two lengths, each ``length``, ``capacity`` or ``spare`` with its bytes.
+        crc: bytes of a CRC behind the CDR, over envelope and CDR: of CRC-16 (as CCSDS has it) or CRC-32 (as
+            Ethernet); 0 for none.
     """
 
-    width: Literal[1, 4, 8] = 8
+    width: Literal[1, 2, 4, 8] = 8
     byte_order: Literal["little", "big"] = "little"
+    own: tuple[tuple[str, int], ...] = ()
+    crc: int = 0
+
+    @property
+    def words(self) -> tuple[tuple[str, int], ...]:
+        """Each word with its bytes."""
+        return self.own or (("length", self.width), ("capacity", self.width))
 
     @property
     def size(self) -> int:
         """Bytes in front of the CDR."""
-        return 2 * self.width
+        return sum(size for _, size in self.words)
+
+    @property
+    def most(self) -> int:
+        """The longest CDR that its length can say."""
+        return (1 << 8 * dict(self.words)["length"]) - 1
 
     @property
     def layout(self) -> Layout:
         """The table of this format."""
-        return _layout(self.width, self.byte_order)
+        return _layout(self.words, self.byte_order)
+
+    @property
+    def trailer(self) -> Layout | None:
+        """The table of what is behind the CDR, where there is a CRC."""
+        return _trailer(self.crc, self.byte_order) if self.crc else None
 
     def __str__(self) -> str:
+        if self.own:
+            words = [(name, f"u{8 * size}") for name, size in self.own]
+            words += [("crc", f"crc{8 * self.crc}")] * bool(self.crc)
+            order = "be" if self.byte_order == "big" else "le"
+            return ", ".join(f"{name}: {kind}{'' if kind == 'u8' else order}" for name, kind in words)
         order = "" if self.width == 1 else " le" if self.byte_order == "little" else " be"
         return f"{self.width}/{self.width}{order}"
 
     @classmethod
     def of_name(cls, text: str) -> EnvelopeFormat:
-        """Return the format with a name such as ``8/8`` or ``4/4 be``.
+        """Return the format with a name such as ``8/8`` or ``4/4 be``, or ``length: u16be, spare: u8``.
 
         Raises:
             ConfigError: it names none.
         """
+        if ":" in text:
+            return cls._of_words(text)
         words = text.lower().split()
         formats = {str(item): item for item in ENVELOPE_FORMATS}
         name = " ".join(words) if len(words) > 1 or words == ["1/1"] else f"{words[0]} le" if words else ""
@@ -63,34 +93,90 @@ class EnvelopeFormat:
             raise ConfigError(f"envelope {text!r} is not known; there are {', '.join(formats)}")
         return formats[name]
 
+    @classmethod
+    def _of_words(cls, text: str) -> EnvelopeFormat:
+        words: list[tuple[str, int]] = []
+        orders, crc = set[str](), 0
+        for item in text.lower().split(","):
+            match = _WORD.fullmatch(item.strip())
+            if match is None or crc:
+                raise ConfigError(f"envelope: {item.strip()!r} is no word of it; {_FORM}")
+            name, bits, own, check_bits, check_own = match.groups()
+            orders |= {own or check_own} - {None}
+            if check_bits:
+                crc = int(check_bits) // 8
+            elif bits != "8" and not own:
+                raise ConfigError(f"envelope: {item.strip()!r} needs its byte order: u{bits}be or u{bits}le")
+            else:
+                words.append((name, int(bits) // 8))
+        names = [name for name, _ in words if name != "spare"]
+        if names not in (["length"], ["length", "capacity"], ["capacity", "length"]) or len(orders) > 1:
+            raise ConfigError(f"envelope {text!r}: one length, at most one capacity, one byte order; {_FORM}")
+        order: Literal["little", "big"] = "big" if "be" in orders else "little"
+        same = [item for item in ENVELOPE_FORMATS if item.words == tuple(words) and not crc]
+        return next((item for item in same if item.width == 1 or item.byte_order == order), None) or cls(
+            byte_order=order, own=tuple(words), crc=crc
+        )
+
     def parse(self, data: bytes | memoryview, offset: int = 0) -> tuple[int, int]:
-        """Return ``buffer_length`` and ``buffer_capacity`` at ``offset``.
+        """Return ``buffer_length`` and ``buffer_capacity`` at ``offset``; without a capacity, the length.
 
         Raises:
             TruncatedError: the envelope is not whole.
         """
         values = self.layout.parse(data, offset)
-        return values["buffer_length"], values["buffer_capacity"]
+        return values["buffer_length"], values.get("buffer_capacity", values["buffer_length"])
 
     def emit(self, cdr: bytes, *, capacity: int | None = None) -> bytes:
-        """Write an envelope and its CDR.
+        """Write an envelope, its CDR and what is behind it.
 
         Raises:
             FieldError: a length does not fit its word.
         """
-        capacity = len(cdr) if capacity is None else capacity
-        return self.layout.emit({"buffer_length": len(cdr), "buffer_capacity": capacity}) + cdr
+        values = {"buffer_length": len(cdr)}
+        if "buffer_capacity" in self.layout.by_name:
+            values["buffer_capacity"] = len(cdr) if capacity is None else capacity
+        data = self.layout.emit(values) + cdr
+        return data + self.check(data).to_bytes(self.crc, self.byte_order) if self.crc else data
+
+    def check(self, data: bytes | memoryview) -> int:
+        """Return the CRC of an envelope and its CDR."""
+        return crc16(data) if self.crc == CRC16_BYTES else crc32(data)
+
+    def intact(self, data: bytes | memoryview, offset: int, length: int) -> bool:
+        """Tell whether the CRC behind a CDR is right, or none is asked for.
+
+        Args:
+            offset: where the envelope starts; all of it and its CDR are there.
+            length: bytes of the CDR.
+        """
+        end = offset + self.size + length
+        sent = bytes(data[end : end + self.crc])
+        return not self.crc or int.from_bytes(sent, self.byte_order) == self.check(data[offset:end])
+
+
+_WORD: Final = re.compile(r"(length|capacity|spare) *: *u(8|16|32|64)(be|le)?|crc *: *crc(16|32)(be|le)")
+_FORM: Final = "write e.g. length: u16be, capacity: u16be, spare: u8, crc: crc16be; the CRC is last"
 
 
 @cache
-def _layout(width: int, byte_order: Literal["little", "big"]) -> Layout:
-    return Layout(
-        "edoras",
-        "EDORAS Envelope",
-        Field("buffer_length", 8 * width, "bytes of CDR that follow, encapsulation included"),
-        Field("buffer_capacity", 8 * width, "the allocator's figure; never smaller than the length"),
-        byte_order=byte_order,
-    )
+def _layout(words: tuple[tuple[str, int], ...], byte_order: Literal["little", "big"]) -> Layout:
+    docs = {
+        "length": "bytes of CDR that follow, encapsulation included",
+        "capacity": "the allocator's figure; never smaller than the length",
+        "spare": "not used",
+    }
+    fields = [
+        Field(f"spare_{place}" if name == "spare" else f"buffer_{name}", 8 * size, docs[name])
+        for place, (name, size) in enumerate(words, 1)
+    ]
+    return Layout("edoras", "EDORAS Envelope", *fields, byte_order=byte_order)
+
+
+@cache
+def _trailer(size: int, byte_order: Literal["little", "big"]) -> Layout:
+    crc = Field("crc", 8 * size, "of envelope and CDR", base=16)
+    return Layout("edoras_crc", "EDORAS Envelope CRC", crc, byte_order=byte_order)
 
 
 ENVELOPE_FORMATS: Final[Sequence[EnvelopeFormat]] = (
@@ -98,9 +184,11 @@ ENVELOPE_FORMATS: Final[Sequence[EnvelopeFormat]] = (
     EnvelopeFormat(8, "big"),
     EnvelopeFormat(4, "little"),
     EnvelopeFormat(4, "big"),
+    EnvelopeFormat(2, "little"),
+    EnvelopeFormat(2, "big"),
     EnvelopeFormat(1, "little"),
 )
-"""Every format, the likeliest first."""
+"""Every format that is told from the bytes, the likeliest first."""
 DEFAULT: Final = ENVELOPE_FORMATS[0]
 
 
@@ -126,6 +214,20 @@ def detect(data: bytes | memoryview, offset: int = 0) -> EnvelopeFormat | None:
     return None
 
 
+def capacity_column(
+    envelope: EnvelopeFormat, head: NDArray[np.uint8], length: NDArray[np.uint64]
+) -> NDArray[np.uint64]:
+    """Return the capacities of many envelopes; their lengths where they have none.
+
+    Args:
+        head: (n, size or more) their first bytes.
+        length: (n,) their lengths.
+    """
+    if "buffer_capacity" not in envelope.layout.by_name:
+        return length
+    return envelope.layout.column("buffer_capacity", head).astype(np.uint64)
+
+
 def holds(
     head: NDArray[np.uint8], have: NDArray[np.integer[Any]], envelope: EnvelopeFormat
 ) -> NDArray[np.bool_]:
@@ -137,11 +239,29 @@ def holds(
     """
     size = envelope.size
     length = envelope.layout.column("buffer_length", head).astype(np.uint64)
-    capacity = envelope.layout.column("buffer_capacity", head).astype(np.uint64)
-    space = np.maximum(have - size, 0).astype(np.uint64)
+    capacity = capacity_column(envelope, head, length)
+    space = np.maximum(have - size - envelope.crc, 0).astype(np.uint64)
     start = head[:, size : size + 4]
     encapsulated = (start[:, 0] == 0) & (start[:, 1] <= 1) & (start[:, 2] == 0) & (start[:, 3] == 0)
     fits: NDArray[np.bool_] = (
         (have >= size + 4) & (length >= 4) & (length <= capacity) & (length <= space) & encapsulated
     )
     return fits
+
+
+def intact_rows(
+    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], envelope: EnvelopeFormat
+) -> NDArray[np.bool_]:
+    """Tell for many envelopes whether the CRC behind their CDR is right; see ``EnvelopeFormat.intact``.
+
+    Args:
+        offset: i64 (n,), where each starts in ``data``; envelope, CDR and CRC are inside.
+        length: i32 (n,), bytes of each CDR, 4 or more.
+    """
+    trailer = envelope.trailer
+    if trailer is None:
+        return np.ones(len(offset), bool)
+    whole = length + np.int32(envelope.size)
+    crc = (crc16_rows if envelope.crc == CRC16_BYTES else crc32_rows)(data, offset, whole)
+    right: NDArray[np.bool_] = trailer.column("crc", gather(data, offset + whole, envelope.crc)) == crc
+    return right

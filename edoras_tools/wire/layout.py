@@ -115,6 +115,11 @@ class Layout:
         self.size = bit // 8
 
     @cached_property
+    def big(self) -> Layout:
+        """The same header as a flight computer writes it that has the highest byte first."""
+        return Layout(self.name, self.title, *(slot.field for slot in self.slots))
+
+    @cached_property
     def by_name(self) -> Mapping[str, Slot]:
         """The slots by field name."""
         return {slot.field.name: slot for slot in self.slots}

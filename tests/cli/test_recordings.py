@@ -54,6 +54,7 @@ WRITERS = {
     "check -o": ("old.yaml", ["check", "--init", CAPTURE, "-c", ROVER]),
     "check --junit": ("old.xml", ["check", CAPTURE, EXPECTED, "-c", ROVER]),
     "mission draft -o": ("old.yaml", ["mission", "draft", CAPTURE]),
+    "mission learn -o": ("old.yaml", ["mission", "learn", CAPTURE]),
     "xtce -o": ("old.xml", ["xtce", "-c", ROVER]),
     "trace -o": ("old.svg", ["trace", CAPTURE, "-c", ROVER, "--topic", "/cmd_vel", "--nth", "1"]),
     "report -o": ("old.html", ["report", CAPTURE, "-c", ROVER]),

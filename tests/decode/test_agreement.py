@@ -4,6 +4,7 @@ import dataclasses
 import json
 import struct
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,16 +13,25 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from places import ROOT
 
+from edoras_tools.addons.lab.emulator import Simulation, WireDatagram
+from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options, contents
+from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.lines import PacketLines, line_of
 from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.links.ci import CI
-from edoras_tools.mission import Mission, load
-from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, PacketBatch, Peer
+from edoras_tools.mission import FlightSoftware, Mission, load
+from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Endpoint, Finding, PacketBatch, Peer
 from edoras_tools.pipelines.capture.packet_json import PacketTexts, as_json
+from edoras_tools.pipelines.sending.topics import Encoder
+from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
+from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
+from edoras_tools.wire.envelope import EnvelopeFormat
 
 CAPTURES = sorted((ROOT / "samples/captures").glob("*.pcap*"))
 MISSIONS = {
@@ -262,3 +272,87 @@ def test_fragments_without_a_payload_belong_to_no_link():
     columns = ColumnDecoder(Context(Mission(), TYPES)).decode(rows)
     assert list(columns.link) == [OTHER, CI]
     assert Finding(int(columns.findings[0])) == Finding.FRAGMENT
+
+
+FORMS = {
+    "[{length: u16be}, {capacity: u16be}]": "2/2 be",
+    "[{length: u16be}]": "length: u16be",
+    '["spare: u32le", "length: u16le", "crc: crc16le"]': "spare: u32le, length: u16le, crc: crc16le",
+    "[{length: u64be}, {capacity: u64be}, {spare: u64be}, {crc: crc32be}]": (
+        "length: u64be, capacity: u64be, spare: u64be, crc: crc32be"
+    ),
+}
+CI_PORT = Endpoint("127.0.0.1", 1234)
+
+
+@pytest.fixture(params=FORMS)
+def own_envelope(request, tmp_path):
+    """A mission whose commands have an envelope of their own, and what that is."""
+    text = (ROOT / "samples/missions/rover_ground.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "rover.yaml"
+    path.write_text(text.replace("mid: 0x1827", f"mid: 0x1827\n      envelope: {request.param}"))
+    bench = Settings([path]).workbench()
+    assert bench.mission.routes[0].envelope == FORMS[request.param]
+    return bench, EnvelopeFormat.of_name(FORMS[request.param])
+
+
+def own_packets(bench, form):
+    """Yield a packet as it is sent, and what can be wrong with it, with the findings of each."""
+    route = bench.mission.routes[0]
+    packet = Encoder.of(route, bench).packet(TYPES.encode(route.type, {"linear": {"x": 1.5}}), 0).packet
+    length_end = cfe.COMMAND_HEADER_BYTES + form.layout.by_name["buffer_length"].end
+    yield packet, Finding(0)
+    yield packet + b"\0\0\1", Finding.STALE_TAIL | Finding.LENGTH_MISMATCH
+    yield packet[: cfe.COMMAND_HEADER_BYTES + form.size - 1], Finding.TRUNCATED
+    if form.byte_order == "big":
+        longer = packet[: length_end - 1] + bytes([packet[length_end - 1] ^ 0x40]) + packet[length_end:]
+        yield longer, Finding.ENVELOPE_OVERRUN
+    if form.crc:
+        yield packet[:-1] + bytes([packet[-1] ^ 1]), Finding.CHECKSUM_BAD
+        yield packet[: -form.crc], Finding.ENVELOPE_OVERRUN
+
+
+def test_an_envelope_of_its_own_is_read_alike(own_envelope):
+    bench, form = own_envelope
+    context = bench.columns.context
+    cases = list(own_packets(bench, form))
+    sent = [WireDatagram(at, CI_PORT, CI_PORT, data) for at, (data, _) in enumerate(cases)]
+    batch = Demux().demux(frames_of(sent, 1))
+    columns = agree(batch, context)
+    for found, (_, findings) in zip(columns.findings.tolist(), cases, strict=True):
+        assert found & int(findings) == int(findings)
+    assert not columns.findings[0] & int(Finding.CHECKSUM_BAD | Finding.STALE_TAIL | Finding.CDR_INVALID)
+    first = bench.dissector.dissect(batch[0])
+    assert first.message.values["linear"]["x"] == 1.5
+    assert (first.layer("edoras_crc") is not None) == bool(form.crc)
+    for expression, hit in (
+        ("edoras.buffer_length == 52", True),
+        ("edoras.buffer_capacity == 52", "buffer_capacity" in form.layout.by_name),
+        ("linear.x == 1.5", True),
+    ):
+        mask = Where(expression, context).mask(batch, columns)
+        assert bool(mask[0]) == hit, expression
+
+
+def test_a_big_endian_cfs_is_read_alike_in_its_order():
+    """Counters, events and housekeeping, beside those of the same traffic of a little-endian one."""
+    found = []
+    for big in (0, 1):
+        simulation = Simulation(SimProfile(big_endian=big), start_ns=10**18, command_rate_hz=20.0)
+        batch = Demux().demux(frames_of(list(simulation.run(10**18 + 9 * SECOND)), 1))
+        software = FlightSoftware({"big_endian": big})
+        context = Context(replace(mission("rover"), software=software), TYPES)
+        columns = agree(batch, context)
+        dissector = Dissector(context)
+        decoded = [dissector.dissect(item) for item in batch]
+        counts = [
+            item.layer("cfe_software_bus").values()["message_limit_error_counter"]
+            for item in decoded
+            if item.layer("cfe_software_bus")
+        ]
+        events = [item.layer("cfe_event").values()["event_id"] for item in decoded if item.layer("cfe_event")]
+        mask = Where("cfe_software_bus.message_limit_error_counter > 0", context).mask(batch, columns)
+        assert 0 < counts[-1] <= simulation.cfs.bus.counters.msg_limits
+        found.append((counts, events, int(mask.sum())))
+    assert found[0] == found[1]
+    assert found[0][2] > 0

@@ -10,21 +10,25 @@ from itertools import zip_longest
 
 import pytest
 from effort import every, long_but
+from made_system import write
 from places import ROOT
 
+from edoras_tools.addons.lab.emulator import WireDatagram
 from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.dissectors.lua import GUARD, own_digest
 from edoras_tools.dissectors.lua_text import literal, quoted
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.mission import load
-from edoras_tools.model import Finding, Peer
+from edoras_tools.model import Endpoint, Finding, Peer
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.sniff import sniff
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.sequence import BOOT_APART_NS, REPEATED, WINDOW
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
+from edoras_tools.wire.envelope import EnvelopeFormat
 
 COMMITTED = ROOT / "dissectors/edoras.lua"
 ROVER = ROOT / "samples/captures/a_rover.pcap"
@@ -248,3 +252,33 @@ def test_an_unknown_type_leaves_all_else(tshark, tmp_path):
     assert all("ros2cdr.body" in frame.fields for frame in commands)
     assert sum("ros2.geometry_msgs.PoseStamped" in frame.fields for frame in frames.values()) == 63
     assert load([mission]).routes[0].type == "nope_msgs/msg/Twist"
+
+
+def test_an_envelope_of_its_own_is_read_and_its_crc_checked(tshark, tmp_path):
+    """Both CRCs and byte orders; of the second packet of each a byte of the CDR is another one."""
+    for words, spare in (
+        ("length: u16be, spare: u16be, crc: crc16be", "0x0000000000000000"),
+        ("length: u32le, capacity: u32le, crc: crc32le", ""),
+    ):
+        form = EnvelopeFormat.of_name(words)
+        mission = tmp_path / "rover.yaml"
+        text = ROVER_MISSION.read_text(encoding="utf-8")
+        mission.write_text(text.replace("mid: 0x1827", f'mid: 0x1827\n      envelope: "{words}"'))
+        cdr = TypeStore().encode("geometry_msgs/msg/Twist", {"linear": {"x": 1.5}})
+        whole = form.emit(cdr)
+        broken = whole[:-10] + bytes([whole[-10] ^ 0x20]) + whole[-9:]
+        ends = Endpoint("127.0.0.1", 50000), Endpoint("127.0.0.1", 1234)
+        sent = [
+            WireDatagram(at, *ends, cfe.emit_command(0x1827, 1, data))
+            for at, data in enumerate((whole, broken))
+        ]
+        capture = write(sent, tmp_path / "own.pcap")
+        names = ("buffer_length", "spare", "crc", "finding")
+        fields = [item for name in names for item in ("-e", f"edoras.{name}")]
+        fields += ["-e", "ros2.geometry_msgs.Twist.linear.x"]
+        told = tshark(mission).run("-r", capture, "-T", "fields", *fields).decode().splitlines()
+        crc = f"0x{form.check(whole[: -form.crc]):08x}"
+        rows = [line.split("\t") for line in told]
+        assert [row[:3] for row in rows] == [[str(len(cdr)), spare, crc]] * 2, words
+        assert ["checksum_bad" in row[3] for row in rows] == [False, True]
+        assert float(rows[0][4]) == 1.5

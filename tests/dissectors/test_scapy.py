@@ -26,6 +26,7 @@ from edoras_tools.dissectors.scapy_layers import (
     SpacePacket,
     TelemetryHeader,
     command_arguments,
+    envelope,
 )
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
@@ -34,7 +35,7 @@ from edoras_tools.mission import Mission
 from edoras_tools.model import Finding, Peer
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.envelope import ENVELOPE_FORMATS
+from edoras_tools.wire.envelope import ENVELOPE_FORMATS, EnvelopeFormat
 
 TYPES = TypeStore()
 TWIST = "geometry_msgs/msg/Twist"
@@ -139,6 +140,19 @@ def test_envelopes_of_every_format_are_told_from_the_bytes(form):
     assert isinstance(read[ENVELOPES[form]].payload, CDR)
     crafted = SpacePacket(msg_id=0x1999) / CommandHeader(function_code=1) / ENVELOPES[form]() / CDR(BODY)
     assert bytes(crafted) == cfe.emit_command(0x1999, 1, form.emit(BODY))
+
+
+@pytest.mark.parametrize("name", ["length: u16be, spare: u16be", "length: u32le, crc: crc32le"])
+def test_an_envelope_of_its_own_is_read_and_built(name):
+    form = EnvelopeFormat.of_name(name)
+    layers.use({0x1999: TWIST}, TypeStore(), envelope=form)
+    data = cfe.emit_command(0x1999, 1, form.emit(BODY))
+    read = SpacePacket(data)
+    assert read[envelope(form)].buffer_length == len(BODY)
+    assert bytes(read[CDR])[: len(BODY)] == BODY
+    assert len(read[CDR].payload) == form.crc
+    crafted = SpacePacket(msg_id=0x1999) / CommandHeader(function_code=1) / envelope(form)() / CDR(BODY)
+    assert bytes(crafted) == data
 
 
 def test_other_headers():

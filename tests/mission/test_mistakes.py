@@ -97,7 +97,7 @@ CHANGES = [
     ('"cmd_vel"', "a//b", '12: drive.topic: "a//b" is not a topic; letters, digits and _ between single slashes are allowed, no part starting with a digit'),
     ('"cmd_vel"', "1a", '12: drive.topic: "1a" is not a topic; letters, digits and _ between single slashes are allowed, no part starting with a digit'),
     ('"cmd_vel"', "/pose", "16: pose.topic: /pose is the topic of drive on line 12 already; a bridge takes a topic once"),
-    ("mid: 0x827", "mid: 0x827\n      envelope: 2/2", '18: pose.envelope: "2/2" is not an envelope; auto, 8/8, 4/4 and 1/1 are allowed, the first numbers with le or be behind'),
+    ("mid: 0x827", "mid: 0x827\n      envelope: 3/3", '18: pose.envelope: "3/3" is not an envelope; auto, 8/8, 4/4, 2/2 and 1/1 are allowed, the first numbers with le or be behind'),
     ("mid: 0x827", "mid: 0x827\n      envelope: 8", '18: pose.envelope: 8 is an integer; a string is needed: write "8" in quotes'),
     # the form of the file
     ("fsw_port: 1234", "bridge_port: 1234\n      fsw_port: 1234", "5: communication.bridge_port: written twice, on line 4 before; keep one"),

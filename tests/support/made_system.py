@@ -13,6 +13,7 @@ from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
+from edoras_tools.wire.envelope import EnvelopeFormat
 
 START_NS = 1_800_000_000 * SECOND
 COMMAND, STATE = 0x1A01, 0x0A01
@@ -24,11 +25,15 @@ CONSTANTS = {
     "to_wake_ns": 100 * MILLISECOND,
     "app_msg_limit": 2,
     "robot_port": 8585,
+    "big_endian": 1,
 }
 PORTS = {"ci_port": 5010, "to_port": 5011}
 LIMITS = {STATE: 20}
 PROFILE = SimProfile().stating(CONSTANTS | PORTS, LIMITS)
-ROUTES = SystemRoutes({COMMAND: TWIST, STATE: POSE_STAMPED}, [COMMAND], [STATE])
+ENVELOPE = EnvelopeFormat.of_name("length: u16be, capacity: u16be")
+ROUTES = SystemRoutes(
+    {COMMAND: TWIST, STATE: POSE_STAMPED}, [COMMAND], [STATE], envelopes={COMMAND: ENVELOPE, STATE: ENVELOPE}
+)
 _STEPS = ((2, 300), (6, 100), (9, 0))
 """From which second on the generator publishes the state how often a second."""
 

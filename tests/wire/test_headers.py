@@ -1,5 +1,8 @@
 """Both directions from one case list, on bytes that a running cFS and the bridges sent."""
 
+import binascii
+import zlib
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +12,7 @@ from edoras_tools.errors import ConfigError, FieldError, TruncatedError, WireErr
 from edoras_tools.model import Peer
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.arrays import window
-from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, detect
+from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, detect, intact_rows
 from edoras_tools.wire.msg_id import VERSION_1
 
 COMMANDS = [
@@ -140,9 +143,71 @@ def test_envelope_of_the_captures():
     assert DEFAULT.emit(CDR, capacity=52)[:16] == raw
     assert EnvelopeFormat.of_name("8/8") == DEFAULT
     assert EnvelopeFormat.of_name("4/4 BE") == EnvelopeFormat(4, "big")
-    for wrong in ("", "2/2", "8", "8/8 middle"):
+    for wrong in ("", "3/3", "8", "8/8 middle"):
         with pytest.raises(ConfigError, match="not known"):
             EnvelopeFormat.of_name(wrong)
+
+
+OWN = {
+    "length: u16be": "0034",
+    "length: u32le, spare: u8": "3400000000",
+    "spare: u16be, capacity: u64be, length: u16be": "000000000000000000340034",
+    "length: u8, crc: crc16be": "34",
+    "length: u16le, capacity: u16le, crc: crc32le": "34003400",
+}
+SAID_OTHERWISE = {"length: u16be, capacity: u16be": "2/2 be", "LENGTH:u8,capacity : u8": "1/1"}
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_an_envelope_of_its_own_both_ways(name):
+    form = EnvelopeFormat.of_name(name)
+    assert str(form) == name
+    raw = form.emit(CDR)
+    head, body, crc = raw[: form.size], raw[form.size : form.size + len(CDR)], raw[form.size + len(CDR) :]
+    assert (head.hex(), body, len(crc)) == (OWN[name], CDR, form.crc)
+    assert form.parse(raw) == (52, 52)
+    if form.crc:
+        right = binascii.crc_hqx(head + body, 0xFFFF) if form.crc == 2 else zlib.crc32(head + body)
+        assert int.from_bytes(crc, form.byte_order) == right
+        assert form.trailer.parse(crc) == {"crc": right}
+    with pytest.raises(WireError):
+        form.emit(bytes(form.most + 1)) if form.most < 1 << 17 else form.parse(raw[: form.size - 1])
+
+
+@pytest.mark.parametrize(("text", "name"), SAID_OTHERWISE.items())
+def test_two_lengths_are_those_of_a_bridge(text, name):
+    assert EnvelopeFormat.of_name(text) == EnvelopeFormat.of_name(name)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("length: u16", "needs its byte order: u16be or u16le"),
+        ("length: u24be", "'length: u24be' is no word of it"),
+        ("capacity: u16be", "one length"),
+        ("length: u8, length: u8", "one length"),
+        ("length: u16be, spare: u16le", "one byte order"),
+        ("crc: crc16be, length: u8", "'length: u8' is no word of it; .* the CRC is last"),
+        ("length: u8, crc: u16be", "is no word of it"),
+    ],
+)
+def test_a_mistake_in_the_words_is_said(text, problem):
+    with pytest.raises(ConfigError, match=problem):
+        EnvelopeFormat.of_name(text)
+
+
+@given(st.lists(st.binary(min_size=4, max_size=90), max_size=80), st.sampled_from(sorted(OWN)), st.data())
+def test_crcs_of_many_envelopes_are_those_of_each(bodies, name, draw):
+    form = EnvelopeFormat.of_name(name)
+    parts = [bytearray(form.emit(body)) for body in bodies]
+    for part in parts:
+        if draw.draw(st.booleans()):
+            part[draw.draw(st.integers(form.size, len(part) - 1))] ^= 0x10
+    data = np.frombuffer(b"".join(parts) + b"\0", np.uint8)
+    offset = np.cumsum([0, *map(len, parts)])[:-1].astype(np.int64)
+    length = np.array([len(body) for body in bodies], np.int32)
+    each = [form.intact(bytes(part), 0, len(body)) for part, body in zip(parts, bodies, strict=True)]
+    assert intact_rows(data, offset, length, form).tolist() == each
 
 
 @given(st.binary(max_size=64), st.integers(0, 70))
@@ -156,7 +221,7 @@ def test_detect_never_raises_and_never_runs_over(data, offset):
 
 def test_one_byte_lengths_hold_small_messages_only():
     with pytest.raises(WireError):
-        ENVELOPE_FORMATS[4].emit(bytes(256))
+        ENVELOPE_FORMATS[-1].emit(bytes(256))
 
 
 @given(st.binary(min_size=1, max_size=80), st.data())

@@ -36,13 +36,18 @@ def draft(
 
     What -c names is left out. The names of topics are made from MsgIds: edit them.
     """
-    from edoras_tools.addons.mission_draft.draft import draft_mission
+    from edoras_tools.addons.mission_draft.draft import read_traffic
 
     paths = files.named()
     output = recordings.text_output(output, paths, force=force)
     with file_progress(paths, quiet=quiet) as bar:
-        source, bench = open_input(InputOptions(files), decoding.settings())
-        made = draft_mission(source, bench, progress=bar)
+        captured, _ = read_traffic(
+            lambda settings: open_input(InputOptions(files), settings),
+            decoding.settings(),
+            bar,
+            again="-" not in map(str, paths),
+        )
+        made = captured.draft()
     _end(made, output, quiet=quiet)
 
 

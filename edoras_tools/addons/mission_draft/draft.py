@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.cfs.names import message_name
+from edoras_tools.decode.conversations import ConversationKind
 from edoras_tools.errors import CaptureError
 from edoras_tools.links import table
 from edoras_tools.links.table import among, carrying
@@ -25,16 +26,18 @@ from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat, detect
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.decode.conversations import Flow
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.io import Source
-    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.text import Progress
     from edoras_tools.wire.msg_id import MsgIds
+
+    OpenInput = Callable[[Settings], tuple[Source, Workbench]]
 
 _SAMPLES: Final = 64
 """Most different messages of a MsgId that types are tried on."""
@@ -94,6 +97,7 @@ class _Traffic:
         streams: by link, MsgId and processor.
         ways: of each link how many datagrams went from where to where.
         peers: of each SBN peer how many datagrams came from where.
+        orders: byte orders of the events, as their types show them.
         flight: peers that are cFS, as its events or its own messages on SBN show.
         configured: MsgIds that the missions name, which are not drafted.
         msg_ids: their version.
@@ -104,6 +108,7 @@ class _Traffic:
     streams: dict[tuple[Link, int, int], _Stream] = field(default_factory=dict)
     ways: dict[Link, Counter[tuple[str, Endpoint]]] = field(default_factory=dict)
     peers: dict[Peer, Counter[Endpoint]] = field(default_factory=dict)
+    orders: Counter[str] = field(default_factory=Counter)
     flight: Counter[int] = field(default_factory=Counter)
     configured: set[int] = field(default_factory=set)
 
@@ -119,7 +124,10 @@ class _Traffic:
         for payload in (_payload(batch, columns, row) for row in events.tolist()):
             if len(payload) >= cfe.EVENT.size - 2:  # some builds leave the last two bytes away
                 event = cfe.EVENT.parse(payload.ljust(cfe.EVENT.size, b"\0"))
-                self.flight[event["processor_id"]] += 1
+                is_big = event["event_type"] > 0xFF and not event["event_type"] & 0xFF
+                self.orders["big" if is_big else "little"] += 1
+                number = event["processor_id"].to_bytes(4, "big" if is_big else "little")
+                self.flight[int.from_bytes(number, "little")] += 1
         loose = np.flatnonzero(carries & (columns.route == NO_ROUTE))
         keys = columns.msg_id[loose].astype(np.int64) << 40 | columns.link[loose].astype(np.int64) << 32
         for key, members in by_value(keys | columns.processor_id[loose].astype(np.int64)):
@@ -184,15 +192,6 @@ class MissionDraft:
     constants: int = 0
 
 
-def draft_mission(source: Source, bench: Workbench, *, progress: Progress | None = None) -> MissionDraft:
-    """Read a source to its end and draft a mission file for the MsgIds that no mission names.
-
-    Raises:
-        CaptureError: the source cannot be read, or holds no EDORAS message under such a MsgId.
-    """
-    return read_traffic(source, bench, progress).draft()
-
-
 @dataclass(frozen=True, slots=True)
 class CapturedTraffic:
     """What was read of a capture.
@@ -223,12 +222,40 @@ class CapturedTraffic:
         return replace(_Writer(self, rates or {}).draft(), failure=self.failure)
 
 
-def read_traffic(source: Source, bench: Workbench, progress: Progress | None = None) -> CapturedTraffic:
-    """Read a source to its end.
+def read_traffic(
+    opened: OpenInput, settings: Settings, progress: Progress | None = None, *, again: bool = True
+) -> tuple[CapturedTraffic, Sequence[tuple[Link, int]]]:
+    """Read a source to its end; once more where ports look like a link's that no option names.
+
+    Args:
+        opened: opens it anew.
+        settings: missions, types, and how packets are decoded.
+        again: whether it can be opened twice.
+
+    Returns:
+        what was read, and those ports.
 
     Raises:
         CaptureError: it cannot be read.
     """
+    captured = _read(*opened(settings), progress)
+    ports = _unnamed_ports(captured) if again else []
+    if ports:
+        options = replace(settings.options, ports=(*settings.options.ports, *ports))
+        captured = _read(*opened(replace(settings, options=options)), progress)
+    return captured, ports
+
+
+def _unnamed_ports(captured: CapturedTraffic) -> list[tuple[Link, int]]:
+    """Return the ports whose traffic looks like that of one link, and of no other."""
+    links: dict[int, set[Link]] = {}
+    for flow in captured.flows:
+        if flow.kind is ConversationKind.UNNAMED:
+            links.setdefault(flow.destination.port, set()).add(flow.looks_like)
+    return [(own.pop(), port) for port, own in sorted(links.items()) if len(own) == 1]
+
+
+def _read(source: Source, bench: Workbench, progress: Progress | None) -> CapturedTraffic:
     traffic = _Traffic(bench.mission.msg_ids)
     with reading(source, bench, keeps_failure=True, conversing=True) as loop:
         for rows in loop:
@@ -309,7 +336,7 @@ class _Writer:
         if len(targets) > 1:
             self._notes.append(f"{link.name} also went to {listed(targets[1:])}: a bridge has one target")
         ports = link.transport.ports
-        return ways[0][0] if ways else ("127.0.0.1", Endpoint("127.0.0.1", ports[link.from_cfs]))
+        return ways[0][0] if ways else ("127.0.0.1", Endpoint("127.0.0.1", ports[0]))
 
     def _flight(self, streams: list[_Stream]) -> Iterator[str]:
         """Yield the node of the flight bridge: the peer of cFS that sent or got the most."""

@@ -8,25 +8,22 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.mission_draft.constants import clean_rates, shown_constants
 from edoras_tools.addons.mission_draft.draft import MissionDraft, read_traffic
-from edoras_tools.decode.conversations import ConversationKind
 from edoras_tools.errors import CaptureError
 from edoras_tools.mission import loads
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections import Counter
+    from collections.abc import Iterator, Sequence
 
     from edoras_tools.addons.mission_draft.constants import LearnedConstant
-    from edoras_tools.addons.mission_draft.draft import CapturedTraffic
+    from edoras_tools.addons.mission_draft.draft import OpenInput
     from edoras_tools.decode import Context
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.io import Source
     from edoras_tools.model import Link
-    from edoras_tools.pipelines.workbench import Settings, Workbench
+    from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress
-
-    OpenInput = Callable[[Settings], tuple[Source, Workbench]]
 
 _APPS: Final = {
     "": "cFE",
@@ -54,12 +51,9 @@ def learn_mission(opened: OpenInput, settings: Settings, progress: Progress | No
     Raises:
         CaptureError: they cannot be read, or hold nothing of cFS.
     """
-    captured = read_traffic(*opened(settings), progress)
-    if ports := _unnamed_ports(captured):
-        settings = replace(
-            settings, options=replace(settings.options, ports=(*settings.options.ports, *ports))
-        )
-        captured = read_traffic(*opened(settings), progress)
+    captured, ports = read_traffic(opened, settings, progress)
+    options = settings.options
+    settings = replace(settings, options=replace(options, ports=(*options.ports, *ports)))
     draft = MissionDraft("", 0, 0, ())
     with suppress(CaptureError):  # nothing of EDORAS, but perhaps cFS
         draft = captured.draft()
@@ -83,7 +77,9 @@ def learn_mission(opened: OpenInput, settings: Settings, progress: Progress | No
         for name in link.bridge_ports
     }
     further = [item for item in ports if item[1] not in bridged]
-    lines = [*_software(*first, bench.columns.context, further, case), *_others(others)]
+    keys = [*_keys(bench.columns.context, further, captured.traffic.orders, case), *_constants(first[1])]
+    lines = [f"flight_software: # cFS {first[0]}".rstrip(), "  ros__parameters:", "    cfs:"] if keys else []
+    lines += [*keys, *_others(others)]
     name = "".join(item if item.isprintable() else "?" for item in captured.name)
     text = draft.text.partition("-c.\n")[2] if draft.topics else ""
     return replace(
@@ -91,36 +87,22 @@ def learn_mission(opened: OpenInput, settings: Settings, progress: Progress | No
     )
 
 
-def _unnamed_ports(captured: CapturedTraffic) -> list[tuple[Link, int]]:
-    """Return the ports whose traffic looks like that of one link, and of no other."""
-    links: dict[int, set[Link]] = {}
-    for flow in captured.flows:
-        if flow.kind is ConversationKind.UNNAMED:
-            links.setdefault(flow.destination.port, set()).add(flow.looks_like)
-    return [(own.pop(), port) for port, own in sorted(links.items()) if len(own) == 1]
-
-
-def _software(
-    name: str,
-    constants: Sequence[LearnedConstant],
-    context: Context,
-    ports: Sequence[tuple[Link, int]],
-    case: Case | None,
+def _keys(
+    context: Context, ports: Sequence[tuple[Link, int]], orders: Counter[str], case: Case | None
 ) -> Iterator[str]:
-    """Yield the lines of the node that says how a cFS is built."""
-    yield f"flight_software: # cFS {name}".rstrip()
-    yield "  ros__parameters:"
-    yield "    cfs:"
+    """Yield the lines about how packets are built and which ports they have."""
     headers = context.headers
-    packets = plural(len(case.rows) if case is not None else 0, "datagram")
-    yield f"      extended_header: {str(headers.extended).lower()} # {headers.name}, in {packets}"
-    yield f"      telemetry_header: {headers.telemetry_bytes}"
+    if case is not None and case.instances.items:  # telemetry with a time, whose lengths are known
+        packets = plural(len(case.rows), "datagram")
+        yield f"      extended_header: {str(headers.extended).lower()} # {headers.name}, in {packets}"
+        yield f"      telemetry_header: {headers.telemetry_bytes}"
     if headers.msg_ids.version != 1:
         yield f"      msg_id_version: {headers.msg_ids.version} # as it was given"
+    if orders["big"] > orders["little"]:
+        yield f"      big_endian: 1 # {orders['big']} of {plural(orders.total(), 'event')}, by their types"
     if ports:
         names = ", ".join(f'"{link.label}:{port}"' for link, port in ports)
         yield f"      ports: [{names}] # lengths, types and MsgIds agree as only these links' do"
-    yield from _constants(constants)
 
 
 def _app(name: str) -> str:

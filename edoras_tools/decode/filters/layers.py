@@ -212,9 +212,14 @@ def _decoded(column: str, none: int, rows: ColumnRows) -> Series:
     return Series.of_chosen(values, values != none)
 
 
+_PAYLOADS: Final = (cfe.EVENT, cfe.SOFTWARE_BUS_HOUSEKEEPING)
+"""What the flight computer writes in its own byte order."""
+
+
 def _gathered(layout: Layout, slot: Slot, places: Callable[[ColumnRows], Places], rows: ColumnRows) -> Series:
     """Read one field of the headers that a batch holds."""
     owner, start = places(rows)
+    layout = rows.context.in_order(layout) if layout in _PAYLOADS else layout
     values = slot_values(layout, slot, gather(rows.batch.data, start + slot.start, slot.end - slot.start))
     if isinstance(values, list):
         return Series.of_objects(len(rows), values, owner)
@@ -242,15 +247,18 @@ def _of_any_format(field: FilterField) -> FilterField:
 
     def read(rows: ColumnRows) -> Series:
         formats = set(rows.context.envelopes) or {DEFAULT}
+        name = field.name.rpartition(".")[2]
         if None in formats or len(formats) > 1:
             return field.series(rows)
         envelope = formats.pop() or DEFAULT
+        if field.kind is not ValueKind.STRUCT and name not in envelope.layout.by_name:
+            return Series.of_chosen(np.zeros(len(rows), np.uint64), np.zeros(len(rows), bool))
         places = partial(_envelopes, envelope.size)
         if field.kind is ValueKind.STRUCT:
             present = np.zeros(len(rows), bool)
             present[places(rows)[0]] = True
             return Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), present)
-        slot = envelope.layout.by_name[field.name.rpartition(".")[2]]
+        slot = envelope.layout.by_name[name]
         return _gathered(envelope.layout, slot, places, rows)
 
     return replace(field, read=read)

@@ -133,14 +133,21 @@ _LOG = np.dtype(
 
 
 def software_bus_messages(
-    batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
+    batch: PacketBatch,
+    columns: Columns,
+    channel_id: int,
+    published: NDArray[np.int64],
+    *,
+    big_endian: bool = False,
 ) -> Messages:
     """Return one ``edoras_msgs/msg/SoftwareBusHousekeeping`` for every complete 0x0803 packet.
 
     Args:
         published: i64, publish time, ns since 1970.
+        big_endian: whether the counters have the highest byte first.
     """
-    rows, payload = _telemetry(batch, columns, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, _HOUSEKEEPING)
+    kind = _HOUSEKEEPING.newbyteorder(">") if big_endian else _HOUSEKEEPING
+    rows, payload = _telemetry(batch, columns, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, kind)
     if not len(rows):
         return no_messages(channel_id, _SOFTWARE_BUS)
     heads = np.zeros(len(rows), dtype=_SOFTWARE_BUS)
@@ -155,7 +162,12 @@ def software_bus_messages(
 
 
 def event_messages(
-    batch: PacketBatch, columns: Columns, channel_id: int, published: NDArray[np.int64]
+    batch: PacketBatch,
+    columns: Columns,
+    channel_id: int,
+    published: NDArray[np.int64],
+    *,
+    big_endian: bool = False,
 ) -> Messages:
     """Return one ``rcl_interfaces/msg/Log`` for every complete 0x0808 packet.
 
@@ -164,8 +176,10 @@ def event_messages(
 
     Args:
         published: i64, publish time, ns since 1970.
+        big_endian: whether the numbers have the highest byte first.
     """
-    rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, _EVENT)
+    kind = _EVENT.newbyteorder(">") if big_endian else _EVENT
+    rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, kind)
     if not len(rows):
         return no_messages(channel_id, _LOG)
     times = batch.time_ns[rows], published[rows]

@@ -392,8 +392,10 @@ class Streams:
             streams.append(self._datagrams.messages(batch, columns, published))
         streams += [
             ros_messages(batch, columns, self._routes, published),
-            event_messages(batch, columns, self._events, published),
-            software_bus_messages(batch, columns, self._software_bus, published),
+            event_messages(batch, columns, self._events, published, big_endian=self.structs.big_endian),
+            software_bus_messages(
+                batch, columns, self._software_bus, published, big_endian=self.structs.big_endian
+            ),
         ]
         if (columns.link == RESETS).any():
             streams.append(reset_messages(batch, columns, self._events))

@@ -211,7 +211,8 @@ class _Shapes:
             inside = (rows.column("msg_id") == msg_ids.of_known(standard)) & (size >= layout.size) & bare
             self._inside[inside] = number
         enclosed = rows.column("cdr_length") > 0
-        formats = np.array([ENVELOPE_FORMATS.index(item) + 1 if item else 0 for item in envelopes])
+        places = {item: place for place, item in enumerate(ENVELOPE_FORMATS, 1)}  # own ones are not told
+        formats = np.array([places.get(item, 0) if item else 0 for item in envelopes])
         self._envelope = np.where(enclosed, formats[rows.routes()], 0)
         sizes = np.array([0, *(item.size for item in ENVELOPE_FORMATS)])
         self._cdr, length = rows.column("cdr_offset"), rows.column("cdr_length")
@@ -241,7 +242,8 @@ class _Shapes:
         second = headers.command if self._command[first] else headers.telemetry
         yield from self._layer(second, start + headers.start)
         if self._inside[first]:
-            yield from self._layer(_INSIDE[self._inside[first] - 1][1], self._body[rows])
+            layout = of.context.in_order(_INSIDE[self._inside[first] - 1][1])
+            yield from self._layer(layout, self._body[rows])
         if self._envelope[first]:
             yield from self._layer(ENVELOPE_FORMATS[self._envelope[first] - 1].layout, self._body[rows])
             yield from self._layer(ENCAPSULATION, self._cdr[rows])

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from edoras_tools.wire.envelope import EnvelopeFormat
 
 _PRIMARY: Final = struct.Struct(">HHH")
-_WORDS: Final = {8: "Q", 4: "I", 1: "B"}
+_WORDS: Final = {8: "Q", 4: "I", 2: "H", 1: "B"}
 _UNSEGMENTED: Final = ccsds.UNSEGMENTED << 14
 _PADDING: Final = 3
 """RTPS pads a message to four bytes."""
@@ -96,18 +96,20 @@ class Envelope:
     ) -> None:
         self._form = form
         self._written = form or envelope.DEFAULT
-        self._lengths = _lengths(self._written)
-        self.most = (1 << 8 * self._written.width) - 1
+        self._lengths = None if self._written.own else _lengths(self._written)
+        self.most = self._written.most
         self._cdr_bytes, self._type = cdr_bytes, type_name
 
     @property
     def size(self) -> int:
-        """Bytes that ``wrap`` puts in front."""
-        return self._written.size
+        """Bytes that ``wrap`` adds."""
+        return self._written.size + self._written.crc
 
     def wrap(self, cdr: bytes) -> bytes:
         """Return a message in its envelope, at most ``most`` bytes."""
         length = len(cdr)
+        if self._lengths is None:
+            return self._written.emit(cdr)
         return self._lengths.pack(length, length) + cdr
 
     def open(self, data: bytes, start: int, end: int) -> bytes | str:
@@ -123,16 +125,18 @@ class Envelope:
         at = start + form.size
         if at > end:
             return "cut inside the envelope"
-        if form is self._written:
+        if form is self._written and self._lengths is not None:
             length = self._lengths.unpack_from(data, start)[0]
         else:
             length = form.parse(data, start)[0]
-        if length > end - at:
+        if length > end - at - form.crc:
             return "the envelope's length exceeds the packet"
         if length < ENCAPSULATION.size:
             return "no CDR in the envelope"
         if not CDR_BE <= (data[at] << 8 | data[at + 1]) <= CDR_LE:
             return "the content of the envelope is not CDR"
+        if not form.intact(data, start, length):
+            return "the envelope's CRC is wrong"
         expected = self._cdr_bytes
         if expected is not None and not expected <= length <= expected + _PADDING:
             return f"not the {expected} bytes of a {self._type}"

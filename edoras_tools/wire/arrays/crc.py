@@ -85,22 +85,53 @@ def crc16_rows(
         raw = memoryview(data)  # type: ignore[arg-type]
         ranges = zip(offset.tolist(), length.tolist(), strict=True)
         return np.array([crc16(raw[start : start + size]) for start, size in ranges], np.uint16)
-    width = (int(length.max()) + 1) & ~1
-    if count * width > _BLOCK and count > 1:
+    if count * int(length.max()) > _BLOCK and count > 1:
         half = count // 2
         parts = (slice(half), slice(half, None))
         return np.concatenate([crc16_rows(data, offset[part], length[part]) for part in parts])
-    # Zeros in front change nothing where the remainder is 0: the preset is put into the first two bytes.
-    rows = np.zeros((count, width), np.uint8)
-    first = np.arange(1, count + 1) * width - length
-    copy_rows(rows.ravel(), first, data, offset, length)
-    rows.ravel()[first] ^= 0xFF
-    rows.ravel()[first + 1] ^= 0xFF
+    rows = _preset_rows(data, offset, length, CRC16_BYTES)
     words = np.ascontiguousarray(rows.view(">u2").T.astype(np.uint16))
     table, remainder = _words(), np.zeros(count, np.uint16)
     for word in words:
         remainder = table[remainder ^ word]
     return remainder
+
+
+def _preset_rows(
+    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32], preset: int
+) -> NDArray[np.uint8]:
+    """Lay ranges out as rows of the same even length, their first bytes inverted, as a preset to ones does.
+
+    Zeros in front change nothing where the remainder is 0.
+    """
+    count, width = len(offset), (int(length.max()) + 1) & ~1
+    rows = np.zeros((count, width), np.uint8)
+    first = np.arange(1, count + 1) * width - length
+    copy_rows(rows.ravel(), first, data, offset, length)
+    for place in range(preset):
+        rows.ravel()[first + place] ^= 0xFF
+    return rows
+
+
+def crc32_rows(
+    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
+) -> NDArray[np.uint32]:
+    """Return the CRC-32 of each range ``offset : offset + length``, u32 (n,); see ``crc16_rows``.
+
+    Args:
+        length: i32 (n,), at least 4.
+    """
+    count = len(offset)
+    if count > 1 and count * int(length.max()) > _BLOCK:
+        half = count // 2
+        parts = (slice(half), slice(half, None))
+        return np.concatenate([crc32_rows(data, offset[part], length[part]) for part in parts])
+    if not count:
+        return np.zeros(0, np.uint32)
+    table, remainder = _octets(_CRC32), np.zeros(count, np.uint32)
+    for column in np.ascontiguousarray(_preset_rows(data, offset, length, 4).T):
+        remainder = table[(remainder ^ column) & np.uint32(0xFF)] ^ (remainder >> np.uint32(8))
+    return ~remainder
 
 
 def _times(one: Any, other: Any, polynomial: Any) -> Any:
@@ -137,11 +168,11 @@ def _shifted(value: int, octets: int, polynomial: int, *, inverse: bool = False)
 
 
 @cache
-def _castagnoli() -> NDArray[np.uint32]:
+def _octets(polynomial: int) -> NDArray[np.uint32]:
     """Return what a byte makes of a remainder of 0; u32 (256,)."""
     value = np.arange(256, dtype=np.uint32)
     for _ in range(8):
-        value = (value >> np.uint32(1)) ^ (value & np.uint32(1)) * np.uint32(_CRC32C)
+        value = (value >> np.uint32(1)) ^ (value & np.uint32(1)) * np.uint32(polynomial)
     return value
 
 
@@ -150,7 +181,7 @@ def crc32c(octets: bytes, value: int = 0) -> int:
     value ^= _INVERTED
     if not octets:
         return value ^ _INVERTED
-    table = _castagnoli()
+    table = _octets(_CRC32C)
     rows = np.frombuffer(bytes(-len(octets) % _ROW) + octets, np.uint8).reshape(-1, _ROW)
     remainder = np.zeros(len(rows), np.uint32)
     for column in np.ascontiguousarray(rows.T):

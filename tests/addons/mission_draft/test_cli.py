@@ -38,3 +38,24 @@ def test_bad_input(arguments, code, said, call):
     done = call("mission", "draft", *arguments)
     assert done.code == code
     assert said in done.err[-1]
+
+
+def test_a_system_is_learned_and_given_with_c(call, tmp_path):
+    path = tmp_path / "system.yaml"
+    done = call("mission", "learn", ROVER, "-o", path)
+    assert (done.code, done.out) == (0, "")
+    assert done.err == [
+        f"edoras: {path}: 2 topics, 7 constants of cFS; several types fit 2 of them: check these"
+    ]
+    rows = call("doctor", ROVER, "-c", path, "--json").json()["verdicts"]
+    assert any("500 ms bursts (told)" in row["reason"] for row in rows)
+    (up, _) = call("doctor", "--predict", "-c", path, "--set", "app_msg_limit=2", "--json").json()["routes"]
+    assert (up["msg_id"], up["limit_hz"]) == ("0x1827", 4.0)
+    swept = call("sweep", "ci_1827", "-c", path, "--sim", "rover", "--rate", "4..12", "--dry-run", "--json")
+    assert swept.code == 0
+
+
+def test_learn_needs_files(call):
+    done = call("mission", "learn", "-")
+    assert done.code == 2
+    assert "it needs files, not stdin" in done.err[-1]

@@ -3,12 +3,15 @@
 import re
 import struct
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_system import write
 from places import ROOT
 
-from edoras_tools.addons.mission_draft.draft import draft_mission
+from edoras_tools.addons.lab.emulator import WireDatagram
+from edoras_tools.addons.mission_draft.draft import read_traffic
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.mission import load, loads
@@ -27,7 +30,8 @@ CAPTURES = {
 
 
 def drafted(path, settings=None):
-    return draft_mission(open_file(path), (settings or Settings()).workbench())
+    captured, _ = read_traffic(lambda own: (open_file(path), own.workbench()), settings or Settings())
+    return captured.draft()
 
 
 @pytest.mark.parametrize(("name", "missions"), CAPTURES.items())
@@ -112,3 +116,24 @@ def test_no_type_fits(commands):
     assert made.notes == [
         "0x1827 (CI): left out: no known type fits 1 different message; give --set msg-path"
     ]
+
+
+def test_ports_that_no_option_names_are_drafted(tmp_path):
+    moved = {1234: 5010, 1235: 5011}
+    sent = [
+        WireDatagram(
+            item.time_ns,
+            item.source,
+            replace(item.destination, port=moved.get(item.destination.port, item.destination.port)),
+            bytes(item.payload),
+        )
+        for batch in open_file(ROOT / "samples/captures/a_rover.pcap").batches()
+        for item in batch
+    ]
+    text = drafted(write(sent, tmp_path / "moved.pcap")).text
+    (ground,) = loads({"draft.yaml": text.encode()}).ground
+    assert (ground.fsw_port, ground.bridge_port) == (5010, 5011)
+    assert (
+        drafted(ROOT / "samples/captures/a_rover.pcap").text.partition("command:")[2]
+        == text.partition("command:")[2]
+    )

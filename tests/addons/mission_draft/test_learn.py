@@ -4,6 +4,7 @@ import pytest
 from made_system import CONSTANTS, LIMITS, PORTS, STATE, lost, play, write
 from places import ROOT
 
+from edoras_tools.addons.lab.emulator import WireDatagram
 from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of
 from edoras_tools.addons.mission_draft.learn import learn_mission
 from edoras_tools.errors import CaptureError
@@ -39,9 +40,9 @@ def test_each_constant_of_a_made_system_is_learned(made):
         assert getattr(profile, name) == pytest.approx(value, rel=0.1), name
     assert profile.to_limits[STATE] == pytest.approx(LIMITS[STATE], rel=0.1)
     assert {*CONSTANTS, *LIMITS} <= profile.stated
-    assert [(item.type, item.msg_id) for item in bench.mission.routes] == [
-        ("geometry_msgs/msg/Twist", 0x1A01),
-        ("geometry_msgs/msg/PoseStamped", 0x0A01),
+    assert [(item.type, item.msg_id, item.envelope) for item in bench.mission.routes] == [
+        ("geometry_msgs/msg/Twist", 0x1A01, "2/2 be"),
+        ("geometry_msgs/msg/PoseStamped", 0x0A01, "2/2 be"),
     ]
     assert bench.mission.warnings == ()
 
@@ -100,3 +101,17 @@ def test_of_a_real_capture_what_it_shows_and_no_more(name):
 def test_a_capture_without_cfs_is_refused():
     with pytest.raises(CaptureError, match="nothing of a cFS is in it"):
         learned(ROOT / "samples/rtps/cyclone_sender.pcap.gz")
+
+
+def test_commands_alone_show_nothing_of_their_cfs(tmp_path):
+    source = open_files([ROOT / "samples/captures/a_rover.pcap"])
+    sent = [
+        WireDatagram(item.time_ns, item.source, item.destination, bytes(item.payload))
+        for batch in source.batches()
+        for item in batch
+        if item.destination.port == 1234
+    ]
+    draft = learned(write(sent, tmp_path / "commands.pcap"))
+    mission = loads({"system.yaml": draft.text.encode()})
+    assert [item.msg_id for item in mission.routes] == [0x1827]
+    assert (mission.software.profile.stated, mission.software.headers) == (frozenset(), {})

@@ -122,11 +122,11 @@ def test_what_is_no_event(types):
 
 
 @pytest.mark.parametrize("link", [TO, SBN])
-@pytest.mark.parametrize("header", [12, 16, 20])
-def test_software_bus_housekeeping(types, link, header):
-    payload = struct.pack("<11BxHHIII", *range(1, 12), 0x0102, 0x0304, 0x0A0B0C0D, 512, 1024)
+@pytest.mark.parametrize(("header", "order"), [(12, "<"), (16, "<"), (20, "<"), (16, ">")])
+def test_software_bus_housekeeping(types, link, header, order):
+    payload = struct.pack(f"{order}11BxHHIII", *range(1, 12), 0x0102, 0x0304, 0x0A0B0C0D, 512, 1024)
     batch, columns = packets(payload, payload[:-1], msg_id=0x0803, link=link, header=header)
-    messages = software_bus_messages(batch, columns, 3, batch.time_ns)
+    messages = software_bus_messages(batch, columns, 3, batch.time_ns, big_endian=order == ">")
     (values,) = decode(types, "edoras_msgs/msg/SoftwareBusHousekeeping", messages)
     assert values == {
         "stamp": {"sec": 1_795_000_000, "nanosec": 250_000_000},

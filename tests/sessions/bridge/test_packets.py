@@ -53,9 +53,15 @@ def test_packets_have_the_headers_of_their_cfe(headers, checksum):
     assert [extended.overhead(msg_id) for msg_id in (0x1827, 0x0827)] == [16, 16]
 
 
-@pytest.mark.parametrize("form", [*envelope.ENVELOPE_FORMATS, None], ids=str)
+OWN = [
+    envelope.EnvelopeFormat.of_name(item) for item in ("length: u16be, spare: u8", "length: u8, crc: crc32le")
+]
+
+
+@pytest.mark.parametrize("form", [*envelope.ENVELOPE_FORMATS, *OWN, None], ids=str)
 def test_every_envelope_both_ways(form):
     made = Envelope(form)
+    assert len(made.wrap(CDR)) == made.size + len(CDR)
     data = b"head" + made.wrap(CDR) + b"\xa5" * 9
     assert made.open(data, 4, len(data)) == CDR
 
@@ -73,6 +79,12 @@ BAD = {
 def test_what_is_refused_says_why(reason):
     data = BAD[reason]
     assert Envelope(envelope.DEFAULT, 52, "geometry_msgs/msg/Twist").open(data, 0, len(data)) == reason
+
+
+def test_a_message_with_a_wrong_crc_is_refused():
+    data = OWN[1].emit(CDR)
+    assert Envelope(OWN[1]).open(data[:-1] + b"\0", 0, len(data)) == "the envelope's CRC is wrong"
+    assert Envelope(OWN[1]).open(data, 0, len(data) - 1) == "the envelope's length exceeds the packet"
 
 
 def test_a_length_is_believed_only_within_its_packet_though_the_datagram_goes_on():

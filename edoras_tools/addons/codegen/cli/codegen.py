@@ -91,12 +91,15 @@ def codegen(
     named = dict(text.split("=", 1) for text in bounds.bound or () if text.partition("=")[0] in usual)
     usual |= {name: options.count(text) for name, text in named.items()}
     rules = tuple(BoundRule.read(text) for text in bounds.bound or () if text.partition("=")[0] not in usual)
+    envelope = EnvelopeFormat.of_name(settings.options.envelope or "8/8 le")
+    if envelope.own or envelope.width == 2:
+        raise ConfigError(f"--envelope {envelope}: the C code writes 8/8, 4/4 or 1/1; choose one of them")
     order = LibraryOrder(
         tuple(types or ()),
         Bounds(usual["strings"], usual["sequences"], rules),
         mission,
         core.pool,
-        EnvelopeFormat.of_name(settings.options.envelope or "8/8 le"),
+        envelope,
         keep_values=core.keep_values,
     )
     made = generate(store, order)

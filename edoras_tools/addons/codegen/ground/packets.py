@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal
 
+from edoras_tools.errors import ConfigError
 from edoras_tools.ros.cdr.plan import CdrPlan, PlanStep, PrimitiveRun, Repeat, Text
 from edoras_tools.structs.messages import MessagePart, parts
 from edoras_tools.structs.shapes import BasicKind, Enumeration, Member, Struct, StructLayout
@@ -151,19 +152,24 @@ def command_header(packet: GroundPacket, headers: Headers) -> bytes:
 def route_packet(route: Route, types: TypeStore, function_code: int) -> GroundPacket:
     """Return the packet of a route: the envelope, CDR's encapsulation, then the message's fields."""
     envelope = DEFAULT if route.envelope in {None, "auto"} else EnvelopeFormat.of_name(str(route.envelope))
+    if envelope.crc:
+        raise ConfigError(f"{route.topic}: a CRC behind the message, which ground systems cannot describe")
     _, plan = types.plan(route.type)
     body, whole = _cdr(tuple(_steps(plan)), 0, 0)
     cdr = ENCAPSULATION.size + sum(item.bits for item in body if isinstance(item, PacketItem)) // 8
     representation = ENCAPSULATION.emit({"representation": CDR_LE, "options": 0})
     head = (
-        *(
-            replace(item, fixed=cdr.to_bytes(item.bits // 8, "little" if item.little else "big"))
-            for item in header_items(envelope.layout)
-        ),
+        *(replace(item, fixed=_word(item, cdr)) for item in header_items(envelope.layout)),
         PacketItem("encapsulation", "bytes", 32, "of the CDR", fixed=representation),
     )
     doc = f"{route.topic}, {route.type}"
     return GroundPacket(identifier(route.topic), doc, route.msg_id, head + body, whole, function_code)
+
+
+def _word(item: PacketItem, cdr_bytes: int) -> bytes:
+    """Return a word of an envelope: both lengths are the CDR's, what is spare is 0."""
+    value = 0 if "spare_" in item.name else cdr_bytes
+    return value.to_bytes(item.bits // 8, "little" if item.little else "big")
 
 
 def _steps(plan: CdrPlan, prefix: str = "") -> Iterator[tuple[str, PlanStep]]:

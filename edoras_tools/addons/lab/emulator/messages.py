@@ -6,6 +6,7 @@ from functools import cache
 from math import cos, sin
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.cfs import command_ingest
 from edoras_tools.errors import FieldError, WireError
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
@@ -40,8 +41,23 @@ def from_link(packet: bytes, profile: SimProfile) -> bytes:
     return cfe.with_headers(packet, headers_of(profile), cfe.STANDARD)
 
 
+_NUMBERS: Final = {
+    cfe.EVENT_MSG_ID: cfe.EVENT,
+    cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
+    command_ingest.HOUSEKEEPING_MSG_ID: cfe.COMMAND_INGEST_HOUSEKEEPING,
+}
+"""Payloads with numbers that a link shows; the other counters are zeros, or of one byte."""
+
+
 def to_link(packet: bytes, profile: SimProfile) -> bytes:
     """Return a packet of the bus as it is on a link."""
+    layout = _NUMBERS.get(cfe.msg_id_of(packet)) if profile.big_endian else None
+    if layout is not None:
+        data, at = bytearray(packet), cfe.TELEMETRY_HEADER_BYTES
+        for slot in layout.slots:
+            if slot.field.kind == "uint":
+                data[at + slot.start : at + slot.end] = data[at + slot.start : at + slot.end][::-1]
+        packet = bytes(data)
     return cfe.with_headers(packet, cfe.STANDARD, headers_of(profile))
 
 
