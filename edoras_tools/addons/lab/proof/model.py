@@ -25,7 +25,7 @@ import numpy as np
 
 from edoras_tools.addons.lab.emulator import Scenario, Simulation
 from edoras_tools.addons.lab.emulator.account import LOST, socket
-from edoras_tools.addons.lab.emulator.apps.edoras import HOUSEKEEPING, SingleRobotApp
+from edoras_tools.addons.lab.emulator.apps.edoras import ROBOT_HOUSEKEEPING, SingleRobotApp
 from edoras_tools.addons.lab.emulator.routes import DEMO_ROUTES
 from edoras_tools.addons.lab.emulator.services.software_bus import HOP
 from edoras_tools.cfs import edoras_app
@@ -407,7 +407,7 @@ def _with_others(case: Case, model: Model, inputs: ModelInput) -> ModelInput:
     published: dict[int, NDArray[np.int64]] = {}
     limits = dict(inputs.profile.to_limits)
     for stream in case.streams:
-        is_core = stream.known_id in MSG_ID_NAMES or stream.known_id == HOUSEKEEPING
+        is_core = stream.known_id in MSG_ID_NAMES or stream.known_id == ROBOT_HOUSEKEEPING
         if is_core or not (stream.counted and stream.link.from_cfs):
             continue
         times = published_at(case, stream)

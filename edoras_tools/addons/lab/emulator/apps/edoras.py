@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _ROBOT_WORK: Final = 4
 _REQUEST: Final = 0x1828
-HOUSEKEEPING: Final = 0x0826
+ROBOT_HOUSEKEEPING: Final = 0x0826
 _WAKEUP: Final = 0x182B
 """MsgIds of an application that are no route's: the usual one, or the next that no route has."""
 
@@ -99,7 +99,7 @@ class SingleRobotApp:
         self._states = [(item, FixedStruct(struct_bytes, routes.envelope(item))) for item in routes.telemetry]
         used = {*routes.commands, *routes.telemetry}
         self.request = next(item for item in range(_REQUEST, cfe.HIGHEST_MSG_ID) if item not in used)
-        self.housekeeping = next(item for item in range(HOUSEKEEPING, 0, -1) if item not in used)
+        self.housekeeping = next(item for item in range(ROBOT_HOUSEKEEPING, 0, -1) if item not in used)
         self.requests: Sequence[int] = (self.request,)
         self.telemetry: Sequence[int] = (self.housekeeping, *routes.telemetry)
         self._routes = routes
