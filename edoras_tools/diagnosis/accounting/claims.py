@@ -254,20 +254,26 @@ def _move(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
                 counts[place[0]].left["limit"][place[2]] += number
 
 
-def hand_on(counts: Mapping[int, Counts], named: Claim, claims: Sequence[Claim]) -> None:
-    """Hand what a claim was given on to claims of the same traffic, what surely is missing first.
+def hand_on(
+    counts: Counts, instance: int, kind: PipeKind, named: Sequence[Claim], claims: Sequence[Claim]
+) -> None:
+    """Hand what some claims were given on to others of the same traffic, what surely is missing first.
 
-    What none of them can have been is left to others.
+    What none of them can have been is left.
+
+    Args:
+        counts: of the instance, which counted all of it as of one kind.
+        named: claims that have it.
+        claims: those that are to have it.
     """
-    for (instance, kind, second), number in named.taken.items():
-        own, left = counts[instance], number
-        for claim in sorted(claims, key=lambda item: item.rank):
-            may = instance in claim.instances and kind in claim.kinds
-            first, last = own.seconds(np.array([claim.low_ns, claim.high_ns])).tolist()
-            if may and first <= second <= last and (part := min(left, claim.open)):
-                claim.give((instance, kind, second), part)
+    table = _Table(instance, kind, counts, claims, 0)
+    for place, number in (item for each in named for item in each.taken.items()):
+        left = number
+        for at in sorted(table.within(place[2]), key=lambda at: claims[at].rank):
+            if part := min(left, claims[at].open):
+                claims[at].give(place, part)
                 left -= part
-        own.left[kind][second] += left
+        table.left[place[2]] += left
 
 
 def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: dict[int, int]) -> None:

@@ -17,8 +17,8 @@ Ports that nobody listened on, or that could not be reached, by ICMP errors:
 Applications and links that did not run:
 
 8. Where it can be seen what comes out: from what arrived last before an application stopped to what arrives
-   first after it, nothing arrived. Where it does not run again, or
-   passes nothing on then, only what may not have been read yet waits.
+   first after it, nothing arrived. Where it does not run again, or passes nothing on then, only what may not
+   have been read yet waits.
 9. Elsewhere what was sent after its end, and before the command that starts it again, is lost, if this
    application surely takes it: events name its pipe for the MsgId, or there is one application that stopped
    and one such MsgId. What was sent just before either may have been taken, and so may all that is sent while

@@ -140,13 +140,13 @@ class Commands:
         self._name([item for item in case.refused if item.by_type])
         doubt(case, telemetry, fates)
         leftover.tell(telemetry.losses)
-        self._spare_refused()
         self.uncaptured = leftover.uncaptured
         self.refused_of: dict[int, list[tuple[Verdict, int, Among]]] = {}
         for item in case.refused:
             number, among = self.placed.get(id(item), (0, None))
             if among is not None:
                 self.refused_of.setdefault(id(among.stream), []).append((item, number, among))
+        self._spare_refused()
         self._follow_on(fates)
         self._number(fates)
         self._relayed(fates)
@@ -252,12 +252,7 @@ class Commands:
 
     def _spare_refused(self) -> None:
         """Take refusals back of what a full pipe lost before the application that would have refused it."""
-        by_stream: dict[int, list[tuple[Verdict, int, Among]]] = {}
-        for item in self._case.refused:
-            number, among = self.placed.get(id(item), (0, None))
-            if among is not None:
-                by_stream.setdefault(id(among.stream), []).append((item, number, among))
-        for key, placed in by_stream.items():
+        for key, placed in self.refused_of.items():
             fate, over = self.fates[key], 0
             own = [loss for loss in self.losses if id(loss.stream) == key and loss.kind in COUNTERS]
             if own:
@@ -266,9 +261,10 @@ class Commands:
                 inside &= times <= max(loss.end_ns for loss in own)
                 over = sum(loss.lost for loss in own) - int(inside.sum())
                 over += sum(min(number, int(inside[ones.rows].sum())) for _, number, ones in placed)
-            for item, number, ones in placed:
+            for at, (item, number, ones) in enumerate(placed):
                 part = max(0, min(over, number))
                 over -= part
+                placed[at] = item, number - part, ones
                 self.placed[id(item)] = number - part, ones
                 fate.refused[item.rule] -= part
 

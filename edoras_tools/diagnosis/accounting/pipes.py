@@ -450,9 +450,9 @@ class Leftover:
                     times = claim.low_ns, claim.high_ns
                     self._blame(self._named(item, said), 0, item.instance, kind, number, times)
         for item, said, kind, stream in self._followed():
-            own = [claim for claim in self._pipes.claims if claim.flow == id(stream)]
-            for claim in self._settled(item, said, kind):
-                hand_on(self._counts, claim, own)
+            if named := self._settled(item, said, kind):
+                own = [claim for claim in self._pipes.claims if claim.flow == id(stream)]
+                hand_on(self._counts[item.instance], item.instance, kind, named, own)
 
     def _settled(self, item: ReportedLoss, said: LossEvents, kind: PipeKind) -> list[Claim]:
         """Return claims of what events name, a claim a second, with the counts that they were given."""
