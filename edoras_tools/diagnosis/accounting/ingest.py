@@ -281,7 +281,8 @@ class _Counted:
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
         sent = np.searchsorted(self._sent_ns, self._seen, "right")
         starts = [at for at in range(1, len(own)) if _anew(own[at - 1], own[at])]
-        lost = before = last = 0
+        lost = before = last = idle_ns = room = 0
+        crowded = False
         for first, end in pairwise([0, *starts, len(own)]):
             part = slice(first, end)
             high = sent[part] - count[part]
@@ -289,9 +290,12 @@ class _Counted:
             emptied_ns -= under_way_ns
             low = np.where(busy, -_MODULUS, self._sent_until(emptied_ns) - count[part])
             if first and self._reset(own[first - 1], own[first]):
-                # It ran on, and set its count to 0 by itself: nothing tells of a loss just then.
-                begin: tuple[Cause, int] = ("network", own[first - 1].seen_ns)
-                before = _older(low, high) - lost
+                # It ran on, and set its count to 0: it read no more until then than it can.
+                begin: tuple[Cause, int] = ("socket" if crowded else "network", idle_ns)
+                most_read = before + self._most_read(own[last:first], own[first].made_ns) - own[first].count
+                low[0] = -_MODULUS  # it may have left something then
+                before, least = min(_fewer(low, high) - lost, most_read), before + own[first - 1].count
+                room += max(0, before - least)
             elif first:
                 begin, lost, before = self._restarted(account, last, first, lost, before)
             else:
@@ -314,11 +318,13 @@ class _Counted:
             run = _Run(self._seen[part], low - before, high, drained, busy, 2 * most, unread)
             already = account.losses[-1:]
             lost = _follow(account, run, lost, begin)
-            account.more = account.losses[-1].more if account.losses[-1:] != already else 0
+            account.more = account.losses[-1].more + room if account.losses[-1:] != already else 0
             if not first and before and unread is None and account.losses and not busy[1:2].any():
                 account.unsure = max(0, before - self._surely_sent(int(emptied_ns[0])) + own[0].count)
             account.waiting = max(0, int(run.high[-1]) - lost)
-            last = first
+            last, crowded = first, bool(busy[-1])
+            idle = np.flatnonzero(drained[1:])
+            idle_ns = int(self._seen[first + 1 + idle[-1]]) if len(idle) else idle_ns
         account.taken = int(sent[-1]) - lost - account.waiting
         account.unread = max(0, account.waiting - int(sent[-1] - self._sent_until(own[-1].made_ns)))
         self._stop(account)
@@ -430,7 +436,7 @@ class _Counted:
         rows = self._case.rows
         told = (rows.destination == self._endpoint) & (rows.known_id == command_ingest.COMMAND_MSG_ID)
         told &= rows.function_code == command_ingest.RESET_COUNTERS
-        told &= (rows.time_ns > before.seen_ns - _LATE_NS) & (rows.time_ns < after.seen_ns)
+        told &= (rows.time_ns > before.seen_ns - DRAINS_NS) & (rows.time_ns < after.seen_ns)
         return before.instance == after.instance and bool(told.any())
 
     def _most_older(self, end: int) -> int:
@@ -507,8 +513,11 @@ def _anew(before: _Sample, after: _Sample) -> bool:
 
 def _older(low: NDArray[np.int64], high: NDArray[np.int64]) -> int:
     """Return how many fewer a first count has than were sent: 0 where all it counts can be in the capture."""
-    if low[0] <= 0 <= high.min():
-        return 0
+    return 0 if low[0] <= 0 <= high.min() else _fewer(low, high)
+
+
+def _fewer(low: NDArray[np.int64], high: NDArray[np.int64]) -> int:
+    """Return the most that counts can have fewer than were sent, as long as one number fits."""
     later = np.flatnonzero(np.maximum.accumulate(low) > np.minimum.accumulate(high))
     return int(high[: later[0] if len(later) else None].min())
 
