@@ -639,7 +639,8 @@ def _newest(case: Case, fate: Fate, hop: Hop) -> NDArray[np.bool_]:
     period = int(np.median(steps)) if len(steps) >= _LEAST_ROUNDS else 0
     newest = np.ones(len(times), bool)
     if fate.newer.any() and period >= _FASTER * float(np.median(np.diff(times))):
-        before = left[np.maximum(np.searchsorted(left, times) - 1, 0)]
+        read = left - _delay(times, left, hop)
+        before = read[np.maximum(np.searchsorted(read, times) - 1, 0)]
         turn = (times - before) // period
         newest = np.append((np.diff(before) != 0) | (np.diff(turn) != 0), True)
     if fate.keeps_newest and out.counted:
@@ -650,3 +651,16 @@ def _newest(case: Case, fate: Fate, hop: Hop) -> NDArray[np.bool_]:
                 newest[first + 1 : last] = False
                 newest[np.linspace(first, last, int(out.missing[at]) + 2).round().astype(int)[1:-1]] = True
     return newest
+
+
+def _delay(times: NDArray[np.int64], left: NDArray[np.int64], hop: Hop) -> int:
+    """Return how long before what it sends an application took its messages, ns: the newest it had, no later.
+
+    Args:
+        times: when its messages were sent.
+        left: when what it sends was captured.
+    """
+    came = hop.in_rows < len(times) - 1
+    at, sent = hop.in_rows[came], left[hop.out_rows[came]]
+    least, most = sent - times[at + 1], sent - times[at]
+    return max(0, int(least.max() + most.min()) // 2) if len(at) else 0
