@@ -529,6 +529,7 @@ class Stops:
             for (_, kind, hop), (span, text), newest in sorted(closed, key=itemgetter(0)):
                 inside = fate.open & ~fate.newer & (fate.stop < 0)
                 inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
+                inside &= ~self._hold_one(fate, inside, newest)
                 fate.newer |= inside & ~newest
                 inside &= newest
                 fate.unread |= inside
@@ -537,6 +538,22 @@ class Stops:
                     fate.stop[inside] = self._causes.index(cause)
                 else:
                     self._add(fate, inside, cause)
+
+    def _hold_one(
+        self, fate: Fate, inside: NDArray[np.bool_], newest: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Hold one message more and one fewer than rounds tell, where no count behind them has how many.
+
+        An application is woken at other times, too.
+        """
+        held = np.zeros(len(inside), bool)
+        rows = np.flatnonzero(inside & ~newest)
+        arrived = np.flatnonzero(fate.arrived)
+        if fate.keeps_newest and len(rows) and len(arrived) and not arrived[0] < rows[0] < arrived[-1]:
+            sent = np.flatnonzero(inside & newest)
+            held[[rows[-1], *sent[-1:]]] = True
+            self._hold(fate, held)
+        return held
 
     def _mark_unread(self, fate: Fate) -> None:
         """Mark the messages that came over SBN while that surely did not run, where none can be followed."""
