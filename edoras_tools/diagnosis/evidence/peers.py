@@ -78,7 +78,7 @@ class PeerSilence(NamedTuple):
 class PeerRestart(NamedTuple):
     """A peer that was started again before it was given up: it never said that it was gone.
 
-    ``last_ns`` is its last datagram before that, ``dead_ns`` when it would have sent the next one had it
+    ``last_ns`` is its last datagram before that, of one that answers its last answer, ``dead_ns`` when it would have sent the next one had it
     run, ``back_ns`` when it subscribed anew.
     """
 
@@ -353,6 +353,7 @@ def _restarts(
     repeats = begins > 2 + len(changes) + (times[-1] - times[0]) // _RARE_NS
     answers = times[kinds == sbn.MsgType.PROTO]
     app_ns = sent_ns[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
+    answering = 2 * len(answers) >= len(app_ns)
     found = []
     for place in np.flatnonzero(steps > long_ns).tolist():
         start_ns, end_ns = times[place : place + 2].tolist()
@@ -364,10 +365,11 @@ def _restarts(
             until_ns = end_ns + _STILL_NS
             later = int(((sent_ns > end_ns) & (sent_ns < until_ns)).sum())
             answered = int(((answers > end_ns) & (answers < until_ns + _ANSWERS_NS)).sum())
-            if 2 * len(answers) < len(app_ns) or answered > later + asked // 2:
+            if not answering or answered > later + asked // 2:
                 continue
         around = int(heard[place]), int(heard[place + 1])
-        found.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around))
+        read_ns = int(answers[answers <= start_ns].max(initial=0)) if answering else start_ns
+        found.append(PeerRestart(read_ns, start_ns + usual_ns, end_ns, around))
     return found
 
 
