@@ -232,7 +232,7 @@ def unheard(case: Case) -> dict[int, Unheard]:
             for restart in connection.restarts:
                 gone = (times > restart.dead_ns) & (times < restart.back_ns)
                 item.restarted += np.flatnonzero(gone).tolist()
-                item.uncertain += int(((times > restart.last_ns) & (times <= restart.dead_ns)).sum())
+                item.uncertain += int(((times > restart.read_ns) & (times <= restart.dead_ns)).sum())
     return found
 
 

@@ -78,14 +78,16 @@ class PeerSilence(NamedTuple):
 class PeerRestart(NamedTuple):
     """A peer that was started again before it was given up: it never said that it was gone.
 
-    ``last_ns`` is its last datagram before that, of one that answers its last answer, ``dead_ns`` when it would have sent the next one had it
-    run, ``back_ns`` when it subscribed anew.
+    ``last_ns`` is its last datagram before that, ``dead_ns`` when it would have sent the next one had it
+    run, ``back_ns`` when it subscribed anew. What came until ``read_ns`` it surely read: one that answers,
+    what it answered.
     """
 
     last_ns: int
     dead_ns: int
     back_ns: int
     rows: tuple[int, int]
+    read_ns: int
 
 
 _TIME: Final = attrgetter("time_ns")
@@ -369,7 +371,7 @@ def _restarts(
                 continue
         around = int(heard[place]), int(heard[place + 1])
         read_ns = int(answers[answers <= start_ns].max(initial=0)) if answering else start_ns
-        found.append(PeerRestart(read_ns, start_ns + usual_ns, end_ns, around))
+        found.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))
     return found
 
 

@@ -126,8 +126,8 @@ def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
     Name every restart: cFS noticed none of them.
     """
     for connection in case.network.connections.values():
-        for last_ns, dead_ns, back_ns, (last, first) in connection.restarts:
-            sent = connection.sent_ns[(connection.sent_ns > last_ns) & (connection.sent_ns < back_ns)]
+        for last_ns, dead_ns, back_ns, (last, first), read_ns in connection.restarts:
+            sent = connection.sent_ns[(connection.sent_ns > read_ns) & (connection.sent_ns < back_ns)]
             lost = int((sent > dead_ns).sum())
             yield verdict(
                 Severity.ERROR if lost else Severity.WARNING,

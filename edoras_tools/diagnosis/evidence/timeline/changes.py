@@ -326,7 +326,7 @@ def _peer(connection: Connection, system: int, begin_ns: int) -> Iterator[Change
         yield Change(system, subject, "disconnected", begin_ns, begin_ns, "nothing came from it before")
     for item in connection.changes:
         yield Change(system, subject, item.state, item.time_ns, item.time_ns + _WAKE_NS, item.why)
-    for last_ns, dead_ns, back_ns, (last, first) in connection.restarts:
+    for last_ns, dead_ns, back_ns, (last, first), _ in connection.restarts:
         text = f"nothing from it for {(back_ns - last_ns) / SECOND:.1f} s, then it subscribed anew"
         yield Change(system, subject, "silent", last_ns, dead_ns, text, (last,))
         yield Change(system, subject, "connected", back_ns, back_ns, "it subscribed anew", (first,))
