@@ -193,7 +193,7 @@ ADDONS: Final = (
             "rules": _rules("fprime_packets_lost"),
         },
     ),
-    Addon("eds", adds={"databases": {"eds": "sheets:SHEETS"}}),
+    Addon("databases", adds={"databases": {"eds": "eds.sheets:SHEETS", "xtce": "xtce.systems:SYSTEMS"}}),
     Addon("frames", adds={"links": {"frames": "link:FRAMES"}, "rules": _rules("frames_lost")}),
     Addon("racs2", adds={"links": {"racs2": "link:RACS2"}}),
     Addon(

@@ -43,7 +43,7 @@ _TYPE: Final = re.compile(
 )
 _DIMENSION: Final = re.compile(r"\[(\w*)\]")
 _TOP: Final = {"edoras_structs", "byte_order", "package", "bind", "enums", "structs"}
-_STRUCT: Final = {"size", "header", "union", "packed", "members", "doc"}
+_STRUCT: Final = {"size", "header", "union", "packed", "members", "doc", "tail"}
 _ABOUT: Final = ("doc", "unit", "polynomial", "yellow", "red")
 _NUMBERS: Final = {int, float}
 _FINITE: Final = 1e300
@@ -361,7 +361,8 @@ class _Reader:
             if member.offset < header < member.offset + self._extent(member):
                 self._mistake(f"{where}.{member.name}", f"the header of {header} bytes ends within it")
         self._alignments[name] = alignment
-        self._structs[name] = Struct(name, size, tuple(members), union, header, self._doc(where, raw))
+        tail = self._number(f"{where}.tail", raw.get("tail", 0)) or 0
+        self._structs[name] = Struct(name, size, tuple(members), union, header, self._doc(where, raw), tail)
 
     def _extent(self, member: Member) -> int:
         if member.bits:
@@ -498,6 +499,7 @@ def dumps(layout: StructLayout) -> str:
     for struct in layout.structs.values():
         lines += [f"  {_name(struct.name)}:", f"    size: {struct.size}"]
         lines += [f"    header: {struct.header}"] * bool(struct.header)
+        lines += [f"    tail: {struct.tail}"] * bool(struct.tail)
         lines += ["    union: true"] * struct.union
         lines += [f"    doc: {json.dumps(struct.doc)}"] * bool(struct.doc)
         lines.append("    members:" + ("" if struct.members else " {}"))

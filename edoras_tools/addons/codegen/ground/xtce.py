@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from edoras_tools.addons.codegen.ground.packets import GroundPacket, Items
-    from edoras_tools.structs.shapes import Member
+    from edoras_tools.structs.shapes import Member, Range
     from edoras_tools.wire.cfe import Headers
 
 _NAMESPACE: Final = "http://www.omg.org/spec/XTCE/20180204"
@@ -227,25 +227,32 @@ def _data_type(types: ET.Element, role: str, name: str, item: PacketItem) -> Non
         element = ET.SubElement(types, f"Binary{role}Type", {"name": name})
         size = ET.SubElement(ET.SubElement(element, "BinaryDataEncoding"), "SizeInBits")
         ET.SubElement(size, "FixedValue").text = str(item.bits)
-    if member and not item.enum and item.encoding in {"float", "uint", "int"}:
-        _add_meaning(element, encoded, member)
+    if item.member and not item.enum and item.encoding in {"float", "uint", "int"}:
+        _add_meaning(element, encoded, item.member, is_argument=member is None)
 
 
-def _add_meaning(element: ET.Element, encoded: ET.Element, member: Member) -> None:
-    """Add the unit of a parameter's type, its calibration and its limits."""
-    if member.unit:
+def _ends(limits: Range | None) -> dict[str, str]:
+    named = zip(("minInclusive", "maxInclusive"), limits or (), strict=False)
+    return {key: str(end) for key, end in named if end is not None}
+
+
+def _add_meaning(element: ET.Element, encoded: ET.Element, member: Member, *, is_argument: bool) -> None:
+    """Add the unit of a type, its calibration and its limits; an argument is sent as the number it is."""
+    if member.unit and not (is_argument and member.polynomial):
         element.insert(0, ET.Element("UnitSet"))
         ET.SubElement(element[0], "Unit").text = member.unit
+    if is_argument:
+        if (ends := _ends(member.red)) and not member.polynomial:
+            ET.SubElement(ET.SubElement(element, "ValidRangeSet"), "ValidRange", ends)
+        return
     if member.polynomial:
         calibrator = ET.SubElement(ET.SubElement(encoded, "DefaultCalibrator"), "PolynomialCalibrator")
         for exponent, coefficient in enumerate(member.polynomial):
             ET.SubElement(calibrator, "Term", {"coefficient": str(coefficient), "exponent": str(exponent)})
     if member.limits:
         alarms = ET.SubElement(ET.SubElement(element, "DefaultAlarm"), "StaticAlarmRanges")
-        for tag, ends in (("WarningRange", member.yellow), ("CriticalRange", member.red)):
-            named = zip(("minInclusive", "maxInclusive"), ends or (), strict=False)
-            limits = {key: str(end) for key, end in named if end is not None}
-            if limits:
+        for tag, among in (("WarningRange", member.yellow), ("CriticalRange", member.red)):
+            if limits := _ends(among):
                 ET.SubElement(alarms, tag, limits)
 
 

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from edoras_tools.addons.eds.sheets import read_sheets
+from edoras_tools.addons.databases.eds.sheets import read_sheets
 from edoras_tools.structs import Structs
 from edoras_tools.structs.shapes import OPEN
 

@@ -10,8 +10,15 @@ from dataclasses import replace
 from math import prod
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.eds.documents import Node, SheetError
-from edoras_tools.addons.eds.placement import MOST_VALUE_BITS, UNNAMED, DataType, Placement, c_name
+from edoras_tools.addons.databases.documents import Node, SheetError
+from edoras_tools.addons.databases.placement import (
+    MOST_VALUE_BITS,
+    UNNAMED,
+    DataType,
+    Placement,
+    c_name,
+    scalar,
+)
 from edoras_tools.structs.messages import unique
 from edoras_tools.structs.shapes import (
     BASIC,
@@ -27,7 +34,7 @@ from edoras_tools.structs.shapes import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from edoras_tools.addons.eds.parameters import Number, Parameters
+    from edoras_tools.addons.databases.eds.parameters import Number, Parameters
 
 PACKET_HEADERS: Final = {"CFE_HDR/CommandHeader": "command", "CFE_HDR/TelemetryHeader": "telemetry"}
 """The containers that are cFE's headers, on which every packet's is based: what such a packet is."""
@@ -149,12 +156,12 @@ class Types:
         if kind == "Container":
             return self._container(node, name)
         if kind == "Alias":
-            return self.find(self.full_name(self._required(node, "type"), package))
+            return self.find(self.full_name(node.required("type"), package))
         if kind == "SubRange":
-            base = self.find(self.full_name(self._required(node, "baseType"), package))
+            base = self.find(self.full_name(node.required("baseType"), package))
             return replace(base, like=self._like(node, package, base))
         if kind == "Array":
-            element = self.find(self.full_name(self._required(node, "dataTypeRef"), package))
+            element = self.find(self.full_name(node.required("dataTypeRef"), package))
             if element.variable:
                 raise SheetError(f"array {name}: the length of {element.kind} varies")
             return replace(element, dims=(*self._dimensions(node, package), *element.dims))
@@ -171,7 +178,7 @@ class Types:
             if "size" in item.attributes:
                 yield self._count(item, "size", package)
                 continue
-            name = self.full_name(self._required(item, "indexTypeRef"), package)
+            name = self.full_name(item.required("indexTypeRef"), package)
             labels = self.enums.get(str(self.find(name).kind))
             low, high = self.find(name).like.red or (0, None)
             if labels is None and (low is None or high is None):
@@ -211,18 +218,13 @@ class Types:
         doubt = self._doubt(kind, words, bits, package) or f"encoding {coded}" * (
             basic_kind is BasicKind.BYTE
         )
-        octets = 1 << max(0, (-(-bits // 8) - 1).bit_length())
-        if octets > 8:
-            octets, doubt = 8, doubt or f"{bits} bits"
-        basic = BASIC["float64"] if doubt else BASIC[str(Basic(basic_kind, octets))]
         if like.red and _all_of(like.red, bits, signed=basic_kind is BasicKind.INT):
             like = replace(like, red=None)
-        scalar_type = DataType(
-            basic, int(bits), scalar=True, order=order, alignment=octets, doubt=doubt, like=like
-        )
-        if not labels or doubt:
+        scalar_type = scalar(basic_kind, int(bits), order, like, doubt)
+        if not labels or not isinstance(scalar_type.kind, Basic) or scalar_type.doubt:
             return scalar_type
         called = unique(c_name(name), self._used)
+        basic = scalar_type.kind
         names = {value: label for value, label in labels.items() if basic.holds(value)}
         self.enums[called] = Enumeration(called, basic, names)
         return replace(scalar_type, kind=called)
@@ -293,7 +295,7 @@ class Types:
 
     def _entry_type(self, entry: Node, package: str, owner: str) -> DataType:
         """Return the type of an entry, which may have an encoding, a unit and limits of its own."""
-        name = self.full_name(self._required(entry, "type"), package)
+        name = self.full_name(entry.required("type"), package)
         data_type = self.find(name)
         own = next((item for item in entry.children if item.tag.endswith("DataEncoding")), None)
         if own is not None:
@@ -311,10 +313,10 @@ class Types:
         for item in node.inside("PolynomialCalibrator", "Term"):
             if node.tag == "LengthEntry":
                 break  # how bytes are counted, not what a value means
-            exponent = self._parameters.integer(self._required(item, "exponent"), package)
+            exponent = self._parameters.integer(item.required("exponent"), package)
             if not 0 <= exponent <= _DEEPEST:
                 raise SheetError(f"exponent {exponent} of a calibration is not 0 to {_DEEPEST}")
-            terms[exponent] = float(self._parameters.number(self._required(item, "coefficient"), package))
+            terms[exponent] = float(self._parameters.number(item.required("coefficient"), package))
         if terms:
             like = replace(like, polynomial=tuple(terms.get(place, 0.0) for place in range(max(terms) + 1)))
         for tag in ("Range", "ValidRange", "SafeRange", "SafeRangeSet", "NominalRange", "NominalRangeSet"):
@@ -340,15 +342,10 @@ class Types:
 
     def _count(self, node: Node | None, key: str, package: str) -> int:
         assert node is not None, "its attribute was there"
-        value = self._parameters.integer(self._required(node, key), package)
+        value = self._parameters.integer(node.required(key), package)
         if not 0 <= value <= MOST_VALUE_BITS:
             raise SheetError(f"{key} {value} is not a number of 0 to {MOST_VALUE_BITS}")
         return value
-
-    def _required(self, node: Node, key: str) -> str:
-        if key not in node.attributes:
-            raise SheetError(f"{node.tag} {node.name}".rstrip() + f" has no {key}")
-        return node.attributes[key]
 
 
 def _all_of(ends: Range, bits: int, *, signed: bool) -> bool:

@@ -11,7 +11,7 @@ import re
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.eds.documents import SheetError
+from edoras_tools.addons.databases.documents import SheetError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -11,9 +11,9 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.eds.documents import Node, SheetError, parse_document
-from edoras_tools.addons.eds.parameters import Parameters
-from edoras_tools.addons.eds.types import DATA_TYPES, PACKET_HEADERS, Types
+from edoras_tools.addons.databases.documents import Node, Notes, SheetError, parse_document
+from edoras_tools.addons.databases.eds.parameters import Parameters
+from edoras_tools.addons.databases.eds.types import DATA_TYPES, PACKET_HEADERS, Types
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.files import Database
 from edoras_tools.structs.shapes import ByteOrder, Key, StructLayout
@@ -102,7 +102,7 @@ class _Sheets:
     """
 
     def __init__(self, roots: Sequence[Node], defines: dict[str, str]) -> None:
-        self._notes: dict[str, Node] = {}
+        self._notes = Notes()
         self._nodes: dict[str, Node] = {}
         self._components: list[tuple[str, Node]] = []
         self._file = roots[0].file
@@ -110,38 +110,31 @@ class _Sheets:
         written: dict[str, str] = {}
         for root in roots:
             if root.tag not in _ROOTS:
-                self._note(root, f"{root.tag} is no data sheet")
+                self._notes.add(root, f"{root.tag} is no data sheet")
                 continue
             for package in root.inside("Package"):
                 for item in package.inside("Define"):
                     key, value = f"{package.name}/{item.name}", item.attributes.get("value", "")
                     if written.setdefault(key, value) != value:
-                        self._note(item, f"parameter {key} has another value in an earlier file, which holds")
+                        self._notes.add(
+                            item, f"parameter {key} has another value in an earlier file, which holds"
+                        )
                 for item in (node for each in package.inside("DataTypeSet") for node in each.children):
                     name = f"{package.name}/{item.name}"
                     if item.tag in DATA_TYPES and self._nodes.setdefault(name, item) is not item:
-                        self._note(item, f"type {name} is declared in {self._nodes[name]}, too, which holds")
+                        self._notes.add(
+                            item, f"type {name} is declared in {self._nodes[name]}, too, which holds"
+                        )
                 self._components += (
                     (package.name, item) for item in package.inside("ComponentSet", "Component")
                 )
-                self._unread(package)
+                self._notes.unread(package, _READ, _QUIET)
         self._parameters = Parameters({**written, **defines})
-
-    def _unread(self, node: Node) -> None:
-        """Note the elements that are not read, each kind once."""
-        if node.tag not in _READ | _QUIET:
-            self._note(node, f"{node.tag} is not read")
-        elif node.tag not in _QUIET:
-            for item in node.children:
-                self._unread(item)
-
-    def _note(self, node: Node, text: str) -> None:
-        self._notes.setdefault(text, node)
 
     def layout(self, order: ByteOrder, *, machine: bool) -> StructLayout:
         """Return all structs, with numbers of a byte order, and what lies in packets."""
-        before = dict(self._notes)
-        types = Types(self._nodes, self._parameters, order, machine=machine, note=self._note)
+        before = Notes(self._notes)
+        types = Types(self._nodes, self._parameters, order, machine=machine, note=self._notes.add)
         names: dict[str, str] = {}
         for name, node in self._nodes.items():
             try:
@@ -149,13 +142,13 @@ class _Sheets:
                 if node.tag == "ContainerDataType":
                     names[name] = str(data_type.kind)
             except SheetError as error:
-                self._note(node, str(error))
+                self._notes.add(node, str(error))
         bindings: dict[Key, str] = {}
         for key, name, node in self._packets(types):
             if name in names and bindings.setdefault(key, names[name]) != names[name]:
-                self._note(node, f"{key} is {bindings[key]} already, not {names[name]}")
+                self._notes.add(node, f"{key} is {bindings[key]} already, not {names[name]}")
         self.little = types.orders["little"] > types.orders["big"]
-        notes = tuple(f"{node}: {text}" for text, node in self._notes.items())
+        notes = self._notes.lines()
         self._notes = before
         if not types.structs:
             raise ConfigError(
@@ -174,7 +167,7 @@ class _Sheets:
                 *_, last = bases = list(types.bases(name))
                 kinds[name] = PACKET_HEADERS.get(last, "")
             except SheetError as error:
-                self._note(node, str(error))
+                self._notes.add(node, str(error))
                 continue
             for base in bases[1:]:
                 derived.setdefault(base, []).append(name)
@@ -188,14 +181,14 @@ class _Sheets:
                         if code is not None and kind == "command":
                             yield Key(msg_id, code), item, interface
                         elif code is not None or item not in derived:
-                            self._note(
+                            self._notes.add(
                                 self._nodes[item], f"{item} has no function code; its packets are {name}"
                             )
                     if name not in derived:
                         bare = kind == "command" and not types.find(name).bits
                         yield Key(msg_id, 0 if bare else None), name, interface
                 except SheetError as error:
-                    self._note(interface, f"{component.name}.{interface.name} of {package}: {error}")
+                    self._notes.add(interface, f"{component.name}.{interface.name} of {package}: {error}")
 
     def _topics(self, types: Types, package: str, component: Node) -> Iterator[tuple[Node, int, str]]:
         """Yield the interfaces of a component that have a topic: its number, and the type that goes there."""
@@ -217,7 +210,7 @@ class _Sheets:
                         number = self._parameters.integer(initial.get(variables[interface.name], ""), package)
                         yield interface, number, types.full_name(item.attributes.get("type", ""), package)
                     except SheetError as error:
-                        self._note(interface, f"topic of {interface.name}: {error}")
+                        self._notes.add(interface, f"topic of {interface.name}: {error}")
 
     def _msg_id(self, topic: int, kind: str, name: str) -> int:
         """Return the MsgId of a topic, as cFE maps it on the first processor."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from math import prod
 from typing import Final
 
-from edoras_tools.addons.eds.documents import SheetError
+from edoras_tools.addons.databases.documents import SheetError
 from edoras_tools.structs.messages import unique
-from edoras_tools.structs.shapes import BASIC, OPEN, Basic, ByteOrder, Member
+from edoras_tools.structs.shapes import BASIC, OPEN, Basic, BasicKind, ByteOrder, Member
 
 MOST_VALUE_BITS: Final = 1 << 27
 """Bits of a value at the most."""
@@ -61,6 +61,25 @@ class DataType:
         return self.bits * prod(self.dims[:-1] if self.text else self.dims)
 
 
+def scalar(kind: BasicKind, bits: int, order: ByteOrder | None, like: Member, doubt: str = "") -> DataType:
+    """Return the type of a number or a flag of any width.
+
+    Args:
+        kind: how its bytes are read.
+        bits: its width.
+        order: of its bytes.
+        like: a member with its unit and limits.
+        doubt: why it cannot be read as that.
+    """
+    octets = 1 << max(0, (-(-bits // 8) - 1).bit_length())
+    if octets > 8:
+        octets, doubt = 8, doubt or f"{bits} bits"
+    basic = BASIC["float64"] if doubt else BASIC[str(Basic(kind, octets))]
+    return DataType(
+        basic, bits, scalar=True, order=order if bits > 8 else None, alignment=octets, doubt=doubt, like=like
+    )
+
+
 class Placement:
     """The members of one container, and the bit behind the last.
 
@@ -85,6 +104,10 @@ class Placement:
     def pad(self, bits: int) -> None:
         """Leave bits out."""
         self._bit += bits
+
+    def go_to(self, bit: int) -> None:
+        """Place what follows at a bit."""
+        self._bit = bit
 
     def end(self) -> int:
         """Return the bits of the whole."""

@@ -7,8 +7,9 @@ import struct
 import pytest
 from effort import examples
 from places import SAMPLES
+from xml_damage import damaged
 
-from edoras_tools.addons.eds.sheets import is_sheet, read_sheets
+from edoras_tools.addons.databases.eds.sheets import is_sheet, read_sheets
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.bindings import Bindings
 from edoras_tools.structs.files import dumps, load_layout, load_together, parse_layout
@@ -247,25 +248,6 @@ def _frame(packet):
         + 2 * host
         + udp
     )
-
-
-WRONG = (b"", b"-1", b"0", b"99999999999", b"${X/Y}", b"2 ^ 99", b"a/b/c", b"1.5", b"((((", b"\xc3\xa9")
-
-
-def damaged(data, draw):
-    """Return a sheet with one mistake: cut, bytes, lines, a value or a name of an element."""
-    kind, lines = draw.randrange(6), data.split(b"\n")
-    if kind == 0:
-        return data[: draw.randrange(len(data))]
-    if kind == 1:
-        at = draw.randrange(len(data))
-        return data[:at] + bytes([draw.randrange(256)]) + data[at + 1 :]
-    if kind == 2:
-        at = draw.randrange(len(lines))
-        return b"\n".join(lines[:at] + lines[at + draw.randrange(1, 6) :])
-    words = list(re.finditer(rb"<(\w+)" if kind == 3 else rb'="([^"]*)"', data))
-    one, other = draw.choice(words), draw.choice(words)[1]
-    return data[: one.start(1)] + (draw.choice(WRONG) if kind == 4 else other) + data[one.end(1) :]
 
 
 @pytest.mark.parametrize("seed", range(examples(300, part=3)))

@@ -5,8 +5,8 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edoras_tools.addons.eds.documents import SheetError
-from edoras_tools.addons.eds.parameters import Parameters
+from edoras_tools.addons.databases.documents import SheetError
+from edoras_tools.addons.databases.eds.parameters import Parameters
 
 PARAMETERS = Parameters(
     {

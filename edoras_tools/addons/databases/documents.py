@@ -9,14 +9,16 @@ from xml.parsers import expat
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Container, Iterator
 
 _DEEPEST: Final = 64
 _MOST_NODES: Final = 1 << 18
+_LONGEST_TEXT: Final = 200
+"""Characters of an element that are kept: more than any unit or number has."""
 
 
 class SheetError(Exception):
-    """Something in a sheet that cannot be read; the sheet's other parts are."""
+    """Something in a file that cannot be read; the file's other parts are."""
 
 
 @dataclass(slots=True)
@@ -29,6 +31,7 @@ class Node:
         file: name of the file that it stands in.
         line: of the file, from 1.
         children: the elements in it.
+        text: the characters in it, its children's left out.
     """
 
     tag: str
@@ -36,6 +39,7 @@ class Node:
     file: str
     line: int
     children: list[Node] = field(default_factory=list)
+    text: str = ""
 
     @property
     def name(self) -> str:
@@ -60,15 +64,52 @@ class Node:
         for item in self.children:
             yield from item.walk()
 
+    def required(self, key: str) -> str:
+        """Return an attribute.
+
+        Raises:
+            SheetError: it is not there.
+        """
+        if key not in self.attributes:
+            raise SheetError(f"{self.tag} {self.name}".rstrip() + f" has no {key}")
+        return self.attributes[key]
+
     def __str__(self) -> str:
         return f"{self.file}:{self.line}"
+
+
+class Notes(dict[str, Node]):
+    """What of some files is not read, and the first element that it is true of."""
+
+    def add(self, node: Node, text: str) -> None:
+        """Add a note, once."""
+        self.setdefault(text, node)
+
+    def unread(self, node: Node, read: Container[str], quiet: Container[str]) -> None:
+        """Note the elements that are not read, each kind once.
+
+        Args:
+            read: tags that are.
+            quiet: tags that say nothing of packets, or are noted where they stand; nor is what is in them.
+        """
+        if node.tag in quiet:
+            return
+        if node.tag not in read:
+            self.add(node, f"{node.tag} is not read")
+            return
+        for item in node.children:
+            self.unread(item, read, quiet)
+
+    def lines(self) -> tuple[str, ...]:
+        """Return a line for each, with file and line."""
+        return tuple(f"{node}: {text}" for text, node in self.items())
 
 
 def parse_document(data: bytes, name: str) -> Node:
     """Return the root of a document.
 
     Raises:
-        ConfigError: it is not XML, declares a document type, or is nested or as large as no data sheet is.
+        ConfigError: it is not XML, declares a document type, or is too deep or too large to describe packets.
     """
     parser = expat.ParserCreate(namespace_separator=" ")
     root = Node("", {}, name, 0)
@@ -82,7 +123,7 @@ def parse_document(data: bytes, name: str) -> Node:
         nonlocal count
         count += 1
         if len(above) > _DEEPEST or count > _MOST_NODES:
-            refuse(f"more than {_DEEPEST} levels or {_MOST_NODES:,} elements; that is no data sheet")
+            refuse(f"more than {_DEEPEST} levels or {_MOST_NODES:,} elements; that describes no packets")
         plain = {key.rpartition(" ")[2]: value for key, value in attributes.items()}
         node = Node(tag.rpartition(" ")[2], plain, name, parser.CurrentLineNumber)
         above[-1].children.append(node)
@@ -92,6 +133,11 @@ def parse_document(data: bytes, name: str) -> Node:
         refuse("a document type (<!DOCTYPE ...>) is not read, for its entities may hold anything; remove it")
 
     parser.StartElementHandler = start
+
+    def characters(text: str) -> None:
+        above[-1].text = (above[-1].text + text)[:_LONGEST_TEXT]
+
+    parser.CharacterDataHandler = characters
     parser.EndElementHandler = lambda _: above.pop()
     parser.StartDoctypeDeclHandler = doctype
     try:

@@ -2,8 +2,8 @@
 
 import pytest
 
-from edoras_tools.addons.eds.documents import SheetError
-from edoras_tools.addons.eds.placement import DataType, Placement, c_name
+from edoras_tools.addons.databases.documents import SheetError
+from edoras_tools.addons.databases.placement import DataType, Placement, c_name
 from edoras_tools.structs.shapes import BASIC, OPEN
 
 WORD = DataType(BASIC["uint32"], 32, scalar=True, order="big", alignment=4)

@@ -7,7 +7,7 @@ from effort import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edoras_tools.addons.eds.documents import parse_document
+from edoras_tools.addons.databases.documents import parse_document
 from edoras_tools.errors import ConfigError
 
 BOMB = b'<!DOCTYPE a [<!ENTITY b "bbbbbbbb"><!ENTITY c "&b;&b;&b;&b;">]>\n<PackageFile>&c;</PackageFile>'

@@ -1,0 +1,515 @@
+"""Reads XTCE: the containers and commands of space systems become structs, by APID and function code packets.
+
+1. All files are read together. The entries of a container follow those of its base; of a command, too.
+2. What conditions and assignments say of the first 16 bits is the MsgId. A container with a condition on
+   anything else holds only sometimes: its base is what is known of such packets.
+3. cFE's header is left out of a struct: it ends where the container begins whose condition names the APID.
+4. What cannot be read is noted with file and line; all else is.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from edoras_tools.addons.databases.documents import Node, Notes, SheetError, parse_document
+from edoras_tools.addons.databases.placement import DataType, Placement, c_name
+from edoras_tools.addons.databases.xtce.names import SYSTEM, Item, Names
+from edoras_tools.addons.databases.xtce.types import Types, bits_of, fixed_value, number
+from edoras_tools.errors import ConfigError
+from edoras_tools.structs.files import Database
+from edoras_tools.structs.messages import unique
+from edoras_tools.structs.shapes import BASIC, ByteOrder, Key, Struct, StructLayout
+from edoras_tools.wire import ccsds
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+_ROOT: Final = re.compile(rb"<(?:[\w.-]+:)?SpaceSystem[\s>/]")
+_SEARCHED: Final = 1 << 16
+_READ: Final = frozenset(
+    f"{kind}{role}Type"
+    for kind in (
+        *("Aggregate", "Array", "Binary", "Boolean", "Enumerated", "Float", "Integer", "String"),
+        *("AbsoluteTime", "RelativeTime"),
+    )
+    for role in ("Parameter", "Argument")
+).union(
+    (
+        SYSTEM,
+        "TelemetryMetaData",
+        "CommandMetaData",
+        "ParameterTypeSet",
+        "ParameterSet",
+        "Parameter",
+        "Member",
+    ),
+    ("ArgumentTypeSet", "ArgumentList", "Argument", "ContainerSet", "CommandContainerSet", "MetaCommandSet"),
+    ("SequenceContainer", "CommandContainer", "MetaCommand", "BaseMetaCommand", "BaseContainer", "EntryList"),
+    ("ArgumentAssignmentList", "ArgumentAssignment", "RestrictionCriteria", "Comparison", "ComparisonList"),
+    ("ParameterRefEntry", "ArgumentRefEntry", "FixedValueEntry", "ContainerRefEntry", "MemberList", "Unit"),
+    ("ArrayParameterRefEntry", "ArrayArgumentRefEntry", "LocationInContainerInBits", "FixedValue", "UnitSet"),
+    ("IntegerDataEncoding", "FloatDataEncoding", "StringDataEncoding", "BinaryDataEncoding", "Encoding"),
+    ("DefaultCalibrator", "PolynomialCalibrator", "Term", "EnumerationList", "Enumeration", "ValidRange"),
+    ("ValidRangeSet", "DefaultAlarm", "StaticAlarmRanges", "WatchRange", "WarningRange", "DistressRange"),
+    ("CriticalRange", "SevereRange", "DimensionList", "Dimension", "StartingIndex", "EndingIndex"),
+    ("SizeInBits", "Fixed", "TerminationChar"),
+)
+_QUIET: Final = frozenset(
+    ("Header", "LongDescription", "AliasSet", "AncillaryDataSet", "ParameterProperties", "ReferenceTime"),
+).union(
+    ("AlgorithmSet", "StreamSet", "VerifierSet", "DefaultSignificance", "TransmissionConstraintList"),
+    ("MessageSet", "ParameterToSetList", "DefaultRateInStream", "BinaryEncoding", "ToString", "ServiceSet"),
+    ("DynamicValue", "Variable", "LeadingSize", "SplineCalibrator", "MathOperationCalibrator"),
+    ("IncludeCondition", "RepeatEntry", "SizeRangeInCharacters", "IndirectParameterRefEntry"),
+)
+"""Elements that say nothing of how packets are built, or are noted where they stand."""
+_ALIGNMENT: Final = re.compile(r"(?:.*_)?padding_\d+", re.ASCII)
+"""What 'edoras xtce' calls the bytes between values."""
+_ELEMENT: Final = re.compile(r"(.*)_(\d+)_", re.ASCII)
+"""What it calls an element of an array."""
+_TELEMETRY_HEADERS: Final = (16, 12, 20)
+"""Bytes of cFE's headers; the usual one first."""
+_FUNCTION_CODES: Final = {8: 49, 12: 49, 16: 81}
+"""The bit of the function code, by the bytes of a command's header: one of 16 has the extended header."""
+_ODD: Final = frozenset({"BooleanExpression", "CustomAlgorithm"})
+"""Conditions that are no comparison."""
+_NOTHING: Final = DataType(BASIC["byte"], 8)
+_MOST_TAIL: Final = 1 << 16
+_HIGHEST: Final = 0x1FFF
+"""The highest MsgId of version 1."""
+_MOST_SLOTS: Final = 1 << 14
+_DEEPEST: Final = 64
+
+
+class _Slot(NamedTuple):
+    """An entry with a fixed place: its bit from the start of the packet, and its value where that is known.
+
+    Attributes:
+        key: what conditions call it: the path of its parameter, or the name of its argument.
+        entry: its element.
+        fixed: bits that are always the same, which are no value of the message.
+    """
+
+    name: str
+    key: str
+    bit: int
+    data_type: DataType
+    entry: Node
+    fixed: int | None = None
+
+    @property
+    def end(self) -> int:
+        return self.bit + self.data_type.whole_bits
+
+
+@dataclass(slots=True)
+class _Content:
+    """What is known of a packet.
+
+    Attributes:
+        slots: its entries, in order.
+        own: the bit where the entries of the container begin whose condition names the APID.
+        stop: after which entry nothing has a fixed place, and why.
+        more: whether entries follow that one.
+        values: what conditions and assignments say, by the key of a slot, or of a member of it behind ``/``.
+        odd: whether a condition is no equality.
+    """
+
+    slots: list[_Slot] = field(default_factory=list)
+    own: int | None = None
+    stop: tuple[Node, str] | None = None
+    more: bool = False
+    values: dict[str, int] = field(default_factory=dict)
+    odd: bool = False
+
+    @property
+    def end(self) -> int:
+        """The bit behind the last entry."""
+        return self.slots[-1].end if self.slots else 0
+
+
+def is_system(data: bytes) -> bool:
+    """Tell whether a file is a space system of XTCE."""
+    return data[:4].lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<") and bool(_ROOT.search(data[:_SEARCHED]))
+
+
+def read_systems(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) -> StructLayout:
+    """Make one layout of files of XTCE.
+
+    Args:
+        files: content and name of each.
+        flags: none; they are of data sheets.
+
+    Raises:
+        ConfigError: a file is not XML, there is a flag, or there is no packet in any file.
+    """
+    if flags:
+        raise ConfigError(f"--cflag: {flags[0]!r} says nothing of XTCE; leave it out")
+    notes = Notes()
+    roots = []
+    for root in (parse_document(*file) for file in files):
+        if root.tag == SYSTEM:
+            roots.append(root)
+            notes.unread(root, _READ, _QUIET)
+        else:
+            notes.add(root, f"{root.tag} is no space system")
+    names = Names(roots, notes)
+    before = Notes(notes)
+    reader = _Reader(names, "big", notes)
+    layout = reader.layout(files[0][1])
+    if reader.little > reader.big:
+        layout = _Reader(names, "little", before).layout(files[0][1])
+    return layout
+
+
+def read_system(data: bytes, name: str) -> StructLayout:
+    """Make the layout of one file; see :func:`read_systems`."""
+    return read_systems([(data, name)])
+
+
+SYSTEMS: Final = Database(is_system, read_system, read_systems)
+
+
+class _Reader:
+    """Makes the layout of some space systems, with numbers of one byte order.
+
+    Attributes:
+        little: how many numbers in packets have that byte order.
+        big: how many the other one.
+    """
+
+    def __init__(self, names: Names, order: ByteOrder, notes: Notes) -> None:
+        self._names, self._order, self._notes = names, order, notes
+        self._types = Types(names, order, notes)
+        self.little = self.big = 0
+
+    def layout(self, origin: str) -> StructLayout:
+        """Return all structs, and what lies in packets.
+
+        Raises:
+            ConfigError: there is no container and no command.
+        """
+        types, notes = self._types, self._notes
+        contents = dict(self._contents())
+        parted = {
+            base.path
+            for item, content in contents.values()
+            if self._conditional(content) and (base := self._base(item))
+        }
+        bindings: dict[Key, str] = {}
+        for (kind, path), (item, content) in contents.items():
+            abstract = item.node.attributes.get("abstract") in {"true", "1"}
+            is_part = kind == "container" and self._conditional(content)
+            key, header = self._key(item, content)
+            if is_part:
+                notes.add(
+                    item.node, f"{path} holds under a condition on more than the MsgId: bound to no packet"
+                )
+            elif key is None and not abstract:
+                why = "nothing says its APID" + ", and function code" * (kind == "command")
+                if header == ccsds.PRIMARY.size:
+                    why = "its packets have no secondary header, which cFE's have"
+                notes.add(item.node, f"{path} is bound to no packet: {why}")
+            if abstract and (key is None or path not in parted):
+                continue
+            name = self._struct(item, content, 8 * header, parted=path in parted)
+            if key is not None and not is_part and bindings.setdefault(key, name) != name:
+                notes.add(item.node, f"{key} is {bindings[key]} already, not {name}")
+        if not types.structs:
+            raise ConfigError(*(notes.lines() or (f"{origin}: no container and no command in it",)))
+        return StructLayout(
+            types.structs, types.enums, bindings, self._order, origin=origin, notes=notes.lines()
+        )
+
+    def _contents(self) -> Iterator[tuple[tuple[str, str], tuple[Item, _Content]]]:
+        """Yield what is known of each container and each command, by kind and path."""
+        for kind in ("container", "command"):
+            for item in self._names.all(kind):
+                try:
+                    yield (kind, item.path), (item, self._content(item))
+                except SheetError as error:
+                    self._notes.add(item.node, f"{item.path}: {error}")
+
+    def _conditional(self, content: _Content) -> bool:
+        """Tell whether conditions are about more than the first 16 bits."""
+        first = {part.key for slot in content.slots for part in self._bits(slot) if part.bit < 16}
+        return content.odd or any(key not in first for key in content.values if key.startswith("/"))
+
+    def _bits(self, slot: _Slot) -> Iterator[_Slot]:
+        """Yield the numbers in a slot as slots of their own."""
+        for part in bits_of(self._types, slot.key, slot.data_type):
+            yield slot._replace(key=part.name, bit=slot.bit + part.bit, data_type=part.data_type)
+
+    def _content(self, item: Item) -> _Content:
+        """Return what is known of the packets of a container or a command.
+
+        Raises:
+            SheetError: it is based on itself, or on what is in none of the files.
+        """
+        content = _Content()
+        chain = [item]
+        while base := self._base(chain[-1]):
+            if len(chain) > _DEEPEST or base in chain:
+                raise SheetError("it is based on itself")
+            chain.append(base)
+        for own in reversed(chain):
+            begin, holder = content.end, own.node
+            if own.kind == "command":
+                self._assign(own, chain, content)
+                holder = next(own.node.inside("CommandContainer"), holder)
+            self._restrict(own, holder, content)
+            self._entries(own, holder, content)
+            if content.own is None and self._constant(content, 5, 11)[1] == 0x7FF:
+                content.own = begin
+        return content
+
+    def _base(self, item: Item) -> Item | None:
+        tag, key = (
+            ("BaseMetaCommand", "metaCommandRef")
+            if item.kind == "command"
+            else ("BaseContainer", "containerRef")
+        )
+        holder = next(item.node.inside(tag), None)
+        if holder is None and item.kind == "command":  # its container may have a base that is no command's
+            for inner in item.node.inside("CommandContainer", "BaseContainer"):
+                return self._names.find("container", inner.required("containerRef"), item.system)
+        return self._names.find(item.kind, holder.required(key), item.system) if holder is not None else None
+
+    def _assign(self, item: Item, chain: Sequence[Item], content: _Content) -> None:
+        """Note the values that a command gives the arguments of its bases."""
+        for node in item.node.inside("BaseMetaCommand", "ArgumentAssignmentList", "ArgumentAssignment"):
+            name, text = node.required("argumentName"), node.required("argumentValue")
+            for other in chain:
+                for argument in other.node.inside("ArgumentList", "Argument"):
+                    if argument.name == name:
+                        found = self._names.find(
+                            "argument type", argument.required("argumentTypeRef"), other.system
+                        )
+                        content.values[name] = self._value(found, text, node)
+
+    def _restrict(self, item: Item, holder: Node, content: _Content) -> None:
+        """Note the values that a container's conditions ask for."""
+        for base in holder.inside("BaseContainer", "RestrictionCriteria"):
+            for node in base.walk():
+                equal = node.attributes.get("comparisonOperator", "==") == "=="
+                content.odd |= node.tag in _ODD or (node.tag == "Comparison" and not equal)
+                if node.tag != "Comparison" or not equal:
+                    continue
+                found, member = self._names.find_member(node.required("parameterRef"), item.system)
+                kind = self._names.find(
+                    "parameter type", found.node.required("parameterTypeRef"), found.system
+                )
+                for name in member.split("/")[1:]:
+                    inner = next(
+                        (each for each in kind.node.inside("MemberList", "Member") if each.name == name), None
+                    )
+                    if inner is None:
+                        raise SheetError(f"{node.required('parameterRef')} is no parameter")
+                    kind = self._names.find("parameter type", inner.required("typeRef"), kind.system)
+                content.values[found.path + member] = self._value(kind, node.required("value"), node)
+
+    def _value(self, kind: Item, text: str, node: Node) -> int:
+        """Return the number that a text of a condition or an assignment means."""
+        self._types.find(kind)
+        labels = self._types.labels.get(kind.path, {})
+        return labels[text] if text in labels else int(number(node, text))
+
+    def _entries(self, item: Item, holder: Node, content: _Content, depth: int = 0) -> None:
+        """Append the entries of a container, until one has no fixed place."""
+        for entry in (node for each in holder.inside("EntryList") for node in each.children):
+            if content.stop is not None:
+                content.more = True
+                return
+            if len(content.slots) > _MOST_SLOTS or depth > _DEEPEST:
+                raise SheetError("it has more entries than any packet")
+            try:
+                self._entry(item, entry, content, depth)
+            except SheetError as error:
+                content.stop = entry, str(error)
+
+    def _entry(self, item: Item, entry: Node, content: _Content, depth: int) -> None:
+        bit = self._location(entry, content.end)
+        for tag in ("IncludeCondition", "RepeatEntry"):
+            if next(entry.inside(tag), None) is not None:
+                raise SheetError(f"{tag}: what follows has no fixed place")
+        if entry.tag == "ContainerRefEntry":
+            inner = self._names.find("container", entry.required("containerRef"), item.system)
+            content.slots.append(_Slot("", "", bit, replace(_NOTHING, bits=0), entry, 0))
+            self._entries(inner, inner.node, content, depth + 1)
+            return
+        if entry.tag == "FixedValueEntry":
+            digits = entry.required("binaryValue")
+            bits = int(number(entry, entry.required("sizeInBits")))
+            if not 0 < bits <= 1 << 16 or not re.fullmatch(r"[0-9A-Fa-f]*", digits):
+                raise SheetError("FixedValueEntry is no hexadecimal number of so many bits")
+            value = int(digits or "0", 16) & ((1 << bits) - 1)
+            content.slots.append(_Slot(entry.name, "", bit, replace(_NOTHING, bits=bits), entry, value))
+            return
+        role = entry.tag.removesuffix("RefEntry").removeprefix("Array").lower()
+        if role not in {"parameter", "argument"} or not entry.tag.endswith("RefEntry"):
+            raise SheetError(f"{entry.tag} is not read")
+        found = self._named(role, entry.required(f"{role}Ref"), item)
+        kind = self._names.find(f"{role} type", found.node.required(f"{role}TypeRef"), found.system)
+        data_type = self._types.find(kind)
+        if entry.tag.startswith("Array") and not data_type.dims:
+            dims = self._types.dimensions(entry)
+            data_type = replace(data_type, dims=dims or (), variable=dims is None)
+        name = c_name(found.node.name.removeprefix(f"{item.node.name}_"))
+        doc = found.node.doc or data_type.like.doc
+        if _plain(doc) == _plain(name):
+            doc = ""
+        data_type = replace(data_type, like=replace(data_type.like, doc=doc))
+        key = found.path if role == "parameter" else found.node.name
+        content.slots.append(_Slot(name, key, bit, data_type, entry))
+        if data_type.variable:
+            content.stop = entry, f"the length of {found.node.name} is in the packet"
+
+    def _named(self, role: str, name: str, item: Item) -> Item:
+        """Return the parameter or argument that an entry names."""
+        if role == "parameter":
+            return self._names.find(role, name, item.system)
+        command: Item | None = item
+        while command is not None:
+            for node in command.node.inside("ArgumentList", "Argument"):
+                if node.name == name:
+                    return Item("argument", f"{command.system}/{name}", node)
+            command = self._base(command)
+        raise SheetError(f"argument {name} is in none of these files")
+
+    def _location(self, entry: Node, end: int) -> int:
+        """Return the bit where an entry begins; ``end`` is where the one before it ends."""
+        holder = next(entry.inside("LocationInContainerInBits"), None)
+        if holder is None:
+            return end
+        place = holder.attributes.get("referenceLocation", "previousEntry")
+        offset = fixed_value(holder)
+        if offset is None or place not in {"previousEntry", "containerStart"}:
+            raise SheetError(f"its place is counted from {place}, or is in the packet")
+        bit = offset + (end if place == "previousEntry" else 0)
+        if bit < 0:
+            raise SheetError(f"bit {bit} is before the packet")
+        return bit
+
+    def _key(self, item: Item, content: _Content) -> tuple[Key | None, int]:
+        """Return which packets a container or a command is, and the bytes of their header.
+
+        None where nothing says the APID, or such packets are not cFE's.
+        """
+        word, mask = self._constant(content, 0, 16)
+        is_command = bool(item.kind == "command" or mask & word & 0x1000)
+        if not mask:  # no packet, but what lies in some
+            return None, 0
+        if mask & 0x800 and not word & 0x800:
+            return None, ccsds.PRIMARY.size
+        header = _command_header(content) if is_command else _telemetry_header(content)
+        word |= 0x800 | (0x1000 if is_command else 0)
+        if mask & 0x7FF != 0x7FF or word > _HIGHEST:
+            return None, header
+        if not is_command:
+            return Key(word), header
+        code, known = self._constant(content, _FUNCTION_CODES[header], 7)
+        return (Key(word, code) if known == 0x7F else None), header
+
+    def _constant(self, content: _Content, bit: int, bits: int) -> tuple[int, int]:
+        """Return the value of some bits, and which of them are always the same."""
+        value = mask = 0
+        for slot in content.slots:
+            for part in self._bits(slot):
+                known = part.fixed if part.fixed is not None else content.values.get(part.key)
+                width = part.data_type.whole_bits
+                if known is None or part.bit >= bit + bits or part.bit + width <= bit or known < 0:
+                    continue
+                shift = bit + bits - part.bit - width
+                ones, own = (1 << width) - 1, known & ((1 << width) - 1)
+                mask |= ones << shift if shift >= 0 else ones >> -shift
+                value |= own << shift if shift >= 0 else own >> -shift
+        return value & ((1 << bits) - 1), mask & ((1 << bits) - 1)
+
+    def _struct(self, item: Item, content: _Content, header: int, *, parted: bool) -> str:
+        """Lay out what follows a header of so many bits; return the name of the struct.
+
+        Args:
+            parted: whether some packets have more, which a condition says.
+        """
+        maker, path, last = Placement(self._order, machine=False), item.path, content.slots[-1:]
+        end = 0
+        for slot in _joined(content.slots):
+            bit = slot.bit - header
+            if bit < 0 or slot.fixed is not None or slot.data_type.variable or _is_alignment(slot):
+                continue
+            if bit < end:
+                self._notes.add(
+                    slot.entry, f"{path}: {slot.name} begins within what is before it; it is left out"
+                )
+                continue
+            end = slot.end - header
+            for part in self._bits(slot):
+                self.little += part.data_type.order == "little"
+                self.big += part.data_type.order == "big"
+            maker.go_to(bit)
+            if why := maker.place(slot.name, slot.data_type):
+                self._notes.add(slot.entry, f"{path}.{slot.name}: {why}")
+        maker.go_to(max(content.end - header, end))
+        if content.stop is not None:
+            node, why = content.stop
+            opened = last and last[0].data_type.variable and not content.more and last[0].data_type.bits
+            if opened and BASIC["byte"] != last[0].data_type.kind:
+                why = maker.open(last[0].name, replace(last[0].data_type, variable=False))
+            else:
+                maker.rest(BASIC["byte"])
+                why = f"{why}; {path} from there on is shown as bytes"
+            if why:
+                self._notes.add(node, why)
+        elif parted:
+            maker.rest(BASIC["byte"])
+        types, size = self._types, maker.end()
+        name = unique(c_name(item.node.name), types.used)
+        tail = _MOST_TAIL if item.kind == "container" and not maker.varies else 0
+        doc = item.node.doc
+        types.structs[name] = Struct(name, -(-size // 8), tuple(maker.members), doc=doc, tail=tail)
+        return name
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]+", "_", name).strip("_")
+
+
+def _is_alignment(slot: _Slot) -> bool:
+    return slot.data_type.kind == BASIC["byte"] and _ALIGNMENT.fullmatch(slot.name) is not None
+
+
+def _joined(slots: Sequence[_Slot]) -> Iterator[_Slot]:
+    """Yield slots, elements of an array that 'edoras xtce' wrote one by one as one."""
+    place = 0
+    while place < len(slots):
+        slot, count = slots[place], 1
+        match = _ELEMENT.fullmatch(slot.name)
+        if match and match[2] == "0":
+            while (
+                place + count < len(slots)
+                and (other := slots[place + count]).name == f"{match[1]}_{count}_"
+                and other.data_type == slot.data_type
+                and other.bit == slot.bit + count * slot.data_type.whole_bits
+            ):
+                count += 1
+            data_type = slot.data_type
+            yield slot._replace(name=match[1], data_type=replace(data_type, dims=(count, *data_type.dims)))
+        else:
+            yield slot
+        place += count
+
+
+def _command_header(content: _Content) -> int:
+    """Return the bytes of a command's header: where the entry with its checksum ends."""
+    ends = [slot.end // 8 for slot in content.slots if slot.bit < 64 <= slot.end]
+    return next((end for end in ends if end in _FUNCTION_CODES), min(_FUNCTION_CODES))
+
+
+def _telemetry_header(content: _Content) -> int:
+    """Return the bytes of a telemetry packet's header: where the container begins that names the APID."""
+    edges = {slot.end // 8 for slot in content.slots}
+    own = (content.own or 0) // 8
+    usual = (size for size in _TELEMETRY_HEADERS if size in edges)
+    return own if own in _TELEMETRY_HEADERS else next(usual, _TELEMETRY_HEADERS[0])

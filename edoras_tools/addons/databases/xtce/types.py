@@ -1,0 +1,333 @@
+"""The types of parameters and arguments: what bytes each takes, and what its value means."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from math import prod
+from typing import TYPE_CHECKING, Final
+
+from edoras_tools.addons.databases.documents import Node, SheetError
+from edoras_tools.addons.databases.placement import (
+    MOST_VALUE_BITS,
+    UNNAMED,
+    DataType,
+    Placement,
+    c_name,
+    scalar,
+)
+from edoras_tools.structs.messages import unique
+from edoras_tools.structs.shapes import BASIC, Basic, BasicKind, ByteOrder, Enumeration, Member, Range, Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.addons.databases.documents import Notes
+    from edoras_tools.addons.databases.xtce.names import Item, Names
+
+_ROLE: Final = re.compile(r"(Parameter|Argument)Type$")
+_OWN_PREFIX: Final = re.compile(r"(?:arg_)?u?int\d+(?:_[lb]e)?_(?=.)", re.ASCII)
+"""How 'edoras xtce' begins the name of an enumeration's type."""
+_ENCODINGS: Final = {
+    "unsigned": BasicKind.UINT,
+    "twosComplement": BasicKind.INT,
+    "twosCompliment": BasicKind.INT,
+    "IEEE754_1985": BasicKind.FLOAT,
+    "IEEE754": BasicKind.FLOAT,
+}
+"""How bytes are read, by the encoding of a number; also as XTCE 1.1 spelled it."""
+_TEXTS: Final = frozenset({"UTF-8", "US-ASCII", "ISO-8859-1", "Windows-1252"})
+_ORDERS: Final[dict[str, ByteOrder]] = {
+    "mostSignificantByteFirst": "big",
+    "leastSignificantByteFirst": "little",
+}
+_YELLOW: Final = ("WarningRange", "WatchRange")
+_RED: Final = ("CriticalRange", "DistressRange", "SevereRange")
+"""The alarms that are a limit; the first that is there."""
+_NUMBER: Final = re.compile(r"(0[xX][0-9a-fA-F]+)|[-+]?(?:\d+|(?=\.\d))(\.?\d*(?:[eE][-+]?\d+)?)", re.ASCII)
+_DEEPEST: Final = 64
+_HIGHEST: Final = 1e300
+_MOST_POWER: Final = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A member of an aggregate.
+
+    Attributes:
+        name: of it.
+        bit: where it begins in the aggregate.
+        data_type: of it.
+    """
+
+    name: str
+    bit: int
+    data_type: DataType
+
+
+def number(node: Node, text: str) -> float:
+    """Return a number as XTCE writes it.
+
+    Raises:
+        SheetError: it is none, or out of range.
+    """
+    value: float = _HIGHEST
+    match = _NUMBER.fullmatch(text.strip())
+    with suppress(ValueError):  # of an integer of thousands of digits
+        if match and match[1]:
+            value = int(text, 16)
+        elif match:
+            value = float(text) if match[2] else int(text)
+    if not abs(value) < _HIGHEST:
+        raise SheetError(f"{node.tag} {node.name}".rstrip() + f": {text[:40]!r} is no number")
+    return value
+
+
+def fixed_value(node: Node, *path: str) -> int | None:
+    """Return the ``FixedValue`` that tags lead to; None where there is none, but a value from a packet."""
+    item = next(node.inside(*path, "FixedValue"), None)
+    if item is None:
+        return None
+    value = number(item, item.text)
+    if value != int(value) or abs(value) > MOST_VALUE_BITS:
+        raise SheetError(f"{node.tag} {node.name}".rstrip() + f": {value} is no count of bits")
+    return int(value)
+
+
+class Types:
+    """The types of some space systems, each made once.
+
+    Args:
+        names: finds them.
+        order: of the bytes of all numbers; others are shown as bytes.
+        notes: what is not read.
+
+    Attributes:
+        structs: of aggregates, by name.
+        enums: by name.
+        parts: of aggregates, by the name of the struct.
+        labels: values by their texts, as written, by the type.
+    """
+
+    def __init__(self, names: Names, order: ByteOrder, notes: Notes) -> None:
+        self._names, self._order, self._notes = names, order, notes
+        self._types: dict[str, DataType | SheetError] = {}
+        self._open: list[str] = []
+        self.used: set[str] = {*BASIC}
+        self.structs: dict[str, Struct] = {}
+        self.enums: dict[str, Enumeration] = {}
+        self.parts: dict[str, list[Part]] = {}
+        self.labels: dict[str, dict[str, int]] = {}
+
+    def find(self, item: Item) -> DataType:
+        """Return a type.
+
+        Raises:
+            SheetError: it contains itself, or cannot be read.
+        """
+        result = self._types.get(item.path)
+        if result is None:
+            if item.path in self._open or len(self._open) > _DEEPEST:
+                raise SheetError(f"type {item.path} contains itself")
+            self._open.append(item.path)
+            try:
+                result = self._made(item.replaced(self._whole(item)))
+            except SheetError as error:
+                result = error
+            else:
+                if result.whole_bits > MOST_VALUE_BITS or prod(result.dims) > 1 << 16:
+                    result = SheetError(f"type {item.path} is larger than any packet")
+            self._open.pop()
+            self._types[item.path] = result
+        if isinstance(result, SheetError):
+            raise SheetError(str(result))
+        return result
+
+    def _whole(self, item: Item, depth: int = 0) -> Node:
+        """Return the element of a type with what it has of its ``baseType``."""
+        name = item.node.attributes.get("baseType")
+        if not name:
+            return item.node
+        if depth > _DEEPEST:
+            raise SheetError(f"type {item.path} is based on itself")
+        base = self._whole(self._names.find(item.kind, name, item.system), depth + 1)
+        own = {child.tag for child in item.node.children}
+        return replace(
+            item.node,
+            attributes={**base.attributes, **item.node.attributes},
+            children=[*item.node.children, *(child for child in base.children if child.tag not in own)],
+        )
+
+    def _made(self, item: Item) -> DataType:
+        node, kind = item.node, _ROLE.sub("", item.node.tag)
+        if kind == "Array":
+            element = self.find(self._names.find(item.kind, node.required("arrayTypeRef"), item.system))
+            if element.variable:
+                raise SheetError(f"array {item.path}: the length of its elements varies")
+            dims = self.dimensions(node)
+            return replace(element, dims=(*(dims or ()), *element.dims), variable=dims is None)
+        if kind == "Aggregate":
+            return self._aggregate(item)
+        if kind.endswith("Time"):
+            node = next(node.inside("Encoding"), node)
+        encoding = next((child for child in node.children if child.tag.endswith("DataEncoding")), None)
+        if encoding is None:
+            raise SheetError(f"type {item.path} has no encoding, so its value is in no packet")
+        if encoding.tag == "StringDataEncoding":
+            return self._text(item, encoding)
+        if encoding.tag == "BinaryDataEncoding":
+            bits = fixed_value(encoding, "SizeInBits")
+            return DataType(
+                BASIC["byte"], 8, (-(-(bits or 0) // 8),), variable=bits is None, like=self._like(item)
+            )
+        return self._number(item, kind, encoding)
+
+    def dimensions(self, node: Node) -> tuple[int, ...] | None:
+        """Return the dimensions that an element has; None where a packet says one."""
+        sizes = []
+        for item in node.inside("DimensionList", "Dimension"):
+            first, last = (fixed_value(item, f"{end}Index") for end in ("Starting", "Ending"))
+            if last is None:
+                return None
+            sizes.append(max(0, last - (first or 0) + 1))
+        return tuple(sizes) or None
+
+    def _text(self, item: Item, encoding: Node) -> DataType:
+        bits = fixed_value(encoding, "SizeInBits", "Fixed")
+        coded = encoding.attributes.get("encoding", "UTF-8")
+        led = next(encoding.inside("SizeInBits", "LeadingSize"), None) is not None
+        if bits is None:
+            return DataType(BASIC["byte"], 8, (0,), variable=True)
+        doubt = f"encoding {coded}" * (coded not in _TEXTS) or "its length stands before it" * led
+        return DataType(BASIC["char"], bits, (bits // 8,), doubt=doubt, like=self._like(item))
+
+    def _number(self, item: Item, kind: str, encoding: Node) -> DataType:
+        """Return the type of a number, a flag, a time or an enumeration."""
+        node, words = item.node, encoding.attributes
+        is_float = encoding.tag.startswith("Float")
+        bits = number(encoding, words.get("sizeInBits", "32" if is_float else "8"))
+        if bits not in range(1, 1 << 16):
+            raise SheetError(f"type {item.path}: {bits} is no number of bits")
+        coded = words.get("encoding", "IEEE754_1985" if is_float else "unsigned")
+        basic_kind = _ENCODINGS.get(coded, BasicKind.BYTE)
+        order = _ORDERS.get(words.get("byteOrder", "mostSignificantByteFirst"))
+        sound = (basic_kind is BasicKind.FLOAT) == is_float and basic_kind is not BasicKind.BYTE
+        sound = sound and (not is_float or bits in {32, 64})
+        doubt = f"encoding {coded} of {bits} bits" * (not sound)
+        if order is None and bits > 8:
+            doubt = doubt or f"byte order {words.get('byteOrder')}"
+        labels = self._labels(item, kind)
+        if kind == "Boolean" and not labels:
+            basic_kind = BasicKind.BOOL
+        data_type = scalar(basic_kind, int(bits), order, self._like(item, encoding), doubt)
+        basic = data_type.kind
+        if not labels or data_type.doubt or not isinstance(basic, Basic) or is_float:
+            return data_type
+        used: set[str] = set()
+        names = {value: unique(c_name(text), used) for value, text in labels.items() if basic.holds(value)}
+        name = _OWN_PREFIX.sub("", c_name(node.name))
+        same = self.enums.get(name)
+        if same is None or (same.basic, same.names) != (basic, names):
+            name = unique(name, self.used)
+            self.enums[name] = Enumeration(name, basic, names)
+        return replace(data_type, kind=name)
+
+    def _labels(self, item: Item, kind: str) -> dict[int, str]:
+        """Return the texts that a type has for values."""
+        node = item.node
+        if kind == "Boolean":
+            texts = [node.attributes.get(key, "") for key in ("zeroStringValue", "oneStringValue")]
+            texts = [text or name for text, name in zip(texts, ("False", "True"), strict=True)]
+            self.labels[item.path] = {text: value for value, text in enumerate(texts)}
+            return {} if texts == ["False", "True"] else dict(enumerate(texts))
+        labels: dict[int, str] = {}
+        for entry in node.inside("EnumerationList", "Enumeration"):
+            try:
+                value = number(entry, entry.required("value"))
+                labels.setdefault(int(value), entry.required("label"))
+            except SheetError as error:
+                self._notes.add(entry, str(error))
+            if "maxValue" in entry.attributes:
+                self._notes.add(entry, "maxValue: the label is shown for the first value alone")
+        self.labels[item.path] = {text: value for value, text in labels.items()}
+        return labels
+
+    def _aggregate(self, item: Item) -> DataType:
+        """Lay out an aggregate: its members follow each other bit by bit."""
+        maker = Placement(self._order, machine=False)
+        parts, bit = [], 0
+        for member in item.node.inside("MemberList", "Member"):
+            name = member.attributes.get("typeRef") or member.required("parameterTypeRef")
+            data_type = self.find(self._names.find(item.kind, name, item.system))
+            if data_type.variable:
+                raise SheetError(f"aggregate {item.path}: the length of {member.name} varies")
+            doc = member.doc or data_type.like.doc
+            placed = replace(data_type, like=replace(data_type.like, doc=doc))
+            if why := maker.place(c_name(member.name), placed):
+                self._notes.add(member, f"{item.path}.{member.name}: {why}")
+            parts.append(Part(member.name, bit, data_type))
+            bit += data_type.whole_bits
+        name = unique(c_name(item.node.name), self.used)
+        self.structs[name] = Struct(name, -(-maker.end() // 8), tuple(maker.members), doc=item.node.doc)
+        self.parts[name] = parts
+        return DataType(name, bit)
+
+    def _like(self, item: Item, encoding: Node | None = None) -> Member:
+        """Return a member with the unit, the calibration and the limits of a type."""
+        node = item.node
+        units = [" ".join(unit.text.split()) for unit in node.inside("UnitSet", "Unit")]
+        like = replace(UNNAMED, unit=" ".join(filter(None, units)), doc=node.doc)
+        for holder in (*node.inside("ValidRange"), *node.inside("ValidRangeSet", "ValidRange")):
+            like = replace(like, red=_range(holder))
+        for holder in node.inside("DefaultAlarm", "StaticAlarmRanges"):
+            if holder.attributes.get("rangeForm", "outside") != "outside":
+                self._notes.add(holder, "StaticAlarmRanges of the form 'inside' are not read")
+                continue
+            yellow, red = (
+                [_range(each) for tag in tags for each in holder.inside(tag)] for tags in (_YELLOW, _RED)
+            )
+            like = replace(like, yellow=(*yellow, like.yellow)[0], red=(*red, like.red)[0])
+        return replace(like, polynomial=self._polynomial(encoding)) if encoding is not None else like
+
+    def _polynomial(self, encoding: Node) -> tuple[float, ...]:
+        terms: dict[int, float] = {}
+        for holder in encoding.inside("DefaultCalibrator"):
+            for item in holder.children:
+                if item.tag != "PolynomialCalibrator":
+                    self._notes.add(item, f"{item.tag} is not read: the number is shown as it is sent")
+            for item in holder.inside("PolynomialCalibrator", "Term"):
+                power = number(item, item.required("exponent"))
+                if power not in range(_MOST_POWER + 1):
+                    raise SheetError(f"exponent {power} of a calibration is not 0 to {_MOST_POWER}")
+                terms[int(power)] = number(item, item.required("coefficient"))
+        return tuple(terms.get(power, 0.0) for power in range(max(terms) + 1)) if terms else ()
+
+
+def _range(node: Node) -> Range:
+    """Return the ends of a range; of an exclusive one of integers the next inside."""
+    ends: list[float | None] = []
+    for name, inwards in (("min", 1), ("max", -1)):
+        end = None
+        for form, step in (("Inclusive", 0), ("Exclusive", inwards)):
+            text = node.attributes.get(name + form)
+            if text is not None:
+                end = number(node, text)
+                end += step if isinstance(end, int) else 0
+        ends.append(end)
+    return ends[0], ends[1]
+
+
+def bits_of(types: Types, name: str, data_type: DataType) -> Iterator[Part]:
+    """Yield the numbers in a type, by their names, each with the bit where it begins.
+
+    Args:
+        name: of the whole; those of an aggregate's members follow behind ``/``.
+    """
+    parts = types.parts.get(str(data_type.kind))
+    if parts is None:
+        yield Part(name, 0, data_type)
+    elif not data_type.dims:
+        for part in parts:
+            for inner in bits_of(types, f"{name}/{part.name}", part.data_type):
+                yield replace(inner, bit=part.bit + inner.bit)
