@@ -2,7 +2,8 @@
 
 The doctor goes by fewer of them, and where its own differ from the usual ones. Rules:
 
-1. A round is the time between bursts of one sender, of which nearly all others are multiples.
+1. A round is the time between bursts of one sender, of which nearly all others are multiples, and for which
+   messages waited.
 2. How many of a MsgId a pipe keeps shows in the rounds behind which some are missing; a command that sets it
    shows it better.
 3. What nothing shows is not there. Nothing is assumed.
@@ -23,10 +24,10 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.streams import bursts, full_rounds
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.words import plural
+from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
+    from collections.abc import Container, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -39,7 +40,30 @@ _LEAST: Final = 3
 """Rounds that show a limit."""
 _OFTEN: Final = 0.25
 """So many of them have to show the same."""
+_MOSTLY: Final = 0.4
+_SOME: Final = 0.1
+"""So many steps from burst to burst have to be one round, and so many bursts have more than one message."""
 _RANGE: Final = 0.05, 0.95
+_ALIKE: Final = 0.1
+"""Chapters whose values differ by no more show the same constant."""
+
+
+class Interval(NamedTuple):
+    """What many rounds show.
+
+    Attributes:
+        usual: value of most.
+        low: least of nearly all.
+        high: largest of nearly all.
+        rounds: how many show it.
+        of: how many could.
+    """
+
+    usual: float
+    low: float
+    high: float
+    rounds: int
+    of: int
 
 
 class LearnedConstant(NamedTuple):
@@ -48,14 +72,53 @@ class LearnedConstant(NamedTuple):
     Attributes:
         name: as ``SimProfile`` has it.
         value: of it.
-        evidence: its interval, and what shows it.
+        form: what shows it, with the names of an interval's values in braces.
+        interval: what many rounds show; None of what is no count of rounds.
         msg_id: of a limit at Telemetry Output.
     """
 
     name: str
     value: int
-    evidence: str
+    form: str
+    interval: Interval | None = None
     msg_id: int | None = None
+
+    @property
+    def evidence(self) -> str:
+        """Its interval, and what shows it."""
+        return self.form.format(**self.interval._asdict()) if self.interval else self.form
+
+
+def joined_constants(chapters: Sequence[Sequence[LearnedConstant]]) -> list[LearnedConstant]:
+    """Return the constants of one cFS that several chapters show: one interval of those that agree.
+
+    Where they do not, somebody changed it, and the last holds.
+    """
+    shown: dict[tuple[str, int | None], list[LearnedConstant]] = {}
+    for item in (item for chapter in chapters for item in chapter):
+        shown.setdefault((item.name, item.msg_id), []).append(item)
+    return [_joined(items) for items in shown.values()]
+
+
+def _joined(items: Sequence[LearnedConstant]) -> LearnedConstant:
+    last = items[-1]
+    alike = [item for item in items if abs(item.value - last.value) <= _ALIKE * abs(last.value)]
+    parts = [item.interval for item in alike if item.interval]
+    if len(items) > 1 and parts:
+        most = max(parts, key=lambda part: part.rounds)
+        best = next(item for item in alike if item.interval is most)
+        interval = Interval(
+            most.usual,
+            min(part.low for part in parts),
+            max(part.high for part in parts),
+            sum(part.rounds for part in parts),
+            sum(part.of for part in parts),
+        )
+        last = best._replace(interval=interval)
+    others = dict.fromkeys(item.value for item in items if item not in alike)
+    note = f", in {len(alike)} chapters" if len(alike) > 1 else ""
+    note += f"; others show {listed([str(value) for value in others])}" if others else ""
+    return last._replace(form=last.form + note)
 
 
 class _Round(NamedTuple):
@@ -71,9 +134,11 @@ class _Round(NamedTuple):
         """In whole milliseconds: how long the work takes beside the wait is not part of it."""
         return round(self.period_ns / MILLISECOND) * MILLISECOND
 
-    def __str__(self) -> str:
-        low, usual, high = (item / MILLISECOND for item in (self.low_ns, self.period_ns, self.high_ns))
-        return f"{usual:.2f} ms ({low:.2f} to {high:.2f}): {plural(self.rounds, 'round')}"
+    def constant(self, name: str, text: str) -> LearnedConstant:
+        """Return the constant that it is; ``text`` says of what these are rounds."""
+        usual, low, high = (item / MILLISECOND for item in (self.period_ns, self.low_ns, self.high_ns))
+        form = f"{{usual:.2f}} ms ({{low:.2f}} to {{high:.2f}}): {{rounds}} rounds {text}"
+        return LearnedConstant(name, self.value, form, Interval(usual, low, high, self.rounds, self.rounds))
 
 
 def shown_constants(case: Case) -> dict[str, list[LearnedConstant]]:
@@ -155,7 +220,7 @@ class _Learner:
         for stream in self._case.streams:
             if stream.known_id == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID and self._is_own(stream):
                 if pace := _round(self._case.instances.made_ns[stream.rows]):
-                    yield LearnedConstant("housekeeping_ns", pace.value, f"{pace} of 0x803")
+                    yield pace.constant("housekeeping_ns", "of 0x803")
                 return
 
     def _ingest(self, *, is_full: bool) -> Iterator[LearnedConstant]:
@@ -164,7 +229,7 @@ class _Learner:
         pace = _round(np.sort(np.concatenate(times)))
         if pace is None:
             return
-        yield LearnedConstant("ci_wake_ns", pace.value, f"{pace} in which commands came to the robot")
+        yield pace.constant("ci_wake_ns", "in which commands came to the robot")
         counts, when = case.payloads.ingest["packets"], case.payloads.ingest["time_ns"]
         steps = np.diff(counts)[np.abs(np.diff(when) - SECOND) < _NEAR * SECOND]
         usual, again = Counter(steps[steps > 0].tolist()).most_common(1)[0] if steps.any() else (0, 0)
@@ -184,7 +249,7 @@ class _Learner:
             if limited or full_rounds(times, missing, period_ns, fewer=2):
                 limit = _kept(times, missing, period_ns // 4)
                 if limit is not None:
-                    yield LearnedConstant("app_msg_limit", limit[0], f"{limit[1]} of 0x{hop.into.msg_id:04x}")
+                    yield _limit("app_msg_limit", limit, f" of 0x{hop.into.msg_id:04x}")
                     return
 
     def _output(self, streams: list[Stream]) -> Iterator[LearnedConstant]:
@@ -194,10 +259,10 @@ class _Learner:
         every = np.isin(case.rows.source, [item.sender for item in streams])
         every &= case.rows.link == streams[0].link
         times = case.rows.time_ns[every]
-        pace = _round(times)
+        pace = _round(times, waiting=True)
         if pace is None:
             return
-        yield LearnedConstant("to_wake_ns", pace.value, f"{pace} of {name}")
+        yield pace.constant("to_wake_ns", f"of {name}")
         losses = [loss for item in streams for loss in case.losses_of(item)]
         if any(_at_pipe(loss, "overflow", telemetry_output.PIPE) for loss in losses):
             depth = measured_depth(times, pace.value)
@@ -216,7 +281,8 @@ class _Learner:
         command = told_limit(case, stream)
         known_id = case.context.msg_ids.of_known(stream.known_id)
         if command:
-            yield LearnedConstant("to_limits", command, "the last command that adds it says so", known_id)
+            text = "the last command that adds it says so"
+            yield LearnedConstant("to_limits", command, text, msg_id=known_id)
             return
         lost = Counter[str]()
         for loss in case.losses_of(stream):
@@ -224,22 +290,22 @@ class _Learner:
         if lost["limit"] > lost["overflow"]:
             limit = _kept(self._times(stream), stream.missing, period_ns // 4)
             if limit is not None:
-                yield LearnedConstant("to_limits", *limit, known_id)
+                yield _limit("to_limits", limit, msg_id=known_id)
 
     def _network(self, streams: list[Stream]) -> Iterator[LearnedConstant]:
         case = self._case
         for receiver in dict.fromkeys(item.receiver for item in streams):
             own = [item for item in streams if item.receiver == receiver]
             times = np.sort(np.concatenate([self._times(item) for item in own]))
-            pace = _round(times)
+            pace = _round(times, waiting=True)
             if pace is None:
                 continue
-            yield LearnedConstant("sbn_wake_ns", pace.value, f"{pace} to {case.endpoints[receiver]}")
+            yield pace.constant("sbn_wake_ns", f"to {case.endpoints[receiver]}")
             for stream in own:
                 lost = any(_at_pipe(loss, "limit", "SBN") for loss in case.losses_of(stream))
                 limit = _kept(self._times(stream), stream.missing, pace.value // 4) if lost else None
                 if limit is not None:
-                    yield LearnedConstant("sbn_msg_limit", limit[0], f"{limit[1]} of 0x{stream.msg_id:04x}")
+                    yield _limit("sbn_msg_limit", limit, f" of 0x{stream.msg_id:04x}")
                     return
             return
 
@@ -248,20 +314,33 @@ def _at_pipe(loss: Loss, kind: str, pipe: str) -> bool:
     return loss.kind == kind and loss.hop.startswith(pipe)
 
 
-def _round(times: NDArray[np.int64]) -> _Round | None:
-    """Return the round in which bursts come; None where they show none."""
+def _round(times: NDArray[np.int64], *, waiting: bool = False) -> _Round | None:
+    """Return the round in which bursts come; None where they show none.
+
+    Args:
+        times: ns, in order.
+        waiting: whether messages have to be seen that waited for a round, several in a burst: what is only
+            published or let through at even times shows no round of what sends it.
+    """
     period = find_round(times)
     if period is None:
         return None
-    begins, _ = bursts(times, min(20 * MILLISECOND, period // 4))
+    begins, sizes = bursts(times, min(20 * MILLISECOND, period // 4))
     steps = np.diff(times[begins])
     own = steps[np.abs(steps - period) < _NEAR * period]
+    if waiting and (len(own) < _MOSTLY * len(steps) or (sizes > 1).sum() < _SOME * len(sizes)):
+        return None
     low, high = np.quantile(own, _RANGE)
     return _Round(int(np.median(own)), int(low), int(high), len(own))
 
 
-def _kept(times: NDArray[np.int64], missing: NDArray[Any], pause_ns: int) -> tuple[int, str] | None:
-    """Return how many a round has behind which some are missing, and what shows it; None where they differ.
+def _limit(name: str, shown: Interval, text: str = "", msg_id: int | None = None) -> LearnedConstant:
+    form = "{low} to {high}: {rounds} of {of} rounds behind which some are missing" + text
+    return LearnedConstant(name, int(shown.usual), form, shown, msg_id)
+
+
+def _kept(times: NDArray[np.int64], missing: NDArray[Any], pause_ns: int) -> Interval | None:
+    """Return how many a round has behind which some are missing; None where they differ.
 
     One more may come with a round that is read while it comes in, so the fewest count that are met often.
     """
@@ -271,6 +350,4 @@ def _kept(times: NDArray[np.int64], missing: NDArray[Any], pause_ns: int) -> tup
         return None
     low, high = (int(item) for item in np.quantile(full, _RANGE, method="nearest"))
     same = int((full == low).sum())
-    if same < _OFTEN * len(full):
-        return None
-    return low, f"{low} to {high}: {same} of {plural(len(full), 'round')} behind which some are missing"
+    return Interval(low, low, high, same, len(full)) if same >= _OFTEN * len(full) else None

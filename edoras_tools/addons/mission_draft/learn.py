@@ -6,11 +6,17 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.mission_draft.constants import clean_rates, shown_constants
+from edoras_tools.addons.mission_draft.constants import (
+    clean_rates,
+    joined_constants,
+    shown_constants,
+)
 from edoras_tools.addons.mission_draft.draft import MissionDraft, read_traffic
+from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.errors import CaptureError
 from edoras_tools.mission import loads
 from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -20,8 +26,9 @@ if TYPE_CHECKING:
     from edoras_tools.addons.mission_draft.constants import LearnedConstant
     from edoras_tools.addons.mission_draft.draft import OpenInput
     from edoras_tools.decode import Context
-    from edoras_tools.diagnosis.case import Case
-    from edoras_tools.model import Link
+    from edoras_tools.diagnosis.evidence.table import Recorder
+    from edoras_tools.diagnosis.examination import Chapter, Diagnosis
+    from edoras_tools.model import Columns, Link, PacketBatch
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress
 
@@ -34,6 +41,8 @@ _APPS: Final = {
     "sbn_": "the Software Bus Network",
 }
 """Whose constants they are, by how their names begin."""
+_PAUSE_NS: Final = 60 * SECOND
+"""Captures that lie so far apart are learned from one by one: cFS may be another in each."""
 _HEADER: Final = """\
 # Learned from {name}.
 # Each constant has its interval and what shows it; what the captures cannot show is not here. Names of topics
@@ -62,12 +71,13 @@ def learn_mission(opened: OpenInput, settings: Settings, progress: Progress | No
     if draft.topics:
         files = {**bench.mission.files, "draft.yaml": draft.text.encode()}
         bench = bench.with_mission(loads(files, check_type=types.check, msg_ids=msg_ids))
-    case = examine(source, bench).diagnosis.case
-    systems = shown_constants(case) if case is not None and len(case.rows) else {}
+    study = _Study(bench.columns.context)
+    examine(source, bench, examination=study)
+    systems = study.systems()
     if not draft.topics and not systems:
         raise CaptureError(f"{captured.name}: nothing of a cFS is in it")
-    if draft.topics and case is not None:
-        draft = captured.draft(clean_rates(case))
+    if draft.topics:
+        draft = captured.draft(study.rates)
     first, *others = systems.items() or [("", [])]
     bridged = {
         getattr(bridge, name)
@@ -77,7 +87,7 @@ def learn_mission(opened: OpenInput, settings: Settings, progress: Progress | No
         for name in link.bridge_ports
     }
     further = [item for item in ports if item[1] not in bridged]
-    keys = [*_keys(bench.columns.context, further, captured.traffic.orders, case), *_constants(first[1])]
+    keys = [*_keys(study, further, captured.traffic.orders), *_constants(first[1])]
     lines = [f"flight_software: # cFS {first[0]}".rstrip(), "  ros__parameters:", "    cfs:"] if keys else []
     lines += [*keys, *_others(others)]
     name = "".join(item if item.isprintable() else "?" for item in captured.name)
@@ -87,13 +97,60 @@ def learn_mission(opened: OpenInput, settings: Settings, progress: Progress | No
     )
 
 
-def _keys(
-    context: Context, ports: Sequence[tuple[Link, int]], orders: Counter[str], case: Case | None
-) -> Iterator[str]:
+class _Study(Examination):
+    """An examination that learns from each chapter while it is judged.
+
+    Attributes:
+        rates: the highest clean rate, Hz, by link and MsgId.
+        datagrams: how many were examined in chapters whose telemetry has a time.
+    """
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self.rates: dict[tuple[str, int], float] = {}
+        self.datagrams = 0
+        self._chapters: list[dict[str, list[LearnedConstant]]] = []
+        self._last_ns: int | None = None
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take a batch; one long after the others is of another capture, and so of another chapter."""
+        if len(batch):
+            if self._last_ns is not None and int(batch.time_ns[0]) > self._last_ns + _PAUSE_NS:
+                self.separate()
+            self._last_ns = int(batch.time_ns[-1])
+        super().add(batch, columns)
+
+    def judged(self, recorder: Recorder, chapter: Chapter) -> Diagnosis:
+        """Judge a chapter, and learn from its case."""
+        diagnosis = super().judged(recorder, chapter)
+        case = diagnosis.case
+        if case is not None and len(case.rows):
+            self._chapters.append(shown_constants(case))
+            for key, rate in clean_rates(case).items():
+                self.rates[key] = max(rate, self.rates.get(key, 0.0))
+            self.datagrams += len(case.rows) if case.instances.items else 0
+        return diagnosis
+
+    def systems(self) -> dict[str, list[LearnedConstant]]:
+        """Return the constants of each cFS, by its name: that which sends the ground the most first."""
+        names = dict.fromkeys(name for shown in self._chapters for name in shown)
+        named = [name for name in names if name]
+        for shown in self._chapters:
+            # A chapter in which no event and no peer names its cFS, where others name a single one.
+            if len(named) == 1 and named[0] not in shown and "" in shown:
+                shown[named[0]] = shown.pop("")
+        return {
+            name: joined_constants(chapters)
+            for name in names
+            if (chapters := [shown[name] for shown in self._chapters if name in shown])
+        }
+
+
+def _keys(study: _Study, ports: Sequence[tuple[Link, int]], orders: Counter[str]) -> Iterator[str]:
     """Yield the lines about how packets are built and which ports they have."""
-    headers = context.headers
-    if case is not None and case.instances.items:  # telemetry with a time, whose lengths are known
-        packets = plural(len(case.rows), "datagram")
+    headers = study.context.headers
+    if study.datagrams:  # telemetry with a time, whose lengths are known
+        packets = plural(study.datagrams, "datagram")
         yield f"      extended_header: {str(headers.extended).lower()} # {headers.name}, in {packets}"
         yield f"      telemetry_header: {headers.telemetry_bytes}"
     if headers.msg_ids.version != 1:

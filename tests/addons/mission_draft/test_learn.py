@@ -1,5 +1,7 @@
 """A system that is learned from its capture: each constant, and a twin that loses what the first lost."""
 
+import re
+
 import pytest
 from made_system import CONSTANTS, LIMITS, PORTS, STATE, lost, play, write
 from places import ROOT
@@ -7,7 +9,9 @@ from places import ROOT
 from edoras_tools.addons.lab.emulator import WireDatagram
 from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of
 from edoras_tools.addons.mission_draft.learn import learn_mission
+from edoras_tools.diagnosis import examination
 from edoras_tools.errors import CaptureError
+from edoras_tools.io import SourceDefaults
 from edoras_tools.mission import loads
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.units import MILLISECOND, SECOND
@@ -15,12 +19,27 @@ from edoras_tools.units import MILLISECOND, SECOND
 MS_500 = 500 * MILLISECOND
 
 
-def learned(path):
+def learned(*paths, rows=0):
+    """Return what is learned of captures; ``rows``: of a batch, where that matters."""
+
     def opened(settings):
-        source = open_files([path])
-        return source, settings.workbench(source.info, [path])
+        source = open_files(paths)
+        return _Parts(source, rows) if rows else source, settings.workbench(source.info, paths)
 
     return learn_mission(opened, Settings())
+
+
+class _Parts(SourceDefaults):
+    """A source in smaller batches."""
+
+    def __init__(self, source, rows):
+        self._source, self._rows = source, rows
+        self.info, self.statistics, self.close = source.info, source.statistics, source.close
+
+    def batches(self):
+        for batch in self._source.batches():
+            for first in range(0, len(batch), self._rows):
+                yield batch.take(slice(first, first + self._rows))
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +115,40 @@ def test_of_a_real_capture_what_it_shows_and_no_more(name):
         check_others(draft.text)
     if "housekeeping_ns" in names:
         assert profile.housekeeping_ns == SECOND
+
+
+def profile_of(draft):
+    return loads({"system.yaml": draft.text.encode()}).software.profile
+
+
+def test_chapters_of_a_long_capture_show_one_interval(monkeypatch):
+    path = ROOT / "tests/captures/a_rover.pcap.zst"
+    whole = learned(path)
+    monkeypatch.setattr(examination, "CHAPTER", 600)
+    parts = learned(path, rows=100)
+    assert profile_of(parts) == profile_of(whole)
+    (limit,) = [line for line in parts.text.splitlines() if "app_msg_limit" in line]
+    shown = re.fullmatch(
+        r" +app_msg_limit: 4 # 4 to 4: (\d+) of (\d+) rounds .* of 0x1827, in 3 chapters", limit
+    )
+    assert 80 <= int(shown[1]) == int(shown[2]) <= 91
+
+
+def test_captures_far_apart_are_learned_one_by_one():
+    """What any of them shows is there; a limit that was changed between them is the last one's."""
+    names = ("c4_cmd_rate", "c3_mqueue10", "season3/q12_to_limits_changed")
+    draft = learned(*(ROOT / f"tests/captures/{name}.pcap.zst" for name in names))
+    profile = profile_of(draft)
+    assert (profile.ci_wake_ns, profile.to_wake_ns, profile.app_msg_limit) == (MS_500, MS_500, 4)
+    assert (profile.ci_datagrams_per_wake, profile.to_pipe_depth, profile.to_limits[0x827]) == (11, 10, 2)
+    assert "0x0827: 2 # the last command that adds it says so; others show 4\n" in draft.text
+    assert "rounds of TO_LAB_APP, in 3 chapters\n" in draft.text
+
+
+@pytest.mark.parametrize("name", ["n12_two_hosts_flight", "season3/p4_apps_stopped"])
+def test_even_times_of_what_is_published_or_let_through_are_no_round(name):
+    """15 kbit/s let a message through each 79 ms; the generator publishes at 1 Hz."""
+    assert "sbn_wake_ns" not in profile_of(learned(ROOT / f"tests/captures/{name}.pcap.zst")).stated
 
 
 def test_a_capture_without_cfs_is_refused():
