@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "6480f10064b89178"
+local DIGEST = "74a292b462d2eb5f"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -5000,6 +5000,7 @@ D.arguments = {
 		[16] = "sbn_hk_reset_peer",
 	},
 }
+D.structs = {}
 D.route_commands = {[0] = {name = "NOOP", lengths = {8}}, [1] = {name = "SET"}}
 D.findings = {
 	{
@@ -7212,11 +7213,13 @@ end
 local function look_up(link, msg_id)
 	local exact, any_link, id = D.exact[link], D.any_link[msg_id], known_id(msg_id)
 	local commands, name = D.commands[id], D.pdu_msg_ids[msg_id] and D.pdu_name or D.msg_id_names[id]
+	local own = D.structs[msg_id]
+	if own and not any_link then name = own.name or name end
 	if not commands and any_link and id % 8192 >= 4096 then commands = D.route_commands end
 	return {
 		claims = exact and exact[msg_id] or any_link, commands = commands,
 		name = name, topic = any_link and routes[any_link[1]].topic or "",
-		unknown = not name and not any_link, heads = {},
+		unknown = not name and not any_link and not own, heads = {},
 	}
 end
 
@@ -7384,6 +7387,19 @@ local function said_command(layout, s, at)
 	return table.concat(words, " ")
 end
 
+-- Read the struct of a layout that follows the header; a packet of no bytes holds one of its function code alone.
+local function own_struct(own, at, code)
+	local size = #W.s - at
+	local layout = L[code and own[code] or size > 0 and own[-1]]
+	if not layout then return end
+	if size < layout.size or size > layout.most then
+		if not has("command_length") then note("struct_length") end
+		return
+	end
+	add_layer(layout, at)
+	if W.listed then W.summary = layout.title end
+end
+
 -- Read what lies behind the cFE header: an event, housekeeping, or a route's envelope.
 local function payload(msg_id, start, header, code)
 	local at, s = start + header, W.s
@@ -7397,6 +7413,8 @@ local function payload(msg_id, start, header, code)
 		W.route = routes[claims[1]]
 		if has("length_mismatch") then return truncated("edoras", at, 1) end
 		if code ~= 0 then note("header_only") end
+	elseif D.structs[msg_id] then
+		own_struct(D.structs[msg_id], at, code)
 	elseif known_id(msg_id) == D.msg_id.event and #s - at >= L.event.size then
 		add_layer(L.event, at)
 		if not W.listed then return end

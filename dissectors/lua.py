@@ -116,6 +116,7 @@ class Knowledge:
         pdu_msg_ids: of packets that hold a CFDP PDU each, which Wireshark's own dissector reads.
         frames: of ports with transfer frames, their format and the label of the link of the packets in them.
         dictionary: of F Prime, as ``engine/fprime.lua`` reads it; empty for none.
+        structs: of layouts, as ``engine/packet.lua`` reads them: ``layouts``, and ``packets`` by MsgId.
         note: what the head of the file says of where the routes are from.
     """
 
@@ -136,6 +137,7 @@ class Knowledge:
     pdu_msg_ids: Sequence[int] = ()
     frames: Mapping[int, tuple[FrameFormat, str]] = field(default_factory=dict)
     dictionary: Mapping[str, Any] = field(default_factory=dict)
+    structs: Mapping[str, Mapping[Any, Any]] = field(default_factory=dict)
     note: str = ""
 
 
@@ -192,6 +194,7 @@ def _data(knowledge: Knowledge) -> str:
     layouts = {name: _layout(layout, place) for name, (layout, place) in _layouts(knowledge).items()}
     arguments = {key: item for key, item in ARGUMENTS.items() if item.size and key not in BARE_TOO}
     layouts |= {layout.name: _arguments(key, layout) for key, layout in arguments.items()}
+    layouts |= knowledge.structs.get("layouts", {})
     data = {
         "layouts": layouts,
         "formats": [_format(number, item) for number, item in enumerate(_formats(knowledge), 1)],
@@ -225,6 +228,7 @@ def _data(knowledge: Knowledge) -> str:
             msg_id: {code: layout.name for (own_id, code), layout in arguments.items() if own_id == msg_id}
             for msg_id in COMMANDED
         },
+        "structs": dict(knowledge.structs.get("packets", {})),
         "route_commands": {
             code: {"name": command.name, "lengths": command.lengths or None}
             for code, command in names.ROUTE_COMMANDS.items()

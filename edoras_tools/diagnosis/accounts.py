@@ -40,6 +40,7 @@ def accounts(case: Case) -> list[dict[str, Any]]:
 def _row(case: Case, stream: Stream) -> dict[str, Any]:
     rows, own = case.rows, stream.rows
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
+    named = route or case.own_struct(stream.msg_id)
     times = rows.time_ns[own]
     lost = sum(loss.lost for loss in case.losses_of(stream))
     refused = case.commands.fates[id(stream)].refused.total() if id(stream) in case.commands.fates else 0
@@ -51,9 +52,9 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
     rounds = comb(times)
     behind = stream.link.only_to_cfs or (stream.link.peers and to_cfs)
     return {
-        "topic": route.topic if route else None,
-        "type": route.type if route else None,
-        "name": message_name(stream.known_id) or None,
+        "topic": named.topic if named else None,
+        "type": named.type if named else None,
+        "name": message_name(stream.known_id) or case.packet_name(stream.msg_id) or None,
         "link": stream.link.label,
         "msg_id": f"0x{stream.msg_id:04x}",
         "sender": str(case.endpoints[stream.sender]),

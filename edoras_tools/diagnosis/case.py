@@ -92,6 +92,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.doors import LinkEvidence, SampleStream, Unwrapper
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import CutDatagram
+    from edoras_tools.structs.bound import Bound
 
 _MOST: Final = 0.5
 _SLACK_NS: Final = 50 * MILLISECOND
@@ -606,9 +607,14 @@ class Case:
         return self.mission.routes[index] if index != NO_ROUTE else None
 
     def topic(self, msg_id: int) -> str | None:
-        """Return the configured topic of a MsgId, or None."""
-        route = self.route(msg_id)
-        return route.topic if route else None
+        """Return the topic of a MsgId: a configured one, or that of its struct; None of several or none."""
+        named = self.route(msg_id) or self.own_struct(msg_id)
+        return named.topic if named else None
+
+    def own_struct(self, msg_id: int) -> Bound | None:
+        """Return the struct of a layout that packets of a MsgId hold; None where each holds its own."""
+        own = self.context.structs.own(msg_id)
+        return own[0] if len(own) == 1 else None
 
     def name(self, msg_id: int) -> str:
         """Return how people are told of a MsgId: ``0x1827 (/cmd_vel)``."""
@@ -618,8 +624,9 @@ class Case:
         return f"0x{msg_id:04x} ({told})" if told else f"0x{msg_id:04x}"
 
     def packet_name(self, msg_id: int) -> str:
-        """Return cFE's name for a MsgId, or an empty string."""
-        return message_name(self.mission.msg_ids.standard(msg_id))
+        """Return cFE's name for a MsgId, or its structs' of a layout; nothing where it has neither."""
+        name = message_name(self.mission.msg_ids.standard(msg_id))
+        return name or ", ".join(item.name for item in self.context.structs.own(msg_id))
 
     def of_known(self, msg_id: int) -> int:
         """Return what a MsgId of version 1 that facts of cFS name is here."""

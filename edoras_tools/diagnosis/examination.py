@@ -445,6 +445,7 @@ class Examination:
                         row,
                         hop=case.called(row.hop),
                         name="" if row.msg_id is None else case.packet_name(row.msg_id),
+                        topic=row.topic or (row.msg_id is not None and case.topic(row.msg_id)) or "",
                     )
                     for row in (case.ledger.rows() if len(case.rows) else ())
                 ),

@@ -109,7 +109,7 @@ class _Writer:
     ) -> None:
         self._bench, self._tap = bench, tap
         sequences = SequenceCounts()
-        self._ledger = Ledger(bench.mission, sequences=sequences)
+        self._ledger = Ledger(bench.mission, sequences=sequences, structs=bench.columns.context.structs)
         self._source = PushedSource(info, SourceStatistics())
         self._shown = show(info, self._source.statistics) if show else None
         sinks: list[Sink] = [self._shown] if self._shown else []

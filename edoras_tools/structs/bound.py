@@ -107,6 +107,11 @@ class Bound:
         return fits
 
     @property
+    def extent(self) -> tuple[int, int]:
+        """The bytes of the shortest payload that fits, and of the longest; 65,535 where nothing ends it."""
+        return self._least, 0xFFFF if self._step else self.size + self.struct.tail
+
+    @property
     def expected(self) -> str:
         """The payload length as text."""
         return f"{self._least} + n x {self._step}" if self._step else str(self.size)

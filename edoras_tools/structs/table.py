@@ -134,6 +134,16 @@ class Structs:
         names = [item.name for item in self.bound_to(msg_id)]
         return names[0] if len(names) == 1 else ""
 
+    def own(self, msg_id: int) -> Sequence[Bound]:
+        """Return the structs of a MsgId that a layout names, not the built-in ones."""
+        return () if self._layouts is None else [item for item in self.bound_to(msg_id) if not item.shipped]
+
+    @cached_property
+    def shared(self) -> tuple[int, ...]:
+        """The MsgIds whose commands hold different structs of a layout, told apart by function code."""
+        own = () if self._layouts is None else self._bindings.by_id
+        return tuple(msg_id for msg_id in own if msg_id < UDP_KEY and len(self.own(msg_id)) > 1)
+
     def is_shipped(self, msg_id: int) -> bool:
         """Tell whether the structs of a MsgId are the built-in ones of cFE."""
         return self._layouts is None or all(item.shipped for item in self.bound_to(msg_id))

@@ -179,7 +179,7 @@ class Panes(App[None]):
         self.title = f"edoras sniff {source.info.name}"
         self.live = source.live
         self.store = Store(choice.limit if self.live else 0)
-        self.ledger = Ledger(bench.mission)
+        self.ledger = Ledger(bench.mission, structs=bench.columns.context.structs)
         self.reading = True
         self.decoded: Decoded | None = None
         self._source = source

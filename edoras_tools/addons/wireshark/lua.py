@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.addons.wireshark.structs import engine_structs
 from edoras_tools.decode import Context
 from edoras_tools.dissectors.lua import FindingText, Knowledge, RouteText, generate
 from edoras_tools.mission import Mission, load, loads
@@ -118,6 +119,7 @@ def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
             for item in context.mission.frames
         },
         dictionary=table.engine_values() if table else {},
+        structs=engine_structs(contexts[0].structs),
     )
 
 

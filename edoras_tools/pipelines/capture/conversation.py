@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.cfs.names import command_name, message_name
+from edoras_tools.cfs.names import command_name
 from edoras_tools.links import table
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding, Peer
@@ -31,7 +31,7 @@ class Statistics:
     """Counts the selected packets of a source."""
 
     def __init__(self, bench: Workbench) -> None:
-        self.ledger = Ledger(bench.mission)
+        self.ledger = Ledger(bench.mission, structs=bench.columns.context.structs)
         self._conversation = Conversation(bench.columns.context)
 
     def add(self, rows: ColumnRows) -> None:
@@ -191,7 +191,7 @@ class Conversation:
             return MSG_TYPE_NAMES.get(kind, f"type 0x{kind:02x}") if kind >= 0 else "unreadable"
         route, code = int(rows.routes()[row]), int(columns.function_code[index])
         standard = self._context.msg_ids.standard(msg_id)
-        name = self._context.mission.routes[route].topic if route != NO_ROUTE else message_name(standard)
+        name = self._context.mission.routes[route].topic if route != NO_ROUTE else self._context.name(msg_id)
         words = [f"0x{msg_id:04x}", name, command_name(standard, code) if code >= 0 else ""]
         return " ".join(["APP"] * (kind == MsgType.APP) + [word for word in words if word])
 

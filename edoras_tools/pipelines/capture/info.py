@@ -32,7 +32,9 @@ class Counting:
 
     def __init__(self, source: Source, bench: Workbench) -> None:
         context = bench.columns.context
-        self.report = CaptureReport(Ledger(bench.mission, context), source, notes=context.notes)
+        self.report = CaptureReport(
+            Ledger(bench.mission, context, structs=context.structs), source, notes=context.notes
+        )
         self._once = Once()
         self._structs = bench.columns.context.structs
 
@@ -65,7 +67,9 @@ def _recorded_counts(source: Source, bench: Workbench) -> CaptureReport | None:
     context = bench.columns.context
     if context.structs.dictionary is not None or not (reads_by_heads(source, bench) and source.info.sound):
         return None
-    report = CaptureReport(Ledger(bench.mission, context), source, notes=context.notes)
+    report = CaptureReport(
+        Ledger(bench.mission, context, structs=context.structs), source, notes=context.notes
+    )
     if not report.ledger.adopt(source.recorder_counts()):
         return None
     source.statistics.datagrams = report.ledger.datagrams

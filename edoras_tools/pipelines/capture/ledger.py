@@ -22,13 +22,15 @@ from edoras_tools.wire.arrays.order import order_by
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import Follower
     from edoras_tools.links.site import Site
-    from edoras_tools.mission import Mission
+    from edoras_tools.mission import Mission, Route
+    from edoras_tools.structs import Structs
+    from edoras_tools.structs.bound import Bound
 
 
 LONGEST_NOTE: Final = 300
@@ -55,6 +57,7 @@ class Account:
     ``kind`` is the link's own message type, -1 for none.
     ``newest_ns`` is the time of the message that came last, ``longest_ns`` the longest between two.
     ``sequences`` has the sequence counts of each sender.
+    ``codes`` counts commands by function code, where each has a struct of its own.
     """
 
     link: Link
@@ -73,6 +76,7 @@ class Account:
     bytes_max: int = 0
     bytes: int = 0
     findings: dict[str, int] = field(default_factory=dict)
+    codes: Counter[int] = field(default_factory=Counter)
 
     @property
     def gaps(self) -> int:
@@ -129,7 +133,9 @@ class Account:
         return cls(table.link(link), **numbers, sequences=[stream], findings=findings)
 
 
-_PLAIN: Final = [item.name for item in fields(Account) if item.name not in {"link", "sequences", "findings"}]
+_PLAIN: Final = [
+    item.name for item in fields(Account) if item.name not in {"link", "sequences", "findings", "codes"}
+]
 """The numbers of an account."""
 _TOTALS: Final = "datagrams", "start_ns", "end_ns", "behind", "behind_ns"
 
@@ -140,6 +146,7 @@ class Ledger:
     Args:
         site: of the decoder, where links count what is in their datagrams; None: they do not.
         sequences: shared with others that see the same batches; by default its own.
+        structs: what name packets that no route names.
 
     Attributes:
         followers: what links count of themselves.
@@ -151,9 +158,14 @@ class Ledger:
     """
 
     def __init__(
-        self, mission: Mission, site: Site | None = None, sequences: SequenceCounts | None = None
+        self,
+        mission: Mission,
+        site: Site | None = None,
+        sequences: SequenceCounts | None = None,
+        structs: Structs | None = None,
     ) -> None:
         self.mission = mission
+        self._structs = structs
         self.followers: LinkStates[Follower] = LinkStates(
             lambda link: None if site is None else link.follow(site)
         )
@@ -243,7 +255,17 @@ class Ledger:
                     account = self._account(columns, int(own[row]), row)
                     account.sequences.append(self.sequences.streams[index])
             self._known = len(self.sequences.streams)
+        self._count_codes(columns)
         self._follow(batch, columns)
+
+    def _count_codes(self, columns: Columns) -> None:
+        """Count the commands whose function code says which struct of a layout they hold."""
+        for msg_id in self._structs.shared if self._structs else ():
+            rows = np.flatnonzero(columns.msg_id == msg_id)
+            keys = np.stack([columns.link[rows], columns.processor_id[rows], columns.function_code[rows]])
+            _, first, counts = np.unique(keys, axis=1, return_index=True, return_counts=True)
+            for row, count in zip(rows[first].tolist(), counts.tolist(), strict=True):
+                self._account(columns, -1, row).codes[int(columns.function_code[row])] += count
 
     def _follow(self, batch: PacketBatch, columns: Columns) -> None:
         """Let links count; the account of a link's datagrams has the sequence counts in them."""
@@ -349,7 +371,7 @@ class Ledger:
         """Return a row for every stream, in the shape of ``info --json``: configured topics first."""
         accounts = sorted(
             self.accounts.values(),
-            key=lambda item: (item.route < 0, item.link == OTHER, *item.key),
+            key=lambda item: (item.route < 0 and len(self._own(item)) != 1, item.link == OTHER, *item.key),
         )
         rows = [self._row(account) for account in accounts]
         observed = {account.route for account in accounts}
@@ -360,10 +382,22 @@ class Ledger:
         ]
         return rows + [self._row(account) for account in silent]
 
+    def _own(self, account: Account) -> Mapping[str, Bound]:
+        """Return the structs of a layout that packets without a route hold, by their topic."""
+        if account.route >= 0 or account.msg_id == NO_MSG_ID or self._structs is None:
+            return {}
+        own = {item.topic: item for item in self._structs.own(account.msg_id)}
+        seen = {topic: item for topic, item in own.items() if item.key.function_code in account.codes}
+        return seen or own
+
     def _row(self, account: Account) -> dict[str, Any]:
-        route = self.mission.routes[account.route] if account.route >= 0 else None
+        route: Route | Bound | None = self.mission.routes[account.route] if account.route >= 0 else None
         recorded = bool(self.mission.recorded)
+        own = self._own(account)
+        if route is None and len(own) == 1:
+            (route,) = own.values()
         name = message_name(self.mission.msg_ids.standard(account.msg_id))
+        name = name or ", ".join(item.name for item in own.values() if item is not route)
         if account.msg_id == NO_MSG_ID and account.link != OTHER:
             name = table.protocol(account.link).message_name(account.kind)
         return {
@@ -383,6 +417,11 @@ class Ledger:
             "bytes_min": account.bytes_min,
             "bytes_max": account.bytes_max,
             "findings": {label: account.findings[label] for label in _LABELS if label in account.findings},
+            **(
+                {"topics": {topic: account.codes[item.key.function_code or 0] for topic, item in own.items()}}
+                if len(own) > 1
+                else {}
+            ),
         }
 
 

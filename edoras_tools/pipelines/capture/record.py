@@ -377,7 +377,9 @@ def pour(
     """
     source, bench = loop.source, loop.bench
     context = bench.columns.context
-    report = CaptureReport(Ledger(bench.mission, context, sequences), source, notes=context.notes)
+    report = CaptureReport(
+        Ledger(bench.mission, context, sequences, context.structs), source, notes=context.notes
+    )
     silent = len(context.notes)
     live = not source.statistics.total_bytes  # without flushes, a file always gives the same recording
     flushing = Flushing(sink, loop.limits.clock, time_ns if source.on_this_host else None)

@@ -162,8 +162,10 @@ def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | N
         outputs: the files or the directory written, at least one.
         keep: what was deleted of it again.
     """
-    topics = [row for row in summary.get("routes", ()) if row.get("topic")]
-    messages = sum(row.get("count", 0) for row in topics)
+    rows = summary.get("routes", ())
+    topics = [row.get("count", 0) for row in rows if row.get("topic")]
+    topics += [count for row in rows for count in row.get("topics", {}).values()]
+    messages = sum(topics)
     total = summary.get("messages") or summary.get("datagrams")
     over = f" over {units.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}" if total else ""
     on = f"{plural(messages, 'message')} on {plural(len(topics), 'topic')}"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rich.text import Text
 
+from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.balance import PEER_TO_ROBOT, Chain
 from edoras_tools.diagnosis.ledger import cause_text
 from edoras_tools.render import units
@@ -44,7 +45,8 @@ def shown_rows(result: Diagnosis) -> list[dict[str, Any]]:
         if not item.observed:
             row_json.update(lost=None, not_counted=item.counted["lost"])
     rows = _with_ends(result, balance)
-    quiet = [row for row in rows if not row["topic"] and row["name"] and row["in"] == row["out"]]
+    own = MSG_ID_NAMES.values()
+    quiet = [row for row in rows if not row["topic"] and row["name"] in own and row["in"] == row["out"]]
     if len(quiet) < 2:
         return rows
     left_out = {id(row) for row in quiet}

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.pipelines.plot_lines import RateCounts, bar_seconds
@@ -68,5 +67,5 @@ def _name(key: int, context: Context) -> str:
     if msg_id == NO_MSG_ID:
         return link.label
     route = int(context.routes_on(link)[msg_id])
-    name = MSG_ID_NAMES.get(context.msg_ids.standard(msg_id), f"0x{msg_id:04x}")
+    name = context.name(msg_id) or f"0x{msg_id:04x}"
     return f"{link.label} {context.mission.routes[route].topic if route != NO_ROUTE else name}"

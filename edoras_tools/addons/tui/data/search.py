@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.syntax import Presence, WhereError, parse_filter
 from edoras_tools.links import table
@@ -128,4 +127,4 @@ def _name(msg_id: int, context: Context) -> str:
     topic = f"{context.mission.routes[route].topic} {context.mission.routes[route].type}" * (
         route != NO_ROUTE
     )
-    return f"0x{msg_id:04x} {message_name(context.msg_ids.standard(msg_id))} {topic}".lower()
+    return f"0x{msg_id:04x} {context.name(msg_id)} {topic}".lower()

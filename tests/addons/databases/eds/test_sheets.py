@@ -231,7 +231,19 @@ def test_from_sheets_to_a_recording_and_the_doctor(call, tmp_path, write_pcap):
     assert limits["reason"] == "ROVER_HkTlm.battery: 2 values outside its limits, 1 outside the red ones"
     assert (limits["msg_id"], limits["severity"]) == ("0x0890", "warning")
     assert "lowest 10 V, highest 11 V; limits: yellow 11.5 to 16.8, red 10.5 to any" in limits["evidence"]
-    assert call("record", "-r", capture, *read, "-o", tmp_path / "a.mcap", "-q").code == 0
+    rows = call("info", capture, *read, "--json").json()["routes"]
+    assert [(row["topic"], row["type"], row["name"], row.get("topics")) for row in rows] == [
+        ("/cfs/ROVER_HkTlm", "cfs_msgs/msg/RoverHkTlm", None, None),
+        (*(None, None), "ROVER_NoopCmd, ROVER_DriveCmd", {"/cfs/ROVER_NoopCmd": 1, "/cfs/ROVER_DriveCmd": 1}),
+    ]
+    report = call("doctor", capture, *read, "--json").json()
+    assert {(row["msg_id"], row["topic"], row["type"], row["name"]) for row in report["routes"]} == {
+        ("0x0890", "/cfs/ROVER_HkTlm", "cfs_msgs/msg/RoverHkTlm", "ROVER_HkTlm"),
+        ("0x1890", None, None, "ROVER_NoopCmd, ROVER_DriveCmd"),
+    }
+    assert {row["topic"] for row in report["balance"] if row["msg_id"] == "0x0890"} == {"/cfs/ROVER_HkTlm"}
+    done = call("record", "-r", capture, *read, "-o", tmp_path / "a.mcap")
+    assert "4 messages on 3 topics" in done.err[-1]
     assert [item["topic"] for item in call("sniff", "-r", tmp_path / "a.mcap", "--json").lines()] == [
         *("/cfs/ROVER_HkTlm", "/cfs/ROVER_HkTlm", "/cfs/ROVER_DriveCmd", "/cfs/ROVER_NoopCmd"),
     ]

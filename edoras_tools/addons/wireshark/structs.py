@@ -1,0 +1,93 @@
+"""The structs of a mission's own layouts, as tables that the engine of the dissector adds like headers."""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.structs.shapes import BasicKind
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from edoras_tools.structs import Structs
+    from edoras_tools.structs.bound import Bound
+    from edoras_tools.structs.transcode import StructLeaf
+
+_MOST: Final = 512
+"""Values of a struct at the most; the rest is not shown."""
+_WHOLE: Final = {BasicKind.UINT: "uint", BasicKind.BOOL: "uint", BasicKind.CHAR: "uint", BasicKind.INT: "int"}
+
+
+def engine_structs(structs: Structs) -> dict[str, Any]:
+    """Return what ``engine/packet.lua`` reads of the structs that a layout names.
+
+    Returns:
+        ``layouts``: a table for each struct in a packet, by name; ``packets``: for each MsgId the ``name`` of
+        its packets, if all have one, and, by function code, -1 for all, the name of the table.
+    """
+    layouts: dict[str, Any] = {}
+    packets: dict[int, dict[Any, Any]] = {}
+    for bound in structs.all:
+        if bound.shipped or bound.key.port is not None or bound.layout.entries:
+            continue
+        name = f"struct {bound.key}"
+        layouts[name] = _layout(bound)
+        packet = packets.setdefault(bound.key.msg_id, {"name": structs.name(bound.key.msg_id) or None})
+        code = bound.key.function_code
+        packet[-1 if code is None else code] = name
+    return {"layouts": layouts, "packets": packets}
+
+
+def _layout(bound: Bound) -> dict[str, Any]:
+    least, most = bound.extent
+    leaves = bound.plan(least).leaves
+    fields = [*islice((item for leaf in leaves for item in _fields(bound, leaf)), _MOST)]
+    return {
+        "name": bound.name,
+        "protocol": "cfe",
+        "title": bound.name,
+        "size": least,
+        "most": most,
+        "little": bound.layout.byte_order == "little" or None,
+        "fields": fields,
+    }
+
+
+def _fields(bound: Bound, leaf: StructLeaf) -> Iterator[dict[str, Any]]:
+    """Yield the fields of a value, or of each in an array; elements share the field of their name."""
+    member = leaf.member
+    basic, size = bound.layout.basic(member), leaf.end - leaf.start
+    if basic is None or not size:
+        return
+    step = bound.layout.size(member) if member.array else size
+    name = ".".join(part for part in leaf.path if isinstance(part, str))
+    kind, mask, values = "bytes", None, bound.values(member)
+    if member.text:
+        kind = "string"
+    elif basic.kind is BasicKind.FLOAT:
+        kind = "double" if step == 8 else "float"
+    elif basic.kind in _WHOLE and step in {1, 2, 4, 8}:
+        kind = f"{_WHOLE[basic.kind]}{8 * step}"
+        if member.bits:
+            little = bound.layout.byte_order == "little"
+            shift = member.bit if little else 8 * step - member.bit - member.bits
+            mask = ((1 << member.bits) - 1) << shift
+        if basic.kind is BasicKind.BOOL:
+            values = {0: "false", 1: "true"}
+    else:
+        step = size
+    unit = f"in {member.unit}" if member.unit else ""
+    sent = "the number as it is sent, not calibrated" if member.polynomial else unit
+    for start in range(leaf.start, leaf.end, step):
+        yield {
+            "abbreviation": f"cfs.{bound.name}.{name}",
+            "name": name,
+            "start": start,
+            "size": step,
+            "kind": kind,
+            "mask": mask,
+            "hex": (member.base == 16 and "int" in kind) or None,
+            "names": dict(values) if "int" in kind and values else None,
+            "doc": ", ".join(filter(None, (member.doc, sent))),
+        }

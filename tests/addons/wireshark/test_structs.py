@@ -1,0 +1,110 @@
+"""Structs of own layouts in Wireshark: the values that tshark shows are those that our decoder reads."""
+
+import json
+import subprocess
+
+import pytest
+
+from edoras_tools.addons.lab.emulator import WireDatagram
+from edoras_tools.addons.wireshark.lua import dissector
+from edoras_tools.addons.wireshark.structs import engine_structs
+from edoras_tools.io.formats.open import open_file
+from edoras_tools.io.formats.pcap.writer import PcapSink
+from edoras_tools.io.frames.build import frames_of
+from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.model import Endpoint
+from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.structs import Structs
+from edoras_tools.structs.files import parse_layout
+from edoras_tools.structs.shapes import Key
+from edoras_tools.wire import cfe
+
+LAYOUT = """
+byte_order: {order}
+bind: {{0x0890: Health, 0x1890/2: Drive, 0x1890/3: Stop, udp:8585: Stop}}
+enums: {{Mode: {{type: uint8, values: {{IDLE: 0, DRIVING: 1}}}}}}
+structs:
+  Point: {{members: {{x: float32, y: float64}}}}
+  Health: {{members: {{
+    count: uint16, charge: {{type: 'uint16:10', unit: V}}, on: 'uint16:1', mode: Mode, name: 'char[5]',
+    path: 'Point[2]', levels: 'int16[3]', sum: uint64, flag: bool, serial: uint32 hex, more: 'uint8[]'}}}}
+  Drive: {{members: {{speed: int16, angle: float64}}}}
+  Stop: {{members: {{}}}}
+"""
+PAYLOAD = bytes(range(1, 60)) + b"\xff\xfe"
+
+
+@pytest.mark.parametrize("order", ["little", "big"])
+def test_tshark_shows_the_values_that_we_read(tmp_path, order):
+    path = tmp_path / "own.yaml"
+    path.write_text(LAYOUT.format(order=order))
+    settings = Settings([], structs=[path])
+    layout = parse_layout(path.read_bytes(), "own")
+    body = PAYLOAD + bytes(layout.structs["Health"].size)
+    packets = [
+        (cfe.emit_telemetry(0x0890, body[: layout.structs["Health"].size]), 1235),
+        (cfe.emit_command(0x1890, 2, body[: layout.structs["Drive"].size]), 1234),
+        (cfe.emit_command(0x1890, 3), 1234),
+        (cfe.emit_telemetry(0x0890, b"short"), 1235),
+    ]
+    here = Endpoint("127.0.0.1", 40000)
+    sent = [
+        WireDatagram(place * 10**9, here, Endpoint("127.0.0.1", port), packet)
+        for place, (packet, port) in enumerate(packets)
+    ]
+    capture = tmp_path / "a.pcap"
+    with capture.open("wb") as file:
+        sink = PcapSink(file, nanosecond=True)
+        sink.write(Demux().demux(frames_of(sent, 1)))
+        sink.close()
+    script = tmp_path / "edoras.lua"
+    script.write_text(dissector(settings)[0])
+    words = ("tshark", "-r", capture, "-X", f"lua_script:{script}", "-T", "json", "--no-duplicate-keys")
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert "Lua" not in done.stderr
+    frames = [item["_source"]["layers"] for item in json.loads(done.stdout)]
+    bench = settings.workbench()
+    ours = [bench.dissector.dissect(item).message for batch in open_file(capture).batches() for item in batch]
+    health = fields(frames[0], "cfs.Health.")
+    values = ours[0].values
+    assert {
+        name: int(health[name], 0) for name in ("count", "charge", "on", "mode", "sum", "flag", "serial")
+    } == {name: values[name] for name in ("count", "charge", "on", "mode", "sum", "flag", "serial")}
+    assert health["name"] == values["name"]
+    assert [int(item) for item in health["levels"]] == [*values["levels"]]
+    for axis in "xy":
+        shown = [float(item) for item in health[f"path.{axis}"]]
+        assert shown == pytest.approx([point[axis] for point in values["path"]], rel=1e-5)
+    drive = fields(frames[1], "cfs.Drive.")
+    assert int(drive["speed"]) == ours[1].values["speed"]
+    assert float(drive["angle"]) == pytest.approx(ours[1].values["angle"], rel=1e-9)
+    assert (ours[2].topic, "Stop" in frames[2]["edoras"] or "Stop" in str(frames[2])) == (
+        "/cfs/Stop/0x1890/3",
+        True,
+    )
+    assert "struct_length" in str(frames[3])
+    assert not any("unknown_msg_id" in str(frame) for frame in frames)
+
+
+def fields(layers, prefix):
+    """Return all values below a name, wherever they stand."""
+    found = {}
+    for name, value in layers.items():
+        if name.startswith(prefix):
+            found[name.removeprefix(prefix)] = value
+        elif isinstance(value, dict):
+            found |= fields(value, prefix)
+        elif isinstance(value, list):
+            for item in value:
+                found |= fields(item, prefix) if isinstance(item, dict) else {}
+    return found
+
+
+def test_what_is_left_to_others():
+    made = engine_structs(Structs([parse_layout(LAYOUT.format(order="little").encode(), "own")]))
+    assert made["packets"] == {
+        0x0890: {"name": "Health", -1: f"struct {Key(0x0890)}"},
+        0x1890: {"name": None, 2: f"struct {Key(0x1890, 2)}", 3: f"struct {Key(0x1890, 3)}"},
+    }
+    assert engine_structs(Structs(None)) == {"layouts": {}, "packets": {}}
+    assert "levels" in {item["name"] for item in made["layouts"]["struct 0x0890"]["fields"]}
