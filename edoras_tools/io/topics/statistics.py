@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.mission import Mission
     from edoras_tools.ros import TypeStore
+    from edoras_tools.structs import Structs
 
 _GROUP = np.dtype(
     [
@@ -67,6 +68,7 @@ class LinkStatistics:
     Args:
         statistics: of the source, read for its kernel drops; None if it has no such counter.
         sequences: shared with others that see the same batches; by default its own.
+        structs: whose topics are told of packets that no route names.
     """
 
     def __init__(
@@ -74,7 +76,9 @@ class LinkStatistics:
         mission: Mission,
         statistics: SourceStatistics | None,
         sequences: SequenceCounts | None = None,
+        structs: Structs | None = None,
     ) -> None:
+        self._structs = structs
         self._topics = {(int(route.link), route.msg_id): route.topic.encode() for route in mission.routes}
         self._statistics = statistics
         self._sequences = sequences or SequenceCounts()
@@ -154,9 +158,10 @@ class LinkStatistics:
         return whole_messages(rows, heads, channel_id, 0, time_ns, time_ns, rest, repeats=True)
 
     def _name(self, flow: int) -> bytes:
-        """Return the topic of a route, or ``LINK/MSG_ID``, NUL-terminated like CDR strings."""
+        """Return the topic of a route or a struct, or ``LINK/MSG_ID``, NUL-terminated like CDR strings."""
         link, msg_id = table.link(flow >> _MSG_ID_BITS), (flow & _MSG_ID_MASK) - 1
-        other = self._named(flow) if msg_id >= 0 else link.label
+        own = self._structs.own(msg_id) if self._structs and msg_id >= 0 else ()
+        other = own[0].topic if len(own) == 1 else self._named(flow) if msg_id >= 0 else link.label
         return self._topics.get((int(link), msg_id), other.encode()) + b"\0"
 
     @staticmethod

@@ -297,7 +297,7 @@ class Streams:
         self.endpoints: Endpoints | None = None
         self._latched = LatchedTopics(mission)
         self._own_topics: table.LinkStates[OwnTopics] = table.LinkStates(lambda link: link.topics(self))
-        self._statistics = LinkStatistics(mission, statistics, sequences)
+        self._statistics = LinkStatistics(mission, statistics, sequences, self.structs)
         self._own = len(own)
         self.number(range(len(self.topics)))
 

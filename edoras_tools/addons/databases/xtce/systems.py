@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -20,11 +21,11 @@ from edoras_tools.addons.databases.xtce.types import Types, bits_of, fixed_value
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.files import Database
 from edoras_tools.structs.messages import unique
-from edoras_tools.structs.shapes import BASIC, ByteOrder, Key, Struct, StructLayout
+from edoras_tools.structs.shapes import BASIC, COMMANDED, PACKETS, ByteOrder, Key, Struct, StructLayout
 from edoras_tools.wire import ccsds
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
 _ROOT: Final = re.compile(rb"<(?:[\w.-]+:)?SpaceSystem[\s>/]")
 _SEARCHED: Final = 1 << 16
@@ -158,10 +159,10 @@ def read_systems(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) 
     names = Names(roots, notes)
     before = Notes(notes)
     reader = _Reader(names, "big", notes)
-    layout = reader.layout(files[0][1])
-    if reader.little > reader.big:
-        layout = _Reader(names, "little", before).layout(files[0][1])
-    return layout
+    orders = reader.orders(reader.contents)
+    if orders["little"] > orders["big"]:
+        reader = _Reader(names, "little", before)
+    return reader.layout(files[0][1])
 
 
 def read_system(data: bytes, name: str) -> StructLayout:
@@ -176,14 +177,27 @@ class _Reader:
     """Makes the layout of some space systems, with numbers of one byte order.
 
     Attributes:
-        little: how many numbers in packets have that byte order.
-        big: how many the other one.
+        contents: what is known of each container and each command, by kind and path.
     """
 
     def __init__(self, names: Names, order: ByteOrder, notes: Notes) -> None:
         self._names, self._order, self._notes = names, order, notes
         self._types = Types(names, order, notes)
-        self.little = self.big = 0
+        self.contents = dict(self._contents())
+
+    def orders(self, contents: Mapping[tuple[str, str], tuple[Item, _Content]]) -> Counter[ByteOrder]:
+        """Count numbers by byte order: in packets, of cFE itself where there are no others, else in all."""
+        counts: tuple[Counter[ByteOrder], ...] = Counter(), Counter(), Counter()
+        for item, content in contents.values():
+            key, header = self._key(item, content)
+            place = 2 if key is None else int(_is_built_in(key))
+            counts[place].update(self._orders(content, header))
+        return counts[0] or counts[1] or counts[2]
+
+    def _orders(self, content: _Content, header: int) -> Iterator[ByteOrder]:
+        for slot in content.slots:
+            if slot.bit >= 8 * header:
+                yield from (part.data_type.order for part in self._bits(slot) if part.data_type.order)
 
     def layout(self, origin: str) -> StructLayout:
         """Return all structs, and what lies in packets.
@@ -192,7 +206,7 @@ class _Reader:
             ConfigError: there is no container and no command.
         """
         types, notes = self._types, self._notes
-        contents = dict(self._contents())
+        contents = self.contents
         parted = {
             base.path
             for item, content in contents.values()
@@ -213,6 +227,9 @@ class _Reader:
                     why = "its packets have no secondary header, which cFE's have"
                 notes.add(item.node, f"{path} is bound to no packet: {why}")
             if abstract and (key is None or path not in parted):
+                continue
+            if _is_built_in(key) and {*self._orders(content, header)} - {self._order}:
+                notes.add(item.node, f"{path} has another byte order: left to the built-in struct of {key}")
                 continue
             name = self._struct(item, content, 8 * header, parted=path in parted)
             if key is not None and not is_part and bindings.setdefault(key, name) != name:
@@ -445,9 +462,6 @@ class _Reader:
                 )
                 continue
             end = slot.end - header
-            for part in self._bits(slot):
-                self.little += part.data_type.order == "little"
-                self.big += part.data_type.order == "big"
             maker.go_to(bit)
             if why := maker.place(slot.name, slot.data_type):
                 self._notes.add(slot.entry, f"{path}.{slot.name}: {why}")
@@ -474,6 +488,11 @@ class _Reader:
 
 def _plain(name: str) -> str:
     return re.sub(r"[\W_]+", "_", name).strip("_")
+
+
+def _is_built_in(key: Key | None) -> bool:
+    """Tell whether packets hold a struct that this version has without any layout."""
+    return key is not None and (key.msg_id in PACKETS or key.msg_id in COMMANDED)
 
 
 def _is_alignment(slot: _Slot) -> bool:

@@ -256,7 +256,9 @@ class LinkState:
             row["rate_hz"], row["bytes_per_s"] = float(head["rate_hz"]), int(head["bytes"])
             row["largest"] = max(row["largest"], int(head["largest"]))
             row["time_ns"] = int(counts.log_time[place])
-            status = statuses.get(f"{row['link']}: {row['topic'] or row['msg_id'] or 'no MsgId'}", {})
+            status: Mapping[str, Any] = {}
+            for name in (row["topic"], row["msg_id"] or "no MsgId"):  # structs have their own topics
+                status = status or statuses.get(f"{row['link']}: {name}", {})
             row["level"], row["message"] = status.get("level", 0), status.get("message", "")
 
 

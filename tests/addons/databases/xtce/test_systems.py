@@ -284,14 +284,30 @@ def test_packets_read_with_what_we_wrote(tmp_path):
     assert structs.name(0x0827) == "telemetry_pose"
 
 
-def test_numbers_of_the_rarer_byte_order_are_bytes(tmp_path):
-    layout = read_system(describe_packets(struct_bench(tmp_path, "big")).text, "s")
-    assert layout.byte_order == "little"
+def test_structs_of_another_byte_order_than_cfe_are_read(tmp_path):
+    """The packets of cFE itself are left to the built-in structs then."""
+    struct_bench(tmp_path, "big")
+    bench = Settings([], structs=[tmp_path / "own.yaml"]).workbench()
+    layout = read_system(describe_packets(bench).text, "s")
+    own = {item: layout.structs[item] for item in ("Health", "Drive_0x1890_2", "Drive_0x1890_3")}
+    assert layout.byte_order == "big"
+    names = [item.name for struct in own.values() for item in struct.members if str(item.type) == "byte"]
+    assert names == ["word"] * 3
+    assert "0x0803" not in packets(layout)
     assert any(
-        "/edoras/Drive_0x1890_2.speed: its big-endian number is beside little-endian ones; it is shown"
-        in line
-        for line in layout.notes
+        "has another byte order: left to the built-in struct of 0x0803" in line for line in layout.notes
     )
+
+
+def test_numbers_of_the_rarer_byte_order_are_bytes():
+    little = '<IntegerParameterType name="l16"><IntegerDataEncoding sizeInBits="16" '
+    little += 'byteOrder="leastSignificantByteFirst"/></IntegerParameterType>'
+    data = system(container("A", "tlm", [("id/apid", 0x90)], "a", "b", "l"))
+    data = data.replace(b"</ParameterTypeSet>", little.encode() + b"</ParameterTypeSet>")
+    data = data.replace(b"</ParameterSet>", b'<Parameter name="l" parameterTypeRef="l16"/></ParameterSet>')
+    layout = read_system(data, "s")
+    (note,) = layout.notes
+    assert note.endswith("/S/A.l: its little-endian number is beside big-endian ones; it is shown as bytes")
 
 
 def test_files_that_are_none(tmp_path, call):
