@@ -94,10 +94,10 @@ def joined_constants(chapters: Sequence[Sequence[LearnedConstant]]) -> list[Lear
 
     Where they do not, somebody changed it, and the last holds.
     """
-    shown: dict[tuple[str, int | None], list[LearnedConstant]] = {}
+    by_name: dict[tuple[str, int | None], list[LearnedConstant]] = {}
     for item in (item for chapter in chapters for item in chapter):
-        shown.setdefault((item.name, item.msg_id), []).append(item)
-    return [_joined(items) for items in shown.values()]
+        by_name.setdefault((item.name, item.msg_id), []).append(item)
+    return [_joined(items) for items in by_name.values()]
 
 
 def _joined(items: Sequence[LearnedConstant]) -> LearnedConstant:
@@ -334,9 +334,9 @@ def _round(times: NDArray[np.int64], *, waiting: bool = False) -> _Round | None:
     return _Round(int(np.median(own)), int(low), int(high), len(own))
 
 
-def _limit(name: str, shown: Interval, text: str = "", msg_id: int | None = None) -> LearnedConstant:
+def _limit(name: str, interval: Interval, text: str = "", msg_id: int | None = None) -> LearnedConstant:
     form = "{low} to {high}: {rounds} of {of} rounds behind which some are missing" + text
-    return LearnedConstant(name, int(shown.usual), form, shown, msg_id)
+    return LearnedConstant(name, int(interval.usual), form, interval, msg_id)
 
 
 def _kept(times: NDArray[np.int64], missing: NDArray[Any], pause_ns: int) -> Interval | None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 SYSTEM: Final = "SpaceSystem"
 _MOST_MEMBERS: Final = 8
-"""Names behind that of a parameter, of the members in each other."""
+"""Declarations behind that of a parameter, of the members in each other."""
 _SETS: Final = (
     (("TelemetryMetaData", "ParameterTypeSet"), "parameter type"),
     (("TelemetryMetaData", "ParameterSet"), "parameter"),
@@ -32,7 +32,7 @@ _SETS: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class Declared:
     """Something that is declared.
 
     Attributes:
@@ -50,12 +50,12 @@ class Item:
         """The path of the space system that it is in."""
         return posixpath.dirname(self.path)
 
-    def replaced(self, node: Node) -> Item:
+    def replaced(self, node: Node) -> Declared:
         """Return it with another element."""
         return replace(self, node=node)
 
 
-class Names:
+class Declarations:
     """Everything that is declared in some space systems.
 
     Args:
@@ -64,25 +64,25 @@ class Names:
     """
 
     def __init__(self, roots: Sequence[Node], notes: Notes) -> None:
-        self._items: dict[tuple[str, str], Item] = {}
-        self._short: dict[tuple[str, str], list[Item]] = defaultdict(list)
+        self._items: dict[tuple[str, str], Declared] = {}
+        self._short: dict[tuple[str, str], list[Declared]] = defaultdict(list)
         for root in roots:
             for system, node in _systems(root, ""):
                 for place, kind in _SETS:
                     for item in (child for holder in node.inside(*place) for child in holder.children):
                         if not item.name:
                             continue
-                        entry = Item(kind, f"{system}/{item.name}", item)
+                        entry = Declared(kind, f"{system}/{item.name}", item)
                         if self._items.setdefault((kind, entry.path), entry) is not entry:
                             notes.add(item, f"{kind} {entry.path} is declared twice; the first holds")
                         else:
                             self._short[kind, item.name].append(entry)
 
-    def all(self, kind: str) -> Iterator[Item]:
+    def all(self, kind: str) -> Iterator[Declared]:
         """Yield what is of a kind."""
         return (item for (own, _), item in self._items.items() if own == kind)
 
-    def find(self, kind: str, name: str, system: str) -> Item:
+    def find(self, kind: str, name: str, system: str) -> Declared:
         """Return what a name means in a space system, or in one that it is in.
 
         Where several files are read, a system may be meant to be in another one, which only the ground
@@ -103,7 +103,11 @@ class Names:
             raise SheetError(f"{kind} {name} is in none of these files")
         return alike[0]
 
-    def find_member(self, name: str, system: str) -> tuple[Item, str]:
+    def type_of(self, role: str, node: Node, system: str) -> Declared:
+        """Return the type of a parameter or an argument, as ``role`` says."""
+        return self.find(f"{role} type", node.required(f"{role}TypeRef"), system)
+
+    def find_member(self, name: str, system: str) -> tuple[Declared, str]:
         """Return the parameter that a name means, and behind ``/`` the member of it; nothing: the whole.
 
         Raises:

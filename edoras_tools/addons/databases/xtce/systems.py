@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.addons.databases.documents import Node, Notes, SheetError, parse_document
 from edoras_tools.addons.databases.placement import DataType, Placement, c_name
-from edoras_tools.addons.databases.xtce.names import SYSTEM, Item, Names
-from edoras_tools.addons.databases.xtce.types import Types, bits_of, fixed_value, number
+from edoras_tools.addons.databases.xtce.names import SYSTEM, Declarations, Declared
+from edoras_tools.addons.databases.xtce.types import ValueTypes, bits_of, fixed_value, number
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.files import Database
 from edoras_tools.structs.messages import unique
@@ -30,42 +30,43 @@ if TYPE_CHECKING:
 _ROOT: Final = re.compile(rb"<(?:[\w.-]+:)?SpaceSystem[\s>/]")
 _SEARCHED: Final = 1 << 16
 _READ: Final = frozenset(
-    f"{kind}{role}Type"
-    for kind in (
-        *("Aggregate", "Array", "Binary", "Boolean", "Enumerated", "Float", "Integer", "String"),
-        *("AbsoluteTime", "RelativeTime"),
+    re.findall(
+        r"\w+",
+        """
+    AbsoluteTimeArgumentType AbsoluteTimeParameterType AggregateArgumentType AggregateParameterType
+    Argument ArgumentAssignment ArgumentAssignmentList ArgumentList ArgumentRefEntry ArgumentTypeSet
+    ArrayArgumentRefEntry ArrayArgumentType ArrayParameterRefEntry ArrayParameterType BaseContainer
+    BaseMetaCommand BinaryArgumentType BinaryDataEncoding BinaryParameterType BooleanArgumentType
+    BooleanParameterType CommandContainer CommandContainerSet CommandMetaData Comparison ComparisonList
+    ContainerRefEntry ContainerSet CriticalRange DefaultAlarm DefaultCalibrator Dimension DimensionList
+    DistressRange Encoding EndingIndex EntryList EnumeratedArgumentType EnumeratedParameterType
+    Enumeration EnumerationList Fixed FixedValue FixedValueEntry FloatArgumentType FloatDataEncoding
+    FloatParameterType IntegerArgumentType IntegerDataEncoding IntegerParameterType
+    LocationInContainerInBits Member MemberList MetaCommand MetaCommandSet Parameter ParameterRefEntry
+    ParameterSet ParameterTypeSet PolynomialCalibrator RelativeTimeArgumentType
+    RelativeTimeParameterType RestrictionCriteria SequenceContainer SevereRange SizeInBits SpaceSystem
+    StartingIndex StaticAlarmRanges StringArgumentType StringDataEncoding StringParameterType
+    TelemetryMetaData Term TerminationChar Unit UnitSet ValidRange ValidRangeSet WarningRange WatchRange
+""",
     )
-    for role in ("Parameter", "Argument")
-).union(
-    (
-        SYSTEM,
-        "TelemetryMetaData",
-        "CommandMetaData",
-        "ParameterTypeSet",
-        "ParameterSet",
-        "Parameter",
-        "Member",
-    ),
-    ("ArgumentTypeSet", "ArgumentList", "Argument", "ContainerSet", "CommandContainerSet", "MetaCommandSet"),
-    ("SequenceContainer", "CommandContainer", "MetaCommand", "BaseMetaCommand", "BaseContainer", "EntryList"),
-    ("ArgumentAssignmentList", "ArgumentAssignment", "RestrictionCriteria", "Comparison", "ComparisonList"),
-    ("ParameterRefEntry", "ArgumentRefEntry", "FixedValueEntry", "ContainerRefEntry", "MemberList", "Unit"),
-    ("ArrayParameterRefEntry", "ArrayArgumentRefEntry", "LocationInContainerInBits", "FixedValue", "UnitSet"),
-    ("IntegerDataEncoding", "FloatDataEncoding", "StringDataEncoding", "BinaryDataEncoding", "Encoding"),
-    ("DefaultCalibrator", "PolynomialCalibrator", "Term", "EnumerationList", "Enumeration", "ValidRange"),
-    ("ValidRangeSet", "DefaultAlarm", "StaticAlarmRanges", "WatchRange", "WarningRange", "DistressRange"),
-    ("CriticalRange", "SevereRange", "DimensionList", "Dimension", "StartingIndex", "EndingIndex"),
-    ("SizeInBits", "Fixed", "TerminationChar"),
 )
 _QUIET: Final = frozenset(
-    ("Header", "LongDescription", "AliasSet", "AncillaryDataSet", "ParameterProperties", "ReferenceTime"),
-).union(
-    ("AlgorithmSet", "StreamSet", "VerifierSet", "DefaultSignificance", "TransmissionConstraintList"),
-    ("MessageSet", "ParameterToSetList", "DefaultRateInStream", "BinaryEncoding", "ToString", "ServiceSet"),
-    ("DynamicValue", "Variable", "LeadingSize", "SplineCalibrator", "MathOperationCalibrator"),
-    ("IncludeCondition", "RepeatEntry", "SizeRangeInCharacters", "IndirectParameterRefEntry"),
+    re.findall(
+        r"\w+",
+        """
+    AlgorithmSet AliasSet AncillaryDataSet BinaryEncoding DefaultRateInStream DefaultSignificance
+    DynamicValue Header IncludeCondition IndirectParameterRefEntry LeadingSize LongDescription
+    MathOperationCalibrator MessageSet ParameterProperties ParameterToSetList ReferenceTime RepeatEntry
+    ServiceSet SizeRangeInCharacters SplineCalibrator StreamSet ToString TransmissionConstraintList
+    Variable VerifierSet
+""",
+    )
 )
 """Elements that say nothing of how packets are built, or are noted where they stand."""
+_BASES: Final = {
+    "command": ("BaseMetaCommand", "metaCommandRef"),
+    "container": ("BaseContainer", "containerRef"),
+}
 _ALIGNMENT: Final = re.compile(r"(?:.*_)?padding_\d+", re.ASCII)
 """What 'edoras xtce' calls the bytes between values."""
 _ELEMENT: Final = re.compile(r"(.*)_(\d+)_", re.ASCII)
@@ -156,7 +157,7 @@ def read_systems(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) 
             notes.unread(root, _READ, _QUIET)
         else:
             notes.add(root, f"{root.tag} is no space system")
-    names = Names(roots, notes)
+    names = Declarations(roots, notes)
     before = Notes(notes)
     reader = _Reader(names, "big", notes)
     orders = reader.orders(reader.contents)
@@ -180,12 +181,12 @@ class _Reader:
         contents: what is known of each container and each command, by kind and path.
     """
 
-    def __init__(self, names: Names, order: ByteOrder, notes: Notes) -> None:
+    def __init__(self, names: Declarations, order: ByteOrder, notes: Notes) -> None:
         self._names, self._order, self._notes = names, order, notes
-        self._types = Types(names, order, notes)
+        self._types = ValueTypes(names, order, notes)
         self.contents = dict(self._contents())
 
-    def orders(self, contents: Mapping[tuple[str, str], tuple[Item, _Content]]) -> Counter[ByteOrder]:
+    def orders(self, contents: Mapping[tuple[str, str], tuple[Declared, _Content]]) -> Counter[ByteOrder]:
         """Count numbers by byte order: in packets, of cFE itself where there are no others, else in all."""
         counts: tuple[Counter[ByteOrder], ...] = Counter(), Counter(), Counter()
         for item, content in contents.values():
@@ -240,7 +241,7 @@ class _Reader:
             types.structs, types.enums, bindings, self._order, origin=origin, notes=notes.lines()
         )
 
-    def _contents(self) -> Iterator[tuple[tuple[str, str], tuple[Item, _Content]]]:
+    def _contents(self) -> Iterator[tuple[tuple[str, str], tuple[Declared, _Content]]]:
         """Yield what is known of each container and each command, by kind and path."""
         for kind in ("container", "command"):
             for item in self._names.all(kind):
@@ -259,7 +260,7 @@ class _Reader:
         for part in bits_of(self._types, slot.key, slot.data_type):
             yield slot._replace(key=part.name, bit=slot.bit + part.bit, data_type=part.data_type)
 
-    def _content(self, item: Item) -> _Content:
+    def _content(self, item: Declared) -> _Content:
         """Return what is known of the packets of a container or a command.
 
         Raises:
@@ -282,31 +283,25 @@ class _Reader:
                 content.own = begin
         return content
 
-    def _base(self, item: Item) -> Item | None:
-        tag, key = (
-            ("BaseMetaCommand", "metaCommandRef")
-            if item.kind == "command"
-            else ("BaseContainer", "containerRef")
-        )
+    def _base(self, item: Declared) -> Declared | None:
+        tag, key = _BASES[item.kind]
         holder = next(item.node.inside(tag), None)
         if holder is None and item.kind == "command":  # its container may have a base that is no command's
             for inner in item.node.inside("CommandContainer", "BaseContainer"):
                 return self._names.find("container", inner.required("containerRef"), item.system)
         return self._names.find(item.kind, holder.required(key), item.system) if holder is not None else None
 
-    def _assign(self, item: Item, chain: Sequence[Item], content: _Content) -> None:
+    def _assign(self, item: Declared, chain: Sequence[Declared], content: _Content) -> None:
         """Note the values that a command gives the arguments of its bases."""
         for node in item.node.inside("BaseMetaCommand", "ArgumentAssignmentList", "ArgumentAssignment"):
             name, text = node.required("argumentName"), node.required("argumentValue")
             for other in chain:
                 for argument in other.node.inside("ArgumentList", "Argument"):
                     if argument.name == name:
-                        found = self._names.find(
-                            "argument type", argument.required("argumentTypeRef"), other.system
-                        )
-                        content.values[name] = self._value(found, text, node)
+                        kind = self._names.type_of("argument", argument, other.system)
+                        content.values[name] = self._value(kind, text, node)
 
-    def _restrict(self, item: Item, holder: Node, content: _Content) -> None:
+    def _restrict(self, item: Declared, holder: Node, content: _Content) -> None:
         """Note the values that a container's conditions ask for."""
         for base in holder.inside("BaseContainer", "RestrictionCriteria"):
             for node in base.walk():
@@ -314,26 +309,22 @@ class _Reader:
                 content.odd |= node.tag in _ODD or (node.tag == "Comparison" and not equal)
                 if node.tag != "Comparison" or not equal:
                     continue
-                found, member = self._names.find_member(node.required("parameterRef"), item.system)
-                kind = self._names.find(
-                    "parameter type", found.node.required("parameterTypeRef"), found.system
-                )
+                declared, member = self._names.find_member(node.required("parameterRef"), item.system)
+                kind = self._names.type_of("parameter", declared.node, declared.system)
                 for name in member.split("/")[1:]:
-                    inner = next(
-                        (each for each in kind.node.inside("MemberList", "Member") if each.name == name), None
-                    )
-                    if inner is None:
+                    members = {each.name: each for each in kind.node.inside("MemberList", "Member")}
+                    if name not in members:
                         raise SheetError(f"{node.required('parameterRef')} is no parameter")
-                    kind = self._names.find("parameter type", inner.required("typeRef"), kind.system)
-                content.values[found.path + member] = self._value(kind, node.required("value"), node)
+                    kind = self._names.find(kind.kind, members[name].required("typeRef"), kind.system)
+                content.values[declared.path + member] = self._value(kind, node.required("value"), node)
 
-    def _value(self, kind: Item, text: str, node: Node) -> int:
+    def _value(self, kind: Declared, text: str, node: Node) -> int:
         """Return the number that a text of a condition or an assignment means."""
         self._types.find(kind)
         labels = self._types.labels.get(kind.path, {})
         return labels[text] if text in labels else int(number(node, text))
 
-    def _entries(self, item: Item, holder: Node, content: _Content, depth: int = 0) -> None:
+    def _entries(self, item: Declared, holder: Node, content: _Content, depth: int = 0) -> None:
         """Append the entries of a container, until one has no fixed place."""
         for entry in (node for each in holder.inside("EntryList") for node in each.children):
             if content.stop is not None:
@@ -346,7 +337,7 @@ class _Reader:
             except SheetError as error:
                 content.stop = entry, str(error)
 
-    def _entry(self, item: Item, entry: Node, content: _Content, depth: int) -> None:
+    def _entry(self, item: Declared, entry: Node, content: _Content, depth: int) -> None:
         bit = self._location(entry, content.end)
         for tag in ("IncludeCondition", "RepeatEntry"):
             if next(entry.inside(tag), None) is not None:
@@ -367,31 +358,31 @@ class _Reader:
         role = entry.tag.removesuffix("RefEntry").removeprefix("Array").lower()
         if role not in {"parameter", "argument"} or not entry.tag.endswith("RefEntry"):
             raise SheetError(f"{entry.tag} is not read")
-        found = self._named(role, entry.required(f"{role}Ref"), item)
-        kind = self._names.find(f"{role} type", found.node.required(f"{role}TypeRef"), found.system)
+        declared = self._named(role, entry.required(f"{role}Ref"), item)
+        kind = self._names.type_of(role, declared.node, declared.system)
         data_type = self._types.find(kind)
         if entry.tag.startswith("Array") and not data_type.dims:
             dims = self._types.dimensions(entry)
             data_type = replace(data_type, dims=dims or (), variable=dims is None)
-        name = c_name(found.node.name.removeprefix(f"{item.node.name}_"))
-        doc = found.node.doc or data_type.like.doc
+        name = c_name(declared.node.name.removeprefix(f"{item.node.name}_"))
+        doc = declared.node.doc or data_type.like.doc
         if _plain(doc) == _plain(name):
             doc = ""
         data_type = replace(data_type, like=replace(data_type.like, doc=doc))
-        key = found.path if role == "parameter" else found.node.name
+        key = declared.path if role == "parameter" else declared.node.name
         content.slots.append(_Slot(name, key, bit, data_type, entry))
         if data_type.variable:
-            content.stop = entry, f"the length of {found.node.name} is in the packet"
+            content.stop = entry, f"the length of {declared.node.name} is in the packet"
 
-    def _named(self, role: str, name: str, item: Item) -> Item:
+    def _named(self, role: str, name: str, item: Declared) -> Declared:
         """Return the parameter or argument that an entry names."""
         if role == "parameter":
             return self._names.find(role, name, item.system)
-        command: Item | None = item
+        command: Declared | None = item
         while command is not None:
             for node in command.node.inside("ArgumentList", "Argument"):
                 if node.name == name:
-                    return Item("argument", f"{command.system}/{name}", node)
+                    return Declared("argument", f"{command.system}/{name}", node)
             command = self._base(command)
         raise SheetError(f"argument {name} is in none of these files")
 
@@ -409,7 +400,7 @@ class _Reader:
             raise SheetError(f"bit {bit} is before the packet")
         return bit
 
-    def _key(self, item: Item, content: _Content) -> tuple[Key | None, int]:
+    def _key(self, item: Declared, content: _Content) -> tuple[Key | None, int]:
         """Return which packets a container or a command is, and the bytes of their header.
 
         None where nothing says the APID, or such packets are not cFE's.
@@ -426,25 +417,25 @@ class _Reader:
             return None, header
         if not is_command:
             return Key(word), header
-        code, known = self._constant(content, _FUNCTION_CODES[header], 7)
-        return (Key(word, code) if known == 0x7F else None), header
+        code, mask = self._constant(content, _FUNCTION_CODES[header], 7)
+        return (Key(word, code) if mask == 0x7F else None), header
 
     def _constant(self, content: _Content, bit: int, bits: int) -> tuple[int, int]:
         """Return the value of some bits, and which of them are always the same."""
         value = mask = 0
         for slot in content.slots:
             for part in self._bits(slot):
-                known = part.fixed if part.fixed is not None else content.values.get(part.key)
+                fixed = part.fixed if part.fixed is not None else content.values.get(part.key)
                 width = part.data_type.whole_bits
-                if known is None or part.bit >= bit + bits or part.bit + width <= bit or known < 0:
+                if fixed is None or part.bit >= bit + bits or part.bit + width <= bit or fixed < 0:
                     continue
                 shift = bit + bits - part.bit - width
-                ones, own = (1 << width) - 1, known & ((1 << width) - 1)
+                ones, own = (1 << width) - 1, fixed & ((1 << width) - 1)
                 mask |= ones << shift if shift >= 0 else ones >> -shift
                 value |= own << shift if shift >= 0 else own >> -shift
         return value & ((1 << bits) - 1), mask & ((1 << bits) - 1)
 
-    def _struct(self, item: Item, content: _Content, header: int, *, parted: bool) -> str:
+    def _struct(self, item: Declared, content: _Content, header: int, *, parted: bool) -> str:
         """Lay out what follows a header of so many bits; return the name of the struct.
 
         Args:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from edoras_tools.addons.databases.documents import Notes
-    from edoras_tools.addons.databases.xtce.names import Item, Names
+    from edoras_tools.addons.databases.xtce.names import Declarations, Declared
 
 _ROLE: Final = re.compile(r"(Parameter|Argument)Type$")
 _OWN_PREFIX: Final = re.compile(r"(?:arg_)?u?int\d+(?:_[lb]e)?_(?=.)", re.ASCII)
@@ -52,7 +52,7 @@ _MOST_POWER: Final = 32
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class MemberPlace:
     """A member of an aggregate.
 
     Attributes:
@@ -95,7 +95,7 @@ def fixed_value(node: Node, *path: str) -> int | None:
     return int(value)
 
 
-class Types:
+class ValueTypes:
     """The types of some space systems, each made once.
 
     Args:
@@ -110,17 +110,17 @@ class Types:
         labels: values by their texts, as written, by the type.
     """
 
-    def __init__(self, names: Names, order: ByteOrder, notes: Notes) -> None:
+    def __init__(self, names: Declarations, order: ByteOrder, notes: Notes) -> None:
         self._names, self._order, self._notes = names, order, notes
         self._types: dict[str, DataType | SheetError] = {}
         self._open: list[str] = []
         self.used: set[str] = {*BASIC}
         self.structs: dict[str, Struct] = {}
         self.enums: dict[str, Enumeration] = {}
-        self.parts: dict[str, list[Part]] = {}
+        self.parts: dict[str, list[MemberPlace]] = {}
         self.labels: dict[str, dict[str, int]] = {}
 
-    def find(self, item: Item) -> DataType:
+    def find(self, item: Declared) -> DataType:
         """Return a type.
 
         Raises:
@@ -144,7 +144,7 @@ class Types:
             raise SheetError(str(result))
         return result
 
-    def _whole(self, item: Item, depth: int = 0) -> Node:
+    def _whole(self, item: Declared, depth: int = 0) -> Node:
         """Return the element of a type with what it has of its ``baseType``."""
         name = item.node.attributes.get("baseType")
         if not name:
@@ -159,7 +159,7 @@ class Types:
             children=[*item.node.children, *(child for child in base.children if child.tag not in own)],
         )
 
-    def _made(self, item: Item) -> DataType:
+    def _made(self, item: Declared) -> DataType:
         node, kind = item.node, _ROLE.sub("", item.node.tag)
         if kind == "Array":
             element = self.find(self._names.find(item.kind, node.required("arrayTypeRef"), item.system))
@@ -193,7 +193,7 @@ class Types:
             sizes.append(max(0, last - (first or 0) + 1))
         return tuple(sizes) or None
 
-    def _text(self, item: Item, encoding: Node) -> DataType:
+    def _text(self, item: Declared, encoding: Node) -> DataType:
         bits = fixed_value(encoding, "SizeInBits", "Fixed")
         coded = encoding.attributes.get("encoding", "UTF-8")
         led = next(encoding.inside("SizeInBits", "LeadingSize"), None) is not None
@@ -202,7 +202,7 @@ class Types:
         doubt = f"encoding {coded}" * (coded not in _TEXTS) or "its length stands before it" * led
         return DataType(BASIC["char"], bits, (bits // 8,), doubt=doubt, like=self._like(item))
 
-    def _number(self, item: Item, kind: str, encoding: Node) -> DataType:
+    def _number(self, item: Declared, kind: str, encoding: Node) -> DataType:
         """Return the type of a number, a flag, a time or an enumeration."""
         node, words = item.node, encoding.attributes
         is_float = encoding.tag.startswith("Float")
@@ -233,7 +233,7 @@ class Types:
             self.enums[name] = Enumeration(name, basic, names)
         return replace(data_type, kind=name)
 
-    def _labels(self, item: Item, kind: str) -> dict[int, str]:
+    def _labels(self, item: Declared, kind: str) -> dict[int, str]:
         """Return the texts that a type has for values."""
         node = item.node
         if kind == "Boolean":
@@ -253,7 +253,7 @@ class Types:
         self.labels[item.path] = {text: value for value, text in labels.items()}
         return labels
 
-    def _aggregate(self, item: Item) -> DataType:
+    def _aggregate(self, item: Declared) -> DataType:
         """Lay out an aggregate: its members follow each other bit by bit."""
         maker = Placement(self._order, machine=False)
         parts, bit = [], 0
@@ -266,14 +266,14 @@ class Types:
             placed = replace(data_type, like=replace(data_type.like, doc=doc))
             if why := maker.place(c_name(member.name), placed):
                 self._notes.add(member, f"{item.path}.{member.name}: {why}")
-            parts.append(Part(member.name, bit, data_type))
+            parts.append(MemberPlace(member.name, bit, data_type))
             bit += data_type.whole_bits
         name = unique(c_name(item.node.name), self.used)
         self.structs[name] = Struct(name, -(-maker.end() // 8), tuple(maker.members), doc=item.node.doc)
         self.parts[name] = parts
         return DataType(name, bit)
 
-    def _like(self, item: Item, encoding: Node | None = None) -> Member:
+    def _like(self, item: Declared, encoding: Node | None = None) -> Member:
         """Return a member with the unit, the calibration and the limits of a type."""
         node = item.node
         units = [" ".join(unit.text.split()) for unit in node.inside("UnitSet", "Unit")]
@@ -318,7 +318,7 @@ def _range(node: Node) -> Range:
     return ends[0], ends[1]
 
 
-def bits_of(types: Types, name: str, data_type: DataType) -> Iterator[Part]:
+def bits_of(types: ValueTypes, name: str, data_type: DataType) -> Iterator[MemberPlace]:
     """Yield the numbers in a type, by their names, each with the bit where it begins.
 
     Args:
@@ -326,7 +326,7 @@ def bits_of(types: Types, name: str, data_type: DataType) -> Iterator[Part]:
     """
     parts = types.parts.get(str(data_type.kind))
     if parts is None:
-        yield Part(name, 0, data_type)
+        yield MemberPlace(name, 0, data_type)
     elif not data_type.dims:
         for part in parts:
             for inner in bits_of(types, f"{name}/{part.name}", part.data_type):

@@ -3,7 +3,7 @@
 import pytest
 
 from edoras_tools.addons.databases.documents import Notes, SheetError, parse_document
-from edoras_tools.addons.databases.xtce.names import Names
+from edoras_tools.addons.databases.xtce.names import Declarations
 
 TREE = b"""<SpaceSystem name="A"><TelemetryMetaData><ParameterSet><Parameter name="x"/><Parameter name="x"/>
 </ParameterSet></TelemetryMetaData><SpaceSystem name="B"><TelemetryMetaData><ParameterSet>
@@ -16,7 +16,7 @@ OTHER = b"""<SpaceSystem name="C"><TelemetryMetaData><ParameterSet><Parameter na
 @pytest.fixture
 def names():
     notes = Notes()
-    names = Names([parse_document(TREE, "a"), parse_document(OTHER, "c")], notes)
+    names = Declarations([parse_document(TREE, "a"), parse_document(OTHER, "c")], notes)
     assert notes.lines() == ("a:1: parameter /A/x is declared twice; the first holds",)
     return names
 
