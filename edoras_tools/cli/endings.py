@@ -159,13 +159,8 @@ def finish(report: CaptureReport, *, live: bool) -> None:
         typer.Exit: with code 3, if the capture lost packets, or traffic of a link was left out.
     """
     recorded = bool(report.ledger.mission.recorded)
-    for row in [] if recorded else report.summary()["routes"]:
-        unfit = sum(row["findings"].get(name, 0) for name in ("cdr_invalid", "cdr_too_long"))
-        if row["topic"] and unfit >= row["count"] > 0:
-            tell(
-                f"0 of {row['count']:,} messages of {row['topic']} fit {row['type']}: a mission of another "
-                "system? edoras doctor names types that fit, edoras mission draft the MsgIds"
-            )
+    for line in report.ledger.unfit():
+        tell(line)
     for warning in (*report.ledger.mission.warnings, *report.notes, *report.ledger.unread):
         tell(warning)
     if report.failure is not None:

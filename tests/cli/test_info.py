@@ -47,12 +47,46 @@ def test_what_topics_do_not_have(words, code, told, bag, call):
     assert any(told in line for line in done.err)
 
 
-def test_a_mission_of_another_system_is_said(call, tmp_path):
-    path, mission = tmp_path / "rover.yaml", ROOT / "samples/missions/rover_ground.yaml"
-    path.write_text(mission.read_text(encoding="utf-8").replace("PoseStamped", "Twist"))
-    capture = ROOT / "samples/captures/a_rover.pcap"
-    (line,) = call("info", capture, "-c", path).err
-    assert line.startswith(
-        "edoras: 0 of 63 messages of /telemetry_pose fit geometry_msgs/msg/Twist: a mission"
-    )
-    assert call("info", capture, "-c", mission).err == []
+@pytest.mark.parametrize(
+    ("capture", "mission", "lines"),
+    [
+        (
+            "a_rover",
+            "single_arm_ground",
+            [
+                (
+                    "0 of 63 messages of /telemetry_joint_state fit sensor_msgs/msg/JointState; they fit "
+                    "geometry_msgs/msg/PoseStamped (of rover_ground.yaml?) and 3 other types: "
+                ),
+                (
+                    "0 of 600 messages of /command_pose fit geometry_msgs/msg/Pose; they fit "
+                    "geometry_msgs/msg/Twist (of rover_ground.yaml?) and 3 other types: "
+                ),
+            ],
+        ),
+        (
+            "b_arm_single",
+            "rover_ground",
+            [
+                (
+                    "0 of 63 messages of /telemetry_pose fit geometry_msgs/msg/PoseStamped; they fit "
+                    "sensor_msgs/msg/JointState (of single_arm_ground.yaml?): "
+                ),
+                (
+                    "0 of 120 messages of /cmd_vel fit geometry_msgs/msg/Twist; they fit "
+                    "geometry_msgs/msg/Pose (of single_arm_ground.yaml?) and 1 other type: "
+                ),
+            ],
+        ),
+        ("a_rover", "rover_ground", []),
+    ],
+)
+def test_a_mission_of_another_system_is_said(capture, mission, lines, call, tmp_path):
+    words = ROOT / f"samples/captures/{capture}.pcap", "-c", ROOT / f"samples/missions/{mission}.yaml"
+    for done in (call("info", *words), call("record", *words, "-o", tmp_path / "out.mcap")):
+        said = [line.removeprefix("edoras: ") for line in done.err if ": 0 of " in line]
+        assert sorted(
+            line[: len(start)] for line, start in zip(sorted(said), sorted(lines), strict=True)
+        ) == (sorted(lines))
+    told = call("info", tmp_path / "out.mcap").err  # counted by the recorder, so no message is read again
+    assert ["mission draft makes one" in line for line in told] == [True] * len(lines)

@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field, fields
 from functools import cache
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -14,11 +15,13 @@ import numpy as np
 from edoras_tools.cfs.names import message_name
 from edoras_tools.links import table
 from edoras_tools.links.table import LinkStates
+from edoras_tools.mission import loads
 from edoras_tools.mission.report import printable
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketBatch
+from edoras_tools.ros.fitting import types_that_fit
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import order_by
+from edoras_tools.wire.arrays.order import by_value, order_by
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -29,6 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.doors import Follower
     from edoras_tools.links.site import Site
     from edoras_tools.mission import Mission, Route
+    from edoras_tools.ros import TypeStore
     from edoras_tools.structs import Structs
     from edoras_tools.structs.bound import Bound
 
@@ -41,6 +45,10 @@ _HALF: Final = 20
 _LARGE_NS: Final = 1 << 43
 """Squares of larger intervals are summed one by one; of smaller ones 130,000 fit into 64 bits."""
 _LABELS: Final = [item.label for item in Finding]
+_UNFIT: Final = Finding.CDR_INVALID | Finding.CDR_TOO_LONG
+"""What says that a message is not of its route's type."""
+_SAMPLES: Final = 8
+"""Messages of a route that are kept, each once."""
 
 
 @cache
@@ -140,6 +148,54 @@ _PLAIN: Final = [
 _TOTALS: Final = "datagrams", "start_ns", "end_ns", "behind", "behind_ns"
 
 
+class _UnfitMessages:
+    """The first messages of each route that are not of its type, as CDR with its encapsulation."""
+
+    def __init__(self) -> None:
+        self._samples: dict[int, dict[bytes, None]] = {}
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Keep what a batch has of them."""
+        unfit = columns.findings & np.uint32(_UNFIT) != 0
+        if not unfit.any():
+            return
+        rows = np.flatnonzero(unfit & (columns.route >= 0) & (columns.cdr_length > 0))
+        for route, places in by_value(columns.route[rows]):
+            samples = self._samples.setdefault(route, {})
+            for row in rows[places[: _SAMPLES - len(samples)]].tolist():
+                start = int(columns.cdr_offset[row])
+                samples[batch.data[start : start + int(columns.cdr_length[row])].tobytes()] = None
+
+    def line(self, place: int, route: Route, count: int, types: TypeStore) -> str:
+        """Return what is said of a route of which no message is of its type.
+
+        Args:
+            place: of the route in ``Mission.routes``.
+            count: of its messages.
+        """
+        said = f"0 of {count:,} messages of {route.topic} fit {route.type}"
+        samples, known = list(self._samples.get(place, ())), _packaged(route)
+        fits = types_that_fit(types, samples, own=known) if samples else []
+        if not fits:
+            return f"{said}: a mission of another system? edoras mission draft makes one of a capture"
+        others = f" and {plural(len(fits) - 1, 'other type')}" if len(fits) > 1 else ""
+        whose = f" (of {known[fits[0]]}?)" if fits[0] in known else ""
+        return (
+            f"{said}; they fit {fits[0]}{whose}{others}: name their mission with -c, or edoras mission draft"
+        )
+
+
+def _packaged(route: Route) -> dict[str, str]:
+    """Return the types that the packaged missions have for a route's MsgId on its link, and their files."""
+    folder: Any = files("edoras_tools.samples") / "missions"
+    known: dict[str, str] = {}
+    for path in sorted(folder.iterdir(), key=lambda item: item.name):
+        for other in loads({path.name: path.read_bytes()}).routes:
+            if (other.msg_id, other.link, other.type != route.type) == (route.msg_id, route.link, True):
+                known.setdefault(other.type, path.name)
+    return known
+
+
 class Ledger:
     """The accounts of a whole capture.
 
@@ -173,6 +229,8 @@ class Ledger:
         """How many of a follower's sequence counts belong to accounts."""
         self.accounts: dict[tuple[int, int, int, int], Account] = {}
         self.sequences = sequences or SequenceCounts()
+        self._types = site.types if site is not None else None
+        self._unfit = _UnfitMessages()
         self.listed: Sequence[int] = ()
         self._known = 0
         """How many of its streams belong to accounts."""
@@ -256,6 +314,8 @@ class Ledger:
                     account.sequences.append(self.sequences.streams[index])
             self._known = len(self.sequences.streams)
         self._count_codes(columns)
+        if self._types is not None:
+            self._unfit.add(batch, columns)
         self._follow(batch, columns)
 
     def _count_codes(self, columns: Columns) -> None:
@@ -316,6 +376,16 @@ class Ledger:
             )
             for account in self.accounts.values()
             if self.mission.recorded and (why := self.mission.recorded[account.route].unread)
+        ]
+
+    def unfit(self) -> list[str]:
+        """Return a line for each configured topic of which no message is of its type."""
+        if self.mission.recorded or self._types is None:
+            return []
+        return [
+            self._unfit.line(item.route, self.mission.routes[item.route], item.count, self._types)
+            for _, item in sorted(self.accounts.items())
+            if item.route >= 0 and sum(item.findings.get(each.label, 0) for each in _UNFIT) >= item.count > 0
         ]
 
     def _account(self, columns: Columns, kind: int, row: int) -> Account:
