@@ -251,7 +251,7 @@ def pass_queue(
         at, start = int(rounds_at[number]), int(first[number])
         waiting = _read(waiting, left_ns, wakes_ns[next_wake:at], reads)
         rows = np.concatenate((waiting, np.arange(start, start + arrivals[number])))
-        outcome[rows] = messages.enter(rows, np.zeros(len(rows), np.int64))
+        outcome[rows] = messages.enter(rows)
         waiting, next_wake = rows[outcome[rows] == QueueEnd.WAITING], at
     _read(waiting, left_ns, wakes_ns[next_wake:], reads)
     outcome[left_ns >= 0] = QueueEnd.DELIVERED
@@ -297,7 +297,7 @@ class _Messages:
     limit: NDArray[np.int64]
     superseded_ns: NDArray[np.int64]
 
-    def enter(self, rows: NDArray[np.int64], batch: NDArray[np.int64]) -> NDArray[np.uint8]:
+    def enter(self, rows: NDArray[np.int64], batch: NDArray[np.int64] | None = None) -> NDArray[np.uint8]:
         """Return the outcome of messages that arrive, in order, between two wake-ups.
 
         The same as ``admission`` one after another. Nothing leaves in between, so the first ones of a MsgId
@@ -305,12 +305,14 @@ class _Messages:
 
         Args:
             rows: places of the messages; those that wait from before stand first.
-            batch: (rows,), ascending, between which wake-ups; the queue is empty before each.
+            batch: (rows,), ascending, between which wake-ups; the queue is empty before each. None: the same.
         """
-        limit = self.limit[rows]
-        group = numbered(batch, self.kind[rows])[1]
+        limit, group = self.limit[rows], self.kind[rows]
+        if batch is not None:
+            group = numbered(batch, group)[1]
         below = _rank(group) < limit
-        entered = below & (_rank(batch, below) < self.queue.depth)
+        ahead = np.cumsum(below) - below if batch is None else _rank(batch, below)
+        entered = below & (ahead < self.queue.depth)
         inside = np.bincount(group, entered)[group] if len(rows) else limit
         full = QueueEnd.SOCKET_FULL if self.queue.is_socket else QueueEnd.PIPE_OVERFLOW
         over = ~entered & (inside >= limit)

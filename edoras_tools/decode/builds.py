@@ -96,13 +96,14 @@ class Fitting:
         self._head = head
         self._length = length
         self._msg_id = VERSION_1.column(head, length)
+        self._starts: dict[int, NDArray[np.bool_]] = {}
 
     def by(self, headers: cfe.Headers) -> NDArray[np.bool_]:
         """Return which of them some headers explain."""
         command = VERSION_1.is_command(self._msg_id)
         out = np.zeros(len(command), bool)
         rows = np.flatnonzero(command & (self._length >= headers.command_bytes))
-        out[rows] = self._payload_fits(rows, headers.command_bytes) | self._accepted(rows, headers)
+        out[rows] = self._payload_fits(headers.command_bytes)[rows] | self._accepted(rows, headers)
         rows = np.flatnonzero(~command & (self._length >= headers.telemetry_bytes))
         if len(rows):
             out[rows] = self._telemetry_fits(rows, headers)
@@ -132,22 +133,23 @@ class Fitting:
         spare = cfe.TELEMETRY.by_name["spare"]
         low, high = ccsds.PRIMARY.size + spare.start, ccsds.PRIMARY.size + spare.end
         blank = (self._head[rows, low:high] == 0).all(axis=1)
-        early = self._payload_fits(rows, cfe.SHORT.telemetry_bytes)
-        early &= ~self._payload_fits(rows, cfe.STANDARD.telemetry_bytes)
+        early = self._payload_fits(cfe.SHORT.telemetry_bytes)[rows]
+        early &= ~self._payload_fits(cfe.STANDARD.telemetry_bytes)[rows]
         if headers is cfe.STANDARD:
             return np.asarray(blank & ~early)
         return np.asarray(early if headers is cfe.SHORT else ~blank & ~early)
 
-    def _payload_fits(self, rows: NDArray[np.intp], at: int) -> NDArray[np.bool_]:
-        """Tell in which packets something known starts at a place."""
-        head, length, structs = self._head[rows], self._length[rows] - at, self._structs
-        body = head[:, at : at + DEFAULT.size + 4]
-        fits = np.zeros(len(rows), bool)
+    def _payload_fits(self, at: int) -> NDArray[np.bool_]:
+        """Tell in which packets something known starts at a place; each place is looked at once."""
+        if at in self._starts:
+            return self._starts[at]
+        body, length, structs = self._head[:, at : at + DEFAULT.size + 4], self._length - at, self._structs
+        fits = self._starts[at] = np.zeros(len(length), bool)
         for item in ENVELOPE_FORMATS:
             fits |= holds(body, length, item)
-        for value, members in by_value(self._msg_id[rows]):
+        for value, members in by_value(self._msg_id):
             if value == cfe.EVENT_MSG_ID:
-                name = head[members, at : at + 4]
+                name = body[members, :4]
                 exact = (length[members] >= cfe.EVENT.size - 2) & (length[members] <= cfe.EVENT.size)
                 fits[members] = exact & (name >= ord(" ")).all(axis=1) & (name < 127).all(axis=1)
             elif structs.has[value] and not VERSION_1.is_command(value):

@@ -198,11 +198,9 @@ class Variants:
     def _first(self, sample: _Kept, conversation: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the first kind that explains each packet; what a plain command shows; ``_NOTHING``."""
         first = np.full(len(sample.length), _NOTHING)
+        fitting = self._fitting(sample)
         for number, headers in enumerate(cfe.TOLD):
-            open_ = np.flatnonzero(first == _NOTHING)
-            rest = sample.take(open_)
-            fits = open_[self._fitting(rest).by(headers)]
-            first[fits] = number
+            first[(first == _NOTHING) & fitting.by(headers)] = number
         timed = np.flatnonzero((first == _EXTENDED) & ~_commands(sample))
         for _, members in by_value(conversation[timed]):
             first[timed[members[~_goes_on(sample.take(timed[members]))]]] = _NOTHING

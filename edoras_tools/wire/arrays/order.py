@@ -60,9 +60,11 @@ def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]
     """Number one column: by a table of its values or their hashes; by sorting where two share a hash."""
     rows = np.arange(len(values))
     least, most = (int(values.min()), int(values.max())) if len(values) else (0, 0)
+    if least == most:
+        return rows[:1], np.zeros(len(values), np.intp)
     size = most - least + 1
     bits = min(_SLOTS, len(values).bit_length() + _SLOTS_EACH)
-    if size <= 1 << bits:
+    if exact := size <= 1 << bits:
         place = (values.astype(np.uint64) - np.uint64(least % (1 << 64))).astype(np.intp)
     else:
         size = 1 << bits
@@ -71,7 +73,7 @@ def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]
     table = np.empty(size, np.intp)  # what is written is read, and nothing else
     table[place[::-1]] = rows[::-1]  # of several the last one stays: the first row
     met = table[place]
-    if (values[met] != values).any():
+    if not exact and (values[met] != values).any():
         _, first, which = np.unique(values, return_index=True, return_inverse=True)
         order = np.argsort(first)
         number = np.empty_like(order)
