@@ -76,10 +76,9 @@ def pytest_collection_modifyitems(config, items):
         config.hook.pytest_deselected(items=left)
 
 
-@pytest.fixture(autouse=True)
-def _apart(request):
+def pytest_runtest_setup(item):
     """Cyclone DDS binds every interface that it finds."""
-    if request.node.get_closest_marker("own_network"):
+    if item.get_closest_marker("own_network"):
         assert entered(), "not in a network of its own, which needs CAP_SYS_ADMIN: make test has one"
 
 

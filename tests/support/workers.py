@@ -147,24 +147,27 @@ class Crew:
                 self.stop()
 
     def take(self, worker, name, values):
-        """Do what a message of a worker says: a hook of pytest, or its own doings."""
-        hook = self.session.config.hook
+        """Do what a worker says: its own doings, or the hooks of pytest that a test of it called."""
         if name == "file":
             worker.items += self.files[values]
         elif name == "last words":
             worker.last_words = values
-        elif name == "pytest_warning_recorded":
-            hook.pytest_warning_recorded.call_historic(kwargs=values)
         else:
-            if name == "pytest_runtest_logreport":
-                report = hook.pytest_report_from_serializable(
-                    config=self.session.config, data=values["report"]
-                )
-                values = {"report": report}
-            elif name == "pytest_runtest_logfinish":
-                self.unfinished.remove(values["nodeid"])
-                worker.items = [item for item in worker.items if item.nodeid != values["nodeid"]]
-            getattr(hook, name)(**values)
+            for hook, arguments in values:
+                self.call(worker, hook, arguments)
+
+    def call(self, worker, name, values):
+        """Call a hook of pytest here too."""
+        hook = self.session.config.hook
+        if name == "pytest_warning_recorded":
+            hook.pytest_warning_recorded.call_historic(kwargs=values)
+            return
+        if isinstance(data := values.get("report"), dict):
+            values["report"] = hook.pytest_report_from_serializable(config=self.session.config, data=data)
+        elif name == "pytest_runtest_logfinish":
+            self.unfinished.remove(values["nodeid"])
+            worker.items = [item for item in worker.items if item.nodeid != values["nodeid"]]
+        getattr(hook, name)(**values)
 
     def bury(self, worker):
         """Take a worker's end: a failure of the test it was at, where it did not just run out of tests."""
@@ -186,20 +189,22 @@ class Crew:
 
 
 class Sender:
-    """A plugin of a worker: tells the first process what pytest tells its plugins."""
+    """A plugin of a worker: tells the first process, test by test, what pytest tells its plugins."""
 
     def __init__(self, config, send):
-        self._config, self._send, self.ready = config, send, False
+        self._config, self._send, self.ready, self._calls = config, send, False, []
 
     def pytest_runtest_logstart(self, nodeid, location):
-        self._send(("pytest_runtest_logstart", {"nodeid": nodeid, "location": location}))
+        self._calls.append(("pytest_runtest_logstart", {"nodeid": nodeid, "location": location}))
 
     def pytest_runtest_logreport(self, report):
-        data = self._config.hook.pytest_report_to_serializable(config=self._config, report=report)
-        self._send(("pytest_runtest_logreport", {"report": data}))
+        if report.longrepr is not None:  # of other kinds than text
+            report = self._config.hook.pytest_report_to_serializable(config=self._config, report=report)
+        self._calls.append(("pytest_runtest_logreport", {"report": report}))
 
     def pytest_runtest_logfinish(self, nodeid, location):
-        self._send(("pytest_runtest_logfinish", {"nodeid": nodeid, "location": location}))
+        self._calls.append(("pytest_runtest_logfinish", {"nodeid": nodeid, "location": location}))
+        self.flush()
 
     def pytest_warning_recorded(self, warning_message, when, nodeid, location):
         if self.ready:  # what comes as it is registered, the first process has
@@ -208,19 +213,25 @@ class Sender:
                 text, UserWarning, warning_message.filename, warning_message.lineno
             )
             values = {"warning_message": message, "when": when, "nodeid": nodeid, "location": location}
-            self._send(("pytest_warning_recorded", values))
+            self._calls.append(("pytest_warning_recorded", values))
+
+    def flush(self):
+        """Send what there is."""
+        self._send(("calls", self._calls))
+        self._calls = []
 
 
 def work(crew, number, items, sending):
     """Be a worker, to its end."""
     code = 1
     try:
-        _prepare(crew, number, sending)
+        sender = _prepare(crew, number, sending)
         for item, following in pairwise(chain(items, _items(crew, sending), [None])):
             if crew.session.shouldfail or select.select([crew.stopped], [], [], 0)[0]:
                 break
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
         crew.session._setupstate.teardown_exact(None)
+        sender.flush()
         code = 0
     except BaseException:  # noqa: BLE001  a test that stops pytest itself, or an error outside tests
         with contextlib.suppress(OSError):
@@ -243,6 +254,7 @@ def _prepare(crew, number, sending):
     config._tmp_path_factory._basetemp.mkdir()
     with contextlib.suppress(OSError):
         enter()
+    return sender
 
 
 def _items(crew, sending):
