@@ -348,7 +348,7 @@ def _rank(group: NDArray[np.int64], among: NDArray[np.bool_] | None = None) -> N
     ones = np.ones(len(group), np.int64) if among is None else among[order].astype(np.int64)
     before = np.cumsum(ones) - ones
     ordered = group[order]
-    starts = np.flatnonzero(np.diff(ordered, prepend=-1))
+    first = np.append(True, ordered[1:] != ordered[:-1])[: len(group)]
     rank = np.empty(len(group), np.int64)
-    rank[order] = before - np.repeat(before[starts], np.diff(starts, append=len(group)))
+    rank[order] = before - np.maximum.accumulate(np.where(first, before, 0))
     return rank

@@ -103,10 +103,10 @@ class Fitting:
         command = VERSION_1.is_command(self._msg_id)
         out = np.zeros(len(command), bool)
         rows = np.flatnonzero(command & (self._length >= headers.command_bytes))
-        out[rows] = self._payload_fits(headers.command_bytes)[rows] | self._accepted(rows, headers)
+        accepted = self._commands.fits(*self._command(rows, headers))  # with this length
+        out[rows] = self._payload_fits(headers.command_bytes)[rows] | accepted
         rows = np.flatnonzero(~command & (self._length >= headers.telemetry_bytes))
-        if len(rows):
-            out[rows] = self._telemetry_fits(rows, headers)
+        out[rows] = self._telemetry_fits(rows, headers)
         return out
 
     def allowed(self, headers: cfe.Headers) -> NDArray[np.bool_]:
@@ -116,10 +116,6 @@ class Fitting:
         out = np.zeros(len(self._msg_id), bool)
         out[rows] = ~unknown & ~misfit
         return out
-
-    def _accepted(self, rows: NDArray[np.intp], headers: cfe.Headers) -> NDArray[np.bool_]:
-        """Tell which commands are known and have the length that their app accepts."""
-        return self._commands.fits(*self._command(rows, headers))
 
     def _command(
         self, rows: NDArray[np.intp], headers: cfe.Headers

@@ -101,9 +101,10 @@ def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
     # 16 bits sort by radix, several times as fast.
     narrow = values.dtype.itemsize <= 2 or (least >= 0 and most <= 0xFFFF)
     order = np.argsort(values.astype(np.uint16) if narrow else values, kind="stable")
-    ends = np.flatnonzero(np.diff(values[order])) + 1
+    ranked = values[order]
+    ends = np.flatnonzero(ranked[1:] != ranked[:-1]) + 1
     for first, end in pairwise([0, *ends.tolist(), len(order)]):  # ``numpy.split`` takes longer
-        yield int(values[order[first]]), order[first:end]
+        yield int(ranked[first]), order[first:end]
 
 
 def groups(values: NDArray[Any], rows: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
