@@ -13,7 +13,7 @@ import pytest
 
 LONG = bool(os.environ.get("EDORAS_LONG"))
 _ALL = LONG or os.environ.get("HYPOTHESIS_PROFILE") == "explore"
-_PART = 16
+_PART = 32
 
 
 def examples(count, part=_PART, least=6):
