@@ -19,7 +19,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.quick("doctor")
+@pytest.mark.quick("info")
 @pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
 def test_bare_and_with_the_option(call, words):
     one, other, both = (

@@ -46,7 +46,7 @@ def test_memory(limited, captures, missions, tmp_path, kind):
         "record": ["record", "-r", capture, *rover, "-o", tmp_path / "x.mcap", "--force"],
         "listen": ["record", "--listen", 0, "--duration", "0.1", "-o", tmp_path / "y.mcap", "--force"],
     }[kind]
-    ends = [limited(resource.RLIMIT_AS, size * MIB, *words) for size in every(2, (50, 100, 115, 130, 4000))]
+    ends = [limited(resource.RLIMIT_AS, size * MIB, *words) for size in every(4, (50, 100, 115, 130, 4000))]
     assert ends[-1][0] in {0, 3}
     assert any("out of memory" in told or "OpenBLAS" in told for _, told in ends)
 

@@ -245,7 +245,7 @@ OPENED_FIRST = [name for name in WRITERS if name.split()[0] not in {"recover", "
 
 
 @pytest.mark.each(3)
-@pytest.mark.long("archive*")
+@pytest.mark.long("archive*", "plot*", "check*", "mission*", "report*")
 @pytest.mark.parametrize("writer", OPENED_FIRST)
 def test_where_no_file_can_be_is_one_line(call, folder, writer):
     """A file is in the place of the folder: this is as if nobody might write there."""

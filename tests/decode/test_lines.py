@@ -27,7 +27,7 @@ def rows():
 
 
 @pytest.mark.each(2)
-@pytest.mark.quick("7", "1000")
+@pytest.mark.quick("16", "1000")
 @pytest.mark.parametrize("size", [1, 7, 16, 1000])
 def test_any_number_at_once_gives_the_same(rows, size):
     made = PacketLines(rows.context)

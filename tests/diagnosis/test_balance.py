@@ -87,6 +87,7 @@ def test_every_lost_message_is_listed_once(name, diagnosis):
     assert end.plain.startswith(f"{found.lost:,} message")
 
 
+@pytest.mark.each(3)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_table_of_routes_tells_what_the_balance_tells(name, diagnosis):
     found = diagnosis(name).as_json()

@@ -175,6 +175,7 @@ RELAY_DROPPED += [141, 145, 150, 155, 163, 170, 172, 174, 192, 198, 199, 205, 20
 """Which commands the relay of n10 dropped, as it noted."""
 
 
+@pytest.mark.each(2)
 @pytest.mark.long("45", "135")
 @pytest.mark.parametrize("tenths_of_a_second", every(5, range(0, 390, 9)))
 def test_what_the_first_counts_do_not_tell_is_not_captured(tenths_of_a_second, batches):

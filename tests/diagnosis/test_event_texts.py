@@ -56,13 +56,14 @@ def test_no_text_of_an_event_ends_the_diagnosis(lab, events):
     diagnosis.as_json()
 
 
-@pytest.mark.each(3)
+@pytest.mark.each(7)
 @pytest.mark.parametrize(("app", "number", "text"), TEXTS)
 def test_no_text_of_an_event_is_cut_badly(app, number, text, lab):
     told = [lab.event(4 + at / 20, app, number, text[:at]) for at in every(7, range(len(text) + 1))]
     lab.examine(_traffic(lab, *told), lab.missions("two-rovers")).as_json()
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("name", ["66:", ":9", "66", "66:9:1", "66:\u00b2", "66:99999999999999999999"])
 def test_a_peer_whose_name_is_cut_is_nobody(name, lab):
     told = lab.event(5, "SBN", 259, f"ERROR: unknown peer {name}")

@@ -58,6 +58,25 @@ def first_screen(found):
     return " ".join(item.text + " " + item.remedy for item in summarize(found).problems)
 
 
+@pytest.mark.quick(
+    *(
+        "relay_uplink",
+        "slow_downlink",
+        "unsubscribed",
+        "frames_in_bursts",
+        "nobody_subscribes",
+        "stood_still",
+    ),
+    *(
+        "stood_still",
+        "killed_with_*",
+        "bursts",
+        "processor_restarted",
+        "stopped_at_the_end",
+        "queues_of_ten",
+        "refused_*",
+    ),
+)
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_the_doctor_says_how_many_were_lost_and_why(name):
     lost, causes = FLIGHTS[name]

@@ -45,7 +45,7 @@ def lines(found, width, words=""):
     return shown.get().splitlines()
 
 
-@pytest.mark.each(3)
+@pytest.mark.each(5)
 @pytest.mark.quick(
     *("[abef]_*", "c3*", "boots", "chaos", "network_bad", "processor_reset", "sbn_peer", "slow_app"),
     *("two_robots", "n[1358]*", "p*", "q[12]*"),

@@ -383,7 +383,7 @@ AT_ONE_PLACE = {
 
 
 @pytest.mark.each(3)
-@pytest.mark.quick("a_rover-n*", "p6b*")
+@pytest.mark.quick("a_rover-n3*", "p6b*")
 @pytest.mark.parametrize("late_ms", [0, 2300, 20_000])
 @pytest.mark.parametrize(("one", "other"), AT_ONE_PLACE)
 def test_two_cfs_of_one_name_at_one_address_are_told_by_their_clocks(whole, tmp_path, one, other, late_ms):

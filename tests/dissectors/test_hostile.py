@@ -144,7 +144,7 @@ def compared(capture, frames, context, judge):
 
 
 def test_fuzzed_datagrams(tshark, write_pcap, tmp_path, judge):
-    capture = write_pcap(tmp_path / "fuzz.pcap", mangled(examples(20_000, 25), seed=4))
+    capture = write_pcap(tmp_path / "fuzz.pcap", mangled(examples(20_000, 40), seed=4))
     frames = tshark(*ROVERS).frames(capture)
     compared(capture, frames, Context(load(ROVERS), TYPES, structs=Structs()), judge)
 
@@ -162,7 +162,7 @@ def test_fuzzed_datagrams(tshark, write_pcap, tmp_path, judge):
     ids=str,
 )
 def test_fuzzed_datagrams_under_other_options(options, tshark, write_pcap, tmp_path, judge):
-    capture = write_pcap(tmp_path / "fuzz.pcap", mangled(examples(1500, 8), seed=5))
+    capture = write_pcap(tmp_path / "fuzz.pcap", mangled(examples(1500, 12), seed=5))
     frames = tshark(*ROVERS, options=options).frames(capture)
     compared(capture, frames, Context(load(ROVERS), TYPES, options, Structs()), judge)
 

@@ -46,6 +46,12 @@ QUICK = [page for page in REFRESHED if page.stem not in {"sweep", "balance", "ar
 @pytest.mark.each(3)
 @pytest.mark.long(
     "docs/doctor.md",
+    "docs/recover.md",
+    "docs/trace.md",
+    "docs/questions.md",
+    "docs/missions.md",
+    "docs/inject.md",
+    "docs/xtce.md",
     "docs/record.md",
     "docs/check.md",
     "docs/rtps.md",

@@ -20,7 +20,7 @@ def words(svg):
 
 
 @pytest.mark.each(3)
-@pytest.mark.long("tui", "tui_rates")
+@pytest.mark.long("tui", "tui_rates", "tui_filter")
 @pytest.mark.parametrize("name", long_but([name for name in NAMES if name not in ALIKE], NAMES))
 def test_the_picture_says_what_the_command_says(name, make_pictures):
     svg = (FOLDER / f"{name}.svg").read_text()

@@ -83,7 +83,7 @@ def _key(topic, kind):
     return f"0{topic}/{package}::msg::dds_::{name}_/{type_hash(TYPES, kind)}"
 
 
-@pytest.mark.quick("ZenohPeer")
+@pytest.mark.long
 @pytest.mark.parametrize("way", [ZenohPeer, DdsPeer])
 def test_an_order_moves_the_robot_and_its_pose_comes_back_byte_for_byte(way, tmp_path):
     recording = tmp_path / "a.mcap"

@@ -210,6 +210,7 @@ def test_a_file_of_a_cfs_is_put_on_its_own_boot_or_on_none(tmp_path, boot, same)
         assert max(placed) < min(item.time_ns for item in kept) - 10**18
 
 
+@pytest.mark.quick("True")
 @pytest.mark.parametrize("turned", [False, True])
 def test_boots_in_two_files_that_follow_each_other_are_of_one_clock(tmp_path, turned):
     traffic = datagrams(ROOT / "tests/captures/n3_cfs_restart.pcap.zst")

@@ -25,7 +25,7 @@ FILES = {
     path.name.split(".")[0]: path
     for path in [*SAMPLES.glob("rtps/*.pcap.gz"), *CAPTURES.glob("*.pcap*"), *GIVEN.glob("*.pcap")]
 }
-FEW = ["f_sbn_disconnect", "cyclone_sender"]
+FEW = ["f_sbn_disconnect"]
 BY_HEADS = {"a_rover", "f_sbn_disconnect", "b_arm_single", "e_ci_errors"}
 
 

@@ -130,7 +130,7 @@ def test_poses_of_both_rovers_are_shown_in_their_frame(recordings):
     assert panel["layers"]["grid"]["frameId"] == "world"
 
 
-@pytest.mark.quick("arm", "rover")
+@pytest.mark.quick("arm")
 @pytest.mark.parametrize("scenario", LAYOUTS)
 def test_events_go_to_the_log(recordings, scenario):
     panel = layout(scenario)["configById"]["RosOut!events"]

@@ -12,7 +12,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from distributed import LocalCluster
 from effort import LONG
 from places import CAPTURES
 
@@ -78,6 +77,8 @@ def s3(server, monkeypatch, tmp_path):
 @pytest.fixture(scope="module")
 def scheduler():
     """The address of a scheduler with a worker, in this process."""
+    from distributed import LocalCluster
+
     with LocalCluster(
         n_workers=1,
         processes=False,

@@ -20,7 +20,7 @@ from edoras_tools.ros.arbitrary import arbitrary
 STORE = TypeStore()
 TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/Pose"
 STAMPED, JOINTS = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/JointState"
-COMMANDS = examples(25_000, part=20)
+COMMANDS = examples(25_000, part=40)
 """To each app."""
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 SANITIZED = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")

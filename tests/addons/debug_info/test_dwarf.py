@@ -195,7 +195,7 @@ def test_of_damaged_files_one_line_is_said(flags, tmp_path):
     data = compiled(tmp_path, NESTED, *flags).read_bytes()
     chance, broken = random.Random(7), tmp_path / "broken.o"
     said = set()
-    for _ in range(examples(200)):
+    for _ in range(examples(200, 16)):
         harmed = bytearray(data)
         if chance.random() < 0.2:
             harmed = harmed[: chance.randrange(4, len(data))]

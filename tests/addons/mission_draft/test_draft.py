@@ -55,6 +55,7 @@ def test_types_and_links_are_those_that_were_sent(name, missions):
     assert made.topics == len(mission.routes)
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("name", [*CAPTURES, "e_ci_errors.pcap"])
 def test_its_own_capture_decodes_with_it(name, tmp_path):
     path = tmp_path / "draft.yaml"

@@ -101,6 +101,7 @@ def check_others(text):
     assert all(line.startswith("#") for line in others.splitlines())
 
 
+@pytest.mark.long("a_rover", "c4*")
 @pytest.mark.parametrize("name", REAL)
 def test_of_a_real_capture_what_it_shows_and_no_more(name):
     constants, limits = REAL[name]

@@ -21,7 +21,7 @@ def test_in_the_terminal(call, rover):
     assert max(map(len, done.out.splitlines())) <= 100
 
 
-@pytest.mark.quick("svg", "png")
+@pytest.mark.quick("png")
 @pytest.mark.parametrize("suffix", ["svg", "html", "png"])
 def test_as_a_picture_that_is_replaced_only_by_force(call, rover, tmp_path, suffix):
     if suffix == "png":

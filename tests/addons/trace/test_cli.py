@@ -47,6 +47,7 @@ def test_the_rounds_of_a_topic(call, rover):
     assert sum(not item["out"] for item in timing["messages"]) == 92
 
 
+@pytest.mark.each(2)
 @pytest.mark.parametrize("suffix", ["svg", "html", "mmd"])
 @pytest.mark.parametrize("which", [(131,), ("--topic", "/cmd_vel")])
 def test_as_a_picture(call, rover, tmp_path, suffix, which):

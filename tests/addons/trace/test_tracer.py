@@ -130,6 +130,7 @@ def test_no_trace_says_more_than_the_ledger(examined, name):
         assert came <= int(case.commands.fates[id(stream)].arrived.sum())
 
 
+@pytest.mark.each(2)
 @pytest.mark.long("d3_cpu1_cpu2", "c4_cmd_rate")
 @pytest.mark.parametrize("name", NAMES)
 def test_each_lost_message_has_a_way(examined, name):

@@ -134,7 +134,7 @@ def agree(batch, mission, options=DEFAULT, turn=0):
 
 NAMES = ["rover", "arm", "two rovers"]
 IN_TURNS = list(zip(CAPTURES, cycle(NAMES)))
-TURNS = 1 if LONG else 8
+TURNS = 1 if LONG else 16
 """``make test`` holds an eighth of the names to each capture, the next to the next; ``make long`` all."""
 
 
@@ -147,7 +147,7 @@ TURNS = 1 if LONG else 8
 def test_every_field_of_the_captures(path, name):
     with closing(open_file(path)) as source:
         batch = next(source.batches())
-    rows = np.random.default_rng(1).choice(len(batch), min(len(batch), examples(250, 5)), replace=False)
+    rows = np.random.default_rng(1).choice(len(batch), min(len(batch), examples(250, 8)), replace=False)
     turn = CAPTURES.index(path) // len(NAMES)  # the captures before it had the other names
     assert agree(batch.take(np.sort(rows)), name, turn=turn) > 100 // TURNS
 

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from effort import every
 from places import ROOT
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
@@ -26,6 +27,7 @@ def decoded(name, context):
     """Return a capture as one batch, its columns, and its packets."""
     with closing(open_file(ROOT / f"samples/captures/{name}.pcap")) as source:
         batch = next(source.batches())
+    batch = batch.take(np.array(every(3, range(len(batch)))))
     dissector = Dissector(context)
     return (
         batch,
@@ -205,7 +207,7 @@ def test_what_is_cheap_is_asked_first(monkeypatch):
     assert 0 < mask.sum() == len(asked) < 20
     asked.clear()
     Where("number > 5 or summary contains 'x='", context).mask(batch, columns)
-    assert asked == [1, 2, 3, 4, 5]
+    assert asked == batch.number[batch.number <= 5].tolist() != []
 
 
 # What is written, the characters that are marked, and what is said.

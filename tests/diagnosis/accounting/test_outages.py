@@ -27,6 +27,7 @@ def lost_by(found):
     return sum((Counter(row.lost) for row in found.balance), Counter())
 
 
+@pytest.mark.quick("20-21")
 @pytest.mark.parametrize(("start_s", "end_s"), [(20, 30), (20, 21), (5, 50)])
 def test_telemetry_that_is_missing_then_is_not_captured(lab, start_s, end_s):
     sent, _ = lab.simulate("rover", seconds=60)
@@ -46,6 +47,7 @@ def test_telemetry_that_is_missing_then_is_not_captured(lab, start_s, end_s):
     assert alone.lost == (gone if end_s - start_s < 2 else 0)
 
 
+@pytest.mark.quick("33*")
 @pytest.mark.parametrize(("start_s", "end_s"), [(20, 30), (33.3, 34.1), (2, 60)])
 def test_commands_before_and_after_it_are_told_as_ever(lab, start_s, end_s):
     items = [

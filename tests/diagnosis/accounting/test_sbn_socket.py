@@ -25,6 +25,7 @@ def burst(lab, msg_id, number):
     ]
 
 
+@pytest.mark.quick("*60*")
 @pytest.mark.parametrize("dropped", [0, 60, 200])
 def test_what_did_not_come_out_beyond_what_it_reads_is_lost_in_its_socket(lab, msg_id, dropped):
     items = burst(lab, msg_id, READ + dropped)

@@ -117,6 +117,7 @@ def test_a_full_pipe_of_a_restarted_application_loses_by_its_restart_and_wake_up
     assert result["unaccounted"] == 0
 
 
+@pytest.mark.quick("10*")
 @pytest.mark.parametrize("hertz", [6.0, 10.0])
 def test_what_a_cfs_may_have_read_just_before_it_was_killed_is_not_said_to_be_lost(hertz):
     simulation = Simulation(SimProfile(), start_ns=START_NS, command_rate_hz=hertz, with_account=True)

@@ -87,6 +87,7 @@ def restarted(lab, *, repeats):
     )
 
 
+@pytest.mark.quick("True")
 @pytest.mark.parametrize("repeats", [False, True])
 def test_what_a_peer_was_sent_that_started_again_before_it_was_given_up(lab, repeats):
     kept, most, least = restarted(lab, repeats=repeats)

@@ -26,6 +26,7 @@ def test_after_a_failed_reload_the_peer_is_not_connected(lab):
     assert [item.start_ns for item in goodbye] == [row["states"][-1]["time_ns"]]
 
 
+@pytest.mark.long("goes on later")
 @pytest.mark.parametrize(
     ("answers", "expected"),
     [

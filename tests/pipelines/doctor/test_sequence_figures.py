@@ -35,7 +35,7 @@ def figures(rows):
     return {key: value for key, value in found.items() if value}
 
 
-@pytest.mark.quick("a_rover", "b_arm_single", "f2*", "n5*", "p6b*")
+@pytest.mark.quick("f2*", "n5*", "p6b*")
 @pytest.mark.parametrize("capture", CAPTURES, ids=lambda path: path.name.split(".")[0])
 def test_info_and_doctor_agree(capture):
     name = capture.name.split(".")[0]

@@ -262,7 +262,7 @@ def _frame(packet):
     )
 
 
-@pytest.mark.parametrize("seed", range(examples(300, part=3)))
+@pytest.mark.parametrize("seed", range(examples(300, part=8)))
 def test_a_damaged_sheet_is_read_or_refused_in_a_line(seed):
     draw = random.Random(seed)
     files = list(FILES)

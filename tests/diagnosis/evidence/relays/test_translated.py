@@ -56,7 +56,7 @@ def figures(found):
 CASES = list(product(["a_rover", "c4_cmd_rate"], [True, False], [0, 61_000]))
 
 
-@pytest.mark.quick("a_rover-True-61000", "a_rover-False-0")
+@pytest.mark.quick("a_rover-True-61000")
 @pytest.mark.parametrize(("name", "numbered", "port"), long_but([*CASES[:4], CASES[7]], CASES))
 def test_a_docker_host_counts_as_the_container_alone(name, numbered, port, tmp_path):
     items = [
