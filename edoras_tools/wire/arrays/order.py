@@ -60,8 +60,6 @@ def _numbered(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]
     """Number one column: by a table of its values or their hashes; by sorting where two share a hash."""
     rows = np.arange(len(values))
     least, most = (int(values.min()), int(values.max())) if len(values) else (0, 0)
-    if least == most:
-        return rows[:1], np.zeros(len(values), np.intp)
     size = most - least + 1
     bits = min(_SLOTS, len(values).bit_length() + _SLOTS_EACH)
     if exact := size <= 1 << bits:
@@ -101,10 +99,9 @@ def by_value(values: NDArray[Any]) -> Iterator[tuple[int, NDArray[np.intp]]]:
     # 16 bits sort by radix, several times as fast.
     narrow = values.dtype.itemsize <= 2 or (least >= 0 and most <= 0xFFFF)
     order = np.argsort(values.astype(np.uint16) if narrow else values, kind="stable")
-    ranked = values[order]
-    ends = np.flatnonzero(ranked[1:] != ranked[:-1]) + 1
+    ends = np.flatnonzero(np.diff(values[order])) + 1
     for first, end in pairwise([0, *ends.tolist(), len(order)]):  # ``numpy.split`` takes longer
-        yield int(ranked[first]), order[first:end]
+        yield int(values[order[first]]), order[first:end]
 
 
 def groups(values: NDArray[Any], rows: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
