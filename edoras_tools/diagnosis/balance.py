@@ -123,7 +123,9 @@ class WaySum:
     @property
     def messages_uncertain(self) -> int:
         """Messages that may be lost besides."""
-        return self._proven - self.messages_lost + sum(row.uncertain for row in self.hops)
+        first = self.hops[0]
+        sure = min(first.sure_copies, first.copies, self._proven)
+        return self._proven - sure - self.messages_lost + sum(row.uncertain for row in self.hops)
 
     @property
     def _proven(self) -> int:

@@ -110,6 +110,11 @@ class Diagnosis:
         """Messages that surely are lost: not the copies among the arrivals that are."""
         return sum(way.messages_lost for way in self.ways)
 
+    @property
+    def messages_uncertain(self) -> int:
+        """Messages that may be lost besides."""
+        return sum(way.messages_uncertain for way in self.ways)
+
     @cached_property
     def ways(self) -> list[WaySum]:
         """What became of each traffic on its way."""
@@ -225,7 +230,7 @@ class Diagnosis:
             "uncertain": self.uncertain,
             "estimated": None,
             "messages_lost": self.messages_lost,
-            "messages_uncertain": sum(way.messages_uncertain for way in self.ways),
+            "messages_uncertain": self.messages_uncertain,
             "verdicts": [verdict.as_json() for verdict in self.verdicts],
             "habits": [verdict.as_json() for verdict in self.habits],
             "balance": [row.as_json(self.topics.get(row.route)) for row in self.balance],

@@ -58,7 +58,7 @@ ENDING_TEXTS: Final[Mapping[str, str]] = {
     "shared": "may be among losses that a counter has of several MsgIds",
 }
 """Endings of the ledger that are no losses, for people."""
-_SUMMED: Final = ("came", "out", "duplicated", "copies", *ENDINGS[1:])
+_SUMMED: Final = ("came", "out", "duplicated", "late", "out_of_order", "copies", "sure_copies", *ENDINGS[1:])
 CI_HOP: Final = "CI"
 APPLICATION: Final = "application"
 PEER: Final = "SBN peer"
@@ -227,7 +227,10 @@ class Row:
         name: cFE's name for the packet, if it has one.
         onward: label of the link and MsgId of each packet as which it came out of the application.
         topic: topic, where no route is configured for it.
-        copies: of what went into the first hop of its way, or came to it unseen, how many are copies.
+        late: of those that came out, how many much later than others.
+        out_of_order: of those, how many behind one that went in later.
+        copies: at most so many of what was lost on its way are copies; told in its first row.
+        sure_copies: at least so many.
     """
 
     route: int
@@ -250,7 +253,10 @@ class Row:
     name: str = ""
     onward: tuple[tuple[str, int], ...] = ()
     topic: str = ""
+    late: int = 0
+    out_of_order: int = 0
     copies: int = 0
+    sure_copies: int = 0
 
     @property
     def all_lost(self) -> int:
@@ -286,6 +292,8 @@ class Row:
             "in": self.came,
             "duplicated": self.duplicated,
             "out": self.out,
+            "late": self.late,
+            "out_of_order": self.out_of_order,
             "lost": self.all_lost,
             "lost_by": dict(self.lost),
             **{name: getattr(self, name) for name in ENDINGS if name != "lost"},
@@ -356,12 +364,14 @@ class LedgerWay:
     Args:
         entered: arrivals at the first hop.
         doubtful: arrivals besides, if the network doubled them and not the capture.
-        copies: arrivals that are copies of others, those included that the capture does not show.
+
+    Attributes:
+        copies: of what was lost, at least and at most so many are copies, also of what the capture lacks.
     """
 
-    def __init__(self, traffic: LedgerTraffic, entered: int = 0, doubtful: int = 0, copies: int = 0) -> None:
+    def __init__(self, traffic: LedgerTraffic, entered: int = 0, doubtful: int = 0) -> None:
         self.traffic, self._entered, self._doubtful = traffic, entered + doubtful, doubtful
-        self._copies = copies
+        self.copies = 0, 0
         self._hops: list[_Hop] = []
 
     def hop(self, name: str, counted: Mapping[str, str], *, duplicated: int = 0, **about: Any) -> None:
@@ -413,7 +423,8 @@ class LedgerWay:
     def rows(self) -> list[Row]:
         """Return a row a hop."""
         rows = [hop.row(self.traffic) for hop in self._hops]
-        return [replace(row, copies=0 if place else self._copies) for place, row in enumerate(rows)]
+        sure, most = self.copies
+        return [replace(row, copies=most, sure_copies=sure) for row in rows[:1]] + rows[1:]
 
 
 class MessageLedger:
@@ -481,14 +492,9 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     first = next(item for item in case.streams if case.done_to(item) is done)
     dropped, doubled = (done.dropped, min(done.doubled, len(stream))) if first is stream else ([], 0)
     traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
-    echoes = find_echoes(case.rows, stream.rows)
-    copies = int((np.isin(stream.rows, case.prepared.duplicates) | echoes).sum()) + doubled
-    # Else those that are lost are datagrams of the capture, or those that it lacks.
-    if not fate.seen and not case.quality.missing:
-        copies += sum(item.not_captured for item in case.ingests if item.endpoint == stream.receiver)
     entered = len(stream) + len(dropped) - doubled
     entered += relayed.more if relayed else 0
-    way = LedgerWay(traffic, entered, doubtful=case.perhaps_doubled(stream), copies=copies)
+    way = LedgerWay(traffic, entered, doubtful=case.perhaps_doubled(stream))
     if relayed:
         losses = _by_relay(way, relayed, losses)
     if dropped or doubled:
@@ -504,12 +510,42 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
         _refuse(way, item, number, among)
     way.end("shared", min(fate.ends["shared"], way.left))
     _behind_bus(case, fate, way)
+    way.copies = _lost_copies(case, fate, doubled)
     return way
+
+
+def _lost_copies(case: Case, fate: Fate, doubled: int) -> tuple[int, int]:
+    """Return of how many arrivals that were lost others may have come out: at least, and at most.
+
+    Of equal messages of which some came out, those that did not are their copies as far as there are copies.
+
+    Args:
+        doubled: how many a proxy made, besides those that the capture shows.
+    """
+    stream, relayed = fate.stream, case.commands.relayed.get(id(fate.stream))
+    copied = np.isin(stream.rows, case.prepared.duplicates) | find_echoes(case.rows, stream.rows)
+    number = relayed.doubled if relayed else int(copied.sum())
+    # Else those that are lost are datagrams of the capture, or those that it lacks.
+    if not fate.seen and not case.quality.missing:
+        doubled += sum(item.not_captured for item in case.ingests if item.endpoint == stream.receiver)
+    if len(fate.hops) != 1 or doubled:
+        return 0, number + doubled
+    _, first, which = np.unique(fate.hops[0].prints, return_index=True, return_inverse=True)
+    if len(stream) - len(first) == number:  # then each value is one message
+        copied = ~np.isin(np.arange(len(stream)), first)
+    if int(copied.sum()) != number:
+        return 0, number
+    copies, came, absent = (np.bincount(which, some) for some in (copied, fate.arrived, ~fate.arrived))
+    ended = sum(fate.ends.values()) + fate.waiting - fate.ends["unaccounted"]
+    # What came out of equal ones may all be of one message.
+    sure = int(np.maximum(0, copies - np.maximum(0, came - 1)).sum()) - ended
+    return max(0, sure), int(np.minimum(absent, copies).sum())
 
 
 def _by_relay(way: LedgerWay, relayed: LostInRelay, losses: Sequence[Loss]) -> list[Loss]:
     """Go on through a relay with both its sides in the capture; return what else was lost."""
-    way.hop(relayed.hop, {"in": _SEEN, "out": _SEEN}, duplicated=relayed.doubled)
+    figures = {"duplicated": relayed.doubled, "late": relayed.late, "out_of_order": relayed.out_of_order}
+    way.hop(relayed.hop, {"in": _SEEN, "out": _SEEN}, **figures)
     way.lose([loss for loss in losses if loss.hop == relayed.hop], frozenset({"network"}))
     return [loss for loss in losses if loss.hop != relayed.hop]
 

@@ -327,8 +327,9 @@ def _nothing_sent(found: Diagnosis) -> str:
 
 def _copies(found: Diagnosis, proven: int) -> str:
     """Return the sentence of those that were copies, where the network doubled some of what was lost."""
-    least = found.messages_lost
-    return f" Some are copies: {least:,} to {proven:,} messages never arrived." if least < proven else ""
+    least, most = found.messages_lost, found.messages_lost + found.messages_uncertain - found.uncertain
+    number = f"{least:,} to {most:,}" if least < most else f"{most:,}"
+    return f" Some are copies: {number} messages never arrived." if least < proven else ""
 
 
 def _counts(problems: Iterable[Problem], kind: str = "") -> list[str]:

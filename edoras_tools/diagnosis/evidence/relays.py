@@ -249,8 +249,60 @@ _MOST_HOSTS: Final = 64
 """Of more hosts nobody looks for one that sends on for another."""
 _CLOCKS_NS: Final = 50 * MILLISECOND
 """Two captures of its sides may be so far apart."""
-_RELAY_NS: Final = 10 * SECOND
-"""A relay holds a datagram for so long at most."""
+LONGEST_NS: Final = 10 * SECOND
+"""Nothing is under way between two points for longer."""
+_LATE_NS: Final = 100 * MILLISECOND
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """What is the same at one point of a way and at the next.
+
+    Attributes:
+        into: intp, places among what came to the first point, in order of time.
+        out: intp, places among what came to the second, ascending; each is the one in ``into``.
+        took_ns: i64, how long each took.
+    """
+
+    into: NDArray[np.intp]
+    out: NDArray[np.intp]
+    took_ns: NDArray[np.int64]
+
+    @property
+    def late(self) -> int:
+        """How many took more than 100 ms longer than the quickest."""
+        return int((self.took_ns - self.took_ns.min(initial=0) > _LATE_NS).sum())
+
+    @property
+    def out_of_order(self) -> int:
+        """How many came out behind one that had gone in later."""
+        return int((self.into < np.maximum.accumulate(self.into)).sum())
+
+    def take(self, some: NDArray[np.bool_]) -> Segment:
+        """Return it with some of its pairs alone."""
+        return Segment(self.into[some], self.out[some], self.took_ns[some])
+
+
+def join(
+    into: NDArray[np.uint64],
+    into_ns: NDArray[np.int64],
+    out: NDArray[np.uint64],
+    out_ns: NDArray[np.int64],
+    early_ns: int,
+) -> Segment:
+    """Pair what is equal at two points: each with the latest that was not later, each once.
+
+    Args:
+        into: fingerprints at the first point, in order of time.
+        into_ns: when each came there.
+        out: fingerprints at the second point.
+        out_ns: when each came there.
+        early_ns: the second clock may be so much behind the first one.
+    """
+    origin = paired(into, into_ns, out, out_ns + early_ns)
+    found = np.flatnonzero(origin >= 0)
+    segment = Segment(origin[found], found, out_ns[found] - into_ns[origin[found]])
+    return segment.take(segment.took_ns <= LONGEST_NS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,6 +317,8 @@ class LostInRelay:
         lost_ns: i64, when those came to it that did not leave it.
         of: messages that came to it.
         doubled: datagrams that left it more than once.
+        late: messages that it held for more than 100 ms longer than others.
+        out_of_order: messages that left it behind a later one.
     """
 
     relay: Endpoint
@@ -274,6 +328,8 @@ class LostInRelay:
     lost_ns: NDArray[np.int64]
     of: int
     doubled: int
+    late: int
+    out_of_order: int
 
     @property
     def hop(self) -> str:
@@ -295,16 +351,14 @@ class RelayedWay:
         before: rows in front of it.
         behind: rows behind it, in order of time.
         made_of: of those behind, which of ``before`` each may be: the latest equal one; -1 where none fits.
-        lost: bool, of ``before``, which did not come out again.
-        doubled: bool, of ``behind``, which are copies.
+        segment: which of those in front came out behind it; what else is behind it are copies.
     """
 
     relay: Endpoint
     before: NDArray[np.intp]
     behind: NDArray[np.intp]
     made_of: NDArray[np.intp]
-    lost: NDArray[np.bool_]
-    doubled: NDArray[np.bool_]
+    segment: Segment
 
     def sources(self, rows: Rows) -> NDArray[np.int32]:
         """Return who sent each of those behind: of one that fits none, who sent the one before it."""
@@ -320,13 +374,15 @@ class RelayedWay:
     def losses(self, rows: Rows) -> Iterator[LostInRelay]:
         """Yield what the relay did to each MsgId that has no sequence count to show it."""
         commands = self.before[rows.function_code[self.before] >= 0]
-        lost, doubled = self.before[self.lost], self.behind[self.doubled]
+        lost, doubled = np.delete(self.before, self.segment.into), np.delete(self.behind, self.segment.out)
         receiver, link = int(rows.destination[self.behind[0]]), int(rows.link[self.before[0]])
         for msg_id, own in by_value(rows.msg_id[commands]):
             lost_ns = rows.time_ns[lost[rows.msg_id[lost] == msg_id]]
             again = int((rows.msg_id[doubled] == msg_id).sum())
-            if len(lost_ns) or again:
-                yield LostInRelay(self.relay, link, msg_id, receiver, lost_ns, len(own), again)
+            passed = self.segment.take(rows.msg_id[self.before[self.segment.into]] == msg_id)
+            figures = again, passed.late, passed.out_of_order
+            if len(lost_ns) or any(figures):
+                yield LostInRelay(self.relay, link, msg_id, receiver, lost_ns, len(own), *figures)
 
 
 def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
@@ -374,12 +430,8 @@ def _relayed(
 ) -> RelayedWay | None:
     """Hold what came to an address against what left it; None where that is not the same."""
     into, out = ((rows.bytes_print[own], rows.time_ns[own]) for own in (before, behind))
-    out = out[0], out[1] + _CLOCKS_NS
-    made_of = latest_equal(*into, *out)
-    made_of[out[1] - into[1][made_of] > _RELAY_NS] = -1
+    made_of = latest_equal(*into, out[0], out[1] + _CLOCKS_NS)
+    made_of[out[1] - into[1][made_of] > LONGEST_NS] = -1
     if (made_of >= 0).sum() < max(_LEAST_DATAGRAMS, _NEARLY_ALL * len(behind)):
         return None
-    one = paired(*into, *out)
-    lost = np.ones(len(before), bool)
-    lost[one[one >= 0]] = False
-    return RelayedWay(relay, before, behind, made_of, lost, one < 0)
+    return RelayedWay(relay, before, behind, made_of, join(*into, *out, _CLOCKS_NS))

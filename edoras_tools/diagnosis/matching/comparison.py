@@ -2,8 +2,8 @@
 
 1. The second's clock is set by the first's, by what both hold (``evidence.clocks``); where nothing tells,
    by equal packets.
-2. Packets are the same by their bytes, and by their IP identification where they kept it. The rest is paired
-   in order, within the time that both captured.
+2. Packets are the same by their bytes, and by their IP identification where most of a MsgId keep it: each is
+   the latest that was not later, as on both sides of a relay in one capture (``evidence.relays``).
 3. A host whose packets come later in the second capture sends from the first point to the second; else the
    other way. What the sender's side has and the other lacks is lost, what only the receiver's side has is
    extra; the same packet once more is doubled.
@@ -25,13 +25,13 @@ from edoras_tools.cfs.names import message_name
 from edoras_tools.diagnosis.evidence.clocks.alignment import align, align_ways
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.copies import find_echoes
-from edoras_tools.diagnosis.evidence.fingerprint import paired
 from edoras_tools.diagnosis.evidence.preparation import prepare
+from edoras_tools.diagnosis.evidence.relays import LONGEST_NS, join
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding, Link
-from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.fingerprint import matches
+from edoras_tools.units import MILLISECOND
+from edoras_tools.wire.arrays.fingerprint import MIX, matches
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -39,15 +39,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.clocks.alignment import Alignment
+    from edoras_tools.diagnosis.evidence.relays import Segment
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.diagnosis.verdict import Choice
     from edoras_tools.mission import Mission
 
-_LATE_NS: Final = 100 * MILLISECOND
 _EARLY_NS: Final = MILLISECOND
 """Clocks of two records are aligned so well at the best."""
-_LONGEST_NS: Final = 10 * SECOND
-"""No packet is under way between two points for longer."""
 _FEW: Final = 0.01
 """A smaller part of the packets is the same by chance."""
 
@@ -69,6 +67,7 @@ class Difference:
         doubled: of the receiver's side, once more.
         altered: the same packet with other bytes.
         late: of the same, those that took more than 100 ms longer than the quickest.
+        out_of_order: of the same, those that came behind one that was sent later.
         neither: missing by sequence count in both.
         latency: from one to the other, half the shortest way there and back taken as 0.
     """
@@ -85,8 +84,14 @@ class Difference:
     doubled: int
     altered: int
     late: int
+    out_of_order: int
     neither: int
     latency: Latency | None
+
+    def turned(self, topic: str | None, *, back: bool) -> Difference:
+        """Return it with its topic; with ``back`` its sender's side is the second."""
+        first, second = (self.second, self.first) if back else (self.first, self.second)
+        return replace(self, topic=topic, back=back, first=first, second=second)
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --against --json``."""
@@ -105,6 +110,7 @@ class Difference:
             "doubled": self.doubled,
             "altered": self.altered,
             "late": self.late,
+            "out_of_order": self.out_of_order,
             "neither": self.neither,
             "latency": self.latency.as_json() if self.latency else None,
         }
@@ -155,12 +161,12 @@ class _Side:
     sender: NDArray[np.str_]
     doubled: NDArray[np.intp]
 
-    def during(self, times: NDArray[np.int64], margin_ns: int = 0) -> NDArray[np.bool_]:
-        """Tell which times, by its clock, it was capturing at, or nearly."""
+    def during(self, times: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which times, by its clock, it was capturing at."""
         if not len(self.rows):
             return np.zeros(len(times), bool)
         own = self.rows.time_ns
-        return np.asarray((times >= int(own.min()) - margin_ns) & (times <= int(own.max()) + margin_ns))
+        return np.asarray((times >= own.min()) & (times <= own.max()))
 
     def again(self, rows: NDArray[np.intp], paired: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Tell which rows are doubles: by the network, or of a packet with a count that is paired."""
@@ -170,24 +176,17 @@ class _Side:
 
 def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> CaptureComparison:
     """Hold two captures against each other."""
-    topics: dict[tuple[int, int], str] = {(route.link, route.msg_id): route.topic for route in mission.routes}
+    topics: dict[_Key, str] = {(route.link, route.msg_id): route.topic for route in mission.routes}
     sides = _side(first), _side(second)
     found = align(first, second)
     line = _line(found) if found else ClockLine(0, _equal(*(side.rows for side in sides)))
-    times = line.set_back(sides[1].rows.time_ns)
-    sides = sides[0], replace(sides[1], rows=replace(sides[1].rows, time_ns=times))
     keys = sorted({key for side in sides for key in _keys(side.rows)})
-    pairs = {key: _pair(*sides, key) for key in keys}
-    back = _back(*sides, list(pairs.values()))
-    routes = [_difference(*sides, key, pairs[key], turned=_turned(*sides, key, back)) for key in keys]
-    both = [_within(*sides), _within(*sides[::-1])]
-    same = sum(len(ours) for ours, _ in pairs.values())
-    return CaptureComparison(
-        line.offset_ns,
-        found.line.drift if found is not None and found.drift is not None else None,
-        same > _FEW * min(both),
-        [replace(item, topic=topics.get((item.link, item.msg_id))) for item in routes],
-    )
+    a, b = _identified(sides, keys)
+    b = replace(b, rows=replace(b.rows, time_ns=line.set_back(b.rows.time_ns)))
+    known = {key: _once(a.rows, b.rows, key) for key in keys}
+    senders = _back(a, b, list(known.values()))
+    back = {key: _turned(a, b, key, senders) for key in keys}
+    return _compared(a, b, known, back, topics, line.offset_ns, found)
 
 
 def compare_messages(
@@ -211,17 +210,41 @@ def compare_messages(
     line = _line(found) if found else ClockLine(0, 0)
     moved = replace(second, time_ns=line.set_back(second.time_ns))
     sides = _Side(first, nobody, nothing), _Side(moved, nobody, nothing)
-    took = moved.time_ns[theirs] - first.time_ns[ours]
-    early_ns = max(_EARLY_NS, -int(np.where(turned, -took, took).min(initial=0)))
-    pairs = {key: _in_order(first, moved, key, early_ns, turned=way) for key, way in back.items()}
-    routes = [_difference(*sides, key, pairs[key], turned=way, once=True) for key, way in back.items()]
-    same = sum(len(pair[0]) for pair in pairs.values())
-    return CaptureComparison(
-        line.offset_ns,
-        line.drift if found is not None and found.drift is not None else None,
-        same > _FEW * min(_within(*sides), _within(*sides[::-1])),
-        [replace(item, topic=topics[item.link, item.msg_id]) for item in routes],
-    )
+    return _compared(*sides, known, back, topics, line.offset_ns, found)
+
+
+def _compared(
+    first: _Side,
+    second: _Side,
+    known: Mapping[_Key, _Pair],
+    back: Mapping[_Key, bool],
+    topics: Mapping[_Key, str],
+    offset_ns: int,
+    found: Alignment | None,
+) -> CaptureComparison:
+    """Join two sides, the second with the times of the first, by the ways that their packets go.
+
+    Args:
+        known: packets that are there once in each, which tell how far the clocks may be apart still.
+    """
+    took = [np.zeros(1, np.int64)]
+    for key, (ours, theirs) in known.items():
+        step = second.rows.time_ns[theirs] - first.rows.time_ns[ours]
+        took.append(-step if back[key] else step)
+    early = np.concatenate(took)
+    early_ns = max(_EARLY_NS, -int(early[early >= -LONGEST_NS].min()))
+    routes, same = [], 0
+    for key, turned in back.items():
+        near, far = (second, first) if turned else (first, second)
+        sent, came = _rows(near.rows, *key), _rows(far.rows, *key)
+        prints = near.rows.packet_print[sent], far.rows.packet_print[came]
+        segment = join(prints[0], near.rows.time_ns[sent], prints[1], far.rows.time_ns[came], early_ns)
+        same += len(segment.out)
+        item = _difference(near, far, key, sent, came, segment)
+        routes.append(item.turned(topics.get(key), back=turned))
+    both = min(_within(first, second), _within(second, first))
+    drift = found.line.drift if found is not None and found.drift is not None else None
+    return CaptureComparison(offset_ns, drift, same > _FEW * both, routes)
 
 
 def _line(found: Alignment) -> ClockLine:
@@ -243,16 +266,20 @@ def _likely_back(a: Rows, b: Rows, key: _Key, pair: _Pair) -> bool:
     return more > 0 or (not more and bool(earlier))
 
 
-def _in_order(a: Rows, b: Rows, key: _Key, early_ns: int, *, turned: bool) -> _Pair:
-    """Pair equal messages: each with the latest one that was not later by so much, each once."""
-    sides = [(rows, _rows(rows, *key)) for rows in (a, b)]
-    (near, into), (far, out) = sides[::-1] if turned else sides
-    went, came = near.time_ns[into], far.time_ns[out]
-    from_ = paired(near.packet_print[into], went, far.packet_print[out], came + early_ns)
-    goes = np.flatnonzero(from_ >= 0)
-    goes = goes[came[goes] - went[from_[goes]] <= _LONGEST_NS]
-    pair = into[from_[goes]], out[goes]
-    return pair[::-1] if turned else pair
+def _identified(sides: tuple[_Side, _Side], keys: Sequence[_Key]) -> list[_Side]:
+    """Return both sides, with the IP identification in fingerprints where it is kept on the way."""
+    rows = [side.rows for side in sides]
+    plain = [item.packet_print.copy() for item in rows]
+    marked = [item.packet_print ^ item.identification * MIX for item in rows]
+    for key in keys:
+        ours, theirs = (_rows(item, *key) for item in rows)
+        alike, kept = (np.isin(a[ours], b[theirs]).sum() for a, b in (plain, marked))
+        if 2 * kept >= alike:
+            plain[0][ours], plain[1][theirs] = marked[0][ours], marked[1][theirs]
+    return [
+        replace(side, rows=replace(item, packet_print=prints))
+        for side, item, prints in zip(sides, rows, plain, strict=True)
+    ]
 
 
 def _side(recorder: Recorder) -> _Side:
@@ -290,37 +317,6 @@ _Pair = tuple["NDArray[np.intp]", "NDArray[np.intp]"]
 """Rows of the first, and the rows of the second that are the same packets."""
 
 
-def _pair(first: _Side, second: _Side, key: _Key) -> _Pair:
-    """Pair equal packets: those of one IP identification, then the n-th of one with the n-th of the other."""
-    a, b = first.rows, second.rows
-    ours, theirs = _rows(a, *key), _rows(b, *key)
-    known = _nth(a, b, ours[a.identification[ours] != 0], theirs[b.identification[theirs] != 0], marked=True)
-    near = np.abs(b.time_ns[known[1]] - a.time_ns[known[0]]) <= _LONGEST_NS
-    known = known[0][near], known[1][near]
-    ours, theirs = np.setdiff1d(ours, known[0]), np.setdiff1d(theirs, known[1])
-    ours = ours[second.during(a.time_ns[ours], SECOND)]
-    theirs = theirs[first.during(b.time_ns[theirs], SECOND)]
-    rest = _nth(a, b, ours, np.setdiff1d(theirs, second.doubled), marked=False)
-    return np.concatenate((known[0], rest[0])), np.concatenate((known[1], rest[1]))
-
-
-def _nth(a: Rows, b: Rows, ours: NDArray[np.intp], theirs: NDArray[np.intp], *, marked: bool) -> _Pair:
-    if not len(ours) or not len(theirs):
-        return ours[:0], theirs[:0]
-    kind = np.dtype([("print", "u8"), ("mark", "u2"), ("nth", "i8")])
-    sides = []
-    for rows, own in ((a, ours), (b, theirs)):
-        named = np.zeros(len(own), kind)
-        named["print"] = rows.packet_print[own]
-        named["mark"] = rows.identification[own] if marked else 0
-        order = np.argsort(named, order=("print", "mark"), kind="stable")
-        begins = np.flatnonzero(np.append(True, named[order][1:] != named[order][:-1]))
-        named["nth"][order] = np.arange(len(own)) - np.repeat(begins, np.diff(np.append(begins, len(own))))
-        sides.append(named)
-    _, in_a, in_b = np.intersect1d(sides[0], sides[1], return_indices=True)
-    return ours[in_a], theirs[in_b]
-
-
 def _back(first: _Side, second: _Side, pairs: Sequence[_Pair]) -> dict[str, bool]:
     """Return of each sender whether its packets go from the second point to the first."""
     if not pairs:
@@ -338,16 +334,12 @@ def _turned(first: _Side, second: _Side, key: _Key, back: dict[str, bool]) -> bo
 
 
 def _difference(
-    first: _Side, second: _Side, key: _Key, pair: _Pair, *, turned: bool, once: bool = False
+    near: _Side, far: _Side, key: _Key, sent: NDArray[np.intp], came: NDArray[np.intp], segment: Segment
 ) -> Difference:
-    """Count one MsgId, from the sender's side to the receiver's; with ``once`` equal ones are not timed."""
-    every = [_rows(side.rows, *key) for side in (first, second)]
-    near, far = (second, first) if turned else (first, second)
-    sent, came = every[::-1] if turned else every
-    ours, theirs = pair[::-1] if turned else pair
-    took = far.rows.time_ns[theirs] - near.rows.time_ns[ours]
+    """Count one MsgId, from the sender's side to the receiver's; equal ones are not timed."""
+    ours, theirs = sent[segment.into], came[segment.out]
     # What one capture did not live to see is not lost.
-    longest = max(int(took.max(initial=0)), 0)
+    longest = max(int(segment.took_ns.max(initial=0)), 0)
     missing = np.setdiff1d(sent, ours)
     left = near.rows.time_ns[missing]
     missing = missing[far.during(left) & far.during(left + longest) & ~near.again(missing, ours)]
@@ -355,27 +347,27 @@ def _difference(
     extra = extra[near.during(far.rows.time_ns[extra])]
     again = far.again(extra, theirs) | _echoed(near.rows, far.rows, sent, came, extra)
     altered = _altered(near.rows, far.rows, missing, extra[~again])
-    if once:
-        values, counts = np.unique(near.rows.packet_print[ours], return_counts=True)
-        single = np.isin(near.rows.packet_print[ours], values[counts == 1])
-        took = took[single] if single.any() else took
+    values, counts = np.unique(near.rows.packet_print[ours], return_counts=True)
+    single = np.isin(near.rows.packet_print[ours], values[counts == 1])
+    timed = segment.take(single) if single.any() else segment
     lost, added = len(missing) - altered, int((~again).sum()) - altered
     absent = [int(side.rows.missing[own].sum()) for side, own in ((near, sent), (far, came))]
     return Difference(
         link=table.link(key[0]),
         msg_id=key[1],
         topic=None,
-        back=turned,
-        first=len(every[0]),
-        second=len(every[1]),
+        back=False,
+        first=len(sent),
+        second=len(came),
         same=len(ours),
         lost=lost,
         extra=added,
         doubled=int(again.sum()),
         altered=altered,
-        late=int((took - took.min(initial=0) > _LATE_NS).sum()),
+        late=timed.late,
+        out_of_order=timed.out_of_order,
         neither=max(0, min(absent[0] - added, absent[1] - lost)),
-        latency=latency_of(np.maximum(took, 0)),
+        latency=latency_of(np.maximum(timed.took_ns, 0)),
     )
 
 

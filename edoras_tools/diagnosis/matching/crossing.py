@@ -73,7 +73,7 @@ class Hop:
         into: where they go in.
         out: where they come out; the robot, where its link is ``OTHER``.
         rewritten: an application read them and wrote them anew; else they are the same packets.
-        known: bool, a row of ``into`` each: it has a fingerprint, so it can be found again.
+        prints: u64, a row of ``into`` each: the fingerprint by which it was looked for; 0 where it has none.
         arrived: bool, likewise: it came out.
         single: bool, one for each that is ``known``: no other of them has its fingerprint.
         origin: i64, a row of ``out`` each: the place in ``into`` that it came from, -1 where there is none.
@@ -91,7 +91,7 @@ class Hop:
     into: Stream
     out: Stream
     rewritten: bool
-    known: NDArray[np.bool_]
+    prints: NDArray[np.uint64]
     arrived: NDArray[np.bool_]
     single: NDArray[np.bool_]
     origin: NDArray[np.intp]
@@ -104,6 +104,11 @@ class Hop:
     first: tuple[int, int] | None
     in_rows: NDArray[np.intp]
     out_rows: NDArray[np.intp]
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which have a fingerprint, so that they can be found again."""
+        return np.asarray(self.prints != 0)
 
     @property
     def of(self) -> int:
@@ -415,7 +420,7 @@ def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went
         into=into,
         out=out,
         rewritten=rewritten,
-        known=came != 0,
+        prints=came,
         arrived=arrived,
         single=often[came != 0] == 1,
         origin=from_,

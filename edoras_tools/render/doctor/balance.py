@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 FIGURES: Final = {
     "in": "In",
     "duplicated": "Twice",
+    "late": "Late",
+    "out_of_order": "Out of order",
     "out": "Out",
     "lost": "Lost",
     "superseded": "Superseded",

@@ -285,7 +285,8 @@ class Model:
         self._followed = {*DEMO_ROUTES["two-rovers"].flight, *(hop.out.msg_id for hop in case.hops)}
         rows = case.rows
         to_ci = among(rows.link, lambda link: link.only_to_cfs)
-        extended = bool((rows.header_length[to_ci] == WITH_EXTENDED.command_bytes).mean() > 1 / 2)
+        long = rows.header_length[to_ci] == WITH_EXTENDED.command_bytes
+        extended = 2 * int(long.sum()) > len(long)
         own = case.instances.items[0].name if case.instances.items else "66:1"
         peer = Peer(*map(int, own.split(":"))) if own else Peer(66, 1)
         inbound = [item for item in case.streams if item.link.peers and not item.counted]

@@ -3,9 +3,11 @@
 The second clock minus the first is a line (``lines``). Its offset at the start and its drift are given
 as intervals. They come from one of these, in this order:
 
-1. Datagrams in both captures, recognised by IP identification and bytes. A datagram from the first host to
+1. Datagrams in both captures, recognised by bytes and IP identification, or by their ends where one has none,
+   as behind an address translation. A datagram from the first host to
    the second is captured there later by the offset plus its delay; one in the other direction by the offset
    minus its delay. So the smallest step one way is an upper bound, and the largest step back a lower bound.
+   Equal ones are paired in order, as far apart as those that are there once.
 2. Streams of which each capture has a part: a packet with the next sequence count is captured later.
 3. The mission time in the headers of one boot of one cFS, seen in both: capture time minus mission time is
    the same except for the shortest delay, which is below the wake-up period of the tasks that forward it.
@@ -25,6 +27,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -41,6 +44,7 @@ from edoras_tools.diagnosis.evidence.clocks.lines import (
     quickest_ahead,
 )
 from edoras_tools.diagnosis.evidence.instances import Instances
+from edoras_tools.diagnosis.evidence.relays import join
 from edoras_tools.diagnosis.evidence.table import peer_of
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding
@@ -347,7 +351,14 @@ def _side(recorder: Recorder) -> Side:
 def _shared(first: Recorder, second: Recorder) -> _Told | None:
     """Tell it by datagrams that both captured."""
     a, b = first.rows(), second.rows()
-    ours, theirs = matches(a.bytes_print ^ a.identification, b.bytes_print ^ b.identification)
+    one = _One(first, second)
+    pairs = []
+    for some in (np.uint16(0xFFFF), np.uint16(0)):  # of the bits of the identification
+        prints = a.bytes_print ^ a.identification & some, b.bytes_print ^ b.identification & some
+        ours, theirs = matches(*prints)
+        same = one.datagram(ours, theirs)
+        pairs.append((int(same.sum()), ours[same], theirs[same], prints))
+    _, ours, theirs, prints = max(pairs, key=itemgetter(0))
     step = b.time_ns[theirs] - a.time_ns[ours]
     if len(step) < _LEAST:
         return None
@@ -369,15 +380,70 @@ def _shared(first: Recorder, second: Recorder) -> _Told | None:
     if best is None:
         # All travel one way, or were captured at one place: delays are not more than they vary.
         best = _Told.of(one_way(*times), _BOTH)
-    return replace(best, shared=np.sort(b.number[theirs])) if best else None
+    if best is None:
+        return None
+    then = best.line.set_back(b.time_ns)
+    most_ns = int(np.abs(then[theirs] - times[0]).max())
+    segment = join(prints[0], a.time_ns, prints[1], then, most_ns)
+    same = (segment.took_ns <= most_ns) & one.datagram(segment.into, segment.out)
+    return replace(best, shared=np.sort(b.number[segment.out[same]]))
+
+
+class _One:
+    """Tells which datagrams of two captures with equal bytes are one."""
+
+    def __init__(self, first: Recorder, second: Recorder) -> None:
+        self._rows = a, b = first.rows(), second.rows()
+        self._number = _moved(first, second)
+        # Telemetry from one place, or to one, is one datagram: its other ends are two names of one host.
+        ours, theirs = matches(a.bytes_print, b.bytes_print)
+        told = self._telemetry(ours, theirs)
+        addresses, others = ([end.address for end in item.endpoints] or [""] for item in (first, second))
+        names: dict[str, str] = {}
+        for here, there in ((a.source, b.source), (a.destination, b.destination)):
+            ends = zip(here[ours[told]].tolist(), there[theirs[told]].tolist(), strict=True)
+            names |= {others[row]: addresses[own] for own, row in ends if others[row] != addresses[own]}
+        self._address = np.array(addresses)
+        self._other_name = np.array([names.get(item, "") for item in others])
+
+    def _kept(self, ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.int64]:
+        """Return how many of its ends each pair has in common."""
+        a, b = self._rows
+        source = a.source[ours] == self._number[b.source[theirs]]
+        return np.asarray(
+            np.add(source, a.destination[ours] == self._number[b.destination[theirs]], dtype=int)
+        )
+
+    def _telemetry(self, ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Tell which pairs are telemetry with one end in common."""
+        from_cfs = among(self._rows[0].link[ours], lambda link: link.only_from_cfs)
+        return np.asarray(from_cfs & (self._kept(ours, theirs) == 1))
+
+    def datagram(self, ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Tell which pairs of rows with equal bytes are one datagram, by their identification and ends.
+
+        Without an identification it keeps both its ends, lives shorter, or has an end with two names. What a
+        relay sends is another one: it lives as long, and no end is the same.
+        """
+        a, b = self._rows
+        number, other = a.identification[ours], b.identification[theirs]
+        one = (self._kept(ours, theirs) == 2) | (a.life[ours] != b.life[theirs])
+        one |= self._telemetry(ours, theirs)
+        for here, there in ((a.source, b.source), (a.destination, b.destination)):
+            one |= self._address[here[ours]] == self._other_name[there[theirs]]
+        return np.asarray(np.where((number == 0) | (other == 0), one, number == other))
+
+
+def _moved(first: Recorder, second: Recorder) -> NDArray[np.int64]:
+    """Return the number that each endpoint of the second has in the first; -1 for none."""
+    number = {endpoint: index for index, endpoint in enumerate(first.endpoints)}
+    return np.array([number.get(endpoint, -1) for endpoint in second.endpoints] or [-1])
 
 
 def _counted(first: Recorder, second: Recorder, coarse: _Told | None) -> _Told | None:
     """Tell it by counts; ``coarse`` says which of the packets of a count are meant, where it can."""
-    number = {endpoint: index for index, endpoint in enumerate(first.endpoints)}
-    moved = np.array([number.get(endpoint, -1) for endpoint in second.endpoints] or [-1])
     a, b = first.rows(), second.rows()
-    theirs = _key(b, moved[b.source].astype(np.int64), 0)
+    theirs = _key(b, _moved(first, second)[b.source].astype(np.int64), 0)
     every = []
     for ahead in (1, -1):
         rows = matches(_key(a, a.source.astype(np.int64), ahead), theirs)

@@ -33,6 +33,7 @@ EXPLAINED = {
 }
 NOT_EXPLAINED = {
     "c3_mqueue10": "a full pipe loses what comes last: in which order applications publish is not in it",
+    "flights/queues_of_ten": "likewise",
     "n3_cfs_restart": "killed",
     "n5_app_restarts": "of the part that is judged the doctor tells 5 poses too many",
     "cfs7/boots": "killed",
