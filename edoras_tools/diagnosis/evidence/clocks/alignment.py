@@ -27,7 +27,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -56,7 +55,7 @@ from edoras_tools.wire.msg_id import VERSION_1
 from edoras_tools.words import seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -351,14 +350,14 @@ def _side(recorder: Recorder) -> Side:
 def _shared(first: Recorder, second: Recorder) -> _Told | None:
     """Tell it by datagrams that both captured."""
     a, b = first.rows(), second.rows()
-    one = _One(first, second)
-    pairs = []
-    for some in (np.uint16(0xFFFF), np.uint16(0)):  # of the bits of the identification
-        prints = a.bytes_print ^ a.identification & some, b.bytes_print ^ b.identification & some
-        ours, theirs = matches(*prints)
-        same = one.datagram(ours, theirs)
-        pairs.append((int(same.sum()), ours[same], theirs[same], prints))
-    _, ours, theirs, prints = max(pairs, key=itemgetter(0))
+    one = _one(first, second)
+    tried = []
+    for bits in (np.uint16(0xFFFF), np.uint16(0)):  # an address translation may have left no identification
+        prints = [rows.bytes_print ^ rows.identification & bits for rows in (a, b)]
+        pairs = matches(*prints)
+        same = one(*pairs)
+        tried.append((prints, pairs[0][same], pairs[1][same]))
+    prints, ours, theirs = max(tried, key=lambda item: len(item[1]))
     step = b.time_ns[theirs] - a.time_ns[ours]
     if len(step) < _LEAST:
         return None
@@ -385,53 +384,42 @@ def _shared(first: Recorder, second: Recorder) -> _Told | None:
     then = best.line.set_back(b.time_ns)
     most_ns = int(np.abs(then[theirs] - times[0]).max())
     segment = join(prints[0], a.time_ns, prints[1], then, most_ns)
-    same = (segment.took_ns <= most_ns) & one.datagram(segment.into, segment.out)
+    same = (segment.took_ns <= most_ns) & one(segment.into, segment.out)
     return replace(best, shared=np.sort(b.number[segment.out[same]]))
 
 
-class _One:
-    """Tells which datagrams of two captures with equal bytes are one."""
+def _one(first: Recorder, second: Recorder) -> Callable[..., NDArray[np.bool_]]:
+    """Return what tells which pairs of rows with equal bytes are one datagram, by identification and ends.
 
-    def __init__(self, first: Recorder, second: Recorder) -> None:
-        self._rows = a, b = first.rows(), second.rows()
-        self._number = _moved(first, second)
-        # Telemetry from one place, or to one, is one datagram: its other ends are two names of one host.
-        ours, theirs = matches(a.bytes_print, b.bytes_print)
-        told = self._telemetry(ours, theirs)
-        addresses, others = ([end.address for end in item.endpoints] or [""] for item in (first, second))
-        names: dict[str, str] = {}
-        for here, there in ((a.source, b.source), (a.destination, b.destination)):
-            ends = zip(here[ours[told]].tolist(), there[theirs[told]].tolist(), strict=True)
-            names |= {others[row]: addresses[own] for own, row in ends if others[row] != addresses[own]}
-        self._address = np.array(addresses)
-        self._other_name = np.array([names.get(item, "") for item in others])
+    Without an identification it keeps both its ends, lives shorter, or has an end with two names. What a
+    relay sends is another one: it lives as long, and no end is the same.
+    """
+    a, b = first.rows(), second.rows()
+    number = _moved(first, second)
+    here, there = ([end.address for end in item.endpoints] or [""] for item in (first, second))
+    ends = (a.source, b.source), (a.destination, b.destination)
 
-    def _kept(self, ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.int64]:
-        """Return how many of its ends each pair has in common."""
-        a, b = self._rows
-        source = a.source[ours] == self._number[b.source[theirs]]
-        return np.asarray(
-            np.add(source, a.destination[ours] == self._number[b.destination[theirs]], dtype=int)
-        )
+    def kept(ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.int64]:
+        return np.asarray(np.sum([end[ours] == number[other[theirs]] for end, other in ends], axis=0))
 
-    def _telemetry(self, ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Tell which pairs are telemetry with one end in common."""
-        from_cfs = among(self._rows[0].link[ours], lambda link: link.only_from_cfs)
-        return np.asarray(from_cfs & (self._kept(ours, theirs) == 1))
+    def told(ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
+        return np.asarray(among(a.link[ours], lambda link: link.only_from_cfs) & (kept(ours, theirs) == 1))
 
-    def datagram(self, ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Tell which pairs of rows with equal bytes are one datagram, by their identification and ends.
+    # Telemetry from one place, or to one, is one datagram: its other ends are two names of one host.
+    ours, theirs = matches(a.bytes_print, b.bytes_print)
+    same = told(ours, theirs)
+    pairs = {pair for end, other in ends for pair in zip(end[ours[same]], other[theirs[same]], strict=True)}
+    names = {there[other]: here[end] for end, other in pairs if there[other] != here[end]}
+    address, other_name = np.array(here), np.array([names.get(item, "") for item in there])
 
-        Without an identification it keeps both its ends, lives shorter, or has an end with two names. What a
-        relay sends is another one: it lives as long, and no end is the same.
-        """
-        a, b = self._rows
-        number, other = a.identification[ours], b.identification[theirs]
-        one = (self._kept(ours, theirs) == 2) | (a.life[ours] != b.life[theirs])
-        one |= self._telemetry(ours, theirs)
-        for here, there in ((a.source, b.source), (a.destination, b.destination)):
-            one |= self._address[here[ours]] == self._other_name[there[theirs]]
-        return np.asarray(np.where((number == 0) | (other == 0), one, number == other))
+    def one(ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
+        numbers = a.identification[ours], b.identification[theirs]
+        bare = (kept(ours, theirs) == 2) | (a.life[ours] != b.life[theirs]) | told(ours, theirs)
+        for end, other in ends:
+            bare |= address[end[ours]] == other_name[other[theirs]]
+        return np.asarray(np.where(np.minimum(*numbers) == 0, bare, numbers[0] == numbers[1]))
+
+    return one
 
 
 def _moved(first: Recorder, second: Recorder) -> NDArray[np.int64]:

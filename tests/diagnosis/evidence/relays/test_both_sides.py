@@ -67,7 +67,7 @@ def translated(item, number, unnumbered, *, ages, masks, ci_port):
         return ground, replace(cfs, source=source, time_to_live=life).at(DELAY_NS)
     if to == 1235:
         return replace(ground, source=(OUTSIDE, 62_000), time_to_live=life).at(DELAY_NS), cfs
-    return None, cfs
+    return None, replace(cfs, identification=number)
 
 
 NAT = [
