@@ -524,7 +524,7 @@ def _lost_copies(case: Case, fate: Fate, doubled: int) -> tuple[int, int]:
     """
     stream, relayed = fate.stream, case.commands.relayed.get(id(fate.stream))
     copied = np.isin(stream.rows, case.prepared.duplicates) | find_echoes(case.rows, stream.rows)
-    number = relayed.doubled if relayed else int(copied.sum())
+    number = relayed.figures["duplicated"] if relayed else int(copied.sum())
     # Else those that are lost are datagrams of the capture, or those that it lacks.
     if not fate.seen and not case.quality.missing:
         doubled += sum(item.not_captured for item in case.ingests if item.endpoint == stream.receiver)
@@ -544,8 +544,7 @@ def _lost_copies(case: Case, fate: Fate, doubled: int) -> tuple[int, int]:
 
 def _by_relay(way: LedgerWay, relayed: LostInRelay, losses: Sequence[Loss]) -> list[Loss]:
     """Go on through a relay with both its sides in the capture; return what else was lost."""
-    figures = {"duplicated": relayed.doubled, "late": relayed.late, "out_of_order": relayed.out_of_order}
-    way.hop(relayed.hop, {"in": _SEEN, "out": _SEEN}, **figures)
+    way.hop(relayed.hop, {"in": _SEEN, "out": _SEEN}, **relayed.figures)
     way.lose([loss for loss in losses if loss.hop == relayed.hop], frozenset({"network"}))
     return [loss for loss in losses if loss.hop != relayed.hop]
 

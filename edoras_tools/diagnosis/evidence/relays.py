@@ -283,7 +283,7 @@ class Segment:
         return Segment(self.into[some], self.out[some], self.took_ns[some])
 
 
-def join(
+def pair_up(
     into: NDArray[np.uint64],
     into_ns: NDArray[np.int64],
     out: NDArray[np.uint64],
@@ -316,9 +316,7 @@ class LostInRelay:
         receiver: number of the endpoint that they go to behind it.
         lost_ns: i64, when those came to it that did not leave it.
         of: messages that came to it.
-        doubled: datagrams that left it more than once.
-        late: messages that it held for more than 100 ms longer than others.
-        out_of_order: messages that left it behind a later one.
+        figures: datagrams that left it twice, ``late`` ones, and ``out_of_order``, as a row has them.
     """
 
     relay: Endpoint
@@ -327,9 +325,7 @@ class LostInRelay:
     receiver: int
     lost_ns: NDArray[np.int64]
     of: int
-    doubled: int
-    late: int
-    out_of_order: int
+    figures: Mapping[str, int]
 
     @property
     def hop(self) -> str:
@@ -339,7 +335,7 @@ class LostInRelay:
     @property
     def more(self) -> int:
         """How many more went in than came out."""
-        return len(self.lost_ns) - self.doubled
+        return len(self.lost_ns) - self.figures["duplicated"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -380,9 +376,9 @@ class RelayedWay:
             lost_ns = rows.time_ns[lost[rows.msg_id[lost] == msg_id]]
             again = int((rows.msg_id[doubled] == msg_id).sum())
             passed = self.segment.take(rows.msg_id[self.before[self.segment.into]] == msg_id)
-            figures = again, passed.late, passed.out_of_order
-            if len(lost_ns) or any(figures):
-                yield LostInRelay(self.relay, link, msg_id, receiver, lost_ns, len(own), *figures)
+            figures = {"duplicated": again, "late": passed.late, "out_of_order": passed.out_of_order}
+            if len(lost_ns) or any(figures.values()):
+                yield LostInRelay(self.relay, link, msg_id, receiver, lost_ns, len(own), figures)
 
 
 def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
@@ -434,4 +430,4 @@ def _relayed(
     made_of[out[1] - into[1][made_of] > LONGEST_NS] = -1
     if (made_of >= 0).sum() < max(_LEAST_DATAGRAMS, _NEARLY_ALL * len(behind)):
         return None
-    return RelayedWay(relay, before, behind, made_of, join(*into, *out, _CLOCKS_NS))
+    return RelayedWay(relay, before, behind, made_of, pair_up(*into, *out, _CLOCKS_NS))

@@ -26,7 +26,7 @@ from edoras_tools.diagnosis.evidence.clocks.alignment import align, align_ways
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.copies import find_echoes
 from edoras_tools.diagnosis.evidence.preparation import prepare
-from edoras_tools.diagnosis.evidence.relays import LONGEST_NS, join
+from edoras_tools.diagnosis.evidence.relays import LONGEST_NS, pair_up
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding, Link
@@ -238,7 +238,7 @@ def _compared(
         near, far = (second, first) if turned else (first, second)
         sent, came = _rows(near.rows, *key), _rows(far.rows, *key)
         prints = near.rows.packet_print[sent], far.rows.packet_print[came]
-        segment = join(prints[0], near.rows.time_ns[sent], prints[1], far.rows.time_ns[came], early_ns)
+        segment = pair_up(prints[0], near.rows.time_ns[sent], prints[1], far.rows.time_ns[came], early_ns)
         same += len(segment.out)
         item = _difference(near, far, key, sent, came, segment)
         routes.append(item.turned(topics.get(key), back=turned))
@@ -273,8 +273,8 @@ def _identified(sides: tuple[_Side, _Side], keys: Sequence[_Key]) -> list[_Side]
     marked = [item.packet_print ^ item.identification * MIX for item in rows]
     for key in keys:
         ours, theirs = (_rows(item, *key) for item in rows)
-        alike, kept = (np.isin(a[ours], b[theirs]).sum() for a, b in (plain, marked))
-        if 2 * kept >= alike:
+        alike, unchanged = (np.isin(a[ours], b[theirs]).sum() for a, b in (plain, marked))
+        if 2 * unchanged >= alike:
             plain[0][ours], plain[1][theirs] = marked[0][ours], marked[1][theirs]
     return [
         replace(side, rows=replace(item, packet_print=prints))

@@ -98,8 +98,8 @@ def _figure(name: str) -> Any:
     style = Level.ERROR.style if name in {"lost", "unaccounted"} else ""
 
     def cell(row: Mapping[str, Any]) -> Text:
-        text = figure_text(row[name]) if row[name] or name in _ALWAYS else ""
-        return Text(text, style if row[name] else palette.DIM if name == "lost" else "")
+        text = figure_text(row.get(name)) if row.get(name) or name in _ALWAYS else ""
+        return Text(text, style if row.get(name) else palette.DIM if name == "lost" else "")
 
     return cell
 
@@ -149,7 +149,7 @@ def _table(
         *(
             Column(head, _figure(name), rank=0 if name in _ALWAYS else 1)
             for name, head in figures.items()
-            if name in always or any(row[name] for row in rows)
+            if name in always or any(row.get(name) for row in rows)
         ),
         Column(last[0], lambda row: plain(last[1](row)), rank=2, justify="left"),
     ]

@@ -43,7 +43,7 @@ from edoras_tools.diagnosis.evidence.clocks.lines import (
     quickest_ahead,
 )
 from edoras_tools.diagnosis.evidence.instances import Instances
-from edoras_tools.diagnosis.evidence.relays import join
+from edoras_tools.diagnosis.evidence.relays import pair_up
 from edoras_tools.diagnosis.evidence.table import peer_of
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding
@@ -383,7 +383,7 @@ def _shared(first: Recorder, second: Recorder) -> _Told | None:
         return None
     then = best.line.set_back(b.time_ns)
     most_ns = int(np.abs(then[theirs] - times[0]).max())
-    segment = join(prints[0], a.time_ns, prints[1], then, most_ns)
+    segment = pair_up(prints[0], a.time_ns, prints[1], then, most_ns)
     same = (segment.took_ns <= most_ns) & one(segment.into, segment.out)
     return replace(best, shared=np.sort(b.number[segment.out[same]]))
 
@@ -399,22 +399,22 @@ def _one(first: Recorder, second: Recorder) -> Callable[..., NDArray[np.bool_]]:
     here, there = ([end.address for end in item.endpoints] or [""] for item in (first, second))
     ends = (a.source, b.source), (a.destination, b.destination)
 
-    def kept(ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.int64]:
+    def common(ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.int64]:
         return np.asarray(np.sum([end[ours] == number[other[theirs]] for end, other in ends], axis=0))
 
-    def told(ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
-        return np.asarray(among(a.link[ours], lambda link: link.only_from_cfs) & (kept(ours, theirs) == 1))
+    def renamed(ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
+        return np.asarray(among(a.link[ours], lambda link: link.only_from_cfs) & (common(ours, theirs) == 1))
 
     # Telemetry from one place, or to one, is one datagram: its other ends are two names of one host.
     ours, theirs = matches(a.bytes_print, b.bytes_print)
-    same = told(ours, theirs)
+    same = renamed(ours, theirs)
     pairs = {pair for end, other in ends for pair in zip(end[ours[same]], other[theirs[same]], strict=True)}
     names = {there[other]: here[end] for end, other in pairs if there[other] != here[end]}
     address, other_name = np.array(here), np.array([names.get(item, "") for item in there])
 
     def one(ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
         numbers = a.identification[ours], b.identification[theirs]
-        bare = (kept(ours, theirs) == 2) | (a.life[ours] != b.life[theirs]) | told(ours, theirs)
+        bare = (common(ours, theirs) == 2) | (a.life[ours] != b.life[theirs]) | renamed(ours, theirs)
         for end, other in ends:
             bare |= address[end[ours]] == other_name[other[theirs]]
         return np.asarray(np.where(np.minimum(*numbers) == 0, bare, numbers[0] == numbers[1]))
