@@ -47,6 +47,11 @@ class SourceDefaults(Protocol):
         return 0
 
     @property
+    def section(self) -> int | None:
+        """How often all files that were read before the last batch had ended before it; None of one file."""
+        return None
+
+    @property
     def header(self) -> Mapping[str, Any]:
         """The header of a file of cFE; else empty."""
         return {}
@@ -97,6 +102,15 @@ class SourceDefaults(Protocol):
         """Return publish times of datagrams of the last batch, if others that they need were passed over."""
         del number
         return None
+
+    @property
+    def files(self) -> Sequence[str]:
+        """The names of the files that are read as one; none of one file."""
+        return ()
+
+    def origin(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the place in ``files`` of what datagrams of the last batch are from; any of one file."""
+        return number
 
     def borrow(self, room: Room) -> None:
         """Read into memory from ``room(size)``, if that saves copying it.

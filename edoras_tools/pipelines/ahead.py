@@ -48,6 +48,8 @@ class Ahead(SourceOver):
         decoder: decodes it; only the other process's changes. Statistics are as of the last batch.
     """
 
+    section: int | None = None
+
     def __init__(self, source: Source, decoder: ColumnDecoder) -> None:
         super().__init__(source)
         self._decoder = decoder
@@ -121,7 +123,7 @@ class Ahead(SourceOver):
 
     def _adopt(self, state: bytes) -> None:
         """Take over what the other process knows of the source, and what decoding added."""
-        counts, notes, described, detected = pickle.loads(state)  # noqa: S301  from our own process
+        counts, notes, described, detected, self.section = pickle.loads(state)  # noqa: S301  from our own process
         self._detected = detected or self._detected
         for name, value in counts.items():
             setattr(self.statistics, name, value)
@@ -173,7 +175,7 @@ class _Reader:
         detected = context.detected
         change = None if detected == self._detected else detected
         self._detected = detected
-        return pickle.dumps((counts, notes, dict(context.described), change))
+        return pickle.dumps((counts, notes, dict(context.described), change, self._source.section))
 
 
 def read_ahead(source: Source, decoder: ColumnDecoder, jobs: int) -> Source:

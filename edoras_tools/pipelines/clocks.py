@@ -16,6 +16,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceOver
 from edoras_tools.io.formats.merge import MergedSource, merge_sources
 from edoras_tools.io.formats.open import is_cfe_file, open_file
+from edoras_tools.pipelines.runs import APART_NS, SEAM_NS
 from edoras_tools.units import SECOND
 from edoras_tools.wire.cfe_file import RESET_LOG
 
@@ -31,10 +32,9 @@ if TYPE_CHECKING:
     from edoras_tools.render.terminal.text import Progress
     from edoras_tools.sessions.faults.fault import Fault
 
+_LEAST: Final = 3
 _MOST: Final = 1_000_000
 """Datagrams of each capture that are used to find the offset of its clock."""
-_SEAM_NS: Final = 2 * SECOND
-_APART_NS: Final = 5 * SECOND
 
 
 class Aligned(SourceOver):
@@ -93,7 +93,7 @@ class OneByOne(MergedSource):
         """Yield all datagrams of the first, then those of the second, and so on, numbered from 1."""
         number = 1
         for part, source in enumerate(self._sources):
-            self.part = part
+            self.part, self._origin = part, np.array([part])
             for batch in source.batches():
                 yield replace(batch, number=np.arange(number, number + len(batch)))
                 number += len(batch)
@@ -129,7 +129,11 @@ def open_aligned(
             notes.append(note)
             continue
         to, shift = next(
-            ((other, item) for other in set_back if (item := align(tables[other], table)) is not None),
+            (
+                (other, item)
+                for other in set_back
+                if (item := align(tables[other], table)) and not _of_two_runs(tables[other], table, item)
+            ),
             (0, None),
         )
         if shift is None:
@@ -140,6 +144,7 @@ def open_aligned(
                 notes.append(_not_placed(path, name, most))
                 continue
             if not _overlap(tables[0], table):
+                set_back[at] = []
                 sources.append(open_file(path))
                 continue
             alone.append(open_file(path))
@@ -234,11 +239,26 @@ def _follows(first: Recorder, second: Recorder, shift: Alignment) -> bool:
     """
     a, b = first.rows().time_ns, second.rows().time_ns
     gap_ns = max(int(b.min()) - int(a.max()), int(a.min()) - int(b.max()))
-    is_restart = shift.by == MISSION_TIME and abs(shift.line.offset_ns) > _APART_NS
-    return gap_ns >= 0 and (gap_ns < _SEAM_NS or shift.low_ns <= 0 <= shift.high_ns or is_restart)
+    is_restart = shift.by == MISSION_TIME and abs(shift.line.offset_ns) > APART_NS
+    return gap_ns >= 0 and (gap_ns < SEAM_NS or shift.low_ns <= 0 <= shift.high_ns or is_restart)
 
 
-def _overlap(first: Recorder, second: Recorder) -> bool:
-    """Return whether two captures overlap in time, by their own clocks."""
+def _of_two_runs(first: Recorder, second: Recorder, shift: Alignment) -> bool:
+    """Return whether two captures are alike and not one run, as the same commands sent twice to the same cFS.
+
+    By their own clocks they do not overlap, by what they have in common they would; and what they have in
+    common is a boot's mission times, or packets without an identification that makes each another one.
+    """
+    a, b = first.rows(), second.rows()
+    same = np.isin(b.number, shift.shared)
+    if (b.identification[same] != 0).sum() >= _LEAST or _overlap(first, second):
+        return False
+    timed = all((rows.mission_time_ns > 0).any() for rows in (a, b))
+    return (timed or bool(same.any())) and _overlap(first, second, shift.line)
+
+
+def _overlap(first: Recorder, second: Recorder, line: ClockLine | None = None) -> bool:
+    """Return whether two captures overlap in time, by their own clocks, or where a line sets one back."""
     a, b = first.rows().time_ns, second.rows().time_ns
+    b = b if line is None else line.set_back(b)
     return bool(len(a) and len(b)) and bool(a.min() <= b.max() and b.min() <= a.max())

@@ -23,6 +23,7 @@ from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.table import LinkStates
 from edoras_tools.model import OTHER, Columns, Finding, PacketBatch
 from edoras_tools.pipelines.interrupt import interrupted, interruptible
+from edoras_tools.pipelines.runs import NOTE, Runs
 from edoras_tools.pipelines.selection import Period, Selection, outside
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -85,6 +86,7 @@ class ReadLoop:
         first_ns: earliest time of a datagram, also of one outside; None before.
         last_ns: latest time of a datagram, also of one outside; -1 before.
         outside: number of datagrams outside ``examined``.
+        part: number of the run, or of the clock, of the last batch: nothing goes on from one to the next.
     """
 
     source: Source
@@ -102,6 +104,7 @@ class ReadLoop:
     first_ns: int | None = None
     last_ns: int = -1
     outside: int = 0
+    part: int = 0
     _ends_ns: int = 0
     _own_rows: LinkStates[OwnRows] = field(init=False)
 
@@ -152,6 +155,7 @@ class ReadLoop:
         remaining, began = limits.count, limits.clock()
         examined = visible = Period()
         inside = False
+        runs, clock = Runs(), self.source.part
         for whole in self._until_failure():
             if len(whole):
                 if self.begin_ns is None:
@@ -167,6 +171,8 @@ class ReadLoop:
                 self.outside += len(whole) - len(batch)
                 bench.columns.learn(whole)  # what is announced before the period names what is in it
             columns = self.source.decoded(batch, bench.columns.decode)
+            if runs.add(self.source, batch, columns) or self.source.part != clock:
+                self.part, clock = self.part + 1, self.source.part
             for own in self._own_rows.of(columns):
                 batch, columns = own.take(batch, columns, bench.columns.decode)
             shown = visible.holds(batch.time_ns - begin_ns) if visible else None
@@ -186,6 +192,8 @@ class ReadLoop:
                 self.source.stop()  # what arrived until now is still read
         for own in self._own_rows.by_link.values():
             bench.columns.context.notes += own.notes()
+        if runs.number:
+            bench.columns.context.notes.append(NOTE.format(runs.number + 1))
         if self.first_ns is not None and self.first_ns < _NO_CLOCK_NS <= self.last_ns:
             self.bench.columns.context.notes.append(
                 "some times are before the year 2000 and others are not: a clock was not set, and spans and "

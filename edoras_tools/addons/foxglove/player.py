@@ -20,6 +20,7 @@ from edoras_tools.links.table import LinkStates
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.messages import open_inputs
+from edoras_tools.pipelines.runs import Runs
 from edoras_tools.pipelines.selection import outside
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.units import MILLISECOND, SECOND
@@ -353,10 +354,12 @@ class RecordingPlayer:
         latest: dict[int, _Piece] = {}
         context = self._bench.columns.context
         own_rows: LinkStates[OwnRows] = LinkStates(lambda link: link.rows(context))
-        before = True
+        before, runs = True, Runs()
         try:
             for whole in source.batches():
                 batch, columns = self._selected(whole, own_rows)
+                if runs.add(source, batch, columns):
+                    self._pass_over(int(batch.time_ns[0]))
                 first = int(np.searchsorted(np.maximum.accumulate(batch.time_ns), start_ns)) if before else 0
                 routes, places = np.unique(columns.route[:first][::-1], return_index=True)
                 for route, place in zip(routes.tolist(), places.tolist(), strict=True):
@@ -373,6 +376,13 @@ class RecordingPlayer:
             self.failure = error
         finally:
             source.close()
+
+    def _pass_over(self, begin_ns: int) -> None:
+        """Go on at the begin of another run: what was before it is played."""
+        with self._lock:
+            now, playback = self._clock(), self._playback
+            if playback.seek_ns is None and begin_ns > self._position(now):
+                playback.at_ns, playback.since_ns = begin_ns, now
 
 
 def _show(latest: dict[int, _Piece], sink: ServedSink) -> None:

@@ -44,9 +44,14 @@ def merge_sources(sources: Sequence[Source]) -> Source:
 class MergedSource(SourceDefaults):
     """See ``merge_sources``."""
 
+    section = 0
+    files: Sequence[str] = ()
+
     def __init__(self, sources: Sequence[Source]) -> None:
         self._sources = list(sources)
         self._statistics = SourceStatistics()
+        self.files = [source.info.name for source in sources]
+        self._first, self._origin = 1, np.zeros(1, np.int64)
 
     @property
     def info(self) -> SourceInfo:
@@ -91,6 +96,11 @@ class MergedSource(SourceDefaults):
         counters = [item for source in self._sources if (item := source.host())]
         return counters[0] if len(counters) == 1 else []
 
+    def origin(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the place of the source that datagrams of the last batch are from."""
+        place: NDArray[np.int64] = self._origin[(number - self._first).clip(0, len(self._origin) - 1)]
+        return place
+
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams in order of time; see ``Source.batches``.
 
@@ -100,30 +110,39 @@ class MergedSource(SourceDefaults):
         errors: list[str] = []
         heads = [_Head(source, errors) for source in self._sources]
         number, touched = 1, [*range(len(heads))]
-        waiting: list[PacketBatch] = []
+        waiting: list[tuple[PacketBatch, NDArray[np.int64]]] = []
         ends: list[tuple[int, int]] = []
         begins: list[tuple[int, int]] = []
+        reading: set[int] = set()
         while True:
+            ended = bool(reading)
             for place in touched:
-                if heads[place].fill():
+                if not heads[place].fill():
+                    reading.discard(place)
+                else:
                     heappush(ends, (heads[place].end, place))
                     heappush(begins, (int(heads[place].keys[0]), place))
             while ends and ends[0][0] != heads[ends[0][1]].end:  # of what was taken meanwhile
                 heappop(ends)
-            if waiting and (not ends or max(len(waiting), len(waiting[-1])) >= _TOGETHER):
-                batch = concatenate([_trim(part) for part in waiting])
+            ended = ended and not reading
+            if waiting and (not ends or ended or max(len(waiting), len(waiting[-1][0])) >= _TOGETHER):
+                batch = concatenate([_trim(part) for part, _ in waiting])
+                self._first, self._origin = number, np.concatenate([origin for _, origin in waiting])
                 yield replace(batch, number=np.arange(number, number + len(batch)))
                 number += len(batch)
                 waiting = []
             if not ends:
                 break
+            self.section += ended
             # The first source that ends at this time may deliver it completely: later ones hold it back.
             until, last = ends[0]
             touched = []
             while begins and begins[0] <= (until, last):
                 touched.append(heappop(begins)[1])
             touched.sort()
-            waiting.append(_in_order([heads[place].take(until, whole=place <= last) for place in touched]))
+            reading.update(touched)
+            parts = [heads[place].take(until, whole=place <= last) for place in touched]
+            waiting.append(_in_order(parts, touched))
         if errors:
             raise CaptureError("; ".join(errors))
 
@@ -180,12 +199,15 @@ class _Head:
         return part, keys[:count]
 
 
-def _in_order(parts: list[tuple[PacketBatch, NDArray[np.int64]]]) -> PacketBatch:
-    """Interleave batches by key; of equal keys, the first batch comes first."""
+def _in_order(
+    parts: list[tuple[PacketBatch, NDArray[np.int64]]], places: list[int]
+) -> tuple[PacketBatch, NDArray[np.int64]]:
+    """Interleave batches by key, of equal keys the first batch first; return the place of each row's, too."""
+    origin = np.repeat(places, [len(keys) for _, keys in parts])
     if len(parts) == 1:
-        return parts[0][0]
+        return parts[0][0], origin
     order = np.argsort(np.concatenate([keys for _, keys in parts]), kind="stable")
-    return concatenate([_trim(batch) for batch, _ in parts]).take(order)
+    return concatenate([_trim(batch) for batch, _ in parts]).take(order), origin[order]
 
 
 def _trim(batch: PacketBatch) -> PacketBatch:

@@ -36,10 +36,14 @@ class Counting:
             Ledger(bench.mission, context, structs=context.structs), source, notes=context.notes
         )
         self._once = Once()
+        self._part = 0
         self._structs = bench.columns.context.structs
 
     def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
         """Add the chosen rows of a batch, and return those that count; the loop must follow conversations."""
+        if loop.part != self._part:
+            self._part = loop.part
+            self.report.ledger.separate()
         if rows.batch.recorded is not None:
             self.report.ledger.add(*rows.alone())
             return rows

@@ -64,8 +64,9 @@ class Account:
     Times are ns. ``interval_squares`` is in ns squared, exact, so that it does not depend on the batches.
     ``kind`` is the link's own message type, -1 for none.
     ``newest_ns`` is the time of the message that came last, ``longest_ns`` the longest between two.
-    ``sequences`` has the sequence counts of each sender.
     ``codes`` counts commands by function code, where each has a struct of its own.
+    ``sequences`` has the sequence counts of each sender. ``pauses`` is how often it began again in another
+    run, ``paused_ns`` the times between, and ``pausing`` whether the next message does.
     """
 
     link: Link
@@ -85,6 +86,9 @@ class Account:
     bytes: int = 0
     findings: dict[str, int] = field(default_factory=dict)
     codes: Counter[int] = field(default_factory=Counter)
+    pauses: int = 0
+    paused_ns: int = 0
+    pausing: bool = False
 
     @property
     def gaps(self) -> int:
@@ -103,18 +107,22 @@ class Account:
 
     @property
     def rate_hz(self) -> float:
-        """Messages per second between the first and the last."""
-        return (
-            (self.count - 1) / (self.last_ns - self.first_ns) * 1e9 if self.last_ns > self.first_ns else 0.0
-        )
+        """Messages per second between the first and the last of each run."""
+        steps, span_ns = self._intervals
+        return steps / span_ns * 1e9 if span_ns > 0 else 0.0
 
     @property
     def jitter_ms(self) -> float:
         """Standard deviation of the time between messages."""
-        if self.count < 3:
+        steps, span_ns = self._intervals
+        if steps < 2:
             return 0.0
-        steps, span_ns = self.count - 1, self.last_ns - self.first_ns
         return math.sqrt(max(0, steps * self.interval_squares - span_ns * span_ns)) / steps / MILLISECOND
+
+    @property
+    def _intervals(self) -> tuple[int, int]:
+        """How many times there are between two messages, and their sum, ns."""
+        return self.count - 1 - self.pauses, self.last_ns - self.first_ns - self.paused_ns
 
     @property
     def key(self) -> tuple[int, int, int, int]:
@@ -142,7 +150,9 @@ class Account:
 
 
 _PLAIN: Final = [
-    item.name for item in fields(Account) if item.name not in {"link", "sequences", "findings", "codes"}
+    item.name
+    for item in fields(Account)
+    if item.name not in {"link", "sequences", "findings", "codes", "pauses", "paused_ns", "pausing"}
 ]
 """The numbers of an account."""
 _TOTALS: Final = "datagrams", "start_ns", "end_ns", "behind", "behind_ns"
@@ -338,6 +348,12 @@ class Ledger:
                 self._account(columns, -1, row).sequences += counts[known:]
                 self._counted[link] = len(counts)
 
+    def separate(self) -> None:
+        """Begin another run: no rate, gap or order goes on from what was counted."""
+        for account in self.accounts.values():
+            account.pausing = True
+        self.sequences, self._known = SequenceCounts(), 0
+
     def summary(self) -> dict[str, Any]:
         """Return what links counted of themselves, for ``info --json``."""
         return {
@@ -421,6 +437,9 @@ class Ledger:
         largest = np.maximum.reduceat(lengths, starts).tolist()
         for index, account in enumerate(accounts):
             apart_ns = begin[index] - account.newest_ns if account.count else 0
+            if account.pausing:
+                account.paused_ns += apart_ns
+                account.pauses, account.pausing, apart_ns = account.pauses + 1, False, 0
             account.interval_squares += squares[index] + apart_ns * apart_ns
             account.longest_ns = max(account.longest_ns, longest[index], apart_ns)
             account.first_ns = min(account.first_ns, first[index]) if account.count else first[index]

@@ -273,9 +273,9 @@ def examine(
     ):
         part, faults = 0, source.faults()
         for rows in loop:
-            if source.part != part:
+            if loop.part != part:
                 examination.separate()
-                part = source.part
+                part = loop.part
             if scope.period:
                 examination.zero_ns = loop.begin_ns
             if len(rows):

@@ -11,6 +11,7 @@ from collections import Counter
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -39,7 +40,6 @@ from edoras_tools.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -73,6 +73,7 @@ class TopicSource(ABC):
         unnamed: see ``Context``.
         damage: why not all topics are known.
         failure: why it ended early, if it did.
+        recordings: names of the recordings that it is made of, and an empty one; none of a single one.
     """
 
     source: Source | None = None
@@ -88,6 +89,7 @@ class TopicSource(ABC):
         self.damage = source.info.damage
         self.failure: EdorasError | None = None
         self._scope = scope or Scope()
+        self.recordings = np.array([*recording_names(source.files), ""] if source.files else [], object)
 
     @property
     @abstractmethod
@@ -106,9 +108,10 @@ class TopicSource(ABC):
         columns = self.types(topic).columns(
             self.topics[topic], np.zeros(0, np.uint8), none, none.astype(np.int32)
         )
+        recording = self.recordings[none] if len(self.recordings) else None
         if self.source is None:
-            return TopicBlock(topic, none, columns)
-        return TopicBlock(topic, none, columns, none, none.astype(np.uint32))
+            return TopicBlock(topic, none, columns, recording=recording)
+        return TopicBlock(topic, none, columns, none, none.astype(np.uint32), recording=recording)
 
     def look(self) -> None:  # noqa: B027  most name all of them
         """Add topics that only the content names, if that needs reading it."""
@@ -144,6 +147,10 @@ class TopicSource(ABC):
             RouteError: the selection names a topic that is not configured.
             ConfigError: its filter has a mistake.
         """
+
+    def _recording(self, origin: NDArray[np.int64], rows: NDArray[Any]) -> NDArray[np.object_] | None:
+        """Return the names of the recordings that rows of a batch are from; None of a single one."""
+        return self.recordings[origin[rows]] if len(self.recordings) else None
 
     def _shared(
         self,
@@ -237,6 +244,7 @@ class CaptureTopics(TopicSource):
         self.source, self._judge = source, judge
         self._seek = seek
         self._new: set[str] = set()
+        self._origin = np.full(1, -1)
         self._structs = bench.columns.context.structs
         self._streams = Streams(
             bench.mission, bench.types, source.statistics, structs=self._structs, add=self._add
@@ -288,7 +296,8 @@ class CaptureTopics(TopicSource):
             published = source.published(batch.number)
             prepared = streams.prepare(batch, columns, published, statistics=statistics)
             selection = {*requested, *self._new} if self.wants_new else requested
-            return batch, columns, prepared, selection, tuple(self._places), self.zero_ns
+            self._origin = source.origin(batch.number)
+            return batch, columns, prepared, selection, tuple(self._places), self.zero_ns, self._origin
 
         def work(
             batch: PacketBatch,
@@ -297,13 +306,14 @@ class CaptureTopics(TopicSource):
             selection: Collection[str],
             places: Sequence[Topic],
             zero_ns: int,
+            origin: NDArray[np.int64],
         ) -> list[Made]:
             of_topics = streams.prepared_messages(
                 batch, columns, prepared, datagrams=DATAGRAMS_TOPIC in selection
             )
             return [
                 (block.topic, len(block), make(block, zero_ns))
-                for block in self._blocks(of_topics, len(batch), selection, places)
+                for block in self._blocks(of_topics, len(batch), selection, places, origin)
             ]
 
         if not (self.wants_new or scope.period or scope.selection.topics) and self._in_packets(requested):
@@ -313,13 +323,14 @@ class CaptureTopics(TopicSource):
             if item[0] in routed:
                 self.left_out -= item[1]
             yield item
-        rest = [streams.finish()] if statistics else []
-        rest.append(streams.outages(source.statistics.outages))
+        rest = [(streams.finish(), self._origin[-1])] if statistics else []
+        rest.append((streams.outages(source.statistics.outages), -1))
         period = scope.period.since(self.zero_ns)
         faults = [item for item in source.faults() if period.holds(item.time_ns - self.zero_ns)]
-        rest.append(fault_messages(faults, self._places.index(FAULTS)))
-        for messages in rest:
-            for block in self._blocks([messages], len(messages), requested, self._places):
+        rest.append((fault_messages(faults, self._places.index(FAULTS)), -1))
+        for messages, place in rest:
+            origin = np.full(len(messages), place)
+            for block in self._blocks([messages], len(messages), requested, self._places, origin):
                 yield block.topic, len(block), make(block, self.zero_ns)
         if (
             self._judge is not None
@@ -346,7 +357,12 @@ class CaptureTopics(TopicSource):
         return len(self._places) - 1
 
     def _blocks(
-        self, streams: Sequence[Messages], rows: int, requested: Collection[str], topics: Sequence[Topic]
+        self,
+        streams: Sequence[Messages],
+        rows: int,
+        requested: Collection[str],
+        topics: Sequence[Topic],
+        origin: NDArray[np.int64],
     ) -> Iterator[TopicBlock]:
         for messages in _in_order(streams, rows):
             places = by_value(np.broadcast_to(messages.channel_id, len(messages)))
@@ -367,6 +383,7 @@ class CaptureTopics(TopicSource):
                     columns,
                     heads["publish_time"][positions].astype(np.int64),
                     heads["sequence"][positions],
+                    recording=self._recording(origin, messages.rows[positions]),
                 )
 
 
@@ -379,7 +396,10 @@ def _in_order(streams: Sequence[Messages], rows: int) -> Sequence[Messages]:
 def _laid(streams: Sequence[Messages], rows: int) -> Messages:
     """Put messages one after the other, row by row: behind each head are the bytes of the message."""
     laid = lay_out(streams, rows)
-    data, number = np.frombuffer(laid.data, np.uint8), np.arange(len(laid))
+    data, number = (
+        np.frombuffer(laid.data, np.uint8),
+        np.sort(np.concatenate([item.rows for item in streams])),
+    )
     heads = read_at(data, laid.start - RECORD_BYTES, RECORD).__getitem__
     time_ns, length = laid.log_time.astype(np.int64), laid.end - laid.start
     return Messages(number, laid.channel_id, time_ns, RECORD_BYTES, heads, data, laid.start, length)
@@ -430,9 +450,9 @@ class BagTopics(TopicSource):
 
         def arguments(batch: PacketBatch, columns: Columns) -> tuple[Any, ...]:
             self.left_out += int((_invalid(columns) & np.isin(columns.route, [*places])).sum())
-            return batch, columns, self.zero_ns
+            return batch, columns, self.zero_ns, self._source.origin(batch.number)
 
-        def work(batch: PacketBatch, columns: Columns, zero_ns: int) -> list[Made]:
+        def work(batch: PacketBatch, columns: Columns, zero_ns: int, origin: NDArray[np.int64]) -> list[Made]:
             results, invalid = [], _invalid(columns)
             for place, rows in by_value(columns.route):
                 if place in places:
@@ -441,7 +461,8 @@ class BagTopics(TopicSource):
                     values = types.columns(
                         kind, batch.data, batch.offset[valid_rows], batch.length[valid_rows]
                     )
-                    block = TopicBlock(places[place], batch.time_ns[valid_rows], values)
+                    recording = self._recording(origin, valid_rows)
+                    block = TopicBlock(places[place], batch.time_ns[valid_rows], values, recording=recording)
                     results.append((block.topic, len(block), make(block, zero_ns)))
             return results
 
@@ -452,6 +473,12 @@ def _invalid(columns: Columns) -> NDArray[np.bool_]:
     """Return which messages are incomplete."""
     invalid: NDArray[np.bool_] = (columns.findings & np.uint32(Finding.CDR_INVALID)) != 0
     return invalid
+
+
+def recording_names(files: Sequence[str]) -> list[str]:
+    """Return what recordings are called in tables: their files' names without suffix, or paths if two are."""
+    names = [Path(Path(file).name.removesuffix(".gz").removesuffix(".zst")).stem for file in files]
+    return [name if names.count(name) == 1 else file for name, file in zip(names, files, strict=True)]
 
 
 def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None = None) -> TopicSource:

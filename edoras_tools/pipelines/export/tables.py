@@ -42,7 +42,7 @@ class TableForm:
     time: TimeForm = TimeForm.UTC
 
     def columns(self, block: TopicBlock, zero_ns: int) -> list[TableColumn]:
-        """Return the columns of a block: its time, then the selected fields.
+        """Return the columns of a block: its time, its recording, and the selected fields.
 
         Args:
             block: the messages.
@@ -51,7 +51,10 @@ class TableForm:
         columns = [
             column
             for place, column in enumerate(self._all(block, zero_ns))
-            if not place or not self.fields or any(fits_field(column.name, item) for item in self.fields)
+            if not place
+            or not self.fields
+            or column.values is block.recording
+            or any(fits_field(column.name, item) for item in self.fields)
         ]
         return exploded(columns) if self.explode else columns
 
@@ -63,6 +66,8 @@ class TableForm:
                 yield self._time(_free(name, fields), times, zero_ns)
         if block.sequence is not None:
             yield TableColumn(_free("sequence", fields), block.sequence)
+        if block.recording is not None:
+            yield TableColumn(_free("recording", fields), block.recording)
         for name in fields:
             yield TableColumn(name, fields[name], block.present.get(name))
 

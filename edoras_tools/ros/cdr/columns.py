@@ -80,6 +80,7 @@ class TopicBlock:
         publish_ns: i64, publish time in the packet; None if the input has none.
         sequence: packet sequence counts; None if there are none.
         present: the rows that have a field, by field; a field that is not listed is in all rows.
+        recording: names of the recordings that they are from; empty: of none of them; None of one input.
     """
 
     topic: str
@@ -88,6 +89,7 @@ class TopicBlock:
     publish_ns: NDArray[np.int64] | None = None
     sequence: NDArray[np.unsignedinteger] | None = None
     present: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    recording: NDArray[np.object_] | None = None
 
     def __len__(self) -> int:
         return len(self.time_ns)

@@ -1,0 +1,80 @@
+"""Tells whether files are one run or several.
+
+1. Files that overlap in time, or of which one begins at most 2 s behind the others, are one run.
+2. Files of which one begins when all before it have ended are two runs where a cFS in both was started anew
+   between them: capture time minus mission time is another one. So a recording in parts is one.
+3. Where nothing shows a boot in both, they are one.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.links.table import among
+from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import by_value
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from edoras_tools.io import Source
+    from edoras_tools.model import Columns, PacketBatch
+
+SEAM_NS: Final = 2 * SECOND
+"""A file that begins so soon behind another goes on with it."""
+APART_NS: Final = 5 * SECOND
+"""Boots are further apart than this, clocks of hosts are not."""
+NOTE: Final = (
+    "{} runs: between their files cFS was started anew and nothing was captured; each is counted and judged "
+    "by itself, and rates leave out the time between"
+)
+
+
+class Runs:
+    """Counts the runs of a source while it is read.
+
+    Attributes:
+        number: of the last batch's run, from 0.
+    """
+
+    number = 0
+
+    def __init__(self) -> None:
+        self._section = self._last_ns = 0
+        self._seam = False
+        self._boots: dict[int, NDArray[np.int64]] = {}
+
+    def add(self, source: Source, batch: PacketBatch, columns: Columns) -> bool:
+        """Take the source's last batch; return whether a run begins with it."""
+        if source.section is None or not len(batch):
+            return False
+        if source.section != self._section:
+            self._section = source.section
+            self._seam = int(batch.time_ns.min()) - self._last_ns > SEAM_NS
+        self._last_ns = max(self._last_ns, int(batch.time_ns.max()))
+        boots = _boots(batch, columns)
+        before = [self._boots[key] for key in boots if key in self._boots]
+        begins = (
+            self._seam
+            and bool(before)
+            and not any(
+                (np.abs(offsets[:, None] - self._boots[key]) < APART_NS).any()
+                for key, offsets in boots.items()
+                if key in self._boots
+            )
+        )
+        self._seam = self._seam and not before
+        self._boots |= boots
+        self.number += begins
+        return begins
+
+
+def _boots(batch: PacketBatch, columns: Columns) -> dict[int, NDArray[np.int64]]:
+    """Return capture time minus mission time, to the second, of what has a time, by who sent it."""
+    sent = among(columns.link, lambda link: link.from_cfs and link.packets)
+    rows = np.flatnonzero(sent & (columns.mission_time_ns > 0))
+    offset = batch.time_ns[rows] - columns.mission_time_ns[rows]
+    sender = batch.source_address[rows].astype(np.int64) << 20 ^ columns.processor_id[rows].astype(np.int64)
+    return {key: np.unique(offset[at] // SECOND) * SECOND for key, at in by_value(sender)}
