@@ -81,7 +81,7 @@ ELSEWHERE = {
     "pipelines/export/*": "pipelines/export/test_run.py",
     "pipelines/sending/*": "pipelines/sending/test_replay.py",
     "io/formats/cfe/*": "cli/test_cfe_files.py",
-    "pipelines/export/trace.py": "cli/test_cfe_files.py",
+    "addons/tables/trace.py": "cli/test_cfe_files.py",
     "render/doctor/*": "cli/test_doctor.py",
     "render/pages/*": "addons/report/test_sankey.py",
     "render/terminal/*": "render/terminal/test_text.py",

@@ -203,6 +203,18 @@ ADDONS: Final = (
             "rules": _rules("dds_no_samples", "dds_lost", "dds_not_captured", "dds_resent"),
         },
     ),
+    Addon(
+        "tables",
+        adds={
+            "parts": {
+                "partition": "partition",
+                "lazy_tables": "lazy",
+                "recordings": "recordings:read_recordings",
+                "performance_trace": "trace:export_trace",
+            }
+        },
+        extra="analysis",
+    ),
     Addon("snapshot", adds={"parts": {"snapshots": "cli"}}),
     Addon(
         "trace",

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import BadParameter, Option
 
+from edoras_tools import doors
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import topics_read
+from edoras_tools.cli.endings import tell, topics_read
 from edoras_tools.cli.inputs import FileOptions
 from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.errors import ConfigError
@@ -39,6 +40,10 @@ class TableOptions(NamedTuple):
     explode: Annotated[bool, Option("--explode", help="A row for each element of a list.")] = False
     time: Annotated[TimeForm, Option(help="utc, ns since 1970, or seconds since the start.")] = TimeForm.UTC
     layout: Annotated[str | None, Option("--format", parser=table_format, help=f"Of DIR: {_FORMATS}.")] = None
+    partition: Annotated[
+        bool,
+        Option("--partition", help="DIR/TOPIC/recording=NAME/: each input, or file of a folder, by itself."),
+    ] = False
     force: recordings.Force = False
 
 
@@ -96,25 +101,38 @@ def _export(
 ) -> None:
     from dataclasses import replace
 
+    from edoras_tools.io.formats.open import is_cfe_file
     from edoras_tools.pipelines.export.run import ExportTarget
     from edoras_tools.pipelines.export.run import export as write
     from edoras_tools.pipelines.export.sources import open_topics
     from edoras_tools.pipelines.export.tables import TableForm
-    from edoras_tools.pipelines.export.trace import export_trace
 
     path, files = recordings.recording_path(output), inputs.named()
-    trace = export_trace(files, path, force=table.force)
-    if trace is not None:
-        _tell(trace.summary(), printing)
-        return
+    if len(files) == 1 and is_cfe_file(files[0]):
+        trace = doors.part("performance_trace")(files, path, force=table.force)
+        if trace is not None:
+            _tell(trace.summary(), printing)
+            return
     target = ExportTarget.of(path, name=table.layout, folder=output.endswith("/"), force=table.force)
     target.check(files)
     scope = part.scope()
     patterns, scope = scope.selection.topics, replace(scope, selection=replace(scope.selection, topics=()))
     fields = tuple(item.strip() for item in (table.fields or "").split(",") if item.strip())
     form = TableForm(fields, table.explode, table.time)
-    source = open_topics(files, decoding.settings(), scope)
-    quiet = printing.quiet or printing.json
+    quiet, settings = printing.quiet or printing.json, decoding.settings()
+    if table.partition:
+        apart = doors.part("partition")
+        with file_progress(files, quiet=quiet) as bar:
+            summary, failure = apart.export_partitioned(
+                files, target, settings, scope, patterns, form, bar, jobs
+            )
+        _tell(summary if printing.json else apart.by_topic(summary), printing)
+        for line in summary["warnings"]:
+            tell(line)
+        if failure:
+            raise failure
+        return
+    source = open_topics(files, settings, scope)
     with file_progress([source.name], quiet=quiet) as bar:
         report = write(source, target, patterns, form, bar, jobs)
     _tell(report.summary(), printing)

@@ -47,9 +47,9 @@ class SourceDefaults(Protocol):
         return 0
 
     @property
-    def section(self) -> int | None:
-        """How often all files that were read before the last batch had ended before it; None of one file."""
-        return None
+    def section(self) -> int:
+        """How often all files that had begun before the last batch had ended before it."""
+        return 0
 
     @property
     def header(self) -> Mapping[str, Any]:
@@ -109,8 +109,8 @@ class SourceDefaults(Protocol):
         return ()
 
     def origin(self, number: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the place in ``files`` of what datagrams of the last batch are from; any of one file."""
-        return number
+        """Return the place in ``files`` of what datagrams of the last batch are from; 0 of one file."""
+        return number * 0
 
     def borrow(self, room: Room) -> None:
         """Read into memory from ``room(size)``, if that saves copying it.

@@ -48,7 +48,7 @@ class Ahead(SourceOver):
         decoder: decodes it; only the other process's changes. Statistics are as of the last batch.
     """
 
-    section: int | None = None
+    section = 0
 
     def __init__(self, source: Source, decoder: ColumnDecoder) -> None:
         super().__init__(source)

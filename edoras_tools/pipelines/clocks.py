@@ -132,7 +132,8 @@ def open_aligned(
             (
                 (other, item)
                 for other in set_back
-                if (item := align(tables[other], table)) and not _of_two_runs(tables[other], table, item)
+                if (item := align(tables[other], table))
+                and (is_cfe_file(path) or not _of_two_runs(tables[other], table, item))
             ),
             (0, None),
         )

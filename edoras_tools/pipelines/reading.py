@@ -155,7 +155,7 @@ class ReadLoop:
         remaining, began = limits.count, limits.clock()
         examined = visible = Period()
         inside = False
-        runs, clock = Runs(), self.source.part
+        runs, clock = Runs(self.source), self.source.part
         for whole in self._until_failure():
             if len(whole):
                 if self.begin_ns is None:
@@ -171,7 +171,7 @@ class ReadLoop:
                 self.outside += len(whole) - len(batch)
                 bench.columns.learn(whole)  # what is announced before the period names what is in it
             columns = self.source.decoded(batch, bench.columns.decode)
-            if runs.add(self.source, batch, columns) or self.source.part != clock:
+            if runs.add(batch, columns) or self.source.part != clock:
                 self.part, clock = self.part + 1, self.source.part
             for own in self._own_rows.of(columns):
                 batch, columns = own.take(batch, columns, bench.columns.decode)

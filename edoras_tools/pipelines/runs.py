@@ -35,37 +35,34 @@ NOTE: Final = (
 class Runs:
     """Counts the runs of a source while it is read.
 
+    Args:
+        source: what is read; one file is one run.
+
     Attributes:
         number: of the last batch's run, from 0.
     """
 
     number = 0
 
-    def __init__(self) -> None:
+    def __init__(self, source: Source) -> None:
+        self._source, self._several = source, bool(source.files)
         self._section = self._last_ns = 0
         self._seam = False
         self._boots: dict[int, NDArray[np.int64]] = {}
 
-    def add(self, source: Source, batch: PacketBatch, columns: Columns) -> bool:
+    def add(self, batch: PacketBatch, columns: Columns) -> bool:
         """Take the source's last batch; return whether a run begins with it."""
-        if source.section is None or not len(batch):
+        if not self._several or not len(batch):
             return False
-        if source.section != self._section:
-            self._section = source.section
+        if self._source.section != self._section:
+            self._section = self._source.section
             self._seam = int(batch.time_ns.min()) - self._last_ns > SEAM_NS
         self._last_ns = max(self._last_ns, int(batch.time_ns.max()))
         boots = _boots(batch, columns)
-        before = [self._boots[key] for key in boots if key in self._boots]
-        begins = (
-            self._seam
-            and bool(before)
-            and not any(
-                (np.abs(offsets[:, None] - self._boots[key]) < APART_NS).any()
-                for key, offsets in boots.items()
-                if key in self._boots
-            )
-        )
-        self._seam = self._seam and not before
+        pairs = [(offsets, self._boots[key]) for key, offsets in boots.items() if key in self._boots]
+        same = any((np.abs(new[:, None] - old) < APART_NS).any() for new, old in pairs)
+        begins = self._seam and bool(pairs) and not same
+        self._seam = self._seam and not pairs
         self._boots |= boots
         self.number += begins
         return begins

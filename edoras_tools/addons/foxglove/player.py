@@ -354,11 +354,11 @@ class RecordingPlayer:
         latest: dict[int, _Piece] = {}
         context = self._bench.columns.context
         own_rows: LinkStates[OwnRows] = LinkStates(lambda link: link.rows(context))
-        before, runs = True, Runs()
+        before, runs = True, Runs(source)
         try:
             for whole in source.batches():
                 batch, columns = self._selected(whole, own_rows)
-                if runs.add(source, batch, columns):
+                if runs.add(batch, columns):
                     self._pass_over(int(batch.time_ns[0]))
                 first = int(np.searchsorted(np.maximum.accumulate(batch.time_ns), start_ns)) if before else 0
                 routes, places = np.unique(columns.route[:first][::-1], return_index=True)

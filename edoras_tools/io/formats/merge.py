@@ -45,12 +45,10 @@ class MergedSource(SourceDefaults):
     """See ``merge_sources``."""
 
     section = 0
-    files: Sequence[str] = ()
 
     def __init__(self, sources: Sequence[Source]) -> None:
         self._sources = list(sources)
         self._statistics = SourceStatistics()
-        self.files = [source.info.name for source in sources]
         self._first, self._origin = 1, np.zeros(1, np.int64)
 
     @property
@@ -81,6 +79,11 @@ class MergedSource(SourceDefaults):
                 added = sum(value or 0 for value in values)
                 setattr(total, item.name, None if None in values and not added else added)
         return total
+
+    @property
+    def files(self) -> Sequence[str]:
+        """The names of the sources."""
+        return [source.info.name for source in self._sources]
 
     def follow(self, framings: Mapping[int, Framing]) -> None:
         """Read the TCP streams of these ports, and no others; call it before the first batch."""

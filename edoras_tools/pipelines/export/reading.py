@@ -5,16 +5,19 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from edoras_tools import doors
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.formats.columns import TableColumn, TableHead
+from edoras_tools.io.formats.rosbag2.reader import METADATA
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.io.topics.streams import EVENTS_TOPIC
 from edoras_tools.pipelines.doctor.scope import Scope
@@ -24,28 +27,34 @@ from edoras_tools.pipelines.export.tables import TableForm, chosen_topics
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
     Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class TopicTable:
-    """The messages of a topic, a row each.
+    """The messages of a topic, a row each; they are read when they are used for the first time.
 
     Attributes:
         topic: with its leading slash.
         type: ROS type name.
-        columns: ``time``, then the fields with dotted names, in wire order.
+        pieces: reads them, and yields the columns of some after the others; first of none.
     """
 
     topic: str
     type: str
-    columns: Sequence[TableColumn]
+    pieces: Callable[[], Iterator[Sequence[TableColumn]]]
+
+    @cached_property
+    def columns(self) -> Sequence[TableColumn]:
+        """``time``, then the fields with dotted names, in wire order."""
+        return [_joined(column) for column in zip(*self.pieces(), strict=True)]
 
     def __len__(self) -> int:
         return len(self.columns[0])
@@ -68,8 +77,11 @@ class TopicTable:
             for item in self.columns
         }
 
-    def to_arrow(self) -> Any:
+    def to_arrow(self, *, lazy: bool = False) -> Any:
         """Return a ``pyarrow.Table``, with types, units and the message definition's name.
+
+        Args:
+            lazy: return a ``RecordBatchReader``, which reads the input piece by piece, once.
 
         Raises:
             ConfigError: pyarrow is not installed.
@@ -80,8 +92,28 @@ class TopicTable:
             raise ConfigError(
                 "to_arrow() needs pyarrow: pip install 'edoras-tools[analysis]'; to_numpy() does not"
             ) from error
-        schema = arrays.arrow_schema(TableHead(self.topic, self.type), self.columns)
-        return arrays.arrow_table([arrays.arrow_batch(self.columns, schema)])
+        head = TableHead(self.topic, self.type)
+        if lazy:
+            return doors.part("lazy_tables").record_batches(head, self.pieces())
+        return arrays.arrow_table([arrays.arrow_batch(self.columns, arrays.arrow_schema(head, self.columns))])
+
+    def to_polars(self, *, lazy: bool = False) -> Any:
+        """Return a ``polars.DataFrame``.
+
+        Args:
+            lazy: return a ``LazyFrame``, which reads the input piece by piece each time it is collected, and
+                keeps only the columns and rows that are asked for.
+
+        Raises:
+            ConfigError: polars or pyarrow is not installed.
+        """
+        try:
+            polars = import_module("polars")
+        except ImportError as error:
+            raise ConfigError("to_polars() needs polars: pip install polars; to_numpy() does not") from error
+        if lazy:
+            return doors.part("lazy_tables").lazy_frame(lambda: self.to_arrow(lazy=True))
+        return polars.from_arrow(self.to_arrow())
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame``; lists are arrays, times are timestamps in UTC.
@@ -120,15 +152,18 @@ class RecordingTables(Mapping[str, TopicTable]):
         settings: mission, types and options.
         scope: which part of them.
         form: how times are given, and lists.
+        recording: name of the one recording that they are, for the column ``recording``; empty: without it.
     """
 
     paths: Sequence[Path]
     settings: Settings
     scope: Scope
     form: TableForm
+    recording: str = ""
 
     def __repr__(self) -> str:
-        return f"<{', '.join(map(str, self.paths))}: {', '.join(self.topics)}>"
+        rows = [f"{count:>12,}  {topic}" for topic, count in self.topics.items()]
+        return "\n".join([f"{listed([*map(str, self.paths)], 3)}: {plural(len(rows), 'topic')}", *rows])
 
     def __getitem__(self, topic: str) -> TopicTable:
         """Return the messages of a topic, none where there are none; the leading slash may be left out.
@@ -136,13 +171,10 @@ class RecordingTables(Mapping[str, TopicTable]):
         Raises:
             NoTopicError: there is no such topic, or several fit.
         """
-        source = self._open()
-        try:
+        with closing(self._open()) as source:
             name = _find_topic(source, topic)
-            if name not in self._tables:
-                self._tables[name] = _read(source, name, self.form)
-        finally:
-            source.close()
+        if name not in self._tables:
+            self._tables[name] = TopicTable(name, source.topics[name], partial(self._pieces, name))
         return self._tables[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -157,12 +189,10 @@ class RecordingTables(Mapping[str, TopicTable]):
     @cached_property
     def topics(self) -> dict[str, int]:
         """The number of messages of each topic that has any."""
-        source, counts = self._open(), dict[str, int]()
-        try:
+        counts = dict[str, int]()
+        with closing(self._open()) as source:
             for block in source.blocks(source.topics.keys() - JUDGED):
                 counts[block.topic] = counts.get(block.topic, 0) + len(block)
-        finally:
-            source.close()
         _warn(source)
         return counts
 
@@ -186,7 +216,19 @@ class RecordingTables(Mapping[str, TopicTable]):
         return {}
 
     def _open(self) -> TopicSource:
-        return open_topics(self.paths, self.settings, self.scope)
+        source = open_topics(self.paths, self.settings, self.scope)
+        if self.recording:
+            source.recordings = np.array([self.recording, ""], object)
+        return source
+
+    def _pieces(self, topic: str) -> Iterator[Sequence[TableColumn]]:
+        """Read the messages of a topic."""
+        with closing(self._open()) as source:
+            topic = _find_topic(source, topic)
+            yield self.form.columns(source.empty(topic), 0)
+            for block in source.blocks([topic]):
+                yield self.form.columns(block, source.zero_ns)
+        _warn(source)
 
 
 def read(
@@ -202,8 +244,11 @@ def read(
 ) -> RecordingTables:
     """Open captures, recordings or rosbag2 directories to read their topics as tables.
 
+    Of several, the column ``recording`` says which one a row is from.
+
     Args:
-        paths: one file, or several.
+        paths: one file; several, which are read as one, in order of time; or a folder or pattern of
+            recordings, each of which is read by itself.
         config: mission files; a recording carries its own.
         where: only datagrams that pass this filter, like ``--where``.
         start: datagrams before this many seconds after the first one are left out.
@@ -226,6 +271,8 @@ def read(
     scope = Scope(Selection(where=where), Period(int(start * 1e9), int(end * 1e9)))
     form = TableForm(explode=explode, time=TimeForm(time))
     tables = RecordingTables(_paths(paths), configured, scope, form)
+    if any(not path.exists() or (path.is_dir() and not (path / METADATA).exists()) for path in tables.paths):
+        tables = cast("RecordingTables", doors.part("recordings")(tables))
     tables._open().close()  # noqa: SLF001  what is wrong is told now
     return tables
 
@@ -244,15 +291,6 @@ def _find_topic(source: TopicSource, pattern: str) -> str:
     if len(topics) != 1:
         raise NoTopicError(f"{pattern!r} fits several topics: {', '.join(topics)}; name one")
     return topics[0]
-
-
-def _read(source: TopicSource, topic: str, form: TableForm) -> TopicTable:
-    """Read the messages of one topic."""
-    blocks = [form.columns(source.empty(topic), 0)]
-    blocks += [form.columns(block, source.zero_ns) for block in source.blocks([topic])]
-    _warn(source)
-    joined = [_joined([block[place] for block in blocks]) for place in range(len(blocks[0]))]
-    return TopicTable(topic, source.topics[topic], joined)
 
 
 def _warn(source: TopicSource) -> None:

@@ -42,6 +42,8 @@ class FolderSource(MergedSource):
         super().__init__(parts)
         self._path = path
 
+    files = ()  # it is one recording
+
     @property
     def info(self) -> SourceInfo:
         """Information on all parts, under the name of the directory."""

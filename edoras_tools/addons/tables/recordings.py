@@ -1,0 +1,125 @@
+"""Many recordings, each read by itself, as one mapping of tables: ``edoras_tools.read("runs/")``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from glob import glob
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edoras_tools.errors import CaptureError, RouteError
+from edoras_tools.io.formats.rosbag2.reader import METADATA
+from edoras_tools.io.formats.table import FILE_SUFFIXES
+from edoras_tools.pipelines.export.reading import NoTopicError, RecordingTables, TopicTable
+from edoras_tools.pipelines.export.sources import recording_names
+from edoras_tools.words import listed, plural
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from edoras_tools.io.formats.columns import TableColumn
+    from edoras_tools.pipelines.export.sources import TopicSource
+
+_PACKED = ("", ".gz", ".zst")
+
+
+def recordings_in(paths: Iterable[Path]) -> list[Path]:
+    """Return the recordings that paths name: themselves, those of folders, or what fits patterns, sorted.
+
+    Raises:
+        CaptureError: a folder holds none, or nothing fits a pattern.
+    """
+    files: list[Path] = []
+    for path in paths:
+        inside = [path]
+        if path.is_dir() and not (path / METADATA).exists():
+            inside = sorted(item for item in path.iterdir() if _is_recording(item))
+        elif not path.exists() and any(sign in str(path) for sign in "*?["):
+            inside = [Path(item) for item in sorted(glob(str(path), recursive=True))]  # noqa: PTH207  from any root
+        if not inside:
+            raise CaptureError(f"{path}: no capture or recording is there; name a folder that holds some")
+        files += inside
+    return files
+
+
+def _is_recording(path: Path) -> bool:
+    if path.is_dir():
+        return (path / METADATA).exists()
+    return any(path.name.endswith(f"{suffix}{packed}") for suffix in FILE_SUFFIXES for packed in _PACKED)
+
+
+def read_recordings(tables: RecordingTables) -> RecordingTables:
+    """Return the recordings that folders and patterns name, as what reads each of them by itself.
+
+    Raises:
+        CaptureError: there is none.
+    """
+    files = recordings_in(tables.paths)
+    paths = zip(recording_names([*map(str, files)]), files, strict=True)
+    each = [replace(tables, paths=(file,), recording=name) for name, file in paths]
+    return ManyRecordings(files, tables.settings, tables.scope, tables.form, recordings=each)
+
+
+@dataclass(frozen=True, repr=False)
+class ManyRecordings(RecordingTables):
+    """The topics of many recordings, of which one at a time is open; each has its own mission.
+
+    A table has the rows of the recordings one after the other; a recording without the topic has none.
+
+    Attributes:
+        recordings: each by itself.
+    """
+
+    recordings: Sequence[RecordingTables] = ()
+
+    def __repr__(self) -> str:
+        names = listed([item.recording for item in self.recordings], 3)
+        return f"<{plural(len(self.recordings), 'recording')}: {names}; list() names their topics>"
+
+    def __getitem__(self, topic: str) -> TopicTable:
+        """Return the messages of a topic in all recordings.
+
+        Raises:
+            NoTopicError: no recording has it, or several fit.
+        """
+        refusal = None
+        for item in self.recordings:
+            try:
+                first = item[topic]
+            except NoTopicError as error:
+                refusal = refusal or error
+            else:
+                pieces = partial(self._every, first.topic, first.type)
+                return self._tables.setdefault(first.topic, TopicTable(first.topic, first.type, pieces))
+        assert refusal is not None
+        raise refusal
+
+    @cached_property
+    def topics(self) -> dict[str, int]:
+        """The number of messages of each topic that has any, of all recordings."""
+        counts = dict[str, int]()
+        for item in self.recordings:
+            for topic, count in item.topics.items():
+                counts[topic] = counts.get(topic, 0) + count
+        return counts
+
+    def _open(self) -> TopicSource:
+        return self.recordings[0]._open()  # noqa: SLF001  what is wrong with all is wrong with this
+
+    def _every(self, topic: str, kind: str) -> Iterator[Sequence[TableColumn]]:
+        """Yield the pieces of a topic in every recording that has it.
+
+        Raises:
+            RouteError: two recordings have it with other types.
+        """
+        for item in self.recordings:
+            try:
+                table = item[topic]
+            except NoTopicError:
+                continue
+            if table.type != kind:
+                raise RouteError(
+                    f"{topic} is {table.type} in {item.recording} and {kind} in others; read them separately"
+                )
+            yield from table.pieces()
