@@ -204,10 +204,14 @@ ADDONS: Final = (
         },
     ),
     Addon(
+        "operations",
+        adds={"parts": {"metrics": "metrics:ServedWatcher", "after_split": "after_split:AfterSplit"}},
+    ),
+    Addon(
         "tables",
         adds={
             "parts": {
-                "partition": "partition",
+                "partition": "partition:export_by_recording",
                 "lazy_tables": "lazy",
                 "recordings": "recordings:read_recordings",
                 "performance_trace": "trace:export_trace",

@@ -152,7 +152,7 @@ def bridge(
         say=None if shows else _say,
     )
     table = partial(view.live_table, output=output) if shows else None
-    failure = run_relay(bridges, partial(_begin, bridges), running.duration, table)
+    failure = run_relay(bridges, partial(_begin, bridges), running.duration, table, metrics=outputs.metrics)
     for note in bridges.notes if shows else ():
         _say(note)
     finish_relay(bridges, view.outcome, view.losses, output, printing, failure)

@@ -14,7 +14,7 @@ from typer import BadParameter, Option
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import grouped
-from edoras_tools.cli.endings import tell, topics_read
+from edoras_tools.cli.endings import topics_read
 from edoras_tools.cli.inputs import FileOptions
 from edoras_tools.cli.output import file_progress, print_json
 from edoras_tools.errors import ConfigError
@@ -111,7 +111,7 @@ def _export(
     if len(files) == 1 and is_cfe_file(files[0]):
         trace = doors.part("performance_trace")(files, path, force=table.force)
         if trace is not None:
-            _tell(trace.summary(), printing)
+            tell_written(trace.summary(), printing)
             return
     target = ExportTarget.of(path, name=table.layout, folder=output.endswith("/"), force=table.force)
     target.check(files)
@@ -121,25 +121,17 @@ def _export(
     form = TableForm(fields, table.explode, table.time)
     quiet, settings = printing.quiet or printing.json, decoding.settings()
     if table.partition:
-        apart = doors.part("partition")
-        with file_progress(files, quiet=quiet) as bar:
-            summary, failure = apart.export_partitioned(
-                files, target, settings, scope, patterns, form, bar, jobs
-            )
-        _tell(summary if printing.json else apart.by_topic(summary), printing)
-        for line in summary["warnings"]:
-            tell(line)
-        if failure:
-            raise failure
+        how: dict[str, Any] = {"patterns": patterns, "form": form, "jobs": jobs}
+        doors.part("partition")(files, target, settings, scope, printing, **how)
         return
     source = open_topics(files, settings, scope)
     with file_progress([source.name], quiet=quiet) as bar:
         report = write(source, target, patterns, form, bar, jobs)
-    _tell(report.summary(), printing)
+    tell_written(report.summary(), printing)
     topics_read(source)
 
 
-def _tell(summary: dict[str, Any], printing: options.PrintOptions) -> None:
+def tell_written(summary: dict[str, Any], printing: options.PrintOptions) -> None:
     """Print what was written."""
     if printing.json:
         print_json(summary)

@@ -7,9 +7,13 @@ import json
 import os
 import sys
 from contextlib import AbstractContextManager, nullcontext
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+from typer import BadParameter, Option
+
+from edoras_tools import doors
 from edoras_tools.cli.settings import in_effect
+from edoras_tools.errors import EdorasError
 from edoras_tools.render.terminal.text import clean
 
 if TYPE_CHECKING:
@@ -19,6 +23,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from edoras_tools.io import Source
+    from edoras_tools.model import Endpoint
     from edoras_tools.render.terminal.progress import FileProgress
     from edoras_tools.render.terminal.text import ReadingRun, Watcher
 
@@ -42,6 +47,33 @@ def watcher(
 
     title = f"{source.info.name} → {output}" if output else source.info.name
     return live_table(title, error_console(), output)
+
+
+def address(text: str) -> Endpoint:
+    """Read ``HOST:PORT``."""
+    from edoras_tools.io.net.address import parse_endpoint
+
+    try:
+        return parse_endpoint(text)
+    except EdorasError as error:
+        raise BadParameter(str(error)) from None
+
+
+def place(text: str) -> Endpoint:
+    """Read ``[HOST:]PORT``; the default host is 127.0.0.1."""
+    return address(text if ":" in text else f"127.0.0.1:{text}")
+
+
+Metrics = Annotated[
+    Any,
+    Option("--metrics", parser=place, metavar="[HOST:]PORT", help="Serve figures for Prometheus, e.g. 9100."),
+]
+
+
+def measured(watcher: AbstractContextManager[Any], metrics: Endpoint | None) -> AbstractContextManager[Any]:
+    """Return a watcher that also serves the figures of what it watches, where that is asked for."""
+    served: AbstractContextManager[Any] = doors.part("metrics")(watcher, metrics) if metrics else watcher
+    return served
 
 
 def print_json(value: Mapping[str, Any]) -> None:

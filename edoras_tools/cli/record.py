@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from time import strftime
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -16,7 +17,7 @@ from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import finish, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.options import amount, size
-from edoras_tools.cli.output import print_json, watcher
+from edoras_tools.cli.output import Metrics, measured, print_json, watcher
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES, WRITTEN, Format, written_as
 from edoras_tools.io.outputs import STDOUT
@@ -25,7 +26,7 @@ from edoras_tools.words import listed
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from edoras_tools.pipelines.capture.record import Target
+    from edoras_tools.pipelines.capture.record import CaptureReport, Target
 
 
 _KINDS = ("finding", "rule", "where")
@@ -137,6 +138,10 @@ class TargetOptions(NamedTuple):
     keep: Annotated[list[Any] | None, Option(parser=amount, help="Keep only the newest 5 or 20G.")] = None
     keep_size: Annotated[int | None, Option(parser=size, hidden=True)] = None
     jobs: options.Jobs = None
+    after_split: Annotated[
+        str | None, Option(metavar="'CMD {}'", help="Run for each complete file; tried again if it fails.")
+    ] = None
+    metrics: Metrics = None
     sync: Annotated[
         int | None,
         Option(parser=options.duration, metavar="[=TIME]", help="Flush to the disk each second, or TIME."),
@@ -196,6 +201,8 @@ def record(
         raise ConfigError(f"{target.path}: --tf writes a topic, and {target.format.name} has none: use .mcap")
     _check_named_last(given.paths, files.output)
     check_output(target, given.paths, snapshots=snapshots.snapshot)
+    if files.after_split and not target.splits:
+        raise ConfigError("--after-split is for a recording in parts: split too, e.g. --split 10m")
     written = None if target.stream else target.path
     source, bench = open_input(given, decoding.settings(), every_port=every, messages=True, output=written)
     if around and bench.mission.recorded:
@@ -206,7 +213,11 @@ def record(
     if around:
         around.record(source, bench, target, snapshots, chosen.selection(), limits, printing)
         return
-    with watcher(source, written, quiet=printing.quiet or printing.json, live=live) as watch:
+    after = doors.part("after_split")(files.after_split, tell) if files.after_split else None
+    if after:
+        target = replace(target, on_complete=after.add)
+    show = watcher(source, written, quiet=printing.quiet or printing.json, live=live)
+    with measured(show, files.metrics) as watch:
         report = run(
             source,
             bench,
@@ -214,8 +225,16 @@ def record(
             selection=chosen.selection(),
             limits=limits,
             watcher=watch,
-            by_route=printing.json or not printing.quiet,
+            by_route=printing.json or not printing.quiet or files.metrics is not None,
         )
+    _tell_report(report, printing)
+    if after:
+        after.end()
+    finish(report, live=live)
+
+
+def _tell_report(report: CaptureReport, printing: options.PrintOptions) -> None:
+    """Print what was recorded."""
     if printing.json:
         print_json(
             {
@@ -229,7 +248,6 @@ def record(
 
         sys.stderr.write(recorded(report.summary(), report.outputs, report.keep) + "\n")
         _tell_unnamed(report.summary()["routes"], report.outputs[0])
-    finish(report, live=live)
 
 
 def _tell_unnamed(routes: Sequence[Mapping[str, Any]], output: Path) -> None:

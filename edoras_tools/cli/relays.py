@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Protocol
 
 import typer
 from typer import BadParameter, Option
 
 from edoras_tools import doors
-from edoras_tools.cli import recordings, sending
+from edoras_tools.cli import recordings
 from edoras_tools.cli.declare import headed
 from edoras_tools.cli.endings import LOST, lost_outputs, say, tell
-from edoras_tools.cli.output import print_json
+from edoras_tools.cli.output import Metrics, measured, place, print_json
 from edoras_tools.errors import EdorasError
 
 if TYPE_CHECKING:
@@ -28,11 +28,6 @@ if TYPE_CHECKING:
 
 
 _SHORTEST_TOKEN: Final = 8
-
-
-def place(text: str) -> Endpoint:
-    """Read ``[HOST:]PORT``; the default host is 127.0.0.1."""
-    return sending.address(text if ":" in text else f"127.0.0.1:{text}")
 
 
 Origins = Annotated[
@@ -65,6 +60,7 @@ class RelayOutputOptions(NamedTuple):
     live: Annotated[Any, Option(parser=place, metavar="[HOST:]PORT", help="For Foxglove, e.g. 8765.")] = None
     allow_origin: Origins = None
     token: Token = None
+    metrics: Metrics = None
 
     def recorder(
         self, workbench: Callable[[], Workbench], name: str, **how: Any
@@ -121,6 +117,7 @@ def run_relay(
     table: Callable[[Console], AbstractContextManager[Any]] | None = None,
     *,
     keyboard: bool = False,
+    metrics: Endpoint | None = None,
 ) -> EdorasError | None:
     """Pass traffic on until the end, and close the relay; return the error that ended it early, or None.
 
@@ -129,6 +126,7 @@ def run_relay(
         duration_ns: how long; None or 0: until Ctrl-C.
         table: makes the table that shows it; None shows none.
         keyboard: whether keys switch faults while the table is shown.
+        metrics: where the figures are served; None: nowhere.
     """
     from edoras_tools.pipelines.interrupt import on_interrupt
 
@@ -145,6 +143,8 @@ def run_relay(
 
                     how["keys"] = stack.enter_context(Keys())
                 how["watcher"] = stack.enter_context(table(error_console()))
+            if metrics:
+                how["watcher"] = stack.enter_context(measured(nullcontext(how.get("watcher")), metrics))
             relay.run(duration_ns=duration_ns or 0, **how)
         except EdorasError as error:
             return error

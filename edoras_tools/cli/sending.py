@@ -13,8 +13,9 @@ from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import headed
 from edoras_tools.cli.endings import INTERRUPTED, LOST, lost_outputs, tell, tell_reach
 from edoras_tools.cli.options import duration, share
+from edoras_tools.cli.output import address as address  # noqa: PLC0414  also of those who send
 from edoras_tools.cli.output import print_json, print_view
-from edoras_tools.errors import ConfigError, EdorasError
+from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
     from edoras_tools.model import Endpoint, Peer
@@ -24,16 +25,6 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.faults.machine import FaultPlan
 
 _TIMEOUT_NS = 10_000_000_000
-
-
-def address(text: str) -> Endpoint:
-    """Read ``HOST:PORT``."""
-    from edoras_tools.io.net.address import parse_endpoint
-
-    try:
-        return parse_endpoint(text)
-    except EdorasError as error:
-        raise BadParameter(str(error)) from None
 
 
 def peer(text: str) -> Peer:

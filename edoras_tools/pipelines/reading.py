@@ -23,7 +23,7 @@ from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.table import LinkStates
 from edoras_tools.model import OTHER, Columns, Finding, PacketBatch
 from edoras_tools.pipelines.interrupt import interrupted, interruptible
-from edoras_tools.pipelines.runs import NOTE, Runs
+from edoras_tools.pipelines.runs import RunCounter
 from edoras_tools.pipelines.selection import Period, Selection, outside
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -107,10 +107,12 @@ class ReadLoop:
     part: int = 0
     _ends_ns: int = 0
     _own_rows: LinkStates[OwnRows] = field(init=False)
+    _runs: RunCounter | None = field(init=False)
 
     def __post_init__(self) -> None:
         context = self.bench.columns.context
         self._own_rows = LinkStates(lambda link: link.rows(context))
+        self._runs = RunCounter(self.source) if self.source.files else None
 
     @property
     def interrupted(self) -> bool:
@@ -155,7 +157,6 @@ class ReadLoop:
         remaining, began = limits.count, limits.clock()
         examined = visible = Period()
         inside = False
-        runs, clock = Runs(self.source), self.source.part
         for whole in self._until_failure():
             if len(whole):
                 if self.begin_ns is None:
@@ -171,8 +172,6 @@ class ReadLoop:
                 self.outside += len(whole) - len(batch)
                 bench.columns.learn(whole)  # what is announced before the period names what is in it
             columns = self.source.decoded(batch, bench.columns.decode)
-            if runs.add(batch, columns) or self.source.part != clock:
-                self.part, clock = self.part + 1, self.source.part
             for own in self._own_rows.of(columns):
                 batch, columns = own.take(batch, columns, bench.columns.decode)
             shown = visible.holds(batch.time_ns - begin_ns) if visible else None
@@ -192,8 +191,6 @@ class ReadLoop:
                 self.source.stop()  # what arrived until now is still read
         for own in self._own_rows.by_link.values():
             bench.columns.context.notes += own.notes()
-        if runs.number:
-            bench.columns.context.notes.append(NOTE.format(runs.number + 1))
         if self.first_ns is not None and self.first_ns < _NO_CLOCK_NS <= self.last_ns:
             self.bench.columns.context.notes.append(
                 "some times are before the year 2000 and others are not: a clock was not set, and spans and "
@@ -203,7 +200,9 @@ class ReadLoop:
             raise outside(self.source.info.name, self.begin_ns, self.last_ns)
 
     def _follow(self, batch: PacketBatch, columns: Columns, shown: NDArray[np.bool_] | None) -> None:
-        """Follow the conversations of the time that is asked for."""
+        """Follow the runs, and the conversations of the time that is asked for."""
+        if self._runs:
+            self.part = self._runs.add(batch, columns)
         if batch.recorded is not None:
             return
         if self._conversing:
@@ -223,6 +222,8 @@ class ReadLoop:
             finally:
                 for unwrapper in self.bench.unwrappers.values():
                     self.bench.columns.context.notes += unwrapper.notes()
+                if self._runs:
+                    self.bench.columns.context.notes += self._runs.notes()
         except CaptureError as error:
             if not self.keeps_failure:
                 raise

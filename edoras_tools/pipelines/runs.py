@@ -26,34 +26,25 @@ SEAM_NS: Final = 2 * SECOND
 """A file that begins so soon behind another goes on with it."""
 APART_NS: Final = 5 * SECOND
 """Boots are further apart than this, clocks of hosts are not."""
-NOTE: Final = (
+_NOTE: Final = (
     "{} runs: between their files cFS was started anew and nothing was captured; each is counted and judged "
     "by itself, and rates leave out the time between"
 )
 
 
-class Runs:
-    """Counts the runs of a source while it is read.
-
-    Args:
-        source: what is read; one file is one run.
-
-    Attributes:
-        number: of the last batch's run, from 0.
-    """
-
-    number = 0
+class RunCounter:
+    """Counts the runs of several files while they are read."""
 
     def __init__(self, source: Source) -> None:
-        self._source, self._several = source, bool(source.files)
-        self._section = self._last_ns = 0
+        self._source, self._clock = source, source.part
+        self._section = self._last_ns = self._part = self._restarts = 0
         self._seam = False
         self._boots: dict[int, NDArray[np.int64]] = {}
 
-    def add(self, batch: PacketBatch, columns: Columns) -> bool:
-        """Take the source's last batch; return whether a run begins with it."""
-        if not self._several or not len(batch):
-            return False
+    def add(self, batch: PacketBatch, columns: Columns) -> int:
+        """Take the source's last batch; return the number of its run, or of its clock, from 0."""
+        if not len(batch):
+            return self._part
         if self._source.section != self._section:
             self._section = self._source.section
             self._seam = int(batch.time_ns.min()) - self._last_ns > SEAM_NS
@@ -64,8 +55,14 @@ class Runs:
         begins = self._seam and bool(pairs) and not same
         self._seam = self._seam and not pairs
         self._boots |= boots
-        self.number += begins
-        return begins
+        self._restarts += begins
+        self._part += begins or self._source.part != self._clock
+        self._clock = self._source.part
+        return self._part
+
+    def notes(self) -> list[str]:
+        """Return that there are several runs, in a line."""
+        return [_NOTE.format(self._restarts + 1)] if self._restarts else []
 
 
 def _boots(batch: PacketBatch, columns: Columns) -> dict[int, NDArray[np.int64]]:

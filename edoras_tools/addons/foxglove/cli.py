@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,8 +20,8 @@ from edoras_tools.cli import options, recordings, sending
 from edoras_tools.cli.declare import grouped, headed
 from edoras_tools.cli.endings import finish, say, tell, tell_reach
 from edoras_tools.cli.inputs import InputOptions, open_input
-from edoras_tools.cli.output import file_progress, print_json, watcher
-from edoras_tools.cli.relays import Origins, Token, place
+from edoras_tools.cli.output import Metrics, file_progress, measured, place, print_json, watcher
+from edoras_tools.cli.relays import Origins, Token
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.words import plural
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.foxglove.server.requests import PlaybackState
     from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, ServedSink
     from edoras_tools.io import Source
+    from edoras_tools.io.formats.stream import SettledFile
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.capture.record import CaptureReport, Target
     from edoras_tools.pipelines.reading import Limits
@@ -57,6 +58,7 @@ class OutputOptions(NamedTuple):
     token: Token = None
     output: recordings.Output = None
     force: recordings.Force = False
+    metrics: Metrics = None
 
     def endpoint(self) -> Endpoint:
         """Return where Foxglove connects to."""
@@ -124,12 +126,18 @@ def live(
     from edoras_tools.addons.foxglove.serving import attach, attach_player
 
     (_, given), sim = source
-    files = source.given.paths
+    files: Sequence[Path | SettledFile] = source.given.paths
     (json, quiet), limits = printing, stop.limits.limits()
     if sum(map(bool, (files, given.interface, given.listen, sim))) != 1:
         raise ConfigError("name one source: FILE, -i IFACE, --listen PORT or --sim DEMO")
-    if files and (publishing.allow or outputs.output or stop.every or stop.limits.datagrams):
-        raise ConfigError("--allow, -o, -a and -n can only be used with live traffic, not with a recording")
+    file, stream = _piped(source.given.paths)
+    files = [file] if file else () if stream else files
+    if files and (
+        publishing.allow or outputs.output or outputs.metrics or stop.every or stop.limits.datagrams
+    ):
+        raise ConfigError(
+            "--allow, -o, --metrics, -a and -n can only be used with live traffic, not with a recording"
+        )
     if not files and playback != PlaybackOptions():
         raise ConfigError(
             "--speed, --paused, --loop and --no-wait can only be used with a recording, not with live traffic"
@@ -153,15 +161,15 @@ def live(
     else:
         failure = None
         with ExitStack() as stack:
-            traffic, bench, outlets = _traffic(source, settings, outputs.output, every=stop.every)
+            traffic, bench, outlets = _traffic(source, stream, settings, outputs.output, every=stop.every)
             stack.callback(traffic.close)
             commands = publishing.commands(bench, outlets)
             if commands:
                 stack.callback(commands.close)
                 commands.open()
-            summary, report = _show(
-                traffic, bench, selection, serve, commands, goal, limits, quiet=quiet or json
-            )
+            watch = watcher(traffic, goal.path if goal else None, quiet=quiet or json, live=True)
+            watch = measured(watch, outputs.metrics)
+            summary, report = _show(traffic, bench, selection, serve, commands, goal, limits, watch)
     if json:
         print_json(summary)
     elif not quiet:
@@ -173,8 +181,19 @@ def live(
         finish(report, live=True)
 
 
+def _piped(paths: Sequence[Path]) -> tuple[SettledFile | None, Source | None]:
+    """Open standard input or a named pipe: a recording to play, or a capture to show as it comes."""
+    if len(paths) != 1 or not (str(paths[0]) == "-" or paths[0].is_fifo()):
+        return None, None
+    from edoras_tools.io.formats.open import kept_recording
+    from edoras_tools.io.formats.stream import SettledFile
+
+    opened = kept_recording(paths[0])
+    return (opened, None) if isinstance(opened, SettledFile) else (None, opened)
+
+
 def _play(
-    files: Sequence[Path],
+    files: Sequence[Path | SettledFile],
     settings: Settings,
     selection: Selection,
     serve: Callable[..., ServedSink],
@@ -244,18 +263,14 @@ def _show(
     commands: CommandPublisher | None,
     goal: Target | None,
     limits: Limits,
-    *,
-    quiet: bool,
+    view: AbstractContextManager[Any],
 ) -> tuple[dict[str, Any], CaptureReport]:
     """Show live traffic; return a summary and the report of its capture."""
     from edoras_tools.addons.foxglove.serving import live as run
     from edoras_tools.pipelines.interrupt import on_interrupt
 
     sink = serve(bench, source.info, statistics=source.statistics, publisher=commands)
-    with (
-        on_interrupt(source.stop),
-        watcher(source, goal.path if goal else None, quiet=quiet, live=True) as watch,
-    ):
+    with on_interrupt(source.stop), view as watch:
         _say(source.info.name, sink, commands.topics if commands else ())
         report = run(
             source,
@@ -270,7 +285,7 @@ def _show(
 
 
 def _traffic(
-    given: SourceOptions, settings: Settings, output: Path | None, *, every: bool
+    given: SourceOptions, stream: Source | None, settings: Settings, output: Path | None, *, every: bool
 ) -> tuple[Source, Workbench, Mapping[Receiver, Send]]:
     """Open the live source; return it, its workbench, and functions that send commands without a socket."""
     if given.sim is not None:
@@ -278,6 +293,8 @@ def _traffic(
 
         running, bench = doors.part("simulation")(given.sim.value, settings, monotonic_ns)
         return running, bench, {Receiver.CI: running.command}
+    if stream is not None:
+        return stream, settings.workbench(stream.info), {}
     source, bench = open_input(given.given, settings, every_port=every, output=output)
     return source, bench, {}
 

@@ -14,13 +14,12 @@ import numpy as np
 
 from edoras_tools.addons.foxglove.server.requests import PlaybackRequest, PlaybackState
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.formats.open import kept_recording
 from edoras_tools.io.formats.stream import SettledFile
 from edoras_tools.links.table import LinkStates
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.messages import open_inputs
-from edoras_tools.pipelines.runs import Runs
+from edoras_tools.pipelines.runs import RunCounter
 from edoras_tools.pipelines.selection import outside
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.units import MILLISECOND, SECOND
@@ -112,7 +111,7 @@ class _Playback:
 
 
 def open_recording(
-    paths: Sequence[Path], settings: Settings
+    paths: Sequence[Path | SettledFile], settings: Settings
 ) -> tuple[SourceInfo, Workbench, Callable[[], Source]]:
     """Return information on files, what decodes them, and a function that opens them, any number of times.
 
@@ -120,10 +119,7 @@ def open_recording(
         CaptureError: one cannot be opened, or not more than once.
         ConfigError: the mission has errors.
     """
-    for path in paths:
-        if path.is_fifo() or path.is_char_device():
-            raise CaptureError(f"{path}: playback reads it several times; save it to a file first")
-    files = [kept_recording(path) if str(path) == "-" else SettledFile(path, str(path)) for path in paths]
+    files = [path if isinstance(path, SettledFile) else _settled(path) for path in paths]
     source, bench = open_inputs([item.path for item in files], settings)
     source.close()
     info = replace(source.info, name=", ".join(item.name for item in files))
@@ -133,6 +129,12 @@ def open_recording(
         return open_inputs(again, settings)[0] if bench.mission.recorded else open_files(again)
 
     return info, bench, reopen
+
+
+def _settled(path: Path) -> SettledFile:
+    if str(path) == "-" or path.is_fifo() or path.is_char_device():
+        raise CaptureError(f"{path}: playback reads it several times; save it to a file first")
+    return SettledFile(path, str(path))
 
 
 class RecordingPlayer:
@@ -354,11 +356,12 @@ class RecordingPlayer:
         latest: dict[int, _Piece] = {}
         context = self._bench.columns.context
         own_rows: LinkStates[OwnRows] = LinkStates(lambda link: link.rows(context))
-        before, runs = True, Runs(source)
+        before, runs, part = True, RunCounter(source), 0
         try:
             for whole in source.batches():
                 batch, columns = self._selected(whole, own_rows)
-                if runs.add(batch, columns):
+                if source.files and (now := runs.add(batch, columns)) != part:
+                    part = now
                     self._pass_over(int(batch.time_ns[0]))
                 first = int(np.searchsorted(np.maximum.accumulate(batch.time_ns), start_ns)) if before else 0
                 routes, places = np.unique(columns.route[:first][::-1], return_index=True)

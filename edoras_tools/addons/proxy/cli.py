@@ -131,7 +131,8 @@ def proxy(
         tell_reach(relayed.bind, "answer as the target")
     shows = not (quiet or json) and detect_terminal(sys.stderr).interactive
     table = partial(views.live_table, output=output, keys=asks) if shows else None
-    failure = run_relay(relay, partial(_begin, relay), times.duration, table, keyboard=asks)
+    begin = partial(_begin, relay)
+    failure = run_relay(relay, begin, times.duration, table, keyboard=asks, metrics=outputs.metrics)
     finish_relay(relay, views.outcome, views.notes, output, printing, failure)
 
 
@@ -152,7 +153,7 @@ def _relay_streams(
         raise ConfigError(f"{plan.link.label} is not a link over TCP: leave --tcp out")
     if len(plan.targets) > 1 or plan.bind or relayed.limit:
         raise ConfigError("--to, --bind and --max-rate are for datagrams: a TCP connection has one target")
-    if outputs.output or outputs.live is not None:
+    if outputs.output or outputs.live is not None or outputs.metrics:
         raise ConfigError(
             "a relay of TCP does not record: use edoras record -i beside it, on the interface of the target"
         )

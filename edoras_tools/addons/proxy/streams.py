@@ -24,11 +24,11 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.addons.proxy.stream_faults import StreamFaults
 from edoras_tools.errors import os_errors
 from edoras_tools.io.net.sockets import local_endpoint
 from edoras_tools.links.framing import NOT_A_MESSAGE, NOT_YET
 from edoras_tools.links.table import protocol
-from edoras_tools.sessions.faults.streams import StreamFaults
 from edoras_tools.wire.arrays.window import PADDING
 
 if TYPE_CHECKING:

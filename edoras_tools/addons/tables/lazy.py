@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
+from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.arrow import arrow_batch, arrow_schema
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from edoras_tools.io.formats.columns import TableColumn, TableHead
+    from edoras_tools.pipelines.export.reading import TopicTable
 
 
 def record_batches(head: TableHead, pieces: Iterator[Sequence[TableColumn]]) -> Any:
@@ -24,16 +26,21 @@ def record_batches(head: TableHead, pieces: Iterator[Sequence[TableColumn]]) -> 
     return pa.RecordBatchReader.from_batches(schema, batches)
 
 
-def lazy_frame(begin: Callable[[], Any]) -> Any:
-    """Return a ``polars.LazyFrame`` over record batches, which are read anew each time it is collected.
+def polars_frame(table: TopicTable, *, lazy: bool) -> Any:
+    """Return a table as a frame of polars; a lazy one reads the input anew each time it is collected.
 
-    Args:
-        begin: returns a ``RecordBatchReader``.
+    Raises:
+        ConfigError: polars is not installed.
     """
-    polars, plugins = import_module("polars"), import_module("polars.io.plugins")
+    try:
+        polars, plugins = import_module("polars"), import_module("polars.io.plugins")
+    except ImportError as error:
+        raise ConfigError("to_polars() needs polars: pip install polars; to_numpy() does not") from error
+    if not lazy:
+        return polars.from_arrow(table.to_arrow())
 
     def read(names: list[str] | None, predicate: Any, rows: int | None, _size: int | None) -> Iterator[Any]:
-        with begin() as reader:
+        with table.to_arrow(lazy=True) as reader:
             for batch in reader:
                 frame = polars.from_arrow(batch if names is None else batch.select(names))
                 frame = frame if predicate is None else frame.filter(predicate)
@@ -43,7 +50,7 @@ def lazy_frame(begin: Callable[[], Any]) -> Any:
                     return
 
     def schema() -> Any:
-        with begin() as reader:
+        with table.to_arrow(lazy=True) as reader:
             return polars.from_arrow(reader.schema.empty_table()).schema
 
     return plugins.register_io_source(read, schema=schema)

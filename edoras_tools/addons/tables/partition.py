@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from edoras_tools.addons.tables.recordings import recordings_in
-from edoras_tools.errors import CaptureError, ConfigError, InterruptError, RouteError, os_errors
+from edoras_tools.cli.endings import tell
+from edoras_tools.cli.export import tell_written
+from edoras_tools.cli.output import file_progress
+from edoras_tools.errors import CaptureError, ConfigError, EdorasError, InterruptError, RouteError, os_errors
 from edoras_tools.pipelines.export.run import ExportTarget, export
 from edoras_tools.pipelines.export.sources import open_topics, recording_names
 from edoras_tools.words import listed, plural
@@ -17,10 +20,9 @@ from edoras_tools.words import listed, plural
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from edoras_tools.cli.options import PrintOptions
     from edoras_tools.pipelines.doctor.scope import Scope
-    from edoras_tools.pipelines.export.tables import TableForm
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.render.terminal.text import Progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,28 +44,24 @@ class _Partition(ExportTarget):
         return folder / f"data{self.format.suffix}"
 
 
-def export_partitioned(
+def export_by_recording(
     files: Sequence[Path],
     target: ExportTarget,
     settings: Settings,
     scope: Scope,
-    patterns: Sequence[str],
-    form: TableForm,
-    progress: Progress | None,
-    jobs: int,
-) -> tuple[dict[str, Any], CaptureError | None]:
-    """Export recordings, each by itself and with its own mission.
+    printing: PrintOptions,
+    **how: Any,
+) -> None:
+    """Export recordings, each by itself and with its own mission, and tell of it.
 
     Args:
         files: recordings, or folders of them.
-        target: a folder; the rest as of ``export``.
-
-    Returns:
-        What was written, in the form of ``export --json``, and an error if recordings could not be read
-        whole: they are named in ``warnings``, as are those without a message on the topics.
+        target: a folder.
+        how: as of ``export``.
 
     Raises:
-        CaptureError: a table cannot be written, or there is nothing to write.
+        CaptureError: a table cannot be written, there is nothing to write, or, once all others are written,
+            some recordings could not be read whole.
         ConfigError: the output is no folder or not empty, or a mission or a field has a mistake.
     """
     if not target.folder:
@@ -71,42 +69,45 @@ def export_partitioned(
     paths = recordings_in(files)
     written: list[dict[str, Any]] = []
     warnings: Counter[str] = Counter()
+    without: list[str] = []
+    first: EdorasError | None = None
     left_out = failed = 0
-    for place, (path, name) in enumerate(zip(paths, recording_names([*map(str, paths)]), strict=True)):
-        if progress is not None:
+    with file_progress(files, quiet=printing.quiet or printing.json) as progress:
+        for place, (path, name) in enumerate(zip(paths, recording_names([*map(str, paths)]), strict=True)):
             progress.step("exporting", place, len(paths))
-        own = _Partition(target.path, target.format, target.folder, target.force, name)
-        try:
-            report = export(open_topics([path], settings, scope), own, patterns, form, None, jobs)
-        except RouteError as error:
-            warnings[str(error)] += 1
-            continue
-        except CaptureError as error:
-            warnings[str(error)] += 1
-            failed += 1
-            continue
-        written += [{**item, "recording": name} for item in report.summary()["files"]]
-        left_out += report.source.left_out
-        warnings.update(report.source.notes)
-        if (failure := report.source.failure) is not None:
+            own, source = _Partition(target.path, target.format, target.folder, target.force, name), None
+            try:
+                source = open_topics([path], settings, scope)
+                report = export(source, own, **how).summary()
+                written += [{**item, "recording": name} for item in report["files"]]
+                failure: EdorasError | None = source.failure
+            except (CaptureError, RouteError) as error:
+                first, failure = first or error, error
+                if source and not (source.failure or source.damage):
+                    without.append(name)
+                    failure = None
             if isinstance(failure, InterruptError):
                 raise failure
-            warnings[str(failure)] += 1
-            failed += 1
-    if not written:
-        raise CaptureError(next(iter(warnings)))
+            failed += failure is not None
+            warnings.update([*(source.notes if source else ()), *([str(failure)] if failure else ())])
+            left_out += source.left_out if source else 0
+    if first and not written:
+        raise first
     lines = [f"{line} ({count:,} recordings)" if count > 1 else line for line, count in warnings.items()]
-    summary = {"source": listed([*map(str, files)], 3), "files": written, "left_out": left_out}
-    whole = CaptureError(f"{failed:,} of {plural(len(paths), 'recording')} could not be read whole")
-    return {**summary, "warnings": lines}, whole if failed else None
+    if without:
+        lines.append(f"{plural(len(without), 'recording')} without a message of these: {listed(without, 3)}")
+    summary = {"source": listed([*map(str, files)], 3), "left_out": left_out, "warnings": lines}
+    tell_written({**summary, "files": written if printing.json else by_topic(written)}, printing)
+    for line in lines:
+        tell(line)
+    if failed:
+        raise CaptureError(f"{failed:,} of {plural(len(paths), 'recording')} could not be read whole")
 
 
-def by_topic(summary: dict[str, Any]) -> dict[str, Any]:
-    """Return what was written with one entry a topic, its folder and the rows of all recordings."""
+def by_topic(files: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one entry a topic: its folder, and the rows of all recordings."""
     topics: dict[str, dict[str, Any]] = {}
-    for item in summary["files"]:
-        first = topics.setdefault(
-            item["topic"], {**item, "path": f"{Path(item['path']).parents[1]}/", "rows": 0}
-        )
-        first["rows"] += item["rows"]
-    return {**summary, "files": [*topics.values()]}
+    for item in files:
+        whole = {**item, "path": f"{Path(item['path']).parents[1]}/", "rows": 0}
+        topics.setdefault(item["topic"], whole)["rows"] += item["rows"]
+    return [*topics.values()]

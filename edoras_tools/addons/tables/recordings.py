@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from glob import glob
@@ -83,26 +85,21 @@ class ManyRecordings(RecordingTables):
         Raises:
             NoTopicError: no recording has it, or several fit.
         """
-        refusal = None
-        for item in self.recordings:
-            try:
-                first = item[topic]
-            except NoTopicError as error:
-                refusal = refusal or error
-            else:
-                pieces = partial(self._every, first.topic, first.type)
-                return self._tables.setdefault(first.topic, TopicTable(first.topic, first.type, pieces))
-        assert refusal is not None
-        raise refusal
+        *others, last = self.recordings
+        for item in others:
+            with suppress(NoTopicError):
+                return self._joined(item[topic])
+        return self._joined(last[topic])
 
     @cached_property
     def topics(self) -> dict[str, int]:
         """The number of messages of each topic that has any, of all recordings."""
-        counts = dict[str, int]()
-        for item in self.recordings:
-            for topic, count in item.topics.items():
-                counts[topic] = counts.get(topic, 0) + count
-        return counts
+        return dict(sum((Counter(item.topics) for item in self.recordings), Counter[str]()))
+
+    def _joined(self, first: TopicTable) -> TopicTable:
+        """Return the table of a topic in all recordings, of which one has it so."""
+        table = replace(first, pieces=partial(self._every, first.topic, first.type))
+        return self._tables.setdefault(first.topic, table)
 
     def _open(self) -> TopicSource:
         return self.recordings[0]._open()  # noqa: SLF001  what is wrong with all is wrong with this
@@ -114,12 +111,8 @@ class ManyRecordings(RecordingTables):
             RouteError: two recordings have it with other types.
         """
         for item in self.recordings:
-            try:
-                table = item[topic]
-            except NoTopicError:
-                continue
-            if table.type != kind:
-                raise RouteError(
-                    f"{topic} is {table.type} in {item.recording} and {kind} in others; read them separately"
-                )
-            yield from table.pieces()
+            with suppress(NoTopicError):
+                if item[topic].type != kind:
+                    types = f"{item[topic].type} in {item.recording} and {kind} in others"
+                    raise RouteError(f"{topic} is {types}; read them separately")
+                yield from item[topic].pieces()

@@ -110,6 +110,11 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
             stream = CompressedStream(stream, kind, head)
             head = _head(stream)
             break
+    return _source(stream, path, head, wrapped)
+
+
+def _source(stream: ByteStream, path: str | Path, head: bytes, wrapped: str) -> Source:
+    """Make the source of a stream whose first bytes were read; ``wrapped`` is what it was packed with."""
     whole_file = stream.total_bytes and not wrapped and str(path) != "-"  # as a file of that name
     if not head:
         problem = f"contains only an empty {wrapped} stream" if wrapped else "is empty"
@@ -133,19 +138,20 @@ def _tell(stream: ByteStream, path: str | Path) -> Source:
     raise CaptureError(f"{stream.name}: {_looks_like(head, wrapped)}")
 
 
-def kept_recording(path: Path) -> SettledFile:
-    """Return a recording that comes through a pipe as a file, which can be opened again.
+def kept_recording(path: Path) -> SettledFile | Source:
+    """Return a recording that comes through a pipe as a file, which can be opened again; else a source.
 
     Raises:
-        CaptureError: it cannot be read, or is a capture, which need not have an end.
+        CaptureError: it cannot be read.
     """
     stream, head = unwrapped(path)
-    try:
-        if not head.startswith((_MCAP, _DATABASE)):
-            raise CaptureError(f"{path}: playback reads a capture several times; save it to a file first")
+    if head.startswith((_MCAP, _DATABASE)):
         return settled_file(stream, path, head)
-    finally:
+    try:
+        return _source(stream, path, head, "")
+    except BaseException:
         stream.close()
+        raise
 
 
 def unwrapped(path: Path) -> tuple[ByteStream, bytes]:

@@ -123,6 +123,7 @@ class WatchedSink(Sink):
         keep: how much is kept; by default all.
 
     Attributes:
+        on_complete: called with each file that is complete; by default nothing.
         losses: the files that were lost.
         keep: as given, with what was deleted.
 
@@ -144,6 +145,8 @@ class WatchedSink(Sink):
         self.losses: list[OutputLoss] = []
         self.keep = keep or Keep()
         self._path, self._begin, self._on_warning = path, begin, on_warning
+        self.on_complete: Callable[[Path], None] = lambda _: None
+        self._announced: set[Path] = set()
         self._statistics = statistics
         self._clock = clock
         self._looked = self._synced = clock()
@@ -170,7 +173,9 @@ class WatchedSink(Sink):
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Write a batch and its columns."""
         self._look()
-        self._open().write(batch, columns)
+        sink = self._open()
+        sink.write(batch, columns)
+        self._announce([output for output, _ in sink.complete])
         self._delete_oldest()
         self._sync()
 
@@ -200,7 +205,9 @@ class WatchedSink(Sink):
         sink.close(statistics)
         if sink.output and sink.output.spares and sink.output.older:
             self._on_warning(f"{sink.output.older} is as it was; the new recording is {sink.output.path}")
+        complete = [output for output, _ in sink.complete]
         self._check_complete(sink)
+        self._announce([*complete, *([sink.output] if sink.output else ())])
         if self._sync_s:
             if self._disk:
                 self._disk.shutdown()
@@ -228,6 +235,13 @@ class WatchedSink(Sink):
             self._disk.shutdown(wait=False)
         if self._sink:
             self._sink.abandon()
+
+    def _announce(self, outputs: Sequence[OutputFile]) -> None:
+        """Say of complete files that they are, of each once."""
+        for output in outputs:
+            if output.path not in self._announced:
+                self._announced.add(output.path)
+                self.on_complete(output.path)
 
     def _open(self) -> FileSink:
         if self._sink is None:

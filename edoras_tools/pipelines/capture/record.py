@@ -59,6 +59,7 @@ class Target:
             while these are free.
         transforms: also write ``/tf``, made of the poses, for 3D views.
         on_warning: called with a line if the file is removed while it is written.
+        on_complete: called with each file that is complete.
     """
 
     path: Path
@@ -74,6 +75,7 @@ class Target:
     transforms: bool = False
     jobs: int = 0
     on_warning: Callable[[str], None] = field(default=lambda _: None, compare=False, repr=False)
+    on_complete: Callable[[Path], None] = field(default=lambda _: None, compare=False, repr=False)
 
     @property
     def splits(self) -> bool:
@@ -273,6 +275,7 @@ def open_sink(
 
     sync_s, keep = target.sync_ns / 1e9, Keep(target.keep_files, target.keep_bytes)
     sink = WatchedSink(target.path, begin, target.on_warning, source.statistics, sync_s=sync_s, keep=keep)
+    sink.on_complete = target.on_complete
     if source.on_this_host and sink.replaces:
         target.on_warning(
             f"{target.path} is replaced at the end; until then the recording is {sink.paths[-1]}"

@@ -107,13 +107,7 @@ class TopicTable:
         Raises:
             ConfigError: polars or pyarrow is not installed.
         """
-        try:
-            polars = import_module("polars")
-        except ImportError as error:
-            raise ConfigError("to_polars() needs polars: pip install polars; to_numpy() does not") from error
-        if lazy:
-            return doors.part("lazy_tables").lazy_frame(lambda: self.to_arrow(lazy=True))
-        return polars.from_arrow(self.to_arrow())
+        return doors.part("lazy_tables").polars_frame(self, lazy=lazy)
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame``; lists are arrays, times are timestamps in UTC.

@@ -7,12 +7,16 @@ import socket
 import struct
 import subprocess
 import sys
+from contextlib import closing
 
 import foxglove_client as peer
 import pytest
 import warm
 from schema import held
+from waiting import Program
 from websockets.exceptions import InvalidStatus
+
+from edoras_tools.io.formats.open import open_file
 
 TWIST = "geometry_msgs/msg/Twist"
 CDR = bytes.fromhex("00010000") + struct.pack("<6d", 0.5, 0, 0, 0, 0, -1)
@@ -44,6 +48,30 @@ def started(command):
     for process in running:
         process.kill()
         process.communicate()
+
+
+@pytest.mark.long
+def test_a_capture_through_a_pipe_is_shown_as_it_comes(command, captures, missions, tmp_path):
+    """As of ``tcpdump -U -w - | edoras live -``: what was written is shown while the pipe is open."""
+    data = captures("a_rover").read_bytes()
+    half = len(data) // 2  # in the middle of a packet
+    words = [command, "live", "-", "--live", "0", "-o", tmp_path / "a.mcap", *missions("rover_ground")]
+    with Program(*words, stdin=subprocess.PIPE) as program:
+        pipe = program.process.stdin.buffer
+        pipe.write(data[:half])
+        pipe.flush()
+        url = program.line(program.err).rpartition("ds.url=")[2].strip()
+        with peer.Client(url, 7) as client:
+            client.subscribe("/cmd_vel")
+            pipe.write(data[half : half + 20_000])
+            pipe.flush()
+            client.until(lambda: client.messages)
+            pipe.write(data[half + 20_000 :])
+            pipe.close()
+            client.until(lambda: len(client.messages) > 200)
+        program.end(None)
+    with closing(open_file(tmp_path / "a.mcap")) as source:
+        assert sum(map(len, source.batches())) == 1827
 
 
 def interrupt(process):

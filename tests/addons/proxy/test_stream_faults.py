@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edoras_tools.addons.proxy.stream_faults import StreamFaults
 from edoras_tools.errors import ConfigError
 from edoras_tools.sessions.faults.rules import parse_rule
-from edoras_tools.sessions.faults.streams import StreamFaults
 
 SECOND = 1_000_000_000
 
