@@ -39,10 +39,10 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(57_664, 150, 58_000),
-    "lines with code, all": Limit(88_132, 150, 84_000),  # with what is still to come
-    "files": Limit(578, 10, 450),
-    "files below 170 lines, of 1,000": Limit(426, 10, 500),  # a median of 170 lines or more
+    "lines with code, core": Limit(57_782, 150, 58_000),
+    "lines with code, all": Limit(88_756, 150, 84_000),  # with what is still to come
+    "files": Limit(584, 10, 450),
+    "files below 170 lines, of 1,000": Limit(432, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
     "files that record runs through": Limit(122, 2, 80),
     "files that sniff --where runs through": Limit(115, 2, 80),
