@@ -170,6 +170,12 @@ ADDONS: Final = (
                 "cli.sweep:sweep",
                 before="proxy",
             ),
+            "experiment": ListedCommand(
+                "Try",
+                "Make many runs of a system, and say what each setting loses.",
+                "cli.experiment:experiment",
+                before="samples",
+            ),
             "demo": ListedCommand(
                 "Try",
                 "Show the main features, or run a demo of the paper.",

@@ -150,6 +150,7 @@ class Transmission:
         recording: Callable[[Wire], SentRecording] | None = None,
         expected: AwaitedResults | None = None,
         ready: Callable[[Endpoint], None] = lambda _: None,
+        wire: Wire | None = None,
     ) -> SendReport:
         """Open the sockets and send.
 
@@ -160,6 +161,7 @@ class Transmission:
             recording: makes a recording of the wire.
             expected: what has to come back.
             ready: called with the endpoint that receives answers, once the sockets are open.
+            wire: in place of sockets; its first end receives the answers.
 
         Raises:
             CaptureError: a socket or the recording cannot be opened; later errors are in
@@ -175,19 +177,10 @@ class Transmission:
             to_ci=options.follows_ci,
         )
         with ExitStack() as stack:
-            is_sbn = options.to is Receiver.SBN
-            transmitter = _transmitter(options)
-            stack.enter_context(transmitter)
-            listeners: list[tuple[Link, Listener]] = []
-            if options.listen is not None and not (is_sbn or options.to.sending):
-                listener = stack.enter_context(Listener(options.listen))
-                listeners.append((carrying("ground", to_cfs=options.to is not Receiver.CI), listener))
-            local = listeners[0][1].local if listeners else transmitter.local
-            if options.events is not None:
-                with suppress(CaptureError):  # a bridge that has the port is told of the events
-                    listener = stack.enter_context(Listener(options.events))
-                    listeners.append((carrying("ground", to_cfs=False), listener))
-            wire: Wire = UdpWire(transmitter, options.to.link, listeners, [keys.fileno()] if keys else ())
+            if wire is None:
+                wire, local = self._open(stack, keys)
+            else:
+                local = wire.ends[0]
             recorded = recording(wire) if recording else None
             wire = recorded or wire
             session = self._session(wire.now())
@@ -225,6 +218,23 @@ class Transmission:
                 report.failure = report.failure or error
             report.losses = list(recorded.losses)
         return report
+
+    def _open(self, stack: ExitStack, keys: Keys | None) -> tuple[Wire, Endpoint]:
+        """Open the sockets; return them as a wire, and where answers are received."""
+        options = self.options
+        is_sbn = options.to is Receiver.SBN
+        transmitter = _transmitter(options)
+        stack.enter_context(transmitter)
+        listeners: list[tuple[Link, Listener]] = []
+        if options.listen is not None and not (is_sbn or options.to.sending):
+            listener = stack.enter_context(Listener(options.listen))
+            listeners.append((carrying("ground", to_cfs=options.to is not Receiver.CI), listener))
+        local = listeners[0][1].local if listeners else transmitter.local
+        if options.events is not None:
+            with suppress(CaptureError):  # a bridge that has the port is told of the events
+                listener = stack.enter_context(Listener(options.events))
+                listeners.append((carrying("ground", to_cfs=False), listener))
+        return UdpWire(transmitter, options.to.link, listeners, [keys.fileno()] if keys else ()), local
 
     def _unanswered(self, responses: Responses, local: Endpoint) -> Iterator[str]:
         """Yield why nothing shows whether cFS read what was sent to CI."""

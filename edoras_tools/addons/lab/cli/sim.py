@@ -55,8 +55,8 @@ def sim(
 
     from edoras_tools.addons.lab.emulator import Simulation, serve
     from edoras_tools.addons.lab.emulator.messages import bus_id
-    from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of
-    from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
+    from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of, with_limit
+    from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.interrupt import on_interrupt
 
@@ -65,17 +65,12 @@ def sim(
     built = options.DecodingOptions(config=config, set_values=flight.set_values).merged()
     bench = built.settings(constants=True).workbench()
     profile = mission_profile(bench)
-    limit = flight.limit or profile.to_default_limit
     # The lab's table names the first processor too: each of its cFS has the others as peers.
     first = SimProfile()
     table = (SbnPeerConfig(first.peer, first.sbn_port), *profile.sbn_peers)
     peers = tuple(replace(peer, address=address) for peer in table if peer.peer != profile.peer)
-    limits = {msg_id: limit if room == first.to_default_limit else room for msg_id, room in TO_TABLE.items()}
-    limits |= {msg_id: room for msg_id, room in profile.to_limits.items() if msg_id in profile.stated}
     profile = replace(
-        profile,
-        to_default_limit=limit,
-        to_limits=limits,
+        with_limit(profile, flight.limit or profile.to_default_limit),
         msg_max=flight.msg_max or profile.msg_max,
         extended_header=flight.extended_header or profile.extended_header,
         msg_id_version=max(profile.msg_id_version, flight.msg_id_version),

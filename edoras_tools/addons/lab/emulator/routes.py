@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from edoras_tools.addons.lab.emulator.messages import JOINT_STATE, POSE, POSE_STAMPED, TWIST
-from edoras_tools.cfs.profile import FLIGHT_BRIDGE, SbnPeerConfig, SimProfile
+from edoras_tools.cfs.profile import FLIGHT_BRIDGE, TO_TABLE, SbnPeerConfig, SimProfile
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import Peer
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
@@ -116,3 +116,11 @@ def mission_profile(bench: Workbench) -> SimProfile:
         extended_header=headers.extended,
         msg_id_version=headers.msg_ids.version,
     )
+
+
+def with_limit(profile: SimProfile, limit: int) -> SimProfile:
+    """Return constants with the limit of every MsgId at Telemetry Output of which nobody said another one."""
+    usual = SimProfile().to_default_limit
+    limits = {msg_id: limit if room == usual else room for msg_id, room in TO_TABLE.items()}
+    limits |= {msg_id: room for msg_id, room in profile.to_limits.items() if msg_id in profile.stated}
+    return replace(profile, to_default_limit=limit, to_limits=limits)

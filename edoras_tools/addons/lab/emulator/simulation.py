@@ -144,17 +144,22 @@ class Simulation:
         self.ground: GroundBridge | None = None
         self.flight: FlightBridge | None = None
         if bridges:
-            commands = _on_links(routes.commands, profile)
-            command_type = routes.types[routes.commands[0]] if commands else ""
-            operator = GroundOperator(
-                command_type, commands, command_rate_hz, count=command_count, routes=routes
-            )
-            ground = Endpoint(profile.address, profile.to_port)
-            self.ground = GroundBridge(self._scheduler, ground, self.cfs.ci_endpoint, operator, self._send)
-            self.ground.headers = headers_of(profile)
-            if routes.flight:
-                self.flight = self._flight(profile, state_rate_hz)
-                self.flight.headers, self.flight.routes = headers_of(profile), routes
+            self.connect(command_rate_hz, state_rate_hz, command_count)
+
+    def connect(
+        self, command_rate_hz: float, state_rate_hz: float = 5.0, command_count: int | None = None
+    ) -> None:
+        """Start the bridges now; see ``__init__``."""
+        profile, routes = self.cfs.profile, self.routes
+        commands = _on_links(routes.commands, profile)
+        command_type = routes.types[routes.commands[0]] if commands else ""
+        operator = GroundOperator(command_type, commands, command_rate_hz, count=command_count, routes=routes)
+        ground = Endpoint(profile.address, profile.to_port)
+        self.ground = GroundBridge(self._scheduler, ground, self.cfs.ci_endpoint, operator, self._send)
+        self.ground.headers = headers_of(profile)
+        if routes.flight:
+            self.flight = self._flight(profile, state_rate_hz)
+            self.flight.headers, self.flight.routes = headers_of(profile), routes
 
     def _flight(self, profile: SimProfile, rate_hz: float) -> FlightBridge:
         if profile.sbn_tcp:

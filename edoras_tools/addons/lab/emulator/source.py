@@ -75,6 +75,24 @@ class SimulatedSource(_SimulationSource):
                 yield self._batch(sent)
 
 
+class WireSource(_SimulationSource):
+    """A ``Source`` over what went over the wires of a simulation before.
+
+    Args:
+        simulation: whose datagrams they are.
+        carried: in order of time.
+    """
+
+    def __init__(self, simulation: Simulation, carried: Sequence[WireDatagram]) -> None:
+        super().__init__(simulation)
+        self._carried = carried
+
+    def batches(self) -> Iterator[PacketBatch]:
+        """Yield all of it."""
+        if self._carried:
+            yield self._batch(self._carried)
+
+
 class RealTimeSource(_SimulationSource):
     """A ``Source`` over a simulation that goes by the host's clock, without sockets.
 

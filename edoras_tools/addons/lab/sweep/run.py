@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.addons.lab.emulator.routes import routes_of
+from edoras_tools.addons.lab.emulator.wire import SimulatedWire
 from edoras_tools.addons.lab.sweep import plan as packets
 from edoras_tools.addons.lab.sweep.judge import Judge, StepOutcome, Sweep, SweepStep
 from edoras_tools.addons.lab.sweep.line import COMMAND_NS, Line, reset_filters
@@ -17,8 +18,8 @@ from edoras_tools.cfs import software_bus
 from edoras_tools.cfs.limits import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
 from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.net.transmit import Listener, SendStatistics, Transmitter
-from edoras_tools.io.net.wire import Arrival, UdpWire, Wire, precise_timing
+from edoras_tools.io.net.transmit import Listener, Transmitter
+from edoras_tools.io.net.wire import UdpWire, Wire, precise_timing
 from edoras_tools.links.table import carrying
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.sending.options import called
@@ -36,53 +37,6 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.pipelines.workbench import Workbench
-
-
-class SimulatedWire:
-    """A ``Wire`` to an emulated cFS; its clock is the simulation's.
-
-    Args:
-        simulation: without bridges, because the wire replaces them.
-        target: where datagrams go.
-        own: where answers are received.
-        link: the link of the answers.
-    """
-
-    def __init__(self, simulation: Simulation, target: Endpoint, own: Endpoint, link: Link) -> None:
-        self.statistics = SendStatistics()
-        self._simulation, self._target, self._own, self._link = simulation, target, own, link
-        self.ends = own, target
-        self._arrived: list[Arrival] = []
-
-    def now(self) -> int:
-        """Return the simulation's time in ns."""
-        return self._simulation.now
-
-    def epoch_ns(self) -> int:
-        """Return 0: the simulation starts in 1970."""
-        return 0
-
-    def wait(self, until_ns: int) -> bool:
-        """Run the simulation until that time."""
-        for item in self._simulation.run(until_ns):
-            if item.destination == self._own:
-                self._arrived.append(Arrival(self._link, item.payload, item.source, item.destination))
-        return True
-
-    def put(self, payload: bytes) -> bool:
-        """Deliver a datagram to the simulation now."""
-        self._simulation.feed(self._simulation.now, self._target, payload)
-        self.statistics.sent += 1
-        return True
-
-    def send(self, out: Outgoing, first: int, last: int) -> int:
-        """Deliver datagrams ``first`` up to ``last``, not included, now."""
-        return sum(self.put(out[index]) for index in range(first, last))
-
-    def receive(self) -> list[Arrival]:
-        """Return what has arrived."""
-        arrived, self._arrived = self._arrived, []
-        return arrived
 
 
 def profile_of(plan: SweepPlan, mission: Mission) -> SimProfile:
@@ -145,13 +99,13 @@ def sweep(
     plan: SweepPlan,
     bench: Workbench,
     *,
-    trying: Callable[[int, int], None] = lambda *_: None,
+    trying: Callable[[str], None] = lambda _: None,
     ready: Callable[[Endpoint], None] = lambda _: None,
 ) -> Sweep:
     """Run a plan.
 
     Args:
-        trying: called with rate and size before each step.
+        trying: called before each step, with a text for the user.
         ready: called with the receiving endpoint, once it is open.
 
     Raises:
@@ -203,7 +157,7 @@ class _Sweeper:
         wire: Wire,
         name: str,
         local: Endpoint,
-        trying: Callable[[int, int], None],
+        trying: Callable[[str], None],
     ) -> None:
         self.plan, self.bench, self.result, self._trying = plan, bench, result, trying
         self.observer = Observer(bench, plan.route)
@@ -267,7 +221,7 @@ class _Sweeper:
         while (value := search.next) is not None and not self.line.stopped.is_set():
             rate, size = (plan.rates[0], value) if plan.by_size else (value, plan.sizes[0])
             size = size or packets.natural_size(plan.route, self.bench)
-            self._trying(rate, size)
+            self._trying(f"{rate:,} Hz, {size:,} bytes")
             outcome = self._commands(rate, size) if plan.to_cfs else self._telemetry(rate, size)
             if self.line.stopped.is_set():
                 return
@@ -351,7 +305,7 @@ class _Sweeper:
         while self.line.now() < end and not self.line.stopped.is_set():
             observer.go_on(self.line.epoch())
             before = observer.mark()
-            self._trying(0, 0)
+            self._trying("watching")
             self.line.command(reset_filters(self.plan.headers))
             self.line.listen(plan.step_ns - COMMAND_NS)
             if self.line.stopped.is_set():

@@ -119,14 +119,13 @@ def threshold_line(summary: Mapping[str, Any]) -> str:
 
 
 @contextmanager
-def step_status(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that shows the current step, on a terminal."""
+def step_status(*, quiet: bool) -> Iterator[Callable[[str], None]]:
+    """Yield a function that shows what is tried now, on a terminal."""
     if quiet or not detect_terminal(sys.stderr).interactive:
-        yield lambda *_: None
+        yield lambda _: None
         return
 
-    def show(rate: int, size: int) -> None:
-        text = f"{rate:,} Hz, {size:,} bytes" if rate else "watching"
+    def show(text: str) -> None:
         sys.stderr.write(f"\r\x1b[K{text} ...  Ctrl-C ends")
         sys.stderr.flush()
 

@@ -1,0 +1,295 @@
+"""Carries out a plan: each run is recorded, diagnosed and kept, so that an experiment can be resumed.
+
+1. A run is ``DIR/CELL/NNN.mcap`` and ``NNN.json``. Without the second it is made again.
+2. Phases and latencies come from the plan's seed, the cell and the number of the run: the same run is the
+   same whenever it is made.
+3. Commands end before the run does, so that the last of them are counted, too.
+4. A cell has enough runs when the loss of every topic is known to the plan's width, or the plan has no more.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from importlib.resources import as_file, files
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.addons.lab.emulator import BOOT_NS, MISSIONS, Simulation
+from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of, with_limit
+from edoras_tools.addons.lab.emulator.source import SimulatedSource, WireSource
+from edoras_tools.addons.lab.emulator.wire import SimulatedWire
+from edoras_tools.addons.lab.experiment.plan import RATE, Cell, ExperimentPlan
+from edoras_tools.diagnosis.accounts import latency_ms
+from edoras_tools.errors import ConfigError, InterruptError
+from edoras_tools.intervals import Interval, mean_interval
+from edoras_tools.io.net.address import parse_endpoint
+from edoras_tools.io.outputs import write_bytes
+from edoras_tools.links.table import carrying
+from edoras_tools.pipelines.capture.record import Target, record
+from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.sending.options import Receiver, SendOptions, receiver
+from edoras_tools.pipelines.sending.recording import SentRecording
+from edoras_tools.pipelines.sending.replay import ReplaySelection, changes_for, load_datagrams
+from edoras_tools.pipelines.sending.run import Transmission
+from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from edoras_tools.diagnosis.examination import Diagnosis
+    from edoras_tools.errors import EdorasError
+    from edoras_tools.io import Source
+    from edoras_tools.model import Endpoint
+    from edoras_tools.pipelines.sending.loop import SendReport
+
+_PHASES_NS: Final = SECOND
+"""Rounds of cFS's tasks go into a second."""
+_BEGIN_NS: Final = 1_767_225_600 * SECOND
+_APART_NS: Final = 600 * SECOND
+"""Emulated runs begin in 2026, so far apart."""
+_DRAINS_NS: Final = 4 * SECOND
+"""Until the counters of the last commands have come."""
+PLAN, REPORT = "plan.json", "report.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run of a cell.
+
+    Attributes:
+        topics: what became of each, by name: ``sent``, ``lost``, ``rate_hz``, ``delay_ms``.
+        account: what the emulated cFS itself lost: hop, MsgId, how, how many.
+    """
+
+    topics: Mapping[str, Mapping[str, Any]]
+    account: Sequence[tuple[str, int, str, int]] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class CellReport:
+    """What is known of a cell.
+
+    Attributes:
+        cell: its scenario and settings.
+        runs: in order.
+        width: to which loss was to be known; 0: to any.
+    """
+
+    cell: Cell
+    runs: Sequence[Run]
+    width: float
+
+    def topics(self) -> Iterator[tuple[str, dict[str, Interval | None]]]:
+        """Yield each topic with the intervals of its means: loss as a share, rate in Hz, delay in ms."""
+        for name in dict.fromkeys(name for run in self.runs for name in run.topics):
+            own = [run.topics[name] for run in self.runs if name in run.topics]
+            shares = [item["lost"] / item["sent"] for item in own if item["sent"]]
+            least = min((item["sent"] for item in own if item["sent"]), default=0)
+            yield (
+                name,
+                {
+                    "loss": _within(mean_interval(shares, 1 / least)) if shares else None,
+                    **{key: _mean([item[key] for item in own]) for key in ("rate_hz", "delay_ms")},
+                },
+            )
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the loss of every topic is known well enough."""
+        losses = [item["loss"] for _, item in self.topics()]
+        return bool(self.width) and all(item is None or item.half_width <= self.width for item in losses)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``experiment --json``."""
+        topics = [
+            {
+                "topic": name,
+                **{key: None if item is None else item._asdict() for key, item in intervals.items()},
+            }
+            for name, intervals in self.topics()
+        ]
+        return {
+            "cell": self.cell.name,
+            "scenario": self.cell.scenario or None,
+            "settings": dict(self.cell.settings),
+            "runs": len(self.runs),
+            "known": self.is_known if self.width else None,
+            "topics": topics,
+        }
+
+
+def _within(interval: Interval) -> Interval:
+    """Cut the interval of a share to what a share can be."""
+    return Interval(interval.mean, max(0.0, interval.low), min(1.0, interval.high))
+
+
+def _mean(values: Sequence[float | None]) -> Interval | None:
+    known = [item for item in values if item is not None]
+    return mean_interval(known) if len(known) > 1 else None
+
+
+class Experiment:
+    """A plan and its folder.
+
+    Args:
+        plan: what to try.
+        folder: of the runs; made where it is not there.
+
+    Raises:
+        ConfigError: the folder has runs of another plan, or the plan cannot be carried out.
+    """
+
+    def __init__(self, plan: ExperimentPlan, folder: Path) -> None:
+        self.plan, self.folder = plan, folder
+        kept = folder / PLAN
+        text = json.dumps(plan.as_json(), indent=1, sort_keys=True)
+        if kept.exists() and kept.read_text() != text:
+            raise ConfigError(f"{folder}: has runs of another plan; name another folder with -o")
+        self.benches = {cell.name: _Bench(plan, cell) for cell in plan.cells()}
+        write_bytes(kept, text.encode(), folders=True)
+
+    def run(self, on_run: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
+        """Make the runs that are not there; write what is known of each cell, and return it.
+
+        Args:
+            on_run: called before each run, with a text for the user.
+
+        Returns:
+            the shape of ``experiment --json``.
+
+        Raises:
+            CaptureError: a run cannot be made, or not be written; of Ctrl-C an ``InterruptError``.
+        """
+        reports = []
+        for index, (name, bench) in enumerate(self.benches.items()):
+            report = CellReport(bench.cell, [], self.plan.width)
+            while len(report.runs) < self.plan.most:
+                if len(report.runs) >= self.plan.least and (not self.plan.width or report.is_known):
+                    break
+                number = len(report.runs) + 1
+                path = self.folder / name / f"{number:03}.mcap"
+                result = path.with_suffix(".json")
+                if not result.exists():
+                    on_run(f"{name}, run {number}")
+                    write_bytes(result, json.dumps(bench.run(path, index, number)).encode(), folders=True)
+                report = replace(report, runs=[*report.runs, Run(**json.loads(result.read_text()))])
+            reports.append(report.as_json())
+        whole = {"schema": 1, "folder": str(self.folder), "cells": reports}
+        write_bytes(self.folder / REPORT, json.dumps(whole, indent=1).encode())
+        return whole
+
+
+class _Bench:
+    """Makes the runs of one cell."""
+
+    def __init__(self, plan: ExperimentPlan, cell: Cell) -> None:
+        self.plan, self.cell = plan, cell
+        self._constants = {name: int(value) for name, value in cell.settings.items() if name != RATE}
+
+    @cached_property
+    def bench(self) -> Workbench:
+        """The mission and its decoders."""
+        with ExitStack() as stack:
+            paths = self.plan.missions
+            if not paths and self.cell.scenario:
+                samples = stack.enter_context(as_file(files("edoras_tools.samples")))
+                paths = [samples / f"missions/{name}.yaml" for name in MISSIONS[self.cell.scenario]]  # type: ignore[index]
+            return Settings(paths, constants=self._constants).workbench()
+
+    def run(self, path: Path, index: int, number: int) -> dict[str, Any]:
+        """Make a run, record it, and return what became of its messages."""
+        chance = random.Random(f"{self.plan.seed} {self.cell.name} {number}")  # noqa: S311  repeatable
+        path.parent.mkdir(parents=True, exist_ok=True)
+        account: Sequence[tuple[str, int, str, int]] = ()
+        if self.cell.scenario:
+            simulation = self.simulation(chance, _BEGIN_NS + (number * 1000 + index) * _APART_NS)
+            begin_ns = simulation.now
+            target = Target(path, replace=True, jobs=1)
+            _whole(record(self.emulated(simulation), self.bench.fresh(), target).failure)
+            losses = sorted(simulation.cfs.account.losses(begin_ns).items())
+            account = [(hop, msg_id, end.name, count) for (hop, msg_id, end), count in losses]
+        else:
+            recording = partial(SentRecording, target=Target(path, replace=True), bench=self.bench.fresh())
+            _sent(self._transmission().run(recording=recording))
+        source = open_files([path])
+        findings = examine(source, self.bench.fresh())
+        _whole(findings.failure)
+        return {"topics": topics_of(findings.diagnosis), "account": account}
+
+    def simulation(self, chance: random.Random, start_ns: int) -> Simulation:
+        """Boot an emulated cFS, and let it run up to a phase of its rounds that is drawn by lot."""
+        profile = mission_profile(self.bench)
+        profile = replace(with_limit(profile, profile.to_default_limit), seed=chance.getrandbits(31))
+        routes: Any = routes_of(self.bench) if self.plan.missions else self.cell.scenario
+        simulation = Simulation(profile, routes, start_ns=start_ns, bridges=False, with_account=True)
+        for _ in simulation.run(start_ns + BOOT_NS + chance.randrange(_PHASES_NS)):
+            pass
+        return simulation
+
+    def emulated(self, simulation: Simulation) -> Source:
+        """Return the traffic of a run as a source."""
+        if self.plan.replay is None:
+            rate, duration_ns = self.cell.settings.get(RATE, 5.0), self.plan.duration_ns
+            simulation.connect(rate, command_count=round(rate * duration_ns / SECOND))
+            return SimulatedSource(simulation, duration_ns + _DRAINS_NS)
+        transmission = self._transmission()
+        is_sbn = transmission.options.to is Receiver.SBN
+        target = simulation.cfs.sbn_endpoint if is_sbn else simulation.cfs.ci_endpoint
+        answers = carrying("flight" if is_sbn else "ground", to_cfs=False)
+        own = transmission.options.listen
+        assert own is not None
+        wire = SimulatedWire(simulation, target, own, answers, keeps_all=True)
+        _sent(transmission.run(wire=wire))
+        return WireSource(simulation, wire.carried)
+
+    def _transmission(self) -> Transmission:
+        """Return what is sent, and how."""
+        plan, bench = self.plan, self.bench.fresh()
+        assert plan.replay is not None
+        target: Endpoint | None = parse_endpoint(plan.target) if plan.target else None
+        to, _ = receiver(plan.to, bench.columns.context)
+        rate = self.cell.settings.get(RATE)
+        waits = ("to-enabled",) if to is Receiver.CI else ()
+        options = SendOptions(
+            to=to,
+            target=target,
+            wait_for=waits,
+            rates=(("*", rate),) if rate else (),
+            confirmed=bool(target),  # the command asks before the first run
+        ).placed(bench.mission)
+        loaded = load_datagrams(open_files([plan.replay]), bench, options, ReplaySelection())
+        changes = changes_for(options, {}, bench.mission, bench.types, restamp=False)
+        return Transmission.of(loaded, options, bench.mission, changes)
+
+
+def _whole(failure: EdorasError | None) -> None:
+    """Raise why a run is not whole."""
+    if failure is not None:
+        raise failure
+
+
+def _sent(report: SendReport) -> None:
+    """Raise why not all was sent."""
+    _whole(InterruptError("interrupted while it was sent") if report.interrupted else report.failure)
+
+
+def topics_of(diagnosis: Diagnosis) -> dict[str, dict[str, Any]]:
+    """Return what became of each topic: messages, rate, and the delay that 99 percent keep to."""
+    rows: dict[str, dict[str, Any]] = {}
+    configured = set(diagnosis.topics.values())
+    for line in diagnosis.headlines:
+        if line.topic in configured:
+            row = rows.setdefault(line.topic, {"sent": 0, "lost": 0, "rate_hz": None, "delay_ms": None})
+            row["sent"] += line.sent
+            row["lost"] += line.missing
+    for item in diagnosis.routes:
+        if row := rows.get(item["topic"] or "", {}):
+            row["rate_hz"] = (row["rate_hz"] or 0.0) + item["rate_hz"]
+            delays = [value for value in (row["delay_ms"], latency_ms(item)) if value is not None]
+            row["delay_ms"] = max(delays, default=None)
+    return rows

@@ -1,0 +1,119 @@
+"""Intervals from few runs: where a mean lies, and where the next run will lie.
+
+1. A quantile of Student's t comes from the finite sums for whole degrees of freedom (Abramowitz and Stegun,
+   26.7.3 and 26.7.4), one of chi square from Wilson and Hilferty's cube root, a tolerance factor from Howe
+   (1969): errors of the last two are below 2 percent of the factor.
+2. A count is whole, so equal counts in all runs do not show that there is no spread: rounding alone spreads
+   values by their step divided by the root of 12.
+"""
+
+from __future__ import annotations
+
+from math import atan, cos, pi, sin, sqrt
+from statistics import NormalDist, fmean, variance
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+CONFIDENCE: Final = 0.95
+_CONTENT: Final = 0.99
+"""Share of all runs that a tolerance interval holds, with ``CONFIDENCE``."""
+
+
+class Interval(NamedTuple):
+    """Where a value lies.
+
+    Attributes:
+        mean: of what was seen.
+        low: at least.
+        high: at most.
+    """
+
+    mean: float
+    low: float
+    high: float
+
+    @property
+    def half_width(self) -> float:
+        """Half the distance from ``low`` to ``high``."""
+        return (self.high - self.low) / 2
+
+
+def t_quantile(probability: float, freedom: int) -> float:
+    """Return what Student's t exceeds with ``1 - probability``.
+
+    Args:
+        probability: between 0.5 and 1.
+        freedom: degrees of freedom, 1 or more.
+    """
+    low, high = 0.0, 1.0
+    while _t_within(high, freedom) < 2 * probability - 1:
+        high *= 2
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _t_within(middle, freedom) < 2 * probability - 1 else (low, middle)
+    return high
+
+
+def _t_within(value: float, freedom: int) -> float:
+    """Return the probability that Student's t is between ``-value`` and ``value``."""
+    angle = atan(value / sqrt(freedom))
+    odd = freedom % 2
+    term, total = (cos(angle) if odd else 1.0), 0.0
+    for place in range(2 + odd, freedom + 1, 2):
+        total += term
+        term *= cos(angle) ** 2 * (place - 1) / place
+    return 2 / pi * (angle + sin(angle) * total) if odd else sin(angle) * total
+
+
+def mean_interval(values: Sequence[float], step: float = 0.0) -> Interval:
+    """Return where the mean of all possible runs lies, with ``CONFIDENCE``; of one value only its step tells.
+
+    Args:
+        values: one of each run, at least one.
+        step: between two values next to each other, as 1 / 160 for a share of 160 messages.
+    """
+    mean, count = fmean(values), len(values)
+    if count < 2:
+        return Interval(mean, mean - 1, mean + 1) if step else Interval(mean, mean, mean)
+    deviation = sqrt(variance(values) + step * step / 12)
+    half = t_quantile((1 + CONFIDENCE) / 2, count - 1) * deviation / sqrt(count)
+    return Interval(mean, mean - half, mean + half)
+
+
+def difference_interval(before: Sequence[float], after: Sequence[float], step: float = 0.0) -> Interval:
+    """Return by how much the mean of later runs is above that of earlier ones (Welch's interval).
+
+    Args:
+        before: values of at least two runs.
+        after: likewise.
+        step: see ``mean_interval``.
+    """
+    parts = [(variance(item) + step * step / 12) / len(item) for item in (before, after)]
+    mean, whole = fmean(after) - fmean(before), sum(parts)
+    if not whole:
+        return Interval(mean, mean, mean)
+    below = sum(part**2 / (len(item) - 1) for part, item in zip(parts, (before, after), strict=True))
+    half = t_quantile((1 + CONFIDENCE) / 2, max(1, int(whole**2 / below))) * sqrt(whole)
+    return Interval(mean, mean - half, mean + half)
+
+
+def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> Interval:
+    """Return where nearly all runs lie: ``_CONTENT`` of them, with ``CONFIDENCE``.
+
+    Args:
+        values: one of each run, at least one.
+        spread: standard deviation that was to be expected before any run.
+        freedom: how many runs that expectation is worth.
+    """
+    count = len(values)
+    seen = variance(values) * (count - 1) if count > 1 else 0.0
+    total = freedom + count - 1
+    deviation = sqrt((seen + freedom * spread * spread) / total)
+    normal = NormalDist()
+    part = 2 / (9 * total)
+    chi_square = total * (1 - part + normal.inv_cdf(1 - CONFIDENCE) * sqrt(part)) ** 3
+    half = normal.inv_cdf((1 + _CONTENT) / 2) * sqrt((1 + 1 / count) * total / chi_square) * deviation
+    mean = fmean(values)
+    return Interval(mean, mean - half, mean + half)
