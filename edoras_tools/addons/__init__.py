@@ -99,22 +99,17 @@ ADDONS: Final = (
         extra="archive",
     ),
     Addon(
-        "check",
+        "runs",
         commands={
             "check": ListedCommand(
-                "Explain", "Check a capture against expectations, or draft them.", "cli:check"
-            )
-        },
-    ),
-    Addon(
-        "compare",
-        commands={
+                "Explain", "Check a capture against expectations, or draft them.", "cli.check:check"
+            ),
             "compare": ListedCommand(
                 "Explain",
-                "Compare two runs by route: is the second one worse?",
-                "cli:compare",
+                "Compare runs by route: are the later ones worse?",
+                "cli.compare:compare",
                 before="check",
-            )
+            ),
         },
     ),
     Addon(

@@ -12,7 +12,7 @@ What leaves one queue arrives at the next: ``pass_queue`` is called again with t
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
@@ -137,6 +137,10 @@ class Queue:
     def limit(self, msg_id: int) -> int:
         """Return how many messages of a MsgId may wait."""
         return self.limits.get(msg_id, self.usual_limit)
+
+    def with_limit(self, msg_id: int, limit: int | None) -> Queue:
+        """Return the same with another limit of a MsgId, where there is one."""
+        return self if limit is None else replace(self, limits={**self.limits, msg_id: limit})
 
     def rate_hz(self, count: int) -> float:
         """Return how many messages a second are ``count`` a round."""

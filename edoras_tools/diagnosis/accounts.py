@@ -14,7 +14,7 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.crossing import Hop, Latency, latency_of
 from edoras_tools.diagnosis.matching.streams import comb
 from edoras_tools.model import NO_ROUTE
-from edoras_tools.units import SECOND
+from edoras_tools.units import rate_hz
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -46,7 +46,6 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
     refused = case.commands.fates[id(stream)].refused.total() if id(stream) in case.commands.fates else 0
     silent = case.unheard.get(id(stream))
     unreached = sum(item.number for item in case.unreached if item.stream is stream)
-    seconds = float(times[-1] - times[0]) / SECOND
     to_cfs = route.to_cfs if route else stream.is_command
     clean_hz, told_by = clean_rate(case, stream)
     rounds = comb(times)
@@ -63,7 +62,7 @@ def _row(case: Case, stream: Stream) -> dict[str, Any]:
         "sent": len(stream) if behind else len(stream) + lost,
         "seen": len(stream),
         "lost": lost + refused + unreached + (len(silent.lost) + len(silent.restarted) if silent else 0),
-        "rate_hz": round((len(stream) - 1) / seconds, 3) if seconds > 0 else 0.0,
+        "rate_hz": round(rate_hz(len(stream), int(times[-1] - times[0])), 3),
         "limit_hz": clean_hz,
         "limit_from": told_by,
         "counted": stream.counted,

@@ -109,13 +109,15 @@ class Arrivals:
         step_ns = np.median(np.diff(self.time_ns)) if len(self.time_ns) > 1 else 0
         return self.most(SECOND - step_ns / 2)
 
-    def lost(self, way: tuple[queues.Queue, ...], msg_id: int) -> list[int]:
+    def lost(self, way: tuple[queues.Queue, ...], msg_id: int, phases: int = _PHASES) -> list[int]:
         """Return how many of a MsgId a way through queues loses, at each of several phases."""
-        return [own for own, _ in self.lost_of(way, msg_id)]
+        return [own for own, _ in self.lost_of(way, msg_id, phases)]
 
-    def lost_of(self, way: tuple[queues.Queue, ...], msg_id: int) -> list[tuple[int, int]]:
+    def lost_of(
+        self, way: tuple[queues.Queue, ...], msg_id: int, phases: int = _PHASES
+    ) -> list[tuple[int, int]]:
         """Return how many of a MsgId, and how many others, a way loses, at each of several phases."""
-        return [self._lost(way, msg_id, at * way[-1].round_ns // _PHASES) for at in range(_PHASES)]
+        return [self._lost(way, msg_id, at * way[-1].round_ns // phases) for at in range(phases)]
 
     def _lost(self, way: tuple[queues.Queue, ...], msg_id: int, phase_ns: int) -> tuple[int, int]:
         inside = self
@@ -224,9 +226,9 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     slower = f"publish at most {_safe(rate):g} Hz"
     if loss.stream is None:
         return Advice(why, slower)
-    arrivals = _published(case, loss.stream).around(loss, queue.round_ns)
+    arrivals = published_into(case, loss.stream).around(loss, queue.round_ns)
     own = arrivals.only(msg_id)
-    now, fits = _with_limit(queue, msg_id, limit), False
+    now, fits = queue.with_limit(msg_id, limit), False
     if measured or loss.offered_hz > rate:
         fits = _explains(own.between(loss.start_ns, loss.end_ns).lost((now,), msg_id), loss.lost)
     slower = _spread(case, own, queue, limit, slower, ("published", "TO" if output else "SBN"))
@@ -234,7 +236,7 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     if not output:
         return Advice(why, slower, slow)
     need = min(_MOST, max(own.most(queue.round_ns * _LATE) + 1, limit + 1 if fits else 2 * limit))
-    higher = arrivals.lost_of((_with_limit(queue, msg_id, need),), msg_id)
+    higher = arrivals.lost_of((queue.with_limit(msg_id, need),), msg_id)
     left, others = max(own for own, _ in higher), sum(other for _, other in higher)
     if left or others > sum(other for _, other in arrivals.lost_of((now,), msg_id)):
         return Advice(why, slower, slow)
@@ -245,10 +247,6 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
 def _safe(rate_hz: float) -> float:
     """Return a rate that gets through even where rounds are a little late, in tenths of Hz."""
     return math.floor(rate_hz / _LATE * 10) / 10
-
-
-def _with_limit(queue: queues.Queue, msg_id: int, limit: int) -> queues.Queue:
-    return replace(queue, limits={**queue.limits, msg_id: limit})
 
 
 def _explains(model: list[int], lost: int, waiting: int = 0) -> bool:
@@ -281,7 +279,7 @@ def _spread(
     return f"{slower} (up to {own.rate():,} a second were {did})"
 
 
-def _published(case: Case, stream: Stream) -> Arrivals:
+def published_into(case: Case, stream: Stream) -> Arrivals:
     """Return all that went into the pipe that a stream came out of, with what was lost of it."""
     alike = [
         (item.msg_id, published_at(case, item))
@@ -370,7 +368,7 @@ def _at_application(case: Case, loss: Loss) -> Advice:
         slower += f" in all, {_safe(clean / senders):g} Hz each of {plural(senders, 'sender')}"
     slower = _spread(case, own, pipe, limit, slower, ("sent", "the application's task"))
     need = min(own.most(pipe.round_ns * _LATE) + 1, pipe.depth if over_network else socket.reads)
-    higher = (*way[:-1], _with_limit(pipe, stream.msg_id, need))
+    higher = (*way[:-1], pipe.with_limit(stream.msg_id, need))
     if need > limit and not max(arrivals.lost(higher, stream.msg_id)):
         slower += f", or {_subscribed(f'a limit of {need:,}')}"
     paced = arrivals.spaced(SECOND / _safe(clean), stream.msg_id)

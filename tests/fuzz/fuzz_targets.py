@@ -22,9 +22,9 @@ from mcap.reader import NonSeekingReader, make_reader
 from rich.console import Console as StringConsole
 from schema import check, published
 
-from edoras_tools.addons.compare.differences import Run, run_differences
-from edoras_tools.addons.compare.run import Runs
-from edoras_tools.addons.compare.views import runs_view
+from edoras_tools.addons.runs.differences import Run, run_differences
+from edoras_tools.addons.runs.comparison import Runs
+from edoras_tools.addons.runs.compare_views import runs_view
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.report.page import page
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options

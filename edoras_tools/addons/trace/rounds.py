@@ -25,7 +25,7 @@ from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import BUS, COUNTERS, Among
 from edoras_tools.diagnosis.advice import published_at, told_limit
 from edoras_tools.diagnosis.ledger import APPLICATION
-from edoras_tools.units import SECOND
+from edoras_tools.units import SECOND, rate_hz
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -322,8 +322,7 @@ def topic_rates(case: Case, stream: Stream, topic: str, window: int) -> TopicRat
     rounds = rounds_out(case, stream) if fate is None else rounds_into(case, stream)
     first = max(0, len(rounds) - window)
     times, out = rounds.time_ns[first:], rounds.out[first:]
-    seconds = float(times[-1] - times[0]) / SECOND
-    base = (len(times) - 1) / seconds if seconds > 0 else 0.0
+    base = rate_hz(len(times), int(times[-1] - times[0]))
     hops = [HopRate(APPLICATION if fate is None else "publisher", base, len(times), True, *_steps(times))]
     way = case.ledger.way(stream)
     hops += _inner(way, first, len(times), base)

@@ -19,7 +19,7 @@ from edoras_tools.links import table
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding, Link
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
-from edoras_tools.units import SECOND
+from edoras_tools.units import SECOND, rate_hz
 from edoras_tools.wire.arrays.order import by_value, numbered, quantiles
 from edoras_tools.wire.msg_id import VERSION_1
 
@@ -364,16 +364,12 @@ class Span:
     @property
     def rate_hz(self) -> float:
         """Rows a second."""
-        return _rate(self.count, self.seconds)
+        return rate_hz(self.count, self.end_ns - self.start_ns)
 
     @property
     def offered_hz(self) -> float:
         """Rows and missing counts a second."""
-        return _rate(self.count + self.missing, self.seconds)
-
-
-def _rate(count: int, seconds: float) -> float:
-    return (count - 1) / seconds if seconds > 0 and count > 1 else 0.0
+        return rate_hz(self.count + self.missing, self.end_ns - self.start_ns)
 
 
 def spans(stream: Stream, rows: Rows) -> list[Span]:

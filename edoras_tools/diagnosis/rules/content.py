@@ -10,7 +10,7 @@ from edoras_tools.diagnosis.rules.about import packet
 from edoras_tools.diagnosis.verdict import NOTHING_SENT, Severity, Verdict, verdict, warning
 from edoras_tools.links.table import link
 from edoras_tools.links.to import TO
-from edoras_tools.units import SECOND
+from edoras_tools.units import SECOND, rate_hz
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
@@ -107,7 +107,9 @@ def old_states(case: Case) -> Iterator[Verdict]:
         old = item.age_ns > rounds_ns
         if old.sum() < _LEAST:
             continue
-        sent, passed = (_rate_hz(times) for times in (item.sent_ns, item.time_ns))
+        sent, passed = (
+            rate_hz(len(times), int(times[-1] - times[0])) for times in (item.sent_ns, item.time_ns)
+        )
         last, oldest = int(np.flatnonzero(old)[-1]), int(item.age_ns.argmax())
         at = case.at(int(item.time_ns[oldest]))
         yield warning(
@@ -166,10 +168,6 @@ def _where(case: Case, item: WayContent) -> str:
     if item.out.link.last_hop:
         return "reached the robot"
     return f"came out as {case.name(item.out.msg_id)}"
-
-
-def _rate_hz(times: NDArray[np.int64]) -> float:
-    return (len(times) - 1) * SECOND / max(1, int(times[-1] - times[0]))
 
 
 def _first(case: Case, members: NDArray[np.intp]) -> str:

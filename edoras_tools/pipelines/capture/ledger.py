@@ -20,7 +20,7 @@ from edoras_tools.mission.report import printable
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketBatch
 from edoras_tools.ros.fitting import types_that_fit
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
-from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.units import MILLISECOND, SECOND, rate_hz
 from edoras_tools.wire.arrays.order import by_value, order_by
 from edoras_tools.words import plural
 
@@ -109,7 +109,7 @@ class Account:
     def rate_hz(self) -> float:
         """Messages per second between the first and the last of each run."""
         steps, span_ns = self._intervals
-        return steps / span_ns * 1e9 if span_ns > 0 else 0.0
+        return rate_hz(steps + 1, span_ns)
 
     @property
     def jitter_ms(self) -> float:

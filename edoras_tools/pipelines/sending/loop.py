@@ -26,7 +26,7 @@ from edoras_tools.io.processors import Precedence
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.sessions.outgoing import Changes, Outgoing
 from edoras_tools.sessions.pacing import Lateness, Timetable
-from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.units import MILLISECOND, SECOND, rate_hz
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -155,8 +155,7 @@ class SendReport:
     @property
     def achieved_hz(self) -> float | None:
         """Datagrams per second between the first and the last."""
-        span = self.last_ns - self.first_ns
-        return (self.sent - 1) * SECOND / span if self.sent > 1 and span > 0 else None
+        return rate_hz(self.sent, self.last_ns - self.first_ns) or None
 
     def summary(self) -> dict[str, Any]:
         """Return the shape of ``replay --json``."""

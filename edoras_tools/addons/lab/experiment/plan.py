@@ -58,7 +58,7 @@ class Cell:
     @property
     def name(self) -> str:
         """What it is called, also as a folder: ``rover,rate=5``."""
-        values = [f"{name}={value:g}" for name, value in self.settings.items()]
+        values = [f"{name}={value:.15g}" for name, value in self.settings.items()]
         return ",".join([self.scenario or "target", *values])
 
 

@@ -52,7 +52,7 @@ _PHASES_NS: Final = SECOND
 _BEGIN_NS: Final = 1_767_225_600 * SECOND
 _APART_NS: Final = 600 * SECOND
 """Emulated runs begin in 2026, so far apart."""
-_DRAINS_NS: Final = 4 * SECOND
+DRAINS_NS: Final = 4 * SECOND
 """Until the counters of the last commands have come."""
 PLAN, REPORT = "plan.json", "report.json"
 
@@ -150,7 +150,7 @@ class Experiment:
         text = json.dumps(plan.as_json(), indent=1, sort_keys=True)
         if kept.exists() and kept.read_text() != text:
             raise ConfigError(f"{folder}: has runs of another plan; name another folder with -o")
-        self.benches = {cell.name: _Bench(plan, cell) for cell in plan.cells()}
+        self.benches = {cell.name: CellBench(plan, cell) for cell in plan.cells()}
         write_bytes(kept, text.encode(), folders=True)
 
     def run(self, on_run: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
@@ -184,7 +184,7 @@ class Experiment:
         return whole
 
 
-class _Bench:
+class CellBench:
     """Makes the runs of one cell."""
 
     def __init__(self, plan: ExperimentPlan, cell: Cell) -> None:
@@ -236,7 +236,7 @@ class _Bench:
         if self.plan.replay is None:
             rate, duration_ns = self.cell.settings.get(RATE, 5.0), self.plan.duration_ns
             simulation.connect(rate, command_count=round(rate * duration_ns / SECOND))
-            return SimulatedSource(simulation, duration_ns + _DRAINS_NS)
+            return SimulatedSource(simulation, duration_ns + DRAINS_NS)
         transmission = self._transmission()
         is_sbn = transmission.options.to is Receiver.SBN
         target = simulation.cfs.sbn_endpoint if is_sbn else simulation.cfs.ci_endpoint

@@ -6,9 +6,9 @@ import pytest
 from effort import long_but
 from places import CAPTURES, MISSIONS, ROOT
 
-from edoras_tools.addons.check.draft import draft
-from edoras_tools.addons.check.expectations import load_expectations
-from edoras_tools.addons.check.run import check, junit
+from edoras_tools.addons.runs.draft import draft
+from edoras_tools.addons.runs.expectations import load_expectations
+from edoras_tools.addons.runs.check import check, junit
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import SimulatedSource
 from edoras_tools.cfs.profile import SimProfile

@@ -4,8 +4,8 @@ import inspect
 
 import pytest
 
-from edoras_tools.addons.check import expectations
-from edoras_tools.addons.check.expectations import EventExpectation, load_expectations
+from edoras_tools.addons.runs import expectations
+from edoras_tools.addons.runs.expectations import EventExpectation, load_expectations
 from edoras_tools.errors import ConfigError
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from edoras_tools.addons.compare.differences import Run, RunDifference, run_differences
+from edoras_tools.addons.runs.differences import Run, RunDifference, run_differences
 from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings, open_files

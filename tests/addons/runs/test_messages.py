@@ -6,10 +6,10 @@ import pytest
 from others import write_bag, write_studio
 from rosbags.rosbag2 import StoragePlugin
 
-from edoras_tools.addons.check.draft import draft
-from edoras_tools.addons.check.expectations import load_expectations
-from edoras_tools.addons.check.observation import NOT_OBSERVABLE
-from edoras_tools.addons.check.run import check
+from edoras_tools.addons.runs.draft import draft
+from edoras_tools.addons.runs.expectations import load_expectations
+from edoras_tools.addons.runs.observation import NOT_OBSERVABLE
+from edoras_tools.addons.runs.check import check
 from edoras_tools.errors import ConfigError
 from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.workbench import Settings

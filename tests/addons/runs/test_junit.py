@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from edoras_tools.addons.check.run import CheckReport, CheckResult, junit, write_junit
+from edoras_tools.addons.runs.check import CheckReport, CheckResult, junit, write_junit
 from edoras_tools.errors import CaptureError
 
 junitparser = pytest.importorskip("junitparser")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.addons.check.expectations import Expectations, FieldExpectation
+    from edoras_tools.addons.runs.expectations import Expectations, FieldExpectation
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.errors import EdorasError

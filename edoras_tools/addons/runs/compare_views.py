@@ -16,7 +16,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.addons.compare.differences import Run, RunDifference
+    from edoras_tools.addons.runs.differences import Run, RunDifference
 
 
 def runs_view(good: Run, bad: Run, changes: Sequence[RunDifference]) -> RenderableType:

@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from math import inf
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
@@ -58,12 +58,15 @@ if TYPE_CHECKING:
 _BOUND_FORM: Final = re.compile(r"(at least|at most|>=|<=)\s*(\S.*)|(\S+?)\s*\.\.\s*(\S.*)|(\S.*)")
 
 
+_TO_END: Final = " to the end"
+
+
 class Unit(Enum):
     """What a bound counts; the value is how one is written."""
 
     MESSAGES = "600, 590..610 or at least 1"
     BYTES = "76, 76..116 or at most 768"
-    RATE = "9..11 or at least 9 Hz"
+    RATE = "9..11, at least 9 Hz or 9..11 to the end"
     TIME = "at most 300ms or 1s..3s"
     LOSS = "0, at most 12 or at most 1%"
 
@@ -102,6 +105,8 @@ class Tolerance:
         low: the least.
         high: the most.
         share: both are shares of what was sent, from 0 to 1.
+        to_end: of a rate: the messages come to the end of the capture.
+        line: of the file.
     """
 
     text: str
@@ -109,6 +114,8 @@ class Tolerance:
     low: float = 0
     high: float = inf
     share: bool = False
+    to_end: bool = False
+    line: int = 0
 
     def holds(self, value: float) -> bool:
         """Return whether a value is accepted."""
@@ -121,7 +128,9 @@ def parse_bound(text: str, unit: Unit) -> Tolerance:
     Raises:
         ValueError: with what is allowed instead.
     """
-    match = _BOUND_FORM.fullmatch(text.strip())
+    plain = text.strip().removesuffix(_TO_END)
+    to_end = plain != text.strip()
+    match = _BOUND_FORM.fullmatch(plain)
     word, alone, low, high, exact = match.groups() if match else ("", "", "", "", "")
     numbers = [item for item in (alone, low, high, exact) if item]
     share = unit is Unit.LOSS and bool(numbers) and all(item.endswith("%") for item in numbers)
@@ -129,14 +138,20 @@ def parse_bound(text: str, unit: Unit) -> Tolerance:
     with suppress(ValueError):
         values = [float(item[:-1]) / 100 if share else unit.number(item) for item in numbers]
     never = exact and (share or unit in {Unit.RATE, Unit.TIME})  # a rate is never exactly so
-    if not values or never or values != sorted(values) or (share and not 0 <= values[-1] <= 1):
+    if (
+        not values
+        or never
+        or values != sorted(values)
+        or (share and not 0 <= values[-1] <= 1)
+        or (to_end and unit is not Unit.RATE)
+    ):
         raise ValueError(f"{text!r} is no bound; write {unit.value}")
     least, most = values[0], values[-1]
     if word in {"at least", ">="}:
         most = inf
     elif word:
         least = 0
-    return Tolerance(text.strip(), unit, least, most, share)
+    return Tolerance(text.strip(), unit, least, most, share, to_end)
 
 
 Sort: TypeAlias = Literal["always", "never", "at least once", "after"]
@@ -349,7 +364,7 @@ class _Reader:
         text = self._text(value, place)
         try:
             if text:
-                bounds[key] = parse_bound(text, unit)
+                bounds[key] = replace(parse_bound(text, unit), line=value.line)
         except ValueError as error:
             self.report.mistake(value.line, place, str(error))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -16,7 +17,10 @@ from edoras_tools.cli.output import file_progress, print_json, print_view
 from edoras_tools.errors import ConfigError, InterruptError
 
 if TYPE_CHECKING:
-    from edoras_tools.addons.check.observation import Examined
+    from edoras_tools.addons.runs.check import CheckReport
+    from edoras_tools.addons.runs.expectations import Expectations
+    from edoras_tools.addons.runs.observation import Examined
+    from edoras_tools.addons.runs.run import Run
     from edoras_tools.io import Source
     from edoras_tools.pipelines.doctor.scope import Scope
 
@@ -24,7 +28,8 @@ if TYPE_CHECKING:
 class CheckOptions(NamedTuple):
     """What is done with the expectations."""
 
-    init: Annotated[bool, Option("--init", help="Draft expectations from a good recording.")] = False
+    init: Annotated[bool, Option("--init", help="Draft expectations from good runs, each a file.")] = False
+    update: Annotated[bool, Option("--update", help="Widen them by this run, which is a good one.")] = False
     output: Annotated[Path | None, Option("--output", "-o", help="With --init: write the draft here.")] = None
     force: recordings.Force = False
     junit: Annotated[Path | None, Option(help="Also write the results as JUnit XML.")] = None
@@ -42,14 +47,15 @@ def check(
 ) -> None:
     """Check a capture against expectations, or draft them.
 
-    edoras check FILE... EXPECT.yaml checks; edoras check --init FILE... drafts.
+    edoras check FILE... EXPECT.yaml checks; edoras check --init RUN... drafts, from each file a run.
 
     Expectations are bounds of rates, counts, sizes, losses and latencies, what must hold of fields, and which
     events, findings and verdicts may appear. Exit code 3: one of them is not met.
     """
-    from edoras_tools.addons.check.expectations import load_expectations
-    from edoras_tools.addons.check.run import check as run
-    from edoras_tools.addons.check.run import write_junit
+    from edoras_tools.addons.runs.check import check as run
+    from edoras_tools.addons.runs.expectations import load_expectations
+    from edoras_tools.addons.runs.junit import write_junit
+    from edoras_tools.addons.runs.run import Run
     from edoras_tools.io.outputs import check_new
     from edoras_tools.pipelines.doctor.doctor import Pace
 
@@ -57,6 +63,10 @@ def check(
     if task.init:
         _draft(given, task, scope, printing, decoding)
         return
+    if task.update and (task.junit or printing.json or any(given.live)):
+        raise ConfigError(
+            "--update changes the expectations by a recording: leave --junit, --json and -i out"
+        )
     if task.output or (task.force and task.junit is None):
         raise ConfigError(
             "--output is an option of --init, --force of --init and --junit, which writes results to a file"
@@ -70,18 +80,22 @@ def check(
         check_new(task.junit, [*given.paths, path], force=task.force)
     expected, (json, quiet) = load_expectations(path), printing
     with file_progress(given.paths, quiet=quiet or json or live) as bar:
-        source, bench = open_input(
-            given, decoding.settings(constants=True), aligned=True, messages=True, progress=bar
+        opened = partial(
+            open_input, given, decoding.settings(constants=True), aligned=True, messages=True, progress=bar
         )
+        source, bench = opened()
         pace = Pace(monotonic_ns, 0, duration or 0)
         report = run(source, bench, expected, scope=scope, pace=pace, progress=bar)
-    _check_whole(report.findings)
+        _check_whole(report.findings)
+        if task.update:
+            _update(path, expected, report, Run.read(*opened(), scope=scope, progress=bar))
+            return
     if task.junit is not None:
         write_junit(report, task.junit)
     if json:
         print_json(report.as_json())
     elif not quiet or report.failed:
-        from edoras_tools.addons.check.views import check_view
+        from edoras_tools.addons.runs.views import check_view
 
         print_view(check_view(report.as_json()))
     _end(source, report.findings, live=live)
@@ -107,7 +121,8 @@ def _draft(
     printing: options.PrintOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    from edoras_tools.addons.check.draft import draft
+    from edoras_tools.addons.runs.draft import Draft
+    from edoras_tools.addons.runs.run import Run, run_paths
 
     if task.junit or printing.json:
         raise ConfigError("--init only drafts expectations: --junit and --json cannot be used with it")
@@ -115,20 +130,37 @@ def _draft(
         raise ConfigError("--init drafts from a recording: edoras check --init FILE...")
     path = recordings.text_output(task.output, given.paths, force=task.force)
     with file_progress(given.paths, quiet=printing.quiet) as bar:
-        source, bench = open_input(
-            given, decoding.settings(constants=True), aligned=True, messages=True, progress=bar
-        )
-        made = draft(source, bench, scope=scope, progress=bar)
-    _check_whole(made.findings)
-    _end(source, made.findings, live=False)
+        runs = []
+        for item in run_paths(given.paths):
+            source, bench = open_input(
+                given._replace(files=FileOptions([item], None)),
+                decoding.settings(constants=True),
+                messages=True,
+                progress=bar,
+            )
+            runs.append(Run.read(source, bench, scope=scope, progress=bar))
+            _check_whole(runs[-1].findings)
+            _end(source, runs[-1].findings, live=False)
+    made = Draft(runs)
     recordings.put_text(made.text, path)
     for note in made.notes if not printing.quiet else ():
         tell(note)
-    unexamined = made.findings.unnamed
-    for item in unexamined:
-        tell(str(item))
+    unexamined = [str(item) for run in runs for item in run.findings.unnamed]
+    for line in dict.fromkeys(unexamined):
+        tell(line)
     if unexamined:
         raise Exit(LOST)
+
+
+def _update(path: Path, expected: Expectations, report: CheckReport, run: Run) -> None:
+    """Widen the expectations by a run."""
+    from edoras_tools.addons.runs.update import Update
+
+    update = Update(path.read_text(encoding="utf-8"), expected, report, run)
+    if update.notes:
+        recordings.write_page(update.text, path)
+    for note in update.notes or ["this run meets all expectations: nothing was widened"]:
+        tell(note)
 
 
 def _check_whole(findings: Examined) -> None:

@@ -24,14 +24,14 @@ def compare(
     part: options.ScopeOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Compare two runs by route: is the second one worse?
+    """Compare runs by route: are the later ones worse?
 
     Compared are rates, loss, latency, sizes, findings and verdicts.
 
     Exit code 3 means that the second run is worse. To compare two captures of the same traffic, use doctor
     --against.
     """
-    from edoras_tools.addons.compare.run import compare_runs
+    from edoras_tools.addons.runs.comparison import compare_runs
 
     scope = part.scope()
     with file_progress([good.name], quiet=quiet or json) as bar:
@@ -41,7 +41,7 @@ def compare(
     if json:
         print_json(found.as_json())
     else:
-        from edoras_tools.addons.compare.views import runs_view
+        from edoras_tools.addons.runs.compare_views import runs_view
 
         print_view(runs_view(found.good, found.bad, found.changes))
     for run in (found.good, found.bad):

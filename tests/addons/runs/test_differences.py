@@ -6,7 +6,7 @@ import copy
 
 import pytest
 
-from edoras_tools.addons.compare.differences import Run, run_differences
+from edoras_tools.addons.runs.differences import Run, run_differences
 
 ROUTE = {
     "topic": "/pose",

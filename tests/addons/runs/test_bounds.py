@@ -2,7 +2,7 @@
 
 import pytest
 
-from edoras_tools.addons.check.expectations import Unit, parse_bound
+from edoras_tools.addons.runs.expectations import Unit, parse_bound
 
 
 @pytest.mark.parametrize(

@@ -1,1 +1,0 @@
-"""Two runs of one system held against each other."""

@@ -1,0 +1,1 @@
+"""Runs of a system: held to expectations, and against each other."""

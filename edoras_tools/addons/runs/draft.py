@@ -1,0 +1,173 @@
+"""Drafts expectations from good runs: limits that the next run like them keeps to (``limits``).
+
+A draft passes on its own recordings. What was lost in them becomes a bound, and the draft says so. But it
+never allows that traffic was left out because nobody named its port: a check would be green for what nobody
+looked at.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import TYPE_CHECKING
+
+from edoras_tools.addons.runs.check import NOTABLE_FINDINGS
+from edoras_tools.addons.runs.expectations import LOSS_KEYS, TOPIC_BOUNDS, WHOLE_BOUNDS
+from edoras_tools.addons.runs.figures import Figures
+from edoras_tools.addons.runs.limits import Limit, field_filter, field_limit, loss_limits, topic_limits
+from edoras_tools.addons.runs.observation import Subject
+from edoras_tools.cfs.names import message_name
+from edoras_tools.diagnosis.verdict import Severity
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.pipelines.names import PacketKinds, SampleTopics
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from edoras_tools.addons.runs.run import Run
+
+
+class Draft:
+    """Expectations from good runs.
+
+    Args:
+        runs: at least one.
+
+    Attributes:
+        text: of the file.
+        notes: what the draft accepts although it is no good run's, a line each.
+    """
+
+    def __init__(self, runs: Sequence[Run]) -> None:
+        self.runs = runs
+        self._parts = [run.parts() for run in runs]
+        self.notes: list[str] = []
+        self.text = "".join(f"{line}\n" for line in self._lines())
+
+    def _lines(self) -> Iterator[str]:
+        names = [_one_line(run.name) for run in self.runs]
+        source = names[0] if len(names) == 1 else f"{len(names)} runs"
+        yield f"# What edoras check expects, drafted from {source}."
+        yield "schema: 1"
+        subjects = self._subjects()
+        if subjects:
+            yield "topics:"
+        for subject in subjects:
+            yield from self._topic(subject)
+        diagnoses = [run.diagnosis for run in self.runs if run.diagnosis is not None]
+        if len(diagnoses) < len(self.runs):
+            self.notes.append(
+                "the recording has messages and no datagrams: losses, latencies, events, findings and "
+                "verdicts are not observable in it, so the draft expects nothing of them"
+            )
+            return
+        findings = sorted(
+            {name for run in self.runs for name in NOTABLE_FINDINGS & run.ledger.findings.keys()}
+        )
+        verdicts = (item for diagnosis in diagnoses for item in diagnosis.verdicts)
+        grave = {item.rule for item in verdicts if item.severity >= Severity.WARNING}
+        if any(diagnosis.unnamed for diagnosis in diagnoses):
+            grave.discard("not_examined")
+            self.notes.append(
+                "this run does not meet the draft, which is incomplete: name the ports, and draft again"
+            )
+        whole = [run.whole() for run in self.runs]
+        limits = dict(loss_limits(whole, max(run.spread() for run in self.runs)))
+        yield from self._losses("capture", whole, limits, "")
+        yield from self._allowed("findings", findings)
+        yield from self._allowed("verdicts", sorted(grave))
+
+    def _subjects(self) -> list[Subject]:
+        """Return the topics that are there in all runs, and other messages that are not cFS's own."""
+        every = [{subject.name: subject for subject in subjects_of(run)} for run in self.runs]
+        common = [name for name in every[0] if all(name in own for own in every)]
+        rare = sorted({name for own in every for name in own} - {*common})
+        silent = [route.topic for route in self.runs[0].context.mission.routes]
+        silent = [topic for topic in dict.fromkeys(silent) if not any(topic in own for own in every)]
+        where = "this run" if len(self.runs) == 1 else f"these {len(self.runs)} runs"
+        self.notes += [f"{topic}: no message in {where}, so nothing is expected of it" for topic in silent]
+        self.notes += [f"{name}: not in all runs, so nothing is expected of it" for name in rare]
+        return [every[0][name] for name in common]
+
+    def _topic(self, subject: Subject) -> Iterator[str]:
+        figures = [Figures.of(subject, parts) for parts in self._parts]
+        yield f"  {key_text(subject.name)}:"
+        yield "    count: at least 1"
+        spreads = (
+            max(run.spread(subject, captured=captured) for run in self.runs) for captured in (False, True)
+        )
+        limits = dict(topic_limits(figures, *spreads))
+        for key, limit in limits.items():
+            if key not in LOSS_KEYS:
+                yield f"    {key}: {limit.text(TOPIC_BOUNDS[key])}  # {limit.why}"
+        yield from self._losses(subject.name, figures, limits, "    ")
+        fields = list(field_limits(self.runs, subject.name))
+        if fields:
+            yield "    fields:"
+        for name, limit in fields:
+            yield f"      - always: {json.dumps(field_filter(name, limit))}  # {limit.why}"
+
+    def _losses(
+        self, name: str, figures: Sequence[Figures], limits: dict[str, Limit], indent: str
+    ) -> Iterator[str]:
+        for key in LOSS_KEYS:
+            if key == "lost" and (
+                missing := next((item.not_counted for item in figures if item.not_counted), "")
+            ):
+                self.notes.append(f"{name}: what was lost is {missing}, so the draft has no bound")
+            if key not in limits:
+                continue
+            limit = limits[key]
+            bound = limit.text(WHOLE_BOUNDS[key])
+            yield f"{indent}{key}: {bound}  # {limit.why}"
+            if limit.high:
+                self.notes.append(
+                    f"{name}: {key} {limit.why}; the draft accepts {bound.replace('at most', 'up to')}"
+                )
+
+    def _allowed(self, key: str, names: list[str]) -> Iterator[str]:
+        yield f"{key}: [{', '.join(names)}]"
+        if names:
+            have = "this run has" if len(self.runs) == 1 else "these runs have"
+            self.notes.append(f"{key} that the draft allows because {have} them: {', '.join(names)}")
+
+
+def field_limits(runs: Sequence[Run], topic: str) -> Iterator[tuple[str, Limit]]:
+    """Yield the limits of the fields of a topic that all runs have."""
+    own = [run.values[topic] for run in runs if topic in run.values]
+    if len(own) < len(runs):
+        return
+    for name in own[0].fields:
+        if all(name in values.fields for values in own):
+            limit = field_limit([values.fields[name] for values in own], to_cfs=own[0].to_cfs)
+            if limit is not None:
+                yield name, limit
+
+
+def subjects_of(run: Run) -> Iterator[Subject]:
+    """Yield the configured topics that are in a run, other messages that are not cFS's own, and samples."""
+    mission, accounts = run.context.mission, run.ledger.accounts.values()
+    routes = sorted({item.route for item in accounts} - {NO_ROUTE})
+    others = {item.msg_id for item in accounts if item.route == NO_ROUTE and item.msg_id != NO_MSG_ID}
+    topics: dict[str, list[int]] = {}
+    for index in routes:
+        topics.setdefault(mission.routes[index].topic, []).append(index)
+    for topic, own in topics.items():
+        yield Subject(topic, PacketKinds(frozenset(own)))
+    for msg_id in sorted(others - {mission.routes[index].msg_id for index in routes}):
+        if not message_name(msg_id):
+            yield Subject.of(msg_id)
+    if run.diagnosis is not None:
+        for topic in dict.fromkeys(item.topic for item in run.diagnosis.capture.samples()):
+            if topic.startswith("/"):
+                samples = SampleTopics.of(topic, run.context)
+                yield Subject(samples.pattern, PacketKinds(samples=(samples,)))
+
+
+def key_text(name: str) -> str:
+    """Return a name as a key of YAML."""
+    return name if re.fullmatch(r"[\w/.-]+", name) else json.dumps(name)
+
+
+def _one_line(name: str) -> str:
+    return "".join(char if char.isprintable() else "?" for char in name)

@@ -1,0 +1,197 @@
+"""What was counted of some messages of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from edoras_tools.diagnosis.accounts import latency_ms
+from edoras_tools.diagnosis.balance import not_counted, sent
+from edoras_tools.diagnosis.ledger import CAPTURE, Row
+from edoras_tools.io.topics.rows import APART
+from edoras_tools.model import NO_MSG_ID
+from edoras_tools.units import SECOND, rate_hz
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from edoras_tools.addons.runs.observation import Subject
+    from edoras_tools.diagnosis.examination import Diagnosis
+    from edoras_tools.links.doors import SampleStream
+    from edoras_tools.pipelines.capture.ledger import Account, Ledger
+    from edoras_tools.pipelines.names import PacketKinds
+
+_PATTERN: Final = frozenset("*?[")
+_Item = TypeVar("_Item")
+
+
+class Parts:
+    """What figures are made of, laid out by route, MsgId and topic once for all subjects.
+
+    Args:
+        ledger: of the capture.
+        diagnosis: of the doctor; None of messages alone.
+    """
+
+    def __init__(self, ledger: Ledger, diagnosis: Diagnosis | None) -> None:
+        self.ledger, self.diagnosis = ledger, diagnosis
+        self._accounts = _laid_out(
+            [*ledger.accounts.values()],
+            lambda item: (
+                ("route", item.route),
+                ("id", item.msg_id),
+                ("kind", int(item.link), item.kind) if item.msg_id == NO_MSG_ID else None,
+            ),
+        )
+        routes, balance = (diagnosis.routes, diagnosis.balance) if diagnosis else ([], [])
+        self._routes = _laid_out(routes, lambda row: (("topic", row["topic"]), ("id", int(row["msg_id"], 0))))
+        self._balance = _laid_out(balance, lambda row: (("route", row.route), ("id", row.msg_id)))
+        self._sample_rows = _laid_out(balance, lambda row: (row.topic,))
+        samples = diagnosis.capture.samples() if diagnosis else []
+        self._samples = _laid_out(samples, lambda item: (item.topic,))
+
+    def accounts(self, packets: PacketKinds) -> list[Account]:
+        """Return the accounts of some packets."""
+        kinds = [("kind", *kind) for kind in packets.kinds]
+        return _under(self._accounts, [*_keys(packets), *kinds])
+
+    def balance(self, packets: PacketKinds) -> list[Row]:
+        """Return their rows of the balance."""
+        return _under(self._balance, _keys(packets))
+
+    def routes(self, packets: PacketKinds) -> list[dict[str, Any]]:
+        """Return their rows of the routes."""
+        topics = self.diagnosis.topics if self.diagnosis else {}
+        own = [("topic", topics.get(index)) for index in packets.routes]
+        return _under(self._routes, [*own, *(("id", key.msg_id) for key in packets.keys)])
+
+    def samples(self, packets: PacketKinds) -> tuple[list[SampleStream], list[Row]]:
+        """Return the samples on announced topics, and their rows of the balance."""
+        names = [item.pattern for item in packets.samples]
+        if any(not _PATTERN.isdisjoint(name) for name in names):
+            topics = [name for name in {*self._samples, *self._sample_rows} if name is not None]
+        else:
+            topics = [topic for name in names for topic in (name, f"/{name}", name.removeprefix(APART))]
+        own = [name for name in topics if packets.has_sample_topic(name)]
+        return _under(self._samples, own), _under(self._sample_rows, own)
+
+
+def _laid_out(
+    items: Sequence[_Item], keys: Callable[[_Item], Iterable[Any]]
+) -> dict[Any, list[tuple[int, _Item]]]:
+    """Return items, each with its place, by each of their keys."""
+    rows: dict[Any, list[tuple[int, _Item]]] = {}
+    for place, item in enumerate(items):
+        for key in keys(item):
+            rows.setdefault(key, []).append((place, item))
+    return rows
+
+
+def _under(rows: Mapping[Any, list[tuple[int, _Item]]], keys: Iterable[Any]) -> list[_Item]:
+    """Return the items under any of some keys, each once, in their order."""
+    own = dict(entry for key in keys for entry in rows.get(key, ()))
+    return [own[place] for place in sorted(own)]
+
+
+def _keys(packets: PacketKinds) -> list[tuple[str, int]]:
+    return [
+        *(("route", index) for index in packets.routes),
+        *(("id", key.msg_id) for key in packets.keys),
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What was counted of some messages.
+
+    Attributes:
+        count: messages in the capture.
+        rate: messages per second between the first and the last, of all senders; None below two.
+        silence: longest time in s without a message, from the capture's start to its end.
+        end_silence: time in s from the last message to the capture's end.
+        size: smallest and largest datagram in bytes; None without messages.
+        latency: in s, 99 percent took no longer; None where the capture does not show it.
+        sent: messages sent, as far as the balance knows.
+        lost: of the balance.
+        superseded: of the balance.
+        unaccounted: of the balance.
+        not_counted: where nothing counts what was lost, and what would; empty where all was counted.
+    """
+
+    count: int
+    rate: float | None
+    silence: float
+    end_silence: float
+    size: tuple[int, int] | None
+    latency: float | None
+    sent: int
+    lost: int
+    superseded: int
+    unaccounted: int
+    not_counted: str
+
+    @classmethod
+    def of(cls, subject: Subject, parts: Parts) -> Figures:
+        """Return the figures of a subject; without a diagnosis, those of messages alone."""
+        packets = subject.packets
+        if packets.only_samples and parts.diagnosis is not None:
+            samples, rows = parts.samples(packets)
+            rates = [rate_hz(item.count, item.last_ns - item.first_ns) for item in samples]
+            return cls._counted(
+                samples, [item for item in rates if item], rows, parts.ledger, size=None, latency=None
+            )
+        accounts = parts.accounts(packets)
+        waits = [latency_ms(row) for row in parts.routes(packets)]
+        slowest = max((item for item in waits if item is not None), default=None)
+        low = min((item.bytes_min for item in accounts), default=0)
+        high = max((item.bytes_max for item in accounts), default=0)
+        return cls._counted(
+            accounts,
+            [item.rate_hz for item in accounts if item.count > 1],
+            parts.balance(packets),
+            parts.ledger,
+            size=(low, high) if accounts else None,
+            latency=None if slowest is None else slowest / 1e3,
+        )
+
+    @classmethod
+    def _counted(
+        cls,
+        own: Sequence[Account | SampleStream],
+        rates: Sequence[float],
+        rows: Sequence[Row],
+        ledger: Ledger,
+        *,
+        size: tuple[int, int] | None,
+        latency: float | None,
+    ) -> Figures:
+        silences = [
+            max(item.longest_ns, item.first_ns - ledger.start_ns, ledger.end_ns - item.last_ns)
+            for item in own
+        ]
+        return cls(
+            count=sum(item.count for item in own),
+            rate=sum(rates) if rates else None,
+            silence=max(silences, default=ledger.end_ns - ledger.start_ns) / SECOND,
+            end_silence=(ledger.end_ns - max((item.last_ns for item in own), default=0)) / SECOND,
+            size=size,
+            latency=latency,
+            sent=sent(rows),
+            **_losses(rows),
+        )
+
+    @classmethod
+    def whole(cls, ledger: Ledger, diagnosis: Diagnosis | None) -> Figures:
+        """Return the figures of all messages; ``silence`` is how long the capture lasts."""
+        rows = [row for row in diagnosis.balance if row.hop != CAPTURE] if diagnosis else []
+        seconds = (ledger.end_ns - ledger.start_ns) / SECOND
+        return cls(ledger.datagrams, None, seconds, 0.0, None, None, sent(rows), **_losses(rows))
+
+
+def _losses(rows: Sequence[Row]) -> dict[str, Any]:
+    return {
+        "not_counted": not_counted(rows),
+        "lost": sum(row.all_lost for row in rows),
+        "superseded": sum(row.superseded for row in rows),
+        "unaccounted": sum(row.unaccounted for row in rows),
+    }

@@ -1,0 +1,180 @@
+"""Limits for the next run, from what one or many runs showed: tolerance intervals, each with its source.
+
+1. A limit holds in 99 of 100 runs like those that were seen, with a confidence of 95 percent.
+2. How much runs differ is first an expectation, which is worth ``_WORTH`` runs from one run and less the
+   more are seen: a rate a hundredth, and the messages at its ends; a silence and a latency a quarter, and
+   150 ms; a field a twentieth of its range, or a two-hundredth of what is sent to cFS.
+3. How much a loss differs the queue model says (``spreads``), which is worth ``_MODEL`` runs.
+4. Nothing lost stays nothing lost.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from edoras_tools.addons.runs.check import TO_END
+from edoras_tools.addons.runs.expectations import LOSS_KEYS, Unit
+from edoras_tools.intervals import tolerance_interval
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from edoras_tools.addons.runs.figures import Figures
+    from edoras_tools.addons.runs.values import FieldValues
+
+_WORTH: Final = 10
+_MODEL: Final = 100
+_RATE: Final = 0.01
+_TIME: Final = 0.25
+_LEAST_S: Final = 0.15
+_SENT: Final = 0.005
+_RECEIVED: Final = 0.05
+_FEWEST: Final = 5
+"""A topic with fewer messages has no rate."""
+_EQUAL: Final = 1e-6
+
+
+class Limit(NamedTuple):
+    """What the next run may show.
+
+    Attributes:
+        low: the least.
+        high: the most.
+        why: what was seen, for a comment.
+        suffix: of the bound.
+        is_share: whether both are shares.
+    """
+
+    low: float
+    high: float
+    why: str
+    suffix: str = ""
+    is_share: bool = False
+
+    def text(self, unit: Unit) -> str:
+        """Return it as a file of expectations has it."""
+        sign = "%" if self.is_share else "s" if unit is Unit.TIME else ""
+        low, high = (_rounded(value, how) for value, how in ((self.low, math.floor), (self.high, math.ceil)))
+        if self.is_share:
+            high = min(100, _rounded(100 * self.high, math.ceil))
+        if unit in {Unit.TIME, Unit.LOSS}:
+            return f"at most {high}{sign}" if high else "0"
+        return f"{low}" if low == high else f"{low}..{high}{self.suffix}"
+
+    def joined(self, other: Limit) -> Limit:
+        """Return a limit that holds both."""
+        low, high = min(self.low, other.low), max(self.high, other.high)
+        return self._replace(low=low, high=high, why=other.why)
+
+
+def _worth(runs: int) -> int:
+    return max(1, _WORTH // runs)
+
+
+def _seen(values: Sequence[float], text: Callable[[float], str]) -> str:
+    """Return what was seen in words."""
+    if len(values) == 1:
+        return f"{text(values[0])} in 1 run"
+    low, high = text(min(values)), text(max(values))
+    return f"{low if low == high else f'{low} to {high}'} in {len(values):,} runs"
+
+
+def topic_limits(runs: Sequence[Figures], spread: float, rate_spread: float) -> Iterator[tuple[str, Limit]]:
+    """Yield the limits of one topic by their key.
+
+    Args:
+        runs: its figures in each run.
+        spread: standard deviation of what is lost of it.
+        rate_spread: likewise, before it is captured.
+    """
+    count = len(runs)
+    rates = [item.rate for item in runs if item.rate and item.count >= _FEWEST]
+    if len(rates) == count:
+        fewest = min(item.count for item in runs)
+        mean = sum(rates) / count
+        own = mean * math.hypot(_RATE, 1 / (fewest * math.sqrt(12)), rate_spread / fewest)
+        interval = tolerance_interval(rates, own, _worth(count))
+        low = max(interval.low, 0.0)
+        lasts = low and all(item.end_silence * (item.rate or 0.0) <= TO_END for item in runs)
+        why = _seen(rates, lambda value: f"{value:.4g} Hz")
+        yield "rate", Limit(low, interval.high, why, " to the end" if lasts else "")
+        yield "silence", _time_limit([item.silence for item in runs])
+    if sizes := [size for item in runs if item.size is not None for size in item.size]:
+        yield "size", Limit(min(sizes), max(sizes), f"in {count:,} run{'s' * (count > 1)}")
+    delays = [item.latency for item in runs if item.latency is not None]
+    if len(delays) == count:
+        yield "latency", _time_limit(delays)
+    yield from loss_limits(runs, spread)
+
+
+def _time_limit(values: Sequence[float]) -> Limit:
+    spread = _TIME * sum(values) / len(values) + _LEAST_S
+    high = tolerance_interval(values, spread, _worth(len(values))).high
+    return Limit(0, high, _seen(values, lambda value: f"{value:.3g} s"))
+
+
+def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, Limit]]:
+    """Yield the limits of what is lost, by their key; those that nothing counted have none."""
+    if not all(item.sent for item in runs):
+        return
+    for key in LOSS_KEYS:
+        if key == "lost" and any(item.not_counted for item in runs):
+            continue
+        numbers = [int(getattr(item, key)) for item in runs]
+        whole = _seen(
+            [number / item.sent for number, item in zip(numbers, runs, strict=True)], "{:.3%}".format
+        )
+        if len(runs) == 1:
+            whole = f"{numbers[0]:,} of {runs[0].sent:,} in 1 run"
+        if not any(numbers):
+            yield key, Limit(0, 0, whole)
+            continue
+        expected = max(spread if key == "lost" else 0.0, 1.0) if key == "lost" else math.sqrt(max(numbers))
+        sent = min(item.sent for item in runs)
+        shares = [number / item.sent for number, item in zip(numbers, runs, strict=True)]
+        high = tolerance_interval(
+            shares, expected / sent, _MODEL if key == "lost" else _worth(len(runs))
+        ).high
+        yield key, Limit(0, min(1.0, high), whole, is_share=True)
+
+
+def field_limit(runs: Sequence[FieldValues], *, to_cfs: bool) -> Limit | None:
+    """Return the limit of a field; None where it has no number, or was still moving when runs ended."""
+    if not all(item.count for item in runs) or 2 * sum(item.is_moving for item in runs) > len(runs):
+        return None
+    lows, highs = [item.low for item in runs], [item.high for item in runs]
+    span = max(highs) - min(lows)
+    why = f"{_number(min(lows))} to {_number(max(highs))} in {len(runs):,} run{'s' * (len(runs) > 1)}"
+    if not span:
+        margin = 0.0 if runs[0].is_whole else _EQUAL * abs(lows[0])
+        return Limit(lows[0] - margin, highs[0] + margin, why.partition(" to ")[0] + why[why.index(" in ") :])
+    spread = span * (_SENT if to_cfs else _RECEIVED)
+    low = tolerance_interval(lows, spread, _worth(len(runs))).low
+    high = tolerance_interval(highs, spread, _worth(len(runs))).high
+    if runs[0].is_whole:
+        return Limit(math.floor(low), math.ceil(high), why)
+    step = 10.0 ** (math.floor(math.log10(span)) - 3)
+    return Limit(math.floor(low / step) * step, math.ceil(high / step) * step, why)
+
+
+def field_filter(name: str, limit: Limit) -> str:
+    """Return the filter that a field within its limit passes."""
+    low, high = _number(limit.low), _number(limit.high)
+    return f"{name} == {low}" if low == high else f"{name} in {low}..{high}"
+
+
+def _number(value: float) -> str:
+    """Return a number without an exponent."""
+    if value == int(value):
+        return f"{int(value)}"
+    digits = max(1, 7 - math.floor(math.log10(abs(value))))
+    return f"{value:.{min(digits, 15)}f}".rstrip("0").rstrip(".")
+
+
+def _rounded(value: float, how: Callable[[float], int]) -> float:
+    """Return a value of three digits, above or below it as ``how`` says."""
+    digits = 2 - math.floor(math.log10(value)) if value > 0 else 0
+    scale = 10.0**digits
+    rounded = how(round(value * scale, 6)) / scale
+    return int(rounded) if rounded == int(rounded) else rounded

@@ -1,0 +1,165 @@
+"""What the fields of each topic held in a run: range, mean, and the values of the first messages themselves.
+
+1. Numbers are compared, of structs in structs and of lists up to ``_ELEMENTS`` each, where all messages have
+   as many. Texts are not, nor are stamps: a time is another one in each run.
+2. The values of at most ``_MOST`` messages of a topic are kept, to name the first that differs; range and
+   mean are of all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from edoras_tools.decode.contents import message_rows, read_whole
+from edoras_tools.ros.cdr.columns import Ragged
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.filters.rows import ColumnRows
+
+_ELEMENTS: Final = 16
+_MOST: Final = 100_000
+_TIME: Final = ("sec", "nanosec")
+_END: Final = 0.05
+_MOVED: Final = 0.8
+"""A field was still moving whose extreme came in so late a share of the messages, so much of its range away."""
+_FEWEST: Final = 20
+
+
+@dataclass(slots=True)
+class FieldValues:
+    """One field of a topic.
+
+    Attributes:
+        low: lowest value; infinite without a number.
+        high: highest value.
+        count: numbers seen; those that are NaN are none.
+        kept: f64, of the first messages.
+        is_whole: whether it is a whole number or a flag.
+    """
+
+    low: float = np.inf
+    high: float = -np.inf
+    count: int = 0
+    is_whole: bool = False
+    _sum: float = 0.0
+    _kept: list[NDArray[np.float64]] = field(default_factory=list)
+    _kept_count: int = 0
+
+    def add(self, values: NDArray[Any]) -> None:
+        """Add the values of some messages, (n,)."""
+        self.is_whole = values.dtype.kind in "iub"
+        numbers = values.astype(np.float64)
+        if (room := _MOST - self._kept_count) > 0:
+            self._kept.append(numbers[:room])
+            self._kept_count += len(numbers[:room])
+        numbers = numbers[np.isfinite(numbers)]
+        self.count += len(numbers)
+        self._sum += float(numbers.sum())
+        self.low = min(self.low, float(numbers.min(initial=np.inf)))
+        self.high = max(self.high, float(numbers.max(initial=-np.inf)))
+
+    @property
+    def mean(self) -> float:
+        """Mean of the numbers."""
+        return self._sum / self.count
+
+    @property
+    def kept(self) -> NDArray[np.float64]:
+        """Values of the first messages, f64."""
+        return np.concatenate([np.zeros(0), *self._kept])
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether all are equal."""
+        return self.low == self.high
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether it still went where it had never been when the run ended: a longer run goes on."""
+        values = self.kept
+        if self.is_constant or len(values) < _FEWEST:
+            return not self.is_constant
+        late = (1 - _END) * len(values)
+        goes_on = np.nanargmax(values) >= late or np.nanargmin(values) >= late
+        return bool(goes_on and abs(values[-1] - values[0]) > _MOVED * (self.high - self.low))
+
+
+@dataclass(slots=True)
+class TopicValues:
+    """The fields of one topic.
+
+    Attributes:
+        to_cfs: whether its messages go to cFS.
+        fields: by name, elements of lists as ``position[0]``.
+    """
+
+    to_cfs: bool = False
+    fields: dict[str, FieldValues] = field(default_factory=dict)
+    _numbers: list[NDArray[np.int64]] = field(default_factory=list)
+    _times_ns: list[NDArray[np.int64]] = field(default_factory=list)
+
+    def place(self, message: int) -> tuple[int, int]:
+        """Return number and time of a message, counted from 0."""
+        return int(np.concatenate(self._numbers)[message]), int(np.concatenate(self._times_ns)[message])
+
+    @property
+    def times_ns(self) -> NDArray[np.int64]:
+        """Time of each message that is kept, i64."""
+        return np.concatenate([np.zeros(0, np.int64), *self._times_ns])
+
+    def note(self, numbers: NDArray[np.int64], times_ns: NDArray[np.int64]) -> None:
+        """Note which messages came."""
+        if sum(map(len, self._numbers)) < _MOST:
+            self._numbers.append(numbers)
+            self._times_ns.append(times_ns)
+
+
+class ValueCount:
+    """Collects the values of the configured topics while a capture is read.
+
+    Attributes:
+        topics: by name.
+    """
+
+    def __init__(self) -> None:
+        self.topics: dict[str, TopicValues] = {}
+
+    def add(self, rows: ColumnRows) -> None:
+        """Add some rows."""
+        routes = {route.topic: route for route in rows.context.mission.routes}
+        for item in message_rows(rows, read_whole(rows), commands=False):
+            if item.topic not in routes or item.bound is not None or not item.columns.valid.any():
+                continue
+            valid = np.flatnonzero(item.columns.valid)
+            topic = self.topics.setdefault(item.topic, TopicValues(routes[item.topic].to_cfs))
+            chosen = rows.take(item.owner[valid])
+            topic.note(chosen.datagram("number"), chosen.datagram("time_ns"))
+            for name, values in _columns(item.columns.fields):
+                topic.fields.setdefault(name, FieldValues()).add(values[valid])
+
+
+def _columns(fields: Mapping[str, NDArray[Any] | Ragged]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the numbers of some messages, a column each."""
+    for name, column in fields.items():
+        before, _, last = name.rpartition(".")
+        if last in _TIME and all((f"{before}.{item}" if before else item) in fields for item in _TIME):
+            continue
+        if isinstance(column, Ragged):
+            lengths = np.diff(column.offsets)
+            if not len(lengths) or lengths.min() != lengths.max() or not lengths[0]:
+                continue
+        values = column.values.reshape(len(lengths), -1) if isinstance(column, Ragged) else column
+        if values.dtype.kind not in "iufb":
+            continue
+        if values.ndim == 1:
+            yield name, values
+        else:
+            for place in range(min(values.shape[1], _ELEMENTS)):
+                yield f"{name}[{place}]", values[:, place]
