@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 from edoras_tools.addons.lab.experiment.plan import ExperimentPlan
-from edoras_tools.addons.lab.experiment.run import DRAINS_NS, Experiment
+from edoras_tools.addons.lab.experiment.run import DRAINS_NS, SETTLES_NS, Experiment
 from edoras_tools.units import SECOND
 
 LIMITS, RATES = (2, 3, 4, 5, 6), range(6, 26)
@@ -27,8 +27,8 @@ def account_share(bench, seed):
     simulation = bench.simulation(random.Random(seed), SECOND)
     begin_ns, rate = simulation.now, bench.cell.settings["rate"]
     count = round(rate * SECONDS)
-    simulation.connect(rate, command_count=count)
-    for _ in simulation.run(begin_ns + SECONDS * SECOND + DRAINS_NS):
+    simulation.connect(rate, command_count=count, after_ns=SETTLES_NS)
+    for _ in simulation.run(begin_ns + SETTLES_NS + SECONDS * SECOND + DRAINS_NS):
         pass
     return command_losses(simulation.cfs.account.losses(begin_ns)) / count
 

@@ -111,6 +111,7 @@ ADDONS: Final = (
                 before="check",
             ),
         },
+        adds={"parts": {"expected_run": "expected:unlike"}},
     ),
     Addon(
         "report",

@@ -210,6 +210,18 @@ def share(text: str) -> float:
         raise BadParameter(f"{text!r} is not a share; write 1% or 0.01") from None
 
 
+def room(text: str) -> tuple[str, float]:
+    """Read a percentage, or ``FIELD=VALUE``."""
+    name, _, number = text.rpartition("=")
+    try:
+        value = float(number)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < float("inf"):
+        raise BadParameter(f"{text!r} is neither a percentage nor FIELD=VALUE; write 10, or linear.x=0.1")
+    return name, value
+
+
 def link(text: str) -> Link:
     """Read a link's name."""
     from edoras_tools.links.table import link_of_label

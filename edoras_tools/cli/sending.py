@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import BadParameter, Exit, Option, confirm
 
+from edoras_tools import doors
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.declare import headed
 from edoras_tools.cli.endings import INTERRUPTED, LOST, lost_outputs, tell, tell_reach
-from edoras_tools.cli.options import duration, share
+from edoras_tools.cli.options import duration, room, share
 from edoras_tools.cli.output import address as address  # noqa: PLC0414  also of those who send
 from edoras_tools.cli.output import print_json, print_view
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
     from edoras_tools.model import Endpoint, Peer
+    from edoras_tools.pipelines.capture.record import Target as RecordingTarget
     from edoras_tools.pipelines.sending.options import SendOptions
     from edoras_tools.pipelines.sending.run import Transmission
     from edoras_tools.pipelines.workbench import Workbench
@@ -109,7 +113,14 @@ class SendingOptions(NamedTuple):
     linger: Annotated[int | None, Option(parser=duration, help="Listen after the last; default 2s.")] = None
     expect: Annotated[
         list[str] | None,
-        Option(help="Exit code 3 without it: event:TEXT, counter:TO_HK.command_counter[+N], topic or name."),
+        Option(
+            help="Exit code 3 without it: event:TEXT, counter:TO_HK.command_counter[+N], topic or name; or what "
+            "a FILE, a good run, had."
+        ),
+    ] = None
+    tolerance: Annotated[
+        list[Any] | None,
+        Option(parser=room, metavar="[FIELD=]VALUE", help="Of --expect FILE: percent."),
     ] = None
     expect_within: Annotated[int | None, Option(parser=duration, hidden=True)] = None
     max_loss: Annotated[float | None, Option(parser=share, help="Exit code 3 beyond it, e.g. 1%.")] = None
@@ -141,7 +152,9 @@ class SendingOptions(NamedTuple):
             wait_for=tuple(self.wait_for or ()),
             timeout_ns=wait_ns,
             linger_ns=self.linger,
-            expect=tuple(self.expect or ()),
+            expect=tuple(item for item in self.expect or () if not Path(item).is_file()),
+            expect_runs=tuple(Path(item) for item in self.expect or () if Path(item).is_file()),
+            rooms=tuple(self.tolerance or ()),
             expect_ns=wait_ns if self.expect_within is None else self.expect_within,
             max_loss=self.max_loss,
             allow=tuple(self.allow or ()),
@@ -213,24 +226,29 @@ def carry_out(
     asks = confirm_targets(send_options.target, confirmed=send_options.confirmed)
     if send_options.listen is not None:
         tell_reach(send_options.listen, "answer", instead="--no-listen receives no answers")
-    recording = None
-    goal = recordings.recording_target(ending.output, force=ending.force, inputs=inputs)
-    if goal and send_options.over_tcp:
-        raise ConfigError("-o records datagrams: over TCP capture the connection with edoras record -i lo")
-    if goal:
-        from edoras_tools.pipelines.sending.recording import SentRecording
-
-        recording = partial(SentRecording, target=goal, bench=bench)
     keys = None
     if send_options.step or asks:
         from edoras_tools.pipelines.interrupt import Keys
 
         keys = Keys()
-    with send_status(transmission.total, quiet=quiet, keys=keys is not None) as watcher:
-        report = transmission.run(
-            faults=machine, keys=keys, watcher=watcher, recording=recording, expected=expected
-        )
-    summary = report.summary()
+    with ExitStack() as stack:
+        goal = _goal(send_options, ending, inputs, stack)
+        recording = None
+        if goal:
+            from edoras_tools.pipelines.sending.recording import SentRecording
+
+            recording = partial(SentRecording, target=goal, bench=bench)
+        with send_status(transmission.total, quiet=quiet, keys=keys is not None) as watcher:
+            report = transmission.run(
+                faults=machine, keys=keys, watcher=watcher, recording=recording, expected=expected
+            )
+        summary, unlike = report.summary(), list[str]()
+        for good in () if goal is None or report.failure else send_options.expect_runs:
+            assert goal is not None
+            lines = doors.part("expected_run")(good, goal.path, bench, dict(send_options.rooms))
+            item = {"expect": str(good), "met": not lines, "found": "; ".join(lines) or "alike"}
+            summary["expected"].append(item)
+            unlike += [f"--expect {good}: {line}" for line in lines]
     if json:
         print_json(summary)
     elif not quiet:
@@ -238,13 +256,28 @@ def carry_out(
     if report.failure is not None:
         raise report.failure
     lost_outputs(report.losses)
-    reasons = report.beyond(send_options.max_loss)
+    reasons = [*report.beyond(send_options.max_loss), *unlike]
     for reason in reasons:
         tell(reason)
     if reasons or (send_options.max_loss is None and report.lost):
         raise Exit(LOST)
     if report.signalled and transmission.total:
         raise Exit(INTERRUPTED)
+
+
+def _goal(
+    send_options: SendOptions, ending: EndingOptions, inputs: tuple[Path, ...], stack: ExitStack
+) -> RecordingTarget | None:
+    """Return what is recorded: what -o says, or for what is held against a good run, a temporary file."""
+    output = ending.output
+    if send_options.expect_runs and output is None:
+        output = Path(stack.enter_context(TemporaryDirectory())) / "run.mcap"
+    goal = recordings.recording_target(
+        output, force=ending.force, inputs=(*inputs, *send_options.expect_runs)
+    )
+    if goal and send_options.over_tcp:
+        raise ConfigError("-o records datagrams: over TCP capture the connection with edoras record -i lo")
+    return goal
 
 
 def _print(summary: dict[str, Any], target: str = "") -> None:

@@ -22,11 +22,11 @@ from mcap.reader import NonSeekingReader, make_reader
 from rich.console import Console as StringConsole
 from schema import check, published
 
-from edoras_tools.addons.runs.differences import Run, run_differences
-from edoras_tools.addons.runs.comparison import Runs
-from edoras_tools.addons.runs.compare_views import runs_view
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.report.page import page
+from edoras_tools.addons.runs.compare_views import runs_view
+from edoras_tools.addons.runs.comparison import Runs
+from edoras_tools.addons.runs.differences import Run, run_differences
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.decode.lines import line_of
 from edoras_tools.diagnosis.evidence.clocks.alignment import align

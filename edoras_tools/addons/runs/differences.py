@@ -1,39 +1,54 @@
-"""Two runs of the same system held against each other, route by route: what is worse in the second one.
+"""Runs of the same system held against each other, route by route: what is worse in the later ones.
 
 Runs last differently long and start at different times, so counts are compared as rates and shares, and
 times from each run's own start. The rules:
 
-1. A route that the good run has and the bad run has not is worse, if it is a configured topic or had at
-   least ``FEWEST`` messages, and is no event; one that only the bad run has is told.
-2. A rate is worse when it is lower by more than the tolerance and the good run had at least ``FEWEST``
-   messages; events have no rate.
-3. Loss is worse when the good run lost nothing and the bad run lost something, or when its share grew by
-   more than ``LOSS_SHARE``; so is what was superseded, and what is not accounted for. All of it is the
-   balance's, also what is of no route.
-4. A latency is worse when its 99th percentile grew by more than the tolerance and by more than
-   ``LATENCY_MS``.
-5. Sizes that differ, and findings that only one run has, are told; a finding that came is worse if it is an
-   error or a warning.
-6. A verdict that came is worse if it is an error or a warning; one that went is told. It is the same one if
-   it is of the same rule and MsgId, wherever it was.
+1. Two runs or more on both sides: a figure is worse if its mean moved for the worse by more than the
+   tolerance, and the 95 % interval of the difference (Welch) holds no 0.
+2. Else what was lost is worse where it is more than the tolerance interval of the other side allows, which
+   from one run the queue model gives (``limits``); rate and delay where they moved by more than the
+   tolerance.
+3. The tolerance of a loss is one percentage point, of what was not lost at all nothing; that of a delay is
+   10 ms at least.
+4. A figure of fewer than ``FEWEST`` messages in either run, a delay of fewer than ``FEWEST_DELAYS``, and the
+   rate of events, are never worse.
+5. A route is worse that most earlier runs have and most later ones lack, if it is a configured topic or had
+   at least ``FEWEST`` messages, and is no event; a finding or verdict that no earlier run has and most later
+   ones, if it is an error or a warning. A verdict is the same one if it is of the same rule and MsgId,
+   wherever it was.
+6. A field is worse where most later runs leave the range of earlier ones by more than ``limits`` allows, and
+   what cFS sends where it stopped changing. Sizes that differ are told.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from statistics import fmean
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
+from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckResult
+from edoras_tools.addons.runs.limits import MODEL_WORTH, field_limit
 from edoras_tools.diagnosis.accounts import latency_ms
+from edoras_tools.intervals import Interval, difference_interval, tolerance_interval
+from edoras_tools.io.formats.text import json_value
+from edoras_tools.render import units
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from edoras_tools.addons.runs.run import Run
+    from edoras_tools.addons.runs.values import FieldValues, TopicValues
 
     Key = tuple[str, str]
     """Link and MsgId."""
+    Route = Mapping[str, Any]
 
 FEWEST: Final = 5
+FEWEST_DELAYS: Final = 20
 LOSS_SHARE: Final = 0.01
 LATENCY_MS: Final = 10.0
 _EVENTS: Final = frozenset({cfe.EVENT_MSG_ID, cfe.SHORT_EVENT_MSG_ID})
@@ -43,37 +58,54 @@ _GONE: Final = {"lost": "lost", "superseded": "superseded", "unaccounted": "not 
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
-    """What is known of one run.
+class RunSummary:
+    """What is compared of one run.
 
     Attributes:
         info: its totals, in the shape of ``info --json``.
-        doctor: its diagnosis, in the shape of ``doctor --json``.
+        doctor: its diagnosis, in the shape of ``doctor --json``; of a recording without datagrams nothing.
+        values: of the fields of each topic.
+        spreads: see ``Run``; MsgIds as text.
     """
 
     info: Mapping[str, Any]
     doctor: Mapping[str, Any]
+    values: Mapping[str, TopicValues] = field(default_factory=dict)
+    spreads: Mapping[Key, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, run: Run) -> RunSummary:
+        """Return the summary of a run."""
+        nothing = {"routes": [], "balance": [], "verdicts": [], "lost": 0}
+        doctor = nothing if run.diagnosis is None else run.diagnosis.as_json()
+        spreads = {(link, f"0x{msg_id:04x}"): value for (link, msg_id), value in run.spreads.items()}
+        return cls(run.report.summary(), doctor, run.values, spreads)
 
     @property
     def seconds(self) -> float:
         """How long it lasted."""
-        return float(self.doctor["end_ns"] - self.doctor["start_ns"]) / 1e9
+        times = self.doctor if "start_ns" in self.doctor else self.info
+        return float(times["end_ns"] - times["start_ns"]) / 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class RunDifference:
-    """One thing that differs.
+class Point:
+    """One figure or field of a route in the earlier and the later runs.
 
     Attributes:
         what: ``route``, ``rate_hz``, ``lost``, ``superseded``, ``unaccounted``, ``latency_ms``, ``bytes``,
-            ``finding`` or ``verdict``.
+            ``finding``, ``verdict`` or ``value``; of limits ``max_loss`` and ``max_delay``.
         route: topic, name or MsgId; None where it is about the whole run.
         link: the link, or None.
         msg_id: as ``0x0827``, or None.
-        good: its value in the good run; None where it is not there.
-        bad: its value in the bad run; None where it is not there.
-        worse: whether the bad run is worse for it.
+        good: its value in earlier runs, of several the mean; None where it is not there.
+        bad: its value in later runs; None where it is not there.
+        worse: whether the later runs are worse for it.
         text: one line for people.
+        differs: whether it is told at all.
+        field: of a value, its name.
+        interval: of two runs or more on both sides, where the difference lies (95 %).
+        first: of a value, number of the first message that differs, and its time in s from the run's start.
     """
 
     what: str
@@ -84,113 +116,280 @@ class RunDifference:
     bad: Any
     worse: bool
     text: str
+    differs: bool = True
+    field: str | None = None
+    interval: tuple[float, float] | None = None
+    first: tuple[int, float] | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in the shape of ``compare --json``."""
+        values = {item.name: json_value(getattr(self, item.name)) for item in fields(self)}
+        return {name: value for name, value in values.items() if name != "differs"}
+
+    def result(self) -> CheckResult:
+        """Return it as a result for JUnit."""
+        name = f"{self.what} {self.field}" if self.field else self.what
+        return CheckResult(self.route or self.link or "run", name, None, self.text, not self.worse)
 
 
-def run_differences(
-    good: Run, bad: Run, *, tolerance: float, serious: Collection[str]
-) -> list[RunDifference]:
-    """Return all that differs, what is worse first.
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """How much may differ, and what later runs may show at all.
+
+    Attributes:
+        tolerance: share by which rates and delays may differ, as 0.1.
+        rooms: name of a field to how far it may leave its range.
+        max_loss: pattern of routes, empty for all, and the share that may be lost.
+        max_delay: likewise, and the delay in ms that 99 percent keep to.
+    """
+
+    tolerance: float = 0.1
+    rooms: Mapping[str, float] = field(default_factory=dict)
+    max_loss: Sequence[tuple[str, float]] = ()
+    max_delay: Sequence[tuple[str, float]] = ()
+
+
+def compare_runs(good: Sequence[RunSummary], bad: Sequence[RunSummary], bounds: Bounds) -> list[Point]:
+    """Return every figure that both sides have, and all else that differs; what is worse first.
 
     Args:
-        tolerance: share by which rates and latencies may differ, as 0.1.
-        serious: labels of the findings that are errors or warnings.
+        good: earlier runs, at least one.
+        bad: later ones.
     """
-    ours, theirs = _routes(good), _routes(bad)
-    changes: list[RunDifference] = []
-    for key in sorted({*ours, *theirs}):
-        one, other = ours.get(key), theirs.get(key)
-        name = (one or other or {})["name"]
-        if one is None or other is None:
-            text = f"{name} on {key[0]} {'is missing' if other is None else 'is new'}"
-            counts = (one or {}).get("count"), (other or {}).get("count")
-            worse = one is not None and (one["topic"] or one["count"] >= FEWEST) and not _is_event(key)
-            changes.append(RunDifference("route", name, *key, *counts, bool(worse), text))
-            continue
-        changes += _rates(key, name, one, other, tolerance)
-        changes += _gone(key, name, one, other)
-        changes += _findings(key, name, one["findings"], other["findings"], serious)
-    elsewhere = [_elsewhere(run, {*ours, *theirs}) for run in (good, bad)]
-    changes += _gone(None, "of no known route", *elsewhere)
-    changes += _verdicts(good, bad)
-    return sorted(changes, key=lambda item: not item.worse)
+    sides = [[_routes(run) for run in side] for side in (good, bad)]
+    points: list[Point] = []
+    for key in sorted({key for side in sides for rows in side for key in rows}):
+        ours, theirs = ([rows[key] for rows in side if key in rows] for side in sides)
+        points += _presence(key, ours, theirs, len(good), len(bad))
+        if ours and theirs:
+            points += _figures(key, ours, theirs, bounds)
+            points += _findings(key, ours, theirs)
+        points += _limits(key, theirs, bounds)
+    keys = {key for side in sides for rows in side for key in rows}
+    elsewhere = [[_elsewhere(run, keys) for run in side] for side in (good, bad)]
+    points += _gone(None, *elsewhere)
+    points += _verdicts(good, bad)
+    points += _values(good, bad, bounds)
+    return sorted(points, key=lambda item: (not item.worse, not item.differs))
+
+
+def _most(some: int, of: int) -> bool:
+    return 2 * some > of
 
 
 def _is_event(key: Key) -> bool:
     return int(key[1], 16) in _EVENTS
 
 
-def _gone(
-    key: Key | None, name: str, one: Mapping[str, Any], other: Mapping[str, Any]
-) -> Iterator[RunDifference]:
+def _presence(
+    key: Key, ours: Sequence[Route], theirs: Sequence[Route], good: int, bad: int
+) -> Iterator[Point]:
+    before, after = _most(len(ours), good), _most(len(theirs), bad)
+    if before == after:
+        return
+    row = (ours or theirs)[0]
+    was, now = (sum(item["count"] for item in side) or None for side in (ours, theirs))
+    weighty = bool(row["topic"]) or any(item["count"] >= FEWEST for item in ours)
+    text = f"{row['name']} on {key[0]} {'is missing' if before else 'is new'}"
+    worse = before and weighty and not _is_event(key)
+    yield Point("route", row["name"], *key, was, now, worse, text)
+
+
+def _difference(ours: Sequence[float], theirs: Sequence[float], step: float = 0.0) -> Interval | None:
+    """Return the interval of a difference; None where one side has no two runs."""
+    return difference_interval(ours, theirs, step) if min(len(ours), len(theirs)) > 1 else None
+
+
+def _figures(key: Key, ours: Sequence[Route], theirs: Sequence[Route], bounds: Bounds) -> Iterator[Point]:
+    """Compare rate, losses, delay and sizes of one route."""
+    name = ours[0]["name"]
+    if not _is_event(key) and min(item["count"] for item in (*ours, *theirs)) >= FEWEST:
+        was, now = ([item["rate_hz"] for item in side] for side in (ours, theirs))
+        yield _moved("rate_hz", (name, key), was, now, bounds.tolerance * fmean(was), units.rate)
+    yield from _gone((name, key), ours, theirs)
+    was, now = (
+        [item["latency_ms"] for item in side if item["latency_ms"] is not None] for side in (ours, theirs)
+    )
+    if was and now and min(item["delays"] for item in (*ours, *theirs)) >= FEWEST_DELAYS:
+        least = max(bounds.tolerance * fmean(was), LATENCY_MS)
+        yield _moved("latency_ms", (name, key), was, now, least, units.milliseconds)
+    lows, highs = ([[item["bytes"][at] for item in side] for side in (ours, theirs)] for at in (0, 1))
+    sizes = [(min(low), max(high)) for low, high in zip(lows, highs, strict=True)]
+    if sizes[0] != sizes[1]:
+        before, after = (f"{low:,} to {high:,}" if low != high else f"{low:,}" for low, high in sizes)
+        text = f"{name}: {after} bytes instead of {before}"
+        yield Point("bytes", name, *key, [*sizes[0]], [*sizes[1]], False, text)
+
+
+def _moved(
+    what: str,
+    place: tuple[str, Key],
+    was: Sequence[float],
+    now: Sequence[float],
+    least: float,
+    text: Callable[[float | None], str],
+) -> Point:
+    """Compare a rate, of which less is worse, or a delay, of which more is."""
+    before, after = fmean(was), fmean(now)
+    interval = _difference(was, now)
+    differs = abs(after - before) > least and (interval is None or not interval.low <= 0 <= interval.high)
+    worse = differs and (after < before) == (what == "rate_hz")
+    name, key = place
+    ends = (interval.low, interval.high) if interval is not None else None
+    word = "" if what == "rate_hz" else "99 % within "
+    line = f"{name}: {word}{text(after)} instead of {text(before)}"
+    return Point(what, name, *key, before, after, worse, line, differs, interval=ends)
+
+
+def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence[Route]) -> Iterator[Point]:
     """Compare what did not arrive, of one route or of none."""
-    for what, told in _GONE.items():
-        was, now = (item[what] / item["sent"] if item["sent"] else 0.0 for item in (one, other))
-        worse = now - was > LOSS_SHARE or (not one[what] and bool(other[what]))
-        if worse or was - now > LOSS_SHARE:
-            text = (
-                f"{name}: {other[what]:,} of {other['sent']:,} {told} ({now:.1%}) instead of "
-                f"{one[what]:,} of {one['sent']:,} ({was:.1%})"
-            )
-            link, msg_id = key or (None, None)
-            route = name if key else None
-            yield RunDifference(what, route, link, msg_id, one[what], other[what], worse, text)
+    name, (link, msg_id) = place or ("of no known route", (None, None))
+    route = name if place else None
+    for what, words in _GONE.items():
+        counts = [[(item[what], item["sent"]) for item in side] for side in (ours, theirs)]
+        if not any(sent for side in counts for _, sent in side):
+            continue
+        shares = [[number / sent if sent else 0.0 for number, sent in side] for side in counts]
+        before, after = map(fmean, shares)
+        step = 1 / max(1, min(sent for side in counts for _, sent in side))
+        interval = _difference(shares[0], shares[1], step)
+        if interval is not None:
+            chance = interval.low <= 0 <= interval.high
+        else:
+            spread = step * max(item["spread"] for item in (*ours, *theirs))
+            base, other = (shares[0], after) if len(shares[0]) >= len(shares[1]) else (shares[1], before)
+            limits = tolerance_interval(base, spread, MODEL_WORTH)
+            chance = spread > 0 and min(before, after) > 0 and limits.low <= other <= limits.high
+        least = LOSS_SHARE if before else 0.0
+        differs = abs(after - before) > least and not chance
+        enough = place is None or min(sent for _, sent in counts[1]) >= FEWEST
+        (was, of), (now, now_of) = ([sum(column) for column in zip(*side, strict=True)] for side in counts)
+        text = (
+            f"{name}: {now:,} of {now_of:,} {words} ({after:.1%}) instead of {was:,} of {of:,} ({before:.1%})"
+        )
+        ends = None if interval is None else (interval.low, interval.high)
+        values = (was, now) if ends is None else (before, after)
+        worse = differs and after > before and enough
+        yield Point(what, route, link, msg_id, values[0], values[1], worse, text, differs, interval=ends)
 
 
-def _rates(
-    key: Key, name: str, one: Mapping[str, Any], other: Mapping[str, Any], tolerance: float
-) -> Iterator[RunDifference]:
-    """Compare rate, latency and sizes of one route."""
-    was, now = one["rate_hz"], other["rate_hz"]
-    if one["count"] >= FEWEST and not _is_event(key) and abs(now - was) > tolerance * was:
-        text = f"{name}: {now:.2f} Hz instead of {was:.2f}"
-        yield RunDifference("rate_hz", name, *key, was, now, now < was, text)
-    was, now = one["latency_ms"], other["latency_ms"]
-    if was is not None and now is not None and abs(now - was) > max(tolerance * was, LATENCY_MS):
-        text = f"{name}: 99 % within {now:.1f} ms instead of {was:.1f} ms"
-        yield RunDifference("latency_ms", name, *key, was, now, now > was, text)
-    if one["bytes"] != other["bytes"]:
-        sizes = [
-            f"{low:,} to {high:,}" if low != high else f"{low:,}"
-            for low, high in (other["bytes"], one["bytes"])
-        ]
-        text = f"{name}: {sizes[0]} bytes instead of {sizes[1]}"
-        yield RunDifference("bytes", name, *key, list(one["bytes"]), list(other["bytes"]), False, text)
+def _limits(key: Key, theirs: Sequence[Route], bounds: Bounds) -> Iterator[Point]:
+    """Hold later runs against the limits that somebody set."""
+    for row in theirs[:1]:
+        names = {row["name"], row["name"].removeprefix("/"), key[1]}
+        sent = sum(item["sent"] for item in theirs)
+        gone = sum(item["lost"] + item["unaccounted"] for item in theirs)
+        for pattern, most in bounds.max_loss:
+            if sent and (not pattern or pattern in names):
+                share = gone / sent
+                text = f"{row['name']}: {share:.2%} lost, allowed {most:.2%}"
+                worse = share > most
+                yield Point("max_loss", row["name"], *key, most, share, worse, text, worse)
+        delays = [item["latency_ms"] for item in theirs if item["latency_ms"] is not None]
+        for pattern, most in bounds.max_delay:
+            if delays and (not pattern or pattern in names):
+                worst = max(delays)
+                times = map(units.milliseconds, (worst, most))
+                text = f"{row['name']}: 99 % within {', allowed '.join(times)}"
+                worse = worst > most
+                yield Point("max_delay", row["name"], *key, most, worst, worse, text, worse)
 
 
-def _findings(
-    key: Key, name: str, one: Mapping[str, int], other: Mapping[str, int], serious: Collection[str]
-) -> Iterator[RunDifference]:
-    for label in sorted({*one, *other}):
-        if label not in other:
-            yield RunDifference(
-                "finding", name, *key, one[label], None, False, f"{name}: no {label} any more"
-            )
-        elif label not in one:
-            text = f"{name}: {label} on {other[label]:,} packets, on none before"
-            yield RunDifference("finding", name, *key, None, other[label], label in serious, text)
+def _findings(key: Key, ours: Sequence[Route], theirs: Sequence[Route]) -> Iterator[Point]:
+    name = ours[0]["name"]
+    for label in sorted({label for row in (*ours, *theirs) for label in row["findings"]}):
+        before, after = ([row["findings"].get(label, 0) for row in side] for side in (ours, theirs))
+        if not any(after):
+            yield Point("finding", name, *key, sum(before), None, False, f"{name}: no {label} any more")
+        elif not any(before):
+            text = f"{name}: {label} on {sum(after):,} packets, on none before"
+            worse = label in NOTABLE_FINDINGS and _most(sum(map(bool, after)), len(after))
+            yield Point("finding", name, *key, None, sum(after), worse, text)
 
 
-def _verdicts(good: Run, bad: Run) -> Iterator[RunDifference]:
-    def keyed(run: Run) -> dict[tuple[Any, ...], Mapping[str, Any]]:
+def _verdicts(good: Sequence[RunSummary], bad: Sequence[RunSummary]) -> Iterator[Point]:
+    def keyed(run: RunSummary) -> dict[tuple[Any, ...], Mapping[str, Any]]:
         return {
             (item["rule"], item["link"], item["msg_id"], None if item["msg_id"] else item["hop"]): item
             for item in run.doctor["verdicts"]
         }
 
-    ours, theirs = keyed(good), keyed(bad)
-    for key, item in theirs.items():
-        if key not in ours:
-            worse = item["severity"] in _SERIOUS
+    ours, theirs = ([keyed(run) for run in side] for side in (good, bad))
+    every = {key: item for run in (*ours, *theirs) for key, item in run.items()}
+    for key, item in every.items():
+        before, after = (sum(key in run for run in side) for side in (ours, theirs))
+        if not before:
+            worse = item["severity"] in _SERIOUS and _most(after, len(theirs))
             text = f"{item['rule']}: {item['reason']}"
-            yield RunDifference("verdict", item["topic"], key[1], key[2], None, item["rule"], worse, text)
-    for key, item in ours.items():
-        if key not in theirs:
+            yield Point("verdict", item["topic"], key[1], key[2], None, item["rule"], worse, text)
+        elif not after:
             text = f"{item['rule']} is gone: {item['reason']}"
-            yield RunDifference("verdict", item["topic"], key[1], key[2], item["rule"], None, False, text)
+            yield Point("verdict", item["topic"], key[1], key[2], item["rule"], None, False, text)
 
 
-def _routes(run: Run) -> dict[Key, dict[str, Any]]:
-    """Return one row for each link and MsgId, its senders put together."""
+def _values(good: Sequence[RunSummary], bad: Sequence[RunSummary], bounds: Bounds) -> Iterator[Point]:
+    """Compare the fields of the topics that all runs have."""
+    for topic in good[0].values:
+        ours, theirs = ([run.values[topic] for run in side if topic in run.values] for side in (good, bad))
+        if len(ours) < len(good) or not theirs:
+            continue
+        for name in ours[0].fields:
+            before = [item.fields[name] for item in ours if name in item.fields]
+            after = [(run, item) for run, item in zip(bad, theirs, strict=False) if name in item.fields]
+            if len(before) == len(ours) and after:
+                yield from _value((topic, name), ours[0].to_cfs, before, after, bounds)
+
+
+def _value(
+    place: tuple[str, str],
+    to_cfs: bool,
+    before: Sequence[FieldValues],
+    after: Sequence[tuple[RunSummary, TopicValues]],
+    bounds: Bounds,
+) -> Iterator[Point]:
+    topic, name = place
+    limit = field_limit(before, to_cfs=to_cfs)
+    if limit is None:
+        return
+    room = bounds.rooms.get(name)
+    low, high = limit.low, limit.high
+    if room is not None:
+        low, high = min(item.low for item in before) - room, max(item.high for item in before) + room
+    seen = [item.fields[name] for _, item in after]
+    ranges = [_range(side) for side in (before, seen)]
+    text = f"{topic} {name}: {_text(ranges[1])} instead of {_text(ranges[0])}"
+    was, now = (fmean([item.mean for item in side if item.count] or [np.nan]) for side in (before, seen))
+    had_none = any(np.isnan(item.kept).any() for item in before)
+    found: list[tuple[tuple[int, float], float]] = []
+    for run, item in after:
+        values = item.fields[name].kept
+        outside = np.flatnonzero(~((values >= low) & (values <= high)) & ~(np.isnan(values) & had_none))
+        if len(outside):
+            number, time_ns = item.place(int(outside[0]))
+            found.append(((number, (time_ns - run.info["start_ns"]) / 1e9), float(values[outside[0]])))
+    if found:
+        first, value = found[0]
+        text += f"; first {value:.6g} in message {first[0]:,} at {first[1]:.3f} s"
+        worse = _most(len(found), len(after))
+        yield Point("value", topic, None, None, was, now, worse, text, field=name, first=first)
+        return
+    stuck = not to_cfs and all(item.is_constant and item.count >= FEWEST_DELAYS for item in seen)
+    stuck = stuck and not any(item.is_constant for item in before)
+    text += "; it does not change any more" if stuck else ""
+    yield Point("value", topic, None, None, was, now, stuck, text, stuck, field=name)
+
+
+def _range(values: Sequence[FieldValues]) -> tuple[float, float]:
+    return min(item.low for item in values), max(item.high for item in values)
+
+
+def _text(limits: tuple[float, float]) -> str:
+    low, high = limits
+    return f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
+
+
+def _routes(run: RunSummary) -> dict[Key, dict[str, Any]]:
+    """Return one row for each link and MsgId, its senders put together; rates are those of the doctor."""
     rows: dict[Key, dict[str, Any]] = {}
     for row in run.info["routes"]:
         if row["msg_id"] is None:
@@ -207,6 +406,9 @@ def _routes(run: Run) -> dict[Key, dict[str, Any]]:
                 "sent": 0,
                 **dict.fromkeys(_GONE, 0),
                 "latency_ms": None,
+                "delays": 0,
+                "rate_hz": 0.0,
+                "spread": run.spreads.get(key, 0.0),
             },
         )
         known["count"] += row["count"]
@@ -214,23 +416,49 @@ def _routes(run: Run) -> dict[Key, dict[str, Any]]:
         known["bytes"] = min(low, row["bytes_min"]), max(high, row["bytes_max"])
         for label, count in row["findings"].items():
             known["findings"][label] += count
+    judged = {(row["link"], row["msg_id"]) for row in run.doctor["routes"]}
+    others = [row for row in run.info["routes"] if (row["link"], row["msg_id"]) not in judged]
+    for row in (*run.doctor["routes"], *others):
+        if known := rows.get((row["link"], row["msg_id"]), {}):
+            known["rate_hz"] += row["rate_hz"]
     for row in run.doctor["routes"]:
-        known = rows.get((row["link"], row["msg_id"]), {})
-        if known:
+        if known := rows.get((row["link"], row["msg_id"]), {}):
             known["sent"] += row["sent"]
+            known["delays"] += row["seen"]
             both = known["latency_ms"], latency_ms(row)
             known["latency_ms"] = max((item for item in both if item is not None), default=None)
     for row in run.doctor["balance"]:
-        known = rows.get((row["link"], row["msg_id"]), {})
-        if known:
+        if known := rows.get((row["link"], row["msg_id"]), {}):
             for what in _GONE:
                 known[what] += row[what]
-    for known in rows.values():
-        known["rate_hz"] = known["count"] / run.seconds if run.seconds > 0 else 0.0
     return rows
 
 
-def _elsewhere(run: Run, routes: Collection[Key]) -> dict[str, int]:
+def _elsewhere(run: RunSummary, routes: set[Key]) -> dict[str, Any]:
     """Return what did not arrive and is of no route, beside all datagrams."""
     rows = [row for row in run.doctor["balance"] if (row["link"], row["msg_id"]) not in routes]
-    return {"sent": run.info["datagrams"], **{what: sum(row[what] for row in rows) for what in _GONE}}
+    gone = {what: sum(row[what] for row in rows) for what in _GONE}
+    return {"sent": run.info["datagrams"], "spread": 0.0, **gone}
+
+
+def comparison_json(
+    good: Sequence[RunSummary], bad: Sequence[RunSummary], points: Sequence[Point]
+) -> dict[str, Any]:
+    """Return a comparison in the shape of ``compare --json``."""
+
+    def side(runs: Sequence[RunSummary]) -> dict[str, Any]:
+        return {
+            "source": runs[0].info["source"] if len(runs) == 1 else f"{len(runs)} runs",
+            "runs": len(runs),
+            "datagrams": sum(run.info["datagrams"] for run in runs),
+            "seconds": sum(run.seconds for run in runs),
+            "lost": sum(run.doctor["lost"] for run in runs),
+        }
+
+    return {
+        "good": side(good),
+        "bad": side(bad),
+        "worse": any(item.worse for item in points),
+        "changes": [item.as_json() for item in points if item.differs],
+        "points": [item.as_json() for item in points],
+    }

@@ -17,6 +17,8 @@ from edoras_tools.addons.runs.figures import Figures
 from edoras_tools.addons.runs.limits import Limit, field_filter, field_limit, loss_limits, topic_limits
 from edoras_tools.addons.runs.observation import Subject
 from edoras_tools.cfs.names import message_name
+from edoras_tools.decode.filters.filter import Where
+from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.pipelines.names import PacketKinds, SampleTopics
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.addons.runs.run import Run
+    from edoras_tools.decode.context import Context
 
 
 class Draft:
@@ -101,11 +104,12 @@ class Draft:
             if key not in LOSS_KEYS:
                 yield f"    {key}: {limit.text(TOPIC_BOUNDS[key])}  # {limit.why}"
         yield from self._losses(subject.name, figures, limits, "    ")
-        fields = list(field_limits(self.runs, subject.name))
+        every = field_limits(self.runs, subject.name)
+        fields = [(where, limit) for _, where, limit in every if _is_filter(where, self.runs[0].context)]
         if fields:
             yield "    fields:"
-        for name, limit in fields:
-            yield f"      - always: {json.dumps(field_filter(name, limit))}  # {limit.why}"
+        for where, limit in fields:
+            yield f"      - always: {json.dumps(where)}  # {limit.why}"
 
     def _losses(
         self, name: str, figures: Sequence[Figures], limits: dict[str, Limit], indent: str
@@ -132,16 +136,26 @@ class Draft:
             self.notes.append(f"{key} that the draft allows because {have} them: {', '.join(names)}")
 
 
-def field_limits(runs: Sequence[Run], topic: str) -> Iterator[tuple[str, Limit]]:
-    """Yield the limits of the fields of a topic that all runs have."""
+def _is_filter(where: str, context: Context) -> bool:
+    """Return whether a filter can be asked: of structs in lists none can, each by itself."""
+    try:
+        Where(where, context)
+    except WhereError:
+        return False
+    return True
+
+
+def field_limits(runs: Sequence[Run], topic: str) -> Iterator[tuple[str, str, Limit]]:
+    """Yield the fields of a topic that all runs have, with their filters and limits."""
     own = [run.values[topic] for run in runs if topic in run.values]
     if len(own) < len(runs):
         return
     for name in own[0].fields:
         if all(name in values.fields for values in own):
-            limit = field_limit([values.fields[name] for values in own], to_cfs=own[0].to_cfs)
+            fields = [values.fields[name] for values in own]
+            limit = field_limit(fields, to_cfs=own[0].to_cfs)
             if limit is not None:
-                yield name, limit
+                yield name, field_filter(name, limit, is_flag=fields[0].is_flag), limit
 
 
 def subjects_of(run: Run) -> Iterator[Subject]:

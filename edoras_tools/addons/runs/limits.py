@@ -4,7 +4,7 @@
 2. How much runs differ is first an expectation, which is worth ``_WORTH`` runs from one run and less the
    more are seen: a rate a hundredth, and the messages at its ends; a silence and a latency a quarter, and
    150 ms; a field a twentieth of its range, or a two-hundredth of what is sent to cFS.
-3. How much a loss differs the queue model says (``spreads``), which is worth ``_MODEL`` runs.
+3. How much a loss differs the queue model says (``spreads``), which is worth ``MODEL_WORTH`` runs.
 4. Nothing lost stays nothing lost.
 """
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.runs.values import FieldValues
 
 _WORTH: Final = 10
-_MODEL: Final = 100
+MODEL_WORTH: Final = 100
 _RATE: Final = 0.01
 _TIME: Final = 0.25
 _LEAST_S: Final = 0.15
@@ -134,7 +134,7 @@ def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, L
         sent = min(item.sent for item in runs)
         shares = [number / item.sent for number, item in zip(numbers, runs, strict=True)]
         high = tolerance_interval(
-            shares, expected / sent, _MODEL if key == "lost" else _worth(len(runs))
+            shares, expected / sent, MODEL_WORTH if key == "lost" else _worth(len(runs))
         ).high
         yield key, Limit(0, min(1.0, high), whole, is_share=True)
 
@@ -145,6 +145,8 @@ def field_limit(runs: Sequence[FieldValues], *, to_cfs: bool) -> Limit | None:
         return None
     lows, highs = [item.low for item in runs], [item.high for item in runs]
     span = max(highs) - min(lows)
+    if span and runs[0].is_flag:
+        return None
     why = f"{_number(min(lows))} to {_number(max(highs))} in {len(runs):,} run{'s' * (len(runs) > 1)}"
     if not span:
         margin = 0.0 if runs[0].is_whole else _EQUAL * abs(lows[0])
@@ -158,8 +160,10 @@ def field_limit(runs: Sequence[FieldValues], *, to_cfs: bool) -> Limit | None:
     return Limit(math.floor(low / step) * step, math.ceil(high / step) * step, why)
 
 
-def field_filter(name: str, limit: Limit) -> str:
+def field_filter(name: str, limit: Limit, *, is_flag: bool = False) -> str:
     """Return the filter that a field within its limit passes."""
+    if is_flag:
+        return f"{name} == {'true' if limit.low else 'false'}"
     low, high = _number(limit.low), _number(limit.high)
     return f"{name} == {low}" if low == high else f"{name} in {low}..{high}"
 

@@ -78,8 +78,8 @@ class Update:
             for field in topic.fields:
                 if str(field) == item.expectation and (match := _FIELD.fullmatch(field.where)):
                     name, low, high, same = match.groups()
-                    own = dict(field_limits([self._run], subject.name)).get(name)
-                    if own is not None:
+                    every = {name: own for name, _, own in field_limits([self._run], subject.name)}
+                    if own := every.get(name):
                         old = Limit(float(low or same), float(high or same), "")
                         joined = old.joined(own)
                         self._replace(field.line, json.dumps(field_filter(name, joined)), joined.why)

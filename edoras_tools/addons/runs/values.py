@@ -28,7 +28,7 @@ _MOST: Final = 100_000
 _TIME: Final = ("sec", "nanosec")
 _END: Final = 0.05
 _MOVED: Final = 0.8
-"""A field was still moving whose extreme came in so late a share of the messages, so much of its range away."""
+"""A field was still moving whose extreme came in so late a share, so much of its range away."""
 _FEWEST: Final = 20
 
 
@@ -42,19 +42,21 @@ class FieldValues:
         count: numbers seen; those that are NaN are none.
         kept: f64, of the first messages.
         is_whole: whether it is a whole number or a flag.
+        is_flag: whether it is true or false.
     """
 
     low: float = np.inf
     high: float = -np.inf
     count: int = 0
     is_whole: bool = False
+    is_flag: bool = False
     _sum: float = 0.0
     _kept: list[NDArray[np.float64]] = field(default_factory=list)
     _kept_count: int = 0
 
     def add(self, values: NDArray[Any]) -> None:
         """Add the values of some messages, (n,)."""
-        self.is_whole = values.dtype.kind in "iub"
+        self.is_whole, self.is_flag = values.dtype.kind in "iub", values.dtype.kind == "b"
         numbers = values.astype(np.float64)
         if (room := _MOST - self._kept_count) > 0:
             self._kept.append(numbers[:room])

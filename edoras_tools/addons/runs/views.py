@@ -1,8 +1,8 @@
-"""The results of a check, for people."""
+"""The results of a check, and of a comparison, for people."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Group, RenderableType
 from rich.text import Text
@@ -10,11 +10,11 @@ from rich.text import Text
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.table import plain
+from edoras_tools.render.terminal.table import Column, build, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
 
 def check_view(report: Mapping[str, Any]) -> RenderableType:
@@ -38,3 +38,75 @@ def check_view(report: Mapping[str, Any]) -> RenderableType:
     else:
         end = Text(f"{of} met.", "green")
     return Group(*parts, Text(), end)
+
+
+_SHOWN: Final = {"rate_hz": "rate", "lost": "lost", "latency_ms": "99 % within"}
+"""Figures that a table shows of both sides, though they do not differ."""
+
+
+def runs_view(report: Mapping[str, Any], width: int) -> RenderableType:
+    """Return the view of a comparison: figures of both sides in a table, then all that differs.
+
+    Args:
+        report: in the form of ``compare --json``.
+    """
+    parts: list[RenderableType] = [_side(label, report[label]) for label in ("good", "bad")]
+    many = min(report[label]["runs"] for label in ("good", "bad")) > 1
+    if report["changes"]:
+        routes = {item["route"] for item in report["changes"]}
+        rows = [item for item in report["points"] if item["what"] in _SHOWN and item["route"] in routes]
+        rows = [row for row in rows if row["what"] != "lost" or row["good"] or row["bad"]]
+        parts += [Text(), _figures(rows, width, many=many)] if rows else []
+        parts.append(Text())
+    for item in report["changes"]:
+        level = Level.ERROR if item["worse"] else Level.NOTE
+        parts.append(Text.assemble((f"{level.mark} ", level.style), plain(item["text"])))
+    parts.append(Text())
+    worse = sum(item["worse"] for item in report["changes"])
+    one = "The second run is" if not many and report["bad"]["runs"] == 1 else "The later runs are"
+    if worse:
+        parts.append(Text(f"{one} worse in {plural(worse, 'point')}.", Level.ERROR.style))
+    else:
+        parts.append(Text(f"{one} no worse.", "green"))
+    return Group(*parts)
+
+
+def _figures(rows: Sequence[Mapping[str, Any]], width: int, *, many: bool) -> RenderableType:
+    """Return figures before and after, with what lies between them."""
+
+    def text(row: Mapping[str, Any], value: float | None, *, sign: str = "") -> str:
+        if value is None:
+            return units.NONE
+        if row["what"] == "lost":
+            return f"{value:{sign},.0f}" if row["interval"] is None else f"{value:{sign}.2%}"
+        written = units.rate(abs(value)) if row["what"] == "rate_hz" else units.milliseconds(abs(value))
+        return f"{'-' if value < 0 else sign}{written}"
+
+    def difference(row: Mapping[str, Any]) -> Text:
+        if row["good"] is None or row["bad"] is None:
+            return plain(units.NONE)
+        change = text(row, row["bad"] - row["good"], sign="+")
+        if row["interval"] is not None:
+            low, high = (text(row, value, sign="+") for value in row["interval"])
+            change += f" ({low} to {high})"
+        return plain(change, Level.ERROR.style if row["worse"] else "")
+
+    columns = (
+        Column("Route", lambda row: plain(row["route"] or "other"), justify="left", elastic=True),
+        Column("", lambda row: plain(_SHOWN[row["what"]]), justify="left"),
+        Column("Before", lambda row: plain(text(row, row["good"]))),
+        Column("After", lambda row: plain(text(row, row["bad"]))),
+        Column("Difference (95 %)" if many else "Difference", difference),
+    )
+    order = sorted(rows, key=lambda row: (row["route"] or "~", list(_SHOWN).index(row["what"])))
+    return build(columns, order, width)
+
+
+def _side(label: str, side: Mapping[str, Any]) -> Text:
+    line = plain(f"{label:<5}{side['source']}", palette.STRONG)
+    line.append(
+        f"  {plural(side['datagrams'], 'datagram')} over {units.duration(side['seconds'])}, "
+        f"{units.count(side['lost'])} lost",
+        palette.DIM,
+    )
+    return line

@@ -23,6 +23,7 @@ from edoras_tools.wire.cfe import STANDARD, Headers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from edoras_tools.links.site import Site
     from edoras_tools.mission import Mission
@@ -206,6 +207,8 @@ class SendOptions:
             and longer while CI has not read everything.
         follow_ns: how long to listen at most while CI has not read everything; from ``placed``.
         expect: what has to come back, as ``expect.Expectations.of`` reads it.
+        expect_runs: captures of good runs; what comes back has to be like theirs.
+        rooms: name of a field, and how far its values may differ; of the empty name, the percent of ranges.
         expect_ns: how long to wait for that after the last datagram.
         max_loss: share of what is sent that may be lost; None: none may.
         allow: patterns of what may be sent, e.g. ``0x18*``; empty: everything.
@@ -235,6 +238,8 @@ class SendOptions:
     linger_ns: int | None = None
     follow_ns: int = 0
     expect: Sequence[str] = ()
+    expect_runs: Sequence[Path] = ()
+    rooms: Sequence[tuple[str, float]] = ()
     expect_ns: int = 10 * SECOND
     max_loss: float | None = None
     allow: Sequence[str] = ()
@@ -270,7 +275,9 @@ class SendOptions:
         listens = not self.no_listen or self.to is Receiver.SBN
         if self.listen is not None and not listens:
             raise ConfigError("--listen and --no-listen exclude each other; name one of them")
-        if (self.expect or self.max_loss is not None) and not listens:
+        if self.rooms and not self.expect_runs:
+            raise ConfigError("--tolerance is how far values may differ from --expect FILE: name that file")
+        if (self.expect or self.expect_runs or self.max_loss is not None) and not listens:
             raise ConfigError("--expect and --max-loss need answers: leave --no-listen out")
         for item in self.wait_for:
             if item not in {"peer", "to-enabled", "nothing"} and not item.startswith("event:"):
@@ -292,7 +299,7 @@ class SendOptions:
         """
         own = {
             "--listen": self.listen if self.over_tcp else None,
-            "--expect": self.expect,
+            "--expect": (*self.expect, *self.expect_runs),
             "--max-loss": self.max_loss is not None,
             "--as": self.sender,
             "--tcp": self.tcp,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from places import CAPTURES, MISSIONS
 
-from edoras_tools.addons.runs.expectations import load_expectations
 from edoras_tools.addons.runs.check import check
+from edoras_tools.addons.runs.expectations import load_expectations
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io import SourceDefaults
 from edoras_tools.pipelines.doctor.scope import Scope

@@ -55,7 +55,7 @@ def test_a_draft_and_what_it_says(call, rover, tmp_path, monkeypatch):
     path, mission = rover
     done = call("check", "--init", path, *mission)
     assert done.code == 0
-    assert "edoras: /cmd_vel: 92 of 600 lost; the draft accepts up to 15.4%" in done.err
+    assert "edoras: /cmd_vel: lost 92 of 600 in 1 run; the draft accepts up to 18.6%" in done.err
     monkeypatch.chdir(tmp_path)
     assert call("check", "--init", path, *mission, "-o", "new/expect.yaml", "-q").err == []
     written = (tmp_path / "new/expect.yaml").read_text()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import struct
 from dataclasses import replace
 from itertools import count
+from xml.etree.ElementTree import parse
 
 import pytest
 from places import CAPTURES, MISSIONS, ROOT
@@ -142,3 +144,87 @@ def test_json_holds_to_its_schema(compare, name):
         told = json.loads(done.stdout)
         held(told, ["compare", "--json"])
         assert done.exit_code == 3 * told["worse"]
+
+
+def ninefold(items):
+    """Every command 9.0 m/s."""
+    at = 28  # headers, envelope and encapsulation
+    return [
+        replace(item, payload=item.payload[:at] + struct.pack("<d", 9.0) + item.payload[at + 8 :])
+        if msg_id(item) == 0x1827
+        else item
+        for item in items
+    ]
+
+
+def test_other_values_are_worse_and_the_first_message_is_named(compare, tmp_path):
+    items = datagrams(ROOT / "tests/captures/a_rover.pcap.zst")
+    good, bad = write(tmp_path / "good.pcap", items), write(tmp_path / "bad.pcap", ninefold(items))
+    done = compare(good, bad, "-c", MISSION, "--json")
+    told = json.loads(done.stdout)
+    held(told, ["compare", "--json"])
+    (change,) = (item for item in told["changes"] if item["what"] == "value")
+    first = next(number for number, item in enumerate(items, 1) if msg_id(item) == 0x1827)
+    assert (change["what"], change["route"], change["field"]) == ("value", "/cmd_vel", "linear.x")
+    assert (change["bad"], change["first"][0], done.exit_code) == (9.0, first, 3)
+    same = json.loads(compare(good, bad, "-c", MISSION, "--tolerance", "linear.x=9", "--json").stdout)
+    assert not any(item["what"] == "value" for item in same["changes"])
+
+
+def test_many_runs_of_a_folder(compare, tmp_path):
+    """Three runs beside three that lack every third telemetry message: by the interval of the mean."""
+    items = datagrams(ROOT / "tests/captures/a_rover.pcap.zst")
+    for number, name in enumerate(("good", "bad")):
+        (tmp_path / name).mkdir()
+        for place in range(3):
+            own = items[: len(items) - 40 * place]
+            own = without(0x827, 3)(own) if number else own
+            write(tmp_path / name / f"{place}.pcap", own)
+    junit = tmp_path / "r.xml"
+    call = (tmp_path / "good", "--against", tmp_path / "bad", "-c", MISSION)
+    done = compare(*call, "--json", "--junit", junit)
+    told = json.loads(done.stdout)
+    held(told, ["compare", "--json"])
+    assert (done.exit_code, told["good"]["runs"], told["bad"]["runs"]) == (3, 3, 3)
+    (lost,) = (item for item in told["points"] if item["what"] == "lost" and item["msg_id"] == "0x0827")
+    assert lost["worse"]
+    assert lost["interval"][0] > 0
+    assert 0.2 < lost["bad"] - lost["good"] < 0.35
+    cases = parse(junit).getroot().findall("testsuite/testcase")
+    assert len(cases) == len(told["points"])
+    assert sum(case.find("failure") is not None for case in cases) == sum(
+        item["worse"] for item in told["points"]
+    )
+    assert "Difference (95 %)" in compare(*call).stdout
+    assert compare(tmp_path / "good", "--against", tmp_path / "good", "-c", MISSION).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "worse"),
+    [
+        (("--max-loss", "16%"), set()),
+        (("--max-loss", "15%"), {("max_loss", "/cmd_vel")}),
+        (("--max-loss", "/telemetry_pose=1%"), set()),
+        (("--max-delay", "/cmd_vel=400ms"), {("max_delay", "/cmd_vel")}),
+        (("--max-delay", "0x0827=1s"), set()),
+    ],
+)
+def test_limits_of_routes(words, worse, compare):
+    done = compare(ROVER, ROVER, "-c", MISSION, "--json", *words)
+    told = json.loads(done.stdout)["changes"]
+    assert {(item["what"], item["route"]) for item in told if item["worse"]} == worse
+    assert done.exit_code == (3 if worse else 0)
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ((ROVER,), "two runs are compared"),
+        ((ROVER, ROVER, "--tolerance", "much"), "neither a percentage nor FIELD=VALUE"),
+        ((MISSION.parent, "--against", ROVER), "no capture in it"),
+    ],
+)
+def test_what_cannot_be_compared(words, text, compare):
+    done = compare(*words)
+    assert done.exit_code != 0
+    assert text in str(done.exception) + done.output

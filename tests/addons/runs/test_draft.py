@@ -6,11 +6,13 @@ import pytest
 from effort import long_but
 from places import CAPTURES, MISSIONS, ROOT
 
-from edoras_tools.addons.runs.draft import draft
-from edoras_tools.addons.runs.expectations import load_expectations
-from edoras_tools.addons.runs.check import check, junit
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import SimulatedSource
+from edoras_tools.addons.runs.check import check
+from edoras_tools.addons.runs.draft import Draft
+from edoras_tools.addons.runs.expectations import load_expectations
+from edoras_tools.addons.runs.junit import junit
+from edoras_tools.addons.runs.run import Run
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.io import SourceDefaults
 from edoras_tools.pipelines.workbench import Settings, open_files
@@ -18,6 +20,11 @@ from edoras_tools.units import SECOND
 
 RECORDINGS = sorted(path.name for path in (ROOT / "tests/captures").glob("*.pcap.zst"))
 SETTINGS = Settings([MISSIONS / "rover_ground.yaml"])
+
+
+def draft(source, bench):
+    """Draft from one run."""
+    return Draft([Run.read(source, bench)])
 
 
 def held(source, text, folder, settings=SETTINGS):
@@ -41,7 +48,7 @@ def test_a_draft_passes_on_its_own_recording(name, configured, tmp_path):
     report = held(open_files([path]), made.text, tmp_path, settings)
     assert report.results
     unmet = [(item.about, item.name) for item in report.results if not item.passed]
-    unnamed = made.findings.diagnosis.unnamed
+    unnamed = made.runs[0].diagnosis.unnamed
     assert {about for about, _ in unmet} == ({"verdicts"} if unnamed else set())
     assert all(name.startswith("not_examined") for _, name in unmet)
 
@@ -49,8 +56,8 @@ def test_a_draft_passes_on_its_own_recording(name, configured, tmp_path):
 def test_what_was_lost_becomes_a_bound_and_is_told():
     source = open_files([CAPTURES / "a_rover.pcap"])
     made = draft(source, SETTINGS.workbench(source.info))
-    assert "    lost: at most 15.4%  # 92 of 600 lost here" in made.text.splitlines()
-    assert "/cmd_vel: 92 of 600 lost; the draft accepts up to 15.4%" in made.notes
+    assert "    lost: at most 18.6%  # 92 of 600 in 1 run" in made.text.splitlines()
+    assert "/cmd_vel: lost 92 of 600 in 1 run; the draft accepts up to 18.6%" in made.notes
     assert "verdicts: [app_pipe_limit]" in made.text
 
 
@@ -108,7 +115,7 @@ def test_another_good_run_passes(good, tmp_path):
 def test_a_fault_fails_by_its_name_in_junit(source, failed, good, tmp_path):
     junitparser = pytest.importorskip("junitparser")
     report = held(source(), good.text, tmp_path)
-    (suite,) = junitparser.JUnitXml.fromstring(junit(report))
+    (suite,) = junitparser.JUnitXml.fromstring(junit(report.results, ("check", report.file, report.source)))
     assert (suite.tests, suite.failures) == (len(report.results), report.failed)
     told = {(case.classname, case.name.partition(":")[0]) for case in suite if not case.is_passed}
     assert failed <= told

@@ -1,10 +1,9 @@
 """JUnit XML as an independent reader reads it, whatever texts a capture holds."""
 
-from types import SimpleNamespace
-
 import pytest
 
-from edoras_tools.addons.runs.check import CheckReport, CheckResult, junit, write_junit
+from edoras_tools.addons.runs.check import CheckResult
+from edoras_tools.addons.runs.junit import junit, write_junit
 from edoras_tools.errors import CaptureError
 
 junitparser = pytest.importorskip("junitparser")
@@ -13,11 +12,11 @@ RESULTS = (
     CheckResult("/a", "count", "at least 1", "7 messages", passed=True),
     CheckResult("/a", "always x < 1 & y > 2", None, 'the "first" is \x1b[31m\0\ud800', passed=False),
 )
-REPORT = CheckReport("run \x07.pcap", "expect <1>.yaml", RESULTS, 12.5, SimpleNamespace())
+NAMES = "check", "expect <1>.yaml", "run \x07.pcap"
 
 
 def test_what_an_independent_reader_reads():
-    (suite,) = junitparser.JUnitXml.fromstring(junit(REPORT))
+    (suite,) = junitparser.JUnitXml.fromstring(junit(RESULTS, NAMES, 12.5))
     assert (suite.name, suite.tests, suite.failures, suite.time) == ("expect <1>.yaml", 2, 1, 12.5)
     good, bad = suite
     assert (good.classname, good.name, good.is_passed) == ("/a", "count: at least 1", True)
@@ -27,10 +26,10 @@ def test_what_an_independent_reader_reads():
 
 
 def test_the_folder_is_made(tmp_path):
-    write_junit(REPORT, tmp_path / "new/results.xml")
+    write_junit(tmp_path / "new/results.xml", RESULTS, NAMES)
     assert junitparser.JUnitXml.fromfile(str(tmp_path / "new/results.xml")).tests == 2
 
 
 def test_a_file_that_cannot_be_written(tmp_path):
     with pytest.raises(CaptureError, match="cannot be written"):
-        write_junit(REPORT, tmp_path)
+        write_junit(tmp_path, RESULTS, NAMES)

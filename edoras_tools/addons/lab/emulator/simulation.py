@@ -147,13 +147,21 @@ class Simulation:
             self.connect(command_rate_hz, state_rate_hz, command_count)
 
     def connect(
-        self, command_rate_hz: float, state_rate_hz: float = 5.0, command_count: int | None = None
+        self,
+        command_rate_hz: float,
+        state_rate_hz: float = 5.0,
+        command_count: int | None = None,
+        after_ns: int = SECOND,
     ) -> None:
-        """Start the bridges now; see ``__init__``."""
+        """Start the bridges now; see ``__init__``.
+
+        Args:
+            after_ns: the first command comes so much later.
+        """
         profile, routes = self.cfs.profile, self.routes
         commands = _on_links(routes.commands, profile)
         command_type = routes.types[routes.commands[0]] if commands else ""
-        operator = GroundOperator(command_type, commands, command_rate_hz, count=command_count, routes=routes)
+        operator = GroundOperator(command_type, commands, command_rate_hz, after_ns, command_count, routes)
         ground = Endpoint(profile.address, profile.to_port)
         self.ground = GroundBridge(self._scheduler, ground, self.cfs.ci_endpoint, operator, self._send)
         self.ground.headers = headers_of(profile)

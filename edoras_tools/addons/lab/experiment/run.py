@@ -3,7 +3,7 @@
 1. A run is ``DIR/CELL/NNN.mcap`` and ``NNN.json``. Without the second it is made again.
 2. Phases and latencies come from the plan's seed, the cell and the number of the run: the same run is the
    same whenever it is made.
-3. Commands end before the run does, so that the last of them are counted, too.
+3. Commands begin after the run and end before it, so that counters tell of all of them.
 4. A cell has enough runs when the loss of every topic is known to the plan's width, or the plan has no more.
 """
 
@@ -30,6 +30,7 @@ from edoras_tools.io.outputs import write_bytes
 from edoras_tools.links.table import carrying
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.sending.options import Receiver, SendOptions, receiver
 from edoras_tools.pipelines.sending.recording import SentRecording
 from edoras_tools.pipelines.sending.replay import ReplaySelection, changes_for, load_datagrams
@@ -52,8 +53,10 @@ _PHASES_NS: Final = SECOND
 _BEGIN_NS: Final = 1_767_225_600 * SECOND
 _APART_NS: Final = 600 * SECOND
 """Emulated runs begin in 2026, so far apart."""
+SETTLES_NS: Final = 3 * SECOND
+"""Until counters have come that say what was lost before."""
 DRAINS_NS: Final = 4 * SECOND
-"""Until the counters of the last commands have come."""
+"""Until those of the last commands have come."""
 PLAN, REPORT = "plan.json", "report.json"
 
 
@@ -210,7 +213,8 @@ class CellBench:
             simulation = self.simulation(chance, _BEGIN_NS + (number * 1000 + index) * _APART_NS)
             begin_ns = simulation.now
             target = Target(path, replace=True, jobs=1)
-            _whole(record(self.emulated(simulation), self.bench.fresh(), target).failure)
+            limits = Limits(clock=lambda: 0)  # the host's time would divide the recording anew each time
+            _whole(record(self.emulated(simulation), self.bench.fresh(), target, limits=limits).failure)
             losses = sorted(simulation.cfs.account.losses(begin_ns).items())
             account = [(hop, msg_id, end.name, count) for (hop, msg_id, end), count in losses]
         else:
@@ -235,8 +239,8 @@ class CellBench:
         """Return the traffic of a run as a source."""
         if self.plan.replay is None:
             rate, duration_ns = self.cell.settings.get(RATE, 5.0), self.plan.duration_ns
-            simulation.connect(rate, command_count=round(rate * duration_ns / SECOND))
-            return SimulatedSource(simulation, duration_ns + DRAINS_NS)
+            simulation.connect(rate, command_count=round(rate * duration_ns / SECOND), after_ns=SETTLES_NS)
+            return SimulatedSource(simulation, SETTLES_NS + duration_ns + DRAINS_NS)
         transmission = self._transmission()
         is_sbn = transmission.options.to is Receiver.SBN
         target = simulation.cfs.sbn_endpoint if is_sbn else simulation.cfs.ci_endpoint

@@ -91,7 +91,7 @@ def check(
             _update(path, expected, report, Run.read(*opened(), scope=scope, progress=bar))
             return
     if task.junit is not None:
-        write_junit(report, task.junit)
+        write_junit(task.junit, report.results, ("check", report.file, report.source), report.seconds)
     if json:
         print_json(report.as_json())
     elif not quiet or report.failed:

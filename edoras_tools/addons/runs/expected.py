@@ -1,0 +1,111 @@
+"""What came back in a replay, held against an earlier run of the same input: the first message that differs.
+
+1. Commands are not compared: they are what was sent. Both runs begin with the first of them.
+2. A value differs if at no time within ``_WINDOW_NS`` the earlier run had one so near: what is lost differs
+   from run to run, and so do times.
+3. So near is what ``--tolerance`` says of the field, else a share of its range in the earlier run.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from edoras_tools.addons.runs.run import Run
+from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.units import SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.addons.runs.values import TopicValues
+    from edoras_tools.pipelines.workbench import Workbench
+
+_WINDOW_NS: Final = SECOND
+_PERCENT: Final = 10.0
+_PERIODS: Final = 1.5
+"""The window is at least so many times what usually lies between two messages."""
+
+
+def unlike(good: Path, sent: Path, bench: Workbench, rooms: Mapping[str, float]) -> list[str]:
+    """Return how a run differs from a good one, a line for each field, by the first message that does.
+
+    Args:
+        good: a capture of the good run.
+        sent: a recording of the other one.
+        bench: of both.
+        rooms: name of a field to how far its values may differ; of the empty name, the percent of the range
+            for all others.
+
+    Raises:
+        EdorasError: one of them cannot be read to its end.
+    """
+    runs = []
+    for path in (good, sent):
+        run = Run.read(open_files([path]), bench.fresh())
+        if run.findings.failure is not None:
+            raise run.findings.failure
+        runs.append(run)
+    begins = [_begin_ns(run) for run in runs]
+    lines = []
+    for topic, ours in runs[0].values.items():
+        if ours.to_cfs:
+            continue
+        if topic not in runs[1].values:
+            lines.append(f"{topic} did not come")
+            continue
+        lines += _fields(topic, (ours, runs[1].values[topic]), begins, rooms)
+    return lines
+
+
+def _begin_ns(run: Run) -> int:
+    """Return when the first command was sent; without any, when the run began."""
+    times = [int(item.times_ns[0]) for item in run.values.values() if item.to_cfs and len(item.times_ns)]
+    return min(times, default=run.ledger.start_ns)
+
+
+def _fields(
+    topic: str, sides: tuple[TopicValues, TopicValues], begins: list[int], rooms: Mapping[str, float]
+) -> Iterator[str]:
+    ours, theirs = sides
+    times = [item.times_ns - begin_ns for item, begin_ns in zip(sides, begins, strict=True)]
+    step_ns = float(np.median(np.diff(times[0]))) if len(times[0]) > 1 else 0.0
+    window_ns = max(_WINDOW_NS, int(_PERIODS * step_ns))
+    first = np.searchsorted(times[0], times[1] - window_ns)
+    end = np.searchsorted(times[0], times[1] + window_ns, "right")
+    for name, field in ours.fields.items():
+        if name not in theirs.fields or not field.count:
+            continue
+        room = rooms.get(name, rooms.get("", _PERCENT) / 100 * (field.high - field.low))
+        low, high = _extremes(field.kept, first, end)
+        values = theirs.fields[name].kept
+        outside = (values < low - room) | (values > high + room) | (np.isnan(values) & ~np.isnan(low))
+        if outside.any():
+            place = int(outside.argmax())
+            number, time_ns = theirs.place(place)
+            was = (
+                f"{low[place]:.6g}" if low[place] == high[place] else f"{low[place]:.6g} to {high[place]:.6g}"
+            )
+            yield (
+                f"{topic} {name} is {values[place]:.6g} in message {number:,}, "
+                f"{(time_ns - begins[1]) / SECOND:.3f} s after the first command; it was {was} then"
+            )
+
+
+def _extremes(
+    values: NDArray[np.float64], first: NDArray[np.intp], end: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the least and most of ``values[first:end]`` of each; NaN where that is empty."""
+    low = np.full(len(first), np.nan)
+    high = low.copy()
+    some = np.flatnonzero(end > first)
+    if len(some):
+        bounds = np.stack((first[some], end[some]), axis=1).ravel()
+        padded = np.append(values, values[-1])
+        low[some] = np.minimum.reduceat(padded, bounds)[::2]
+        high[some] = np.maximum.reduceat(padded, bounds)[::2]
+    return low, high

@@ -1,0 +1,114 @@
+"""Experiments: broken off and resumed they are the same, and what they say is what the emulator counted."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+import sys
+
+import pytest
+from places import CAPTURES, ROOT
+from schema import check, published
+
+from edoras_tools.addons.lab.experiment.plan import ExperimentPlan
+from edoras_tools.addons.lab.experiment.run import Experiment
+from edoras_tools.errors import ConfigError, InterruptError
+from edoras_tools.pipelines.workbench import open_files
+from edoras_tools.units import SECOND
+
+PLAN = ExperimentPlan(("rover",), settings={"rate": (5.0, 30.0)}, duration_ns=SECOND, least=2, most=2)
+
+
+class BrokenError(Exception):
+    """What ends an experiment early."""
+
+
+def carried_out(folder, plan=PLAN, most=99):
+    """Carry out a plan, but for runs beyond so many."""
+    made = []
+
+    def on_run(text):
+        if len(made) == most:
+            raise BrokenError
+        made.append(text)
+
+    return Experiment(plan, folder).run(on_run), made
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    return folder, carried_out(folder)[0]
+
+
+def test_broken_off_and_resumed_it_is_the_same(whole, tmp_path):
+    with pytest.raises(BrokenError):
+        carried_out(tmp_path, most=3)
+    files = sorted(tmp_path.glob("*/*.json"))
+    assert len(files) == 3
+    files[0].unlink()  # as if it had been broken off between recording and diagnosis
+    report, made = carried_out(tmp_path)
+    assert len(made) == 2
+    assert report["cells"] == whole[1]["cells"]
+    for path in sorted(whole[0].glob("*/*")):
+        assert filecmp.cmp(path, tmp_path / path.relative_to(whole[0]), shallow=False), path
+
+
+def test_runs_are_those_that_the_emulator_accounts_for(whole):
+    folder, report = whole
+    check(report, published("experiment"))
+    slow, fast = ({item["topic"]: item for item in cell["topics"]} for cell in report["cells"])
+    assert slow["/cmd_vel"]["loss"]["mean"] == 0
+    assert fast["/cmd_vel"]["loss"]["mean"] > 0
+    for path in folder.glob("*/*.json"):
+        run = json.loads(path.read_text())
+        counted = sum(number for hop, _, _, number in run["account"] if hop == "EDORAS_APP_PIPE")
+        assert run["topics"]["/cmd_vel"]["lost"] == counted
+        source = open_files([path.with_suffix(".mcap")])
+        assert source.info.kind == "mcap"
+        source.close()
+
+
+def test_another_plan_needs_another_folder(whole):
+    with pytest.raises(ConfigError, match="runs of another plan"):
+        Experiment(ExperimentPlan(("rover",), seed=2), whole[0])
+
+
+def test_it_stops_when_narrow_enough(whole):
+    folder, _ = whole
+    plan = ExperimentPlan(("rover",), settings=PLAN.settings, duration_ns=SECOND, least=2, most=3, width=0.8)
+    report, made = carried_out(folder, plan, most=1)
+    assert [cell["known"] for cell in report["cells"]] == [True, True]
+    assert made == []
+
+
+def test_a_capture_is_replayed_into_the_emulator(tmp_path):
+    plan = ExperimentPlan(
+        ("rover",), replay=CAPTURES / "f_sbn_disconnect.pcap", settings={"rate": (100.0,)}, least=2, most=2
+    )
+    report, _ = carried_out(tmp_path, plan)
+    (cell,) = report["cells"]
+    command = next(item for item in cell["topics"] if item["topic"] == "/cmd_vel")
+    assert command["rate_hz"]["mean"] == pytest.approx(100, rel=0.01)
+    assert command["loss"]["low"] > 0.2
+
+
+def test_a_run_that_is_interrupted_is_not_kept(tmp_path, monkeypatch):
+    def interrupted(*_args, **_options):
+        raise InterruptError("interrupted")
+
+    monkeypatch.setattr("edoras_tools.addons.lab.experiment.run.record", interrupted)
+    with pytest.raises(InterruptError):
+        carried_out(tmp_path)
+    assert not list(tmp_path.glob("*/*.json"))
+
+
+@pytest.mark.long
+def test_intervals_hold_the_account(tmp_path):
+    """A small version of ``benchmarks/experiment.py``: of 40 intervals at least 34 hold the account."""
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    import experiment
+
+    held, cells = experiment.coverage(tmp_path, 40, 30)
+    assert cells == 40
+    assert held >= 34
