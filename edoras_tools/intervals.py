@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-CONFIDENCE: Final = 0.95
+_CONFIDENCE: Final = 0.95
 _CONTENT: Final = 0.99
-"""Share of all runs that a tolerance interval holds, with ``CONFIDENCE``."""
+"""Share of all runs that a tolerance interval holds, with ``_CONFIDENCE``."""
 
 
 class Interval(NamedTuple):
@@ -68,7 +68,7 @@ def _t_within(value: float, freedom: int) -> float:
 
 
 def mean_interval(values: Sequence[float], step: float = 0.0) -> Interval:
-    """Return where the mean of all possible runs lies, with ``CONFIDENCE``; of one value only its step tells.
+    """Return where the mean of all possible runs lies, with ``_CONFIDENCE``; one value is its own.
 
     Args:
         values: one of each run, at least one.
@@ -76,9 +76,9 @@ def mean_interval(values: Sequence[float], step: float = 0.0) -> Interval:
     """
     mean, count = fmean(values), len(values)
     if count < 2:
-        return Interval(mean, mean - 1, mean + 1) if step else Interval(mean, mean, mean)
+        return Interval(mean, mean, mean)
     deviation = sqrt(variance(values) + step * step / 12)
-    half = t_quantile((1 + CONFIDENCE) / 2, count - 1) * deviation / sqrt(count)
+    half = t_quantile((1 + _CONFIDENCE) / 2, count - 1) * deviation / sqrt(count)
     return Interval(mean, mean - half, mean + half)
 
 
@@ -95,12 +95,12 @@ def difference_interval(before: Sequence[float], after: Sequence[float], step: f
     if not whole:
         return Interval(mean, mean, mean)
     below = sum(part**2 / (len(item) - 1) for part, item in zip(parts, (before, after), strict=True))
-    half = t_quantile((1 + CONFIDENCE) / 2, max(1, int(whole**2 / below))) * sqrt(whole)
+    half = t_quantile((1 + _CONFIDENCE) / 2, max(1, int(whole**2 / below))) * sqrt(whole)
     return Interval(mean, mean - half, mean + half)
 
 
 def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> Interval:
-    """Return where nearly all runs lie: ``_CONTENT`` of them, with ``CONFIDENCE``.
+    """Return where nearly all runs lie: ``_CONTENT`` of them, with ``_CONFIDENCE``.
 
     Args:
         values: one of each run, at least one.
@@ -113,7 +113,7 @@ def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> 
     deviation = sqrt((seen + freedom * spread * spread) / total)
     normal = NormalDist()
     part = 2 / (9 * total)
-    chi_square = total * (1 - part + normal.inv_cdf(1 - CONFIDENCE) * sqrt(part)) ** 3
+    chi_square = total * (1 - part + normal.inv_cdf(1 - _CONFIDENCE) * sqrt(part)) ** 3
     half = normal.inv_cdf((1 + _CONTENT) / 2) * sqrt((1 + 1 / count) * total / chi_square) * deviation
     mean = fmean(values)
     return Interval(mean, mean - half, mean + half)

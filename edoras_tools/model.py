@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple
 import numpy as np
 
 from edoras_tools.older import Flags
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,6 +28,16 @@ NO_MSG_ID = -1
 """``Columns.msg_id`` of a datagram that holds no space packet."""
 NO_ROUTE = -1
 """``Columns.route`` of a datagram that no configured topic claims."""
+
+
+def rate_hz(count: int, span_ns: int) -> float:
+    """Return the rate of messages between the first and the last, which every command means by a rate.
+
+    Args:
+        count: messages, the first and the last among them.
+        span_ns: from the first to the last; without one the rate is 0.
+    """
+    return (count - 1) * SECOND / span_ns if count > 1 and span_ns > 0 else 0.0
 
 
 class Finding(Flags):

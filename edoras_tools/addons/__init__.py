@@ -140,7 +140,7 @@ ADDONS: Final = (
         commands={
             "codegen": ListedCommand(
                 "Connect",
-                "Write messages in C for flight software: no ROS, no heap.",
+                "Write messages in C for flight software: no ROS or heap.",
                 "cli.codegen:codegen",
                 before="structs",
             ),
@@ -153,7 +153,7 @@ ADDONS: Final = (
         "proxy",
         commands={
             "proxy": ListedCommand(
-                "Send", "Relay a link: recorded, at limited rates, or with faults.", "cli:proxy"
+                "Send", "Relay a link: recorded, at limited rates, with faults.", "cli:proxy"
             )
         },
     ),
@@ -168,7 +168,7 @@ ADDONS: Final = (
             ),
             "experiment": ListedCommand(
                 "Try",
-                "Make many runs of a system, and say what each setting loses.",
+                "Make many runs, and say what each setting loses.",
                 "cli.experiment:experiment",
                 before="samples",
             ),

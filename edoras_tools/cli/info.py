@@ -29,7 +29,7 @@ def info(
     chosen: options.SelectionOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Show what is in a capture: routes, rates, gaps, findings."""
+    """Say what is in a capture: routes, rates, gaps, findings."""
     paths = files.named()
     limits = part.limits(paths)
     if verify:

@@ -268,13 +268,13 @@ def program(*names: str, completes: bool = False) -> typer.Typer:
     made = typer.Typer(
         name="edoras",
         cls=_Edoras,
-        help="Capture, decode, record, replay and diagnose ROS 2 through NASA's cFS.",
+        help="\b\nCapture, decode, record, replay and diagnose ROS 2 through NASA's cFS.\n"
+        "Start: edoras FILE, or edoras demo. All of a command: edoras help COMMAND",
         no_args_is_help=True,
         add_completion=completes or not names,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings=_SETTINGS,
-        epilog="Start: edoras FILE, or edoras demo. All of a command: edoras help COMMAND",
     )
     made.callback()(lambda: None)
     for name in names or [*COMMANDS, *(item.name for item in doors.installed("commands"))]:

@@ -114,8 +114,8 @@ class SendingOptions(NamedTuple):
     expect: Annotated[
         list[str] | None,
         Option(
-            help="Exit code 3 without it: event:TEXT, counter:TO_HK.command_counter[+N], topic or name; or what "
-            "a FILE, a good run, had."
+            help="Exit code 3 without it: event:TEXT, counter:TO_HK.command_counter[+N], topic or name, or "
+            "the values of FILE, a good run."
         ),
     ] = None
     tolerance: Annotated[

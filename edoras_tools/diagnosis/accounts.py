@@ -13,8 +13,7 @@ from edoras_tools.diagnosis.advice import clean_round
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.crossing import Hop, Latency, latency_of
 from edoras_tools.diagnosis.matching.streams import comb
-from edoras_tools.model import NO_ROUTE
-from edoras_tools.units import rate_hz
+from edoras_tools.model import NO_ROUTE, rate_hz
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -79,7 +79,7 @@ def proxy(
     faults: options.FaultOptions,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Relay a link: recorded, at limited rates, or with faults.
+    """Relay a link: recorded, at limited rates, with faults.
 
     Several stations can be served at once.
 

@@ -42,7 +42,7 @@ TO_END: Final = 5
 NOTABLE_FINDINGS: Final = frozenset(item.label for item in NOTABLE)
 """Labels of the findings that are warnings or errors."""
 _OF_DATAGRAMS: Final = frozenset({*LOSS_KEYS, "latency"})
-"""Bounds of what only datagrams show."""
+"""DifferenceLimits of what only datagrams show."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,7 +133,7 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class DifferenceLimits:
     """How much may differ, and what later runs may show at all.
 
     Attributes:
@@ -149,7 +149,9 @@ class Bounds:
     max_delay: Sequence[tuple[str, float]] = ()
 
 
-def compare_runs(good: Sequence[RunSummary], bad: Sequence[RunSummary], bounds: Bounds) -> list[Point]:
+def compare_runs(
+    good: Sequence[RunSummary], bad: Sequence[RunSummary], bounds: DifferenceLimits
+) -> list[Point]:
     """Return every figure that both sides have, and all else that differs; what is worse first.
 
     Args:
@@ -200,7 +202,9 @@ def _difference(ours: Sequence[float], theirs: Sequence[float], step: float = 0.
     return difference_interval(ours, theirs, step) if min(len(ours), len(theirs)) > 1 else None
 
 
-def _figures(key: Key, ours: Sequence[Route], theirs: Sequence[Route], bounds: Bounds) -> Iterator[Point]:
+def _figures(
+    key: Key, ours: Sequence[Route], theirs: Sequence[Route], bounds: DifferenceLimits
+) -> Iterator[Point]:
     """Compare rate, losses, delay and sizes of one route."""
     name = ours[0]["name"]
     if not _is_event(key) and min(item["count"] for item in (*ours, *theirs)) >= FEWEST:
@@ -273,26 +277,20 @@ def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence
         yield Point(what, route, link, msg_id, values[0], values[1], worse, text, differs, interval=ends)
 
 
-def _limits(key: Key, theirs: Sequence[Route], bounds: Bounds) -> Iterator[Point]:
+def _limits(key: Key, theirs: Sequence[Route], limits: DifferenceLimits) -> Iterator[Point]:
     """Hold later runs against the limits that somebody set."""
-    for row in theirs[:1]:
-        names = {row["name"], row["name"].removeprefix("/"), key[1]}
-        sent = sum(item["sent"] for item in theirs)
-        gone = sum(item["lost"] + item["unaccounted"] for item in theirs)
-        for pattern, most in bounds.max_loss:
-            if sent and (not pattern or pattern in names):
-                share = gone / sent
-                text = f"{row['name']}: {share:.2%} lost, allowed {most:.2%}"
-                worse = share > most
-                yield Point("max_loss", row["name"], *key, most, share, worse, text, worse)
-        delays = [item["latency_ms"] for item in theirs if item["latency_ms"] is not None]
-        for pattern, most in bounds.max_delay:
-            if delays and (not pattern or pattern in names):
-                worst = max(delays)
-                times = map(units.milliseconds, (worst, most))
-                text = f"{row['name']}: 99 % within {', allowed '.join(times)}"
-                worse = worst > most
-                yield Point("max_delay", row["name"], *key, most, worst, worse, text, worse)
+    sent = sum(item["sent"] for item in theirs)
+    share = sum(item["lost"] + item["unaccounted"] for item in theirs) / sent if sent else None
+    delay = max((item["latency_ms"] for item in theirs if item["latency_ms"] is not None), default=None)
+    for what, patterns, value, text in (
+        ("max_loss", limits.max_loss, share, "{:.2%} lost".format),
+        ("max_delay", limits.max_delay, delay, "99 % within {:.1f} ms".format),
+    ):
+        for pattern, most in patterns if value is not None else ():
+            name = theirs[0]["name"]
+            if pattern in {"", name.removeprefix("/"), key[1]}:
+                line = f"{name}: {text(value)}, allowed {text(most)}"
+                yield Point(what, name, *key, most, value, value > most, line, value > most)
 
 
 def _findings(key: Key, ours: Sequence[Route], theirs: Sequence[Route]) -> Iterator[Point]:
@@ -327,7 +325,9 @@ def _verdicts(good: Sequence[RunSummary], bad: Sequence[RunSummary]) -> Iterator
             yield Point("verdict", item["topic"], key[1], key[2], item["rule"], None, False, text)
 
 
-def _values(good: Sequence[RunSummary], bad: Sequence[RunSummary], bounds: Bounds) -> Iterator[Point]:
+def _values(
+    good: Sequence[RunSummary], bad: Sequence[RunSummary], bounds: DifferenceLimits
+) -> Iterator[Point]:
     """Compare the fields of the topics that all runs have."""
     for topic in good[0].values:
         ours, theirs = ([run.values[topic] for run in side if topic in run.values] for side in (good, bad))
@@ -345,7 +345,7 @@ def _value(
     to_cfs: bool,
     before: Sequence[FieldValues],
     after: Sequence[tuple[RunSummary, TopicValues]],
-    bounds: Bounds,
+    bounds: DifferenceLimits,
 ) -> Iterator[Point]:
     topic, name = place
     limit = field_limit(before, to_cfs=to_cfs)

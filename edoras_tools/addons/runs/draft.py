@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.addons.runs.check import NOTABLE_FINDINGS
 from edoras_tools.addons.runs.expectations import LOSS_KEYS, TOPIC_BOUNDS, WHOLE_BOUNDS
 from edoras_tools.addons.runs.figures import Figures
-from edoras_tools.addons.runs.limits import Limit, field_filter, field_limit, loss_limits, topic_limits
+from edoras_tools.addons.runs.limits import RunLimit, field_filter, field_limit, loss_limits, topic_limits
 from edoras_tools.addons.runs.observation import Subject
 from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.filters.filter import Where
@@ -112,7 +112,7 @@ class Draft:
             yield f"      - always: {json.dumps(where)}  # {limit.why}"
 
     def _losses(
-        self, name: str, figures: Sequence[Figures], limits: dict[str, Limit], indent: str
+        self, name: str, figures: Sequence[Figures], limits: dict[str, RunLimit], indent: str
     ) -> Iterator[str]:
         for key in LOSS_KEYS:
             if key == "lost" and (
@@ -145,7 +145,7 @@ def _is_filter(where: str, context: Context) -> bool:
     return True
 
 
-def field_limits(runs: Sequence[Run], topic: str) -> Iterator[tuple[str, str, Limit]]:
+def field_limits(runs: Sequence[Run], topic: str) -> Iterator[tuple[str, str, RunLimit]]:
     """Yield the fields of a topic that all runs have, with their filters and limits."""
     own = [run.values[topic] for run in runs if topic in run.values]
     if len(own) < len(runs):

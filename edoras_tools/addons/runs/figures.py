@@ -9,8 +9,8 @@ from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.ledger import CAPTURE, Row
 from edoras_tools.io.topics.rows import APART
-from edoras_tools.model import NO_MSG_ID
-from edoras_tools.units import SECOND, rate_hz
+from edoras_tools.model import NO_MSG_ID, rate_hz
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -35,7 +35,7 @@ _FEWEST: Final = 5
 _EQUAL: Final = 1e-6
 
 
-class Limit(NamedTuple):
+class RunLimit(NamedTuple):
     """What the next run may show.
 
     Attributes:
@@ -62,7 +62,7 @@ class Limit(NamedTuple):
             return f"at most {high}{sign}" if high else "0"
         return f"{low}" if low == high else f"{low}..{high}{self.suffix}"
 
-    def joined(self, other: Limit) -> Limit:
+    def joined(self, other: RunLimit) -> RunLimit:
         """Return a limit that holds both."""
         low, high = min(self.low, other.low), max(self.high, other.high)
         return self._replace(low=low, high=high, why=other.why)
@@ -80,7 +80,9 @@ def _seen(values: Sequence[float], text: Callable[[float], str]) -> str:
     return f"{low if low == high else f'{low} to {high}'} in {len(values):,} runs"
 
 
-def topic_limits(runs: Sequence[Figures], spread: float, rate_spread: float) -> Iterator[tuple[str, Limit]]:
+def topic_limits(
+    runs: Sequence[Figures], spread: float, rate_spread: float
+) -> Iterator[tuple[str, RunLimit]]:
     """Yield the limits of one topic by their key.
 
     Args:
@@ -98,23 +100,23 @@ def topic_limits(runs: Sequence[Figures], spread: float, rate_spread: float) -> 
         low = max(interval.low, 0.0)
         lasts = low and all(item.end_silence * (item.rate or 0.0) <= TO_END for item in runs)
         why = _seen(rates, lambda value: f"{value:.4g} Hz")
-        yield "rate", Limit(low, interval.high, why, " to the end" if lasts else "")
+        yield "rate", RunLimit(low, interval.high, why, " to the end" if lasts else "")
         yield "silence", _time_limit([item.silence for item in runs])
     if sizes := [size for item in runs if item.size is not None for size in item.size]:
-        yield "size", Limit(min(sizes), max(sizes), f"in {count:,} run{'s' * (count > 1)}")
+        yield "size", RunLimit(min(sizes), max(sizes), f"in {count:,} run{'s' * (count > 1)}")
     delays = [item.latency for item in runs if item.latency is not None]
     if len(delays) == count:
         yield "latency", _time_limit(delays)
     yield from loss_limits(runs, spread)
 
 
-def _time_limit(values: Sequence[float]) -> Limit:
+def _time_limit(values: Sequence[float]) -> RunLimit:
     spread = _TIME * sum(values) / len(values) + _LEAST_S
     high = tolerance_interval(values, spread, _worth(len(values))).high
-    return Limit(0, high, _seen(values, lambda value: f"{value:.3g} s"))
+    return RunLimit(0, high, _seen(values, lambda value: f"{value:.3g} s"))
 
 
-def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, Limit]]:
+def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, RunLimit]]:
     """Yield the limits of what is lost, by their key; those that nothing counted have none."""
     if not all(item.sent for item in runs):
         return
@@ -128,7 +130,7 @@ def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, L
         if len(runs) == 1:
             whole = f"{numbers[0]:,} of {runs[0].sent:,} in 1 run"
         if not any(numbers):
-            yield key, Limit(0, 0, whole)
+            yield key, RunLimit(0, 0, whole)
             continue
         expected = max(spread if key == "lost" else 0.0, 1.0) if key == "lost" else math.sqrt(max(numbers))
         sent = min(item.sent for item in runs)
@@ -136,10 +138,10 @@ def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, L
         high = tolerance_interval(
             shares, expected / sent, MODEL_WORTH if key == "lost" else _worth(len(runs))
         ).high
-        yield key, Limit(0, min(1.0, high), whole, is_share=True)
+        yield key, RunLimit(0, min(1.0, high), whole, is_share=True)
 
 
-def field_limit(runs: Sequence[FieldValues], *, to_cfs: bool) -> Limit | None:
+def field_limit(runs: Sequence[FieldValues], *, to_cfs: bool) -> RunLimit | None:
     """Return the limit of a field; None where it has no number, or was still moving when runs ended."""
     if not all(item.count for item in runs) or 2 * sum(item.is_moving for item in runs) > len(runs):
         return None
@@ -150,17 +152,19 @@ def field_limit(runs: Sequence[FieldValues], *, to_cfs: bool) -> Limit | None:
     why = f"{_number(min(lows))} to {_number(max(highs))} in {len(runs):,} run{'s' * (len(runs) > 1)}"
     if not span:
         margin = 0.0 if runs[0].is_whole else _EQUAL * abs(lows[0])
-        return Limit(lows[0] - margin, highs[0] + margin, why.partition(" to ")[0] + why[why.index(" in ") :])
+        return RunLimit(
+            lows[0] - margin, highs[0] + margin, why.partition(" to ")[0] + why[why.index(" in ") :]
+        )
     spread = span * (_SENT if to_cfs else _RECEIVED)
     low = tolerance_interval(lows, spread, _worth(len(runs))).low
     high = tolerance_interval(highs, spread, _worth(len(runs))).high
     if runs[0].is_whole:
-        return Limit(math.floor(low), math.ceil(high), why)
+        return RunLimit(math.floor(low), math.ceil(high), why)
     step = 10.0 ** (math.floor(math.log10(span)) - 3)
-    return Limit(math.floor(low / step) * step, math.ceil(high / step) * step, why)
+    return RunLimit(math.floor(low / step) * step, math.ceil(high / step) * step, why)
 
 
-def field_filter(name: str, limit: Limit, *, is_flag: bool = False) -> str:
+def field_filter(name: str, limit: RunLimit, *, is_flag: bool = False) -> str:
     """Return the filter that a field within its limit passes."""
     if is_flag:
         return f"{name} == {'true' if limit.low else 'false'}"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.runs.draft import field_limits
 from edoras_tools.addons.runs.figures import Figures
-from edoras_tools.addons.runs.limits import Limit, field_filter, loss_limits, topic_limits
+from edoras_tools.addons.runs.limits import RunLimit, field_filter, loss_limits, topic_limits
 from edoras_tools.addons.runs.observation import Subject
 from edoras_tools.diagnosis.ledger import CAPTURE
 
@@ -27,7 +27,7 @@ _FIELD: Final = re.compile(r"(\S+) (?:in (\S+?)\.\.(\S+)|== (\S+))")
 _LINE: Final = re.compile(r"(\s*(?:- )?[\w ]+:\s*)([^#]*?)(\s*#.*)?")
 
 
-class Update:
+class ExpectationUpdate:
     """The new text of a file of expectations.
 
     Args:
@@ -59,7 +59,7 @@ class Update:
         elif item.about == CAPTURE:
             whole = self._run.whole()
             limits = dict(loss_limits([whole], self._run.spread()))
-            limits["duration"] = Limit(whole.silence, whole.silence, f"{whole.silence:.3g} s in 1 run")
+            limits["duration"] = RunLimit(whole.silence, whole.silence, f"{whole.silence:.3g} s in 1 run")
             self._bound(self._expected.bounds.get(item.expectation), item.expectation, limits)
         else:
             self._topic(item)
@@ -72,7 +72,7 @@ class Update:
             figures = Figures.of(subject, self._parts)
             spreads = (self._run.spread(subject, captured=captured) for captured in (False, True))
             limits = dict(topic_limits([figures], *spreads))
-            limits["count"] = Limit(figures.count, figures.count, f"{figures.count:,} in 1 run")
+            limits["count"] = RunLimit(figures.count, figures.count, f"{figures.count:,} in 1 run")
             if figures.count:
                 self._bound(topic.bounds.get(item.expectation), item.expectation, limits)
             for field in topic.fields:
@@ -80,11 +80,11 @@ class Update:
                     name, low, high, same = match.groups()
                     every = {name: own for name, _, own in field_limits([self._run], subject.name)}
                     if own := every.get(name):
-                        old = Limit(float(low or same), float(high or same), "")
+                        old = RunLimit(float(low or same), float(high or same), "")
                         joined = old.joined(own)
                         self._replace(field.line, json.dumps(field_filter(name, joined)), joined.why)
 
-    def _bound(self, bound: Tolerance | None, key: str, limits: Mapping[str, Limit]) -> None:
+    def _bound(self, bound: Tolerance | None, key: str, limits: Mapping[str, RunLimit]) -> None:
         if bound is None or key not in limits:
             return
         limit = limits[key]
@@ -92,7 +92,7 @@ class Update:
             return  # a bound in messages stays one
         suffix = limit.suffix if bound.to_end else ""
         joined = (
-            Limit(bound.low, bound.high, "").joined(limit)._replace(suffix=suffix, is_share=limit.is_share)
+            RunLimit(bound.low, bound.high, "").joined(limit)._replace(suffix=suffix, is_share=limit.is_share)
         )
         self._replace(bound.line, joined.text(bound.unit), limit.why)
 

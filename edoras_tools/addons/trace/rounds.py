@@ -25,7 +25,8 @@ from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import BUS, COUNTERS, Among
 from edoras_tools.diagnosis.advice import published_at, told_limit
 from edoras_tools.diagnosis.ledger import APPLICATION
-from edoras_tools.units import SECOND, rate_hz
+from edoras_tools.model import rate_hz
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -17,9 +17,9 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.preparation import handed_on
 from edoras_tools.links import table
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding, Link
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding, Link, rate_hz
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
-from edoras_tools.units import SECOND, rate_hz
+from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value, numbered, quantiles
 from edoras_tools.wire.msg_id import VERSION_1
 

@@ -10,7 +10,8 @@ from edoras_tools.diagnosis.rules.about import packet
 from edoras_tools.diagnosis.verdict import NOTHING_SENT, Severity, Verdict, verdict, warning
 from edoras_tools.links.table import link
 from edoras_tools.links.to import TO
-from edoras_tools.units import SECOND, rate_hz
+from edoras_tools.model import rate_hz
+from edoras_tools.units import SECOND
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:

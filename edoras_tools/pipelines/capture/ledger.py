@@ -17,10 +17,10 @@ from edoras_tools.links import table
 from edoras_tools.links.table import LinkStates
 from edoras_tools.mission import loads
 from edoras_tools.mission.report import printable
-from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketBatch
+from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketBatch, rate_hz
 from edoras_tools.ros.fitting import types_that_fit
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
-from edoras_tools.units import MILLISECOND, SECOND, rate_hz
+from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import by_value, order_by
 from edoras_tools.words import plural
 

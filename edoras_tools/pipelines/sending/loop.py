@@ -23,10 +23,11 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.processors import Precedence
+from edoras_tools.model import rate_hz
 from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.sessions.outgoing import Changes, Outgoing
 from edoras_tools.sessions.pacing import Lateness, Timetable
-from edoras_tools.units import MILLISECOND, SECOND, rate_hz
+from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

@@ -1,4 +1,4 @@
-"""Bounds as people write them."""
+"""DifferenceLimits as people write them."""
 
 import pytest
 

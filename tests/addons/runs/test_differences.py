@@ -6,7 +6,7 @@ import copy
 
 import pytest
 
-from edoras_tools.addons.runs.differences import Bounds, RunSummary, compare_runs
+from edoras_tools.addons.runs.differences import DifferenceLimits, RunSummary, compare_runs
 
 ROUTE = {
     "topic": "/pose",
@@ -51,7 +51,7 @@ def run(route=(), account=(), verdicts=(), seconds=10.0, balance=()):
 
 
 def changes(good, bad):
-    found = compare_runs([good], [bad], Bounds())
+    found = compare_runs([good], [bad], DifferenceLimits())
     return [(item.what, item.worse) for item in found if item.differs]
 
 

@@ -1,4 +1,4 @@
-"""Limits from figures and fields: nothing lost stays so, more runs are narrower, a scaled field is outside."""
+"""Limits from figures and fields: nothing lost stays so, more runs are narrower, a scaled field is out."""
 
 from __future__ import annotations
 

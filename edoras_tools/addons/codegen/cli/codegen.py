@@ -59,7 +59,7 @@ def codegen(
     quiet: options.Quiet = False,
     decoding: options.DecodingOptions,
 ) -> None:
-    """Write messages in C for flight software: no ROS, no heap.
+    """Write messages in C for flight software: no ROS or heap.
 
     For example: edoras codegen std_msgs/Header --bound std_msgs/Header.frame_id=16 -o edoras_msgs
     """

@@ -22,7 +22,7 @@ def experiment(
     yes: sending.Yes = False,
     printing: options.PrintOptions,
 ) -> None:
-    """Make many runs of a system, and say what each setting loses.
+    """Make many runs, and say what each setting loses.
 
     Each run is recorded and diagnosed in the folder. Runs that are there are not made again, so the same
     command resumes what was broken off.

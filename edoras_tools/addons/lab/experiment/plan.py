@@ -19,7 +19,7 @@ Paths are relative to the plan. All errors of a file are reported at once, with 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
@@ -100,16 +100,7 @@ class ExperimentPlan:
 
     def as_json(self) -> dict[str, Any]:
         """Return what decides about a run; how many there are may change when a plan is resumed."""
-        return {
-            "scenarios": list(self.scenarios),
-            "target": self.target,
-            "missions": [item.name for item in self.missions],
-            "replay": self.replay and self.replay.name,
-            "to": self.to,
-            "settings": {name: list(values) for name, values in self.settings.items()},
-            "duration_ns": self.duration_ns,
-            "seed": self.seed,
-        }
+        return {name: value for name, value in asdict(self).items() if name not in {"least", "most", "width"}}
 
 
 def load_plan(path: Path) -> ExperimentPlan:

@@ -12,9 +12,10 @@ from __future__ import annotations
 import json
 import random
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from importlib.resources import as_file, files
+from math import inf
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.addons.lab.emulator import BOOT_NS, MISSIONS, Simulation
@@ -24,7 +25,7 @@ from edoras_tools.addons.lab.emulator.wire import SimulatedWire
 from edoras_tools.addons.lab.experiment.plan import RATE, Cell, ExperimentPlan
 from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.errors import ConfigError, InterruptError
-from edoras_tools.intervals import Interval, mean_interval
+from edoras_tools.intervals import mean_interval
 from edoras_tools.io.net.address import parse_endpoint
 from edoras_tools.io.outputs import write_bytes
 from edoras_tools.links.table import carrying
@@ -39,7 +40,7 @@ from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.diagnosis.examination import Diagnosis
@@ -53,87 +54,64 @@ _PHASES_NS: Final = SECOND
 _BEGIN_NS: Final = 1_767_225_600 * SECOND
 _APART_NS: Final = 600 * SECOND
 """Emulated runs begin in 2026, so far apart."""
-SETTLES_NS: Final = 3 * SECOND
+BEFORE_COMMANDS_NS: Final = 3 * SECOND
 """Until counters have come that say what was lost before."""
-DRAINS_NS: Final = 4 * SECOND
+AFTER_COMMANDS_NS: Final = 4 * SECOND
 """Until those of the last commands have come."""
 PLAN, REPORT = "plan.json", "report.json"
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
-    """One run of a cell.
-
-    Attributes:
-        topics: what became of each, by name: ``sent``, ``lost``, ``rate_hz``, ``delay_ms``.
-        account: what the emulated cFS itself lost: hop, MsgId, how, how many.
-    """
-
-    topics: Mapping[str, Mapping[str, Any]]
-    account: Sequence[tuple[str, int, str, int]] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class CellReport:
     """What is known of a cell.
 
-    Attributes:
+    Args:
         cell: its scenario and settings.
-        runs: in order.
-        width: to which loss was to be known; 0: to any.
+        runs: ``topics`` of each: what became of them by name, ``sent``, ``lost``, ``rate_hz`` and ``delay_ms``.
+        width: to which loss is to be known; 0: to any.
+
+    Attributes:
+        topics: the intervals of the means: loss as a share, rate in Hz, delay in ms.
     """
 
-    cell: Cell
-    runs: Sequence[Run]
-    width: float
+    def __init__(self, cell: Cell, runs: Sequence[Mapping[str, Any]], width: float) -> None:
+        self.cell, self.runs, self.width = cell, runs, width
+        names = dict.fromkeys(name for run in runs for name in run["topics"])
+        self.topics = [self._topic(name) for name in names]
 
-    def topics(self) -> Iterator[tuple[str, dict[str, Interval | None]]]:
-        """Yield each topic with the intervals of its means: loss as a share, rate in Hz, delay in ms."""
-        for name in dict.fromkeys(name for run in self.runs for name in run.topics):
-            own = [run.topics[name] for run in self.runs if name in run.topics]
-            shares = [item["lost"] / item["sent"] for item in own if item["sent"]]
-            least = min((item["sent"] for item in own if item["sent"]), default=0)
-            yield (
-                name,
-                {
-                    "loss": _within(mean_interval(shares, 1 / least)) if shares else None,
-                    **{key: _mean([item[key] for item in own]) for key in ("rate_hz", "delay_ms")},
-                },
-            )
+    def _topic(self, name: str) -> dict[str, Any]:
+        own = [run["topics"][name] for run in self.runs if name in run["topics"]]
+        sent = [item["sent"] for item in own if item["sent"]]
+        loss = [item["lost"] / item["sent"] for item in own if item["sent"]]
+        row: dict[str, Any] = {"topic": name, "loss": _interval(loss, 1 / min(sent, default=1), most=1.0)}
+        return row | {key: _interval([item[key] for item in own]) for key in ("rate_hz", "delay_ms")}
 
     @property
     def is_known(self) -> bool:
         """Whether the loss of every topic is known well enough."""
-        losses = [item["loss"] for _, item in self.topics()]
-        return bool(self.width) and all(item is None or item.half_width <= self.width for item in losses)
+        losses = [item["loss"] for item in self.topics if item["loss"]]
+        return bool(self.width) and all(item["high"] - item["low"] <= 2 * self.width for item in losses)
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``experiment --json``."""
-        topics = [
-            {
-                "topic": name,
-                **{key: None if item is None else item._asdict() for key, item in intervals.items()},
-            }
-            for name, intervals in self.topics()
-        ]
         return {
             "cell": self.cell.name,
             "scenario": self.cell.scenario or None,
             "settings": dict(self.cell.settings),
             "runs": len(self.runs),
             "known": self.is_known if self.width else None,
-            "topics": topics,
+            "topics": self.topics,
         }
 
 
-def _within(interval: Interval) -> Interval:
-    """Cut the interval of a share to what a share can be."""
-    return Interval(interval.mean, max(0.0, interval.low), min(1.0, interval.high))
-
-
-def _mean(values: Sequence[float | None]) -> Interval | None:
+def _interval(
+    values: Sequence[float | None], step: float = 0.0, most: float = inf
+) -> dict[str, float] | None:
+    """Return the interval of a mean, from 0 to ``most``; None of fewer than two values."""
     known = [item for item in values if item is not None]
-    return mean_interval(known) if len(known) > 1 else None
+    if len(known) < 2:
+        return None
+    mean, low, high = mean_interval(known, step)
+    return {"mean": mean, "low": max(0.0, low), "high": min(most, high)}
 
 
 class Experiment:
@@ -150,7 +128,7 @@ class Experiment:
     def __init__(self, plan: ExperimentPlan, folder: Path) -> None:
         self.plan, self.folder = plan, folder
         kept = folder / PLAN
-        text = json.dumps(plan.as_json(), indent=1, sort_keys=True)
+        text = json.dumps(plan.as_json(), indent=1, sort_keys=True, default=str)
         if kept.exists() and kept.read_text() != text:
             raise ConfigError(f"{folder}: has runs of another plan; name another folder with -o")
         self.benches = {cell.name: CellBench(plan, cell) for cell in plan.cells()}
@@ -180,7 +158,8 @@ class Experiment:
                 if not result.exists():
                     on_run(f"{name}, run {number}")
                     write_bytes(result, json.dumps(bench.run(path, index, number)).encode(), folders=True)
-                report = replace(report, runs=[*report.runs, Run(**json.loads(result.read_text()))])
+                runs = [*report.runs, json.loads(result.read_text())]
+                report = CellReport(bench.cell, runs, self.plan.width)
             reports.append(report.as_json())
         whole = {"schema": 1, "folder": str(self.folder), "cells": reports}
         write_bytes(self.folder / REPORT, json.dumps(whole, indent=1).encode())
@@ -239,8 +218,10 @@ class CellBench:
         """Return the traffic of a run as a source."""
         if self.plan.replay is None:
             rate, duration_ns = self.cell.settings.get(RATE, 5.0), self.plan.duration_ns
-            simulation.connect(rate, command_count=round(rate * duration_ns / SECOND), after_ns=SETTLES_NS)
-            return SimulatedSource(simulation, SETTLES_NS + duration_ns + DRAINS_NS)
+            simulation.connect(
+                rate, command_count=round(rate * duration_ns / SECOND), after_ns=BEFORE_COMMANDS_NS
+            )
+            return SimulatedSource(simulation, BEFORE_COMMANDS_NS + duration_ns + AFTER_COMMANDS_NS)
         transmission = self._transmission()
         is_sbn = transmission.options.to is Receiver.SBN
         target = simulation.cfs.sbn_endpoint if is_sbn else simulation.cfs.ci_endpoint

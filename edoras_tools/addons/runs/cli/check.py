@@ -154,9 +154,9 @@ def _draft(
 
 def _update(path: Path, expected: Expectations, report: CheckReport, run: Run) -> None:
     """Widen the expectations by a run."""
-    from edoras_tools.addons.runs.update import Update
+    from edoras_tools.addons.runs.update import ExpectationUpdate
 
-    update = Update(path.read_text(encoding="utf-8"), expected, report, run)
+    update = ExpectationUpdate(path.read_text(encoding="utf-8"), expected, report, run)
     if update.notes:
         recordings.write_page(update.text, path)
     for note in update.notes or ["this run meets all expectations: nothing was widened"]:

@@ -17,7 +17,7 @@ from edoras_tools.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from edoras_tools.addons.runs.differences import Bounds
+    from edoras_tools.addons.runs.differences import DifferenceLimits
 
 
 def _of_route(read: Callable[[str], Any]) -> Callable[[str], tuple[str, Any]]:
@@ -54,12 +54,12 @@ class LimitOptions(NamedTuple):
     junit: Annotated[Path | None, Option(help="Also write the results as JUnit XML.")] = None
     force: recordings.Force = False
 
-    def bounds(self) -> Bounds:
+    def bounds(self) -> DifferenceLimits:
         """Return these options in the form that the work takes."""
-        from edoras_tools.addons.runs.differences import Bounds
+        from edoras_tools.addons.runs.differences import DifferenceLimits
 
         rooms = dict(self.tolerance or ())
-        return Bounds(
+        return DifferenceLimits(
             rooms.pop("", 10.0) / 100,
             rooms,
             tuple(self.max_loss or ()),
