@@ -24,9 +24,13 @@ from schema import check, published
 
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.report.page import page
-from edoras_tools.addons.runs.compare_views import runs_view
-from edoras_tools.addons.runs.comparison import Runs
-from edoras_tools.addons.runs.differences import Run, run_differences
+from edoras_tools.addons.runs.differences import (
+    DifferenceLimits,
+    RunSummary,
+    compare_runs,
+    comparison_json,
+)
+from edoras_tools.addons.runs.views import runs_view
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.decode.lines import line_of
 from edoras_tools.diagnosis.evidence.clocks.alignment import align
@@ -319,7 +323,7 @@ def diagnosis(data: bytes) -> Hashable:
         told = json.loads(json.dumps({**found[-1].as_json(), **parts}, allow_nan=False))
         check(told, _SCHEMAS["doctor"])
         counts = {"source": "fuzz", "datagrams": ledger.datagrams, "routes": ledger.routes()}
-        runs.append(Run(counts, told))
+        runs.append(RunSummary(counts, told))
     for item in found:
         if item.case is not None:
             json.dumps([entry.as_json() for entry in missing(item.case)], allow_nan=False)
@@ -332,12 +336,10 @@ def diagnosis(data: bytes) -> Hashable:
     hold(between.as_json(), "against")
     align(*tables)
     for good, bad in (runs, runs[::-1]):
-        of_runs = Runs(good, bad, run_differences(good, bad, tolerance=0.1, serious=frozenset()))
-        check(
-            {"schema": 1, **json.loads(json.dumps(of_runs.as_json(), allow_nan=False))}, _SCHEMAS["compare"]
-        )
-        StringConsole(width=100, file=StringIO()).print(runs_view(good, bad, of_runs.changes))
-    assert not run_differences(runs[0], runs[0], tolerance=0.1, serious=frozenset())
+        report = comparison_json([good], [bad], compare_runs([good], [bad], DifferenceLimits()))
+        check({"schema": 1, **json.loads(json.dumps(report, allow_nan=False))}, _SCHEMAS["compare"])
+        StringConsole(width=100, file=StringIO()).print(runs_view(report, 100))
+    assert not any(item.differs for item in compare_runs([runs[0]], [runs[0]], DifferenceLimits()))
     return found[0].bad, frozenset(verdict.rule for verdict in found[0].verdicts)
 
 

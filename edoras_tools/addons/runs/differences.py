@@ -251,19 +251,15 @@ def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence
     route = name if place else None
     for what, words in _GONE.items():
         counts = [[(item[what], item["sent"]) for item in side] for side in (ours, theirs)]
-        if not any(sent for side in counts for _, sent in side):
+        sent = [number for side in counts for _, number in side]
+        if not any(sent):
             continue
-        shares = [[number / sent if sent else 0.0 for number, sent in side] for side in counts]
+        shares = [[number / of if of else 0.0 for number, of in side] for side in counts]
         before, after = map(fmean, shares)
-        step = 1 / max(1, min(sent for side in counts for _, sent in side))
+        step = 1 / max(1, min(sent))
         interval = _difference(shares[0], shares[1], step)
-        if interval is not None:
-            chance = interval.low <= 0 <= interval.high
-        else:
-            spread = step * max(item["spread"] for item in (*ours, *theirs))
-            base, other = (shares[0], after) if len(shares[0]) >= len(shares[1]) else (shares[1], before)
-            limits = tolerance_interval(base, spread, MODEL_WORTH)
-            chance = spread > 0 and min(before, after) > 0 and limits.low <= other <= limits.high
+        spread = step * max(item["spread"] for item in (*ours, *theirs))
+        chance = _is_chance(shares, spread) if interval is None else interval.low <= 0 <= interval.high
         least = LOSS_SHARE if before else 0.0
         differs = abs(after - before) > least and not chance
         enough = place is None or min(sent for _, sent in counts[1]) >= FEWEST
@@ -277,6 +273,14 @@ def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence
         yield Point(what, route, link, msg_id, values[0], values[1], worse, text, differs, interval=ends)
 
 
+def _is_chance(shares: Sequence[Sequence[float]], spread: float) -> bool:
+    """Return whether what one side lost may be what the other side loses, which has more runs."""
+    base, other = sorted(shares, key=len, reverse=True)
+    limits = tolerance_interval(base, spread, MODEL_WORTH)
+    lost = all(any(side) for side in shares)
+    return lost and spread > 0 and limits.low <= fmean(other) <= limits.high
+
+
 def _limits(key: Key, theirs: Sequence[Route], limits: DifferenceLimits) -> Iterator[Point]:
     """Hold later runs against the limits that somebody set."""
     sent = sum(item["sent"] for item in theirs)
@@ -286,9 +290,9 @@ def _limits(key: Key, theirs: Sequence[Route], limits: DifferenceLimits) -> Iter
         ("max_loss", limits.max_loss, share, "{:.2%} lost".format),
         ("max_delay", limits.max_delay, delay, "99 % within {:.1f} ms".format),
     ):
-        for pattern, most in patterns if value is not None else ():
+        for pattern, most in patterns if theirs else ():
             name = theirs[0]["name"]
-            if pattern in {"", name.removeprefix("/"), key[1]}:
+            if value is not None and pattern in {"", name.removeprefix("/"), key[1]}:
                 line = f"{name}: {text(value)}, allowed {text(most)}"
                 yield Point(what, name, *key, most, value, value > most, line, value > most)
 

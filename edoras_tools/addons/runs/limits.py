@@ -4,7 +4,7 @@
 2. How much runs differ is first an expectation, which is worth ``_WORTH`` runs from one run and less the
    more are seen: a rate a hundredth, and the messages at its ends; a silence and a latency a quarter, and
    150 ms; a field a twentieth of its range, or a two-hundredth of what is sent to cFS.
-3. How much a loss differs the queue model says (``spreads``), which is worth ``MODEL_WORTH`` runs.
+3. How much a loss differs the queue model says (``run``), which is worth ``MODEL_WORTH`` runs.
 4. Nothing lost stays nothing lost.
 """
 

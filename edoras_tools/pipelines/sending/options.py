@@ -275,9 +275,7 @@ class SendOptions:
         listens = not self.no_listen or self.to is Receiver.SBN
         if self.listen is not None and not listens:
             raise ConfigError("--listen and --no-listen exclude each other; name one of them")
-        if self.rooms and not self.expect_runs:
-            raise ConfigError("--tolerance is how far values may differ from --expect FILE: name that file")
-        if (self.expect or self.expect_runs or self.max_loss is not None) and not listens:
+        if any((self.expect, self.expect_runs, self.max_loss is not None)) and not listens:
             raise ConfigError("--expect and --max-loss need answers: leave --no-listen out")
         for item in self.wait_for:
             if item not in {"peer", "to-enabled", "nothing"} and not item.startswith("event:"):
@@ -346,6 +344,8 @@ class SendOptions:
             ConfigError: options contradict each other, or a condition is not known.
         """
         self._check()
+        if self.rooms and not self.expect_runs:
+            raise ConfigError("--tolerance is how far values may differ from --expect FILE: name that file")
         to_port, listen_port, events_port = self._ports(mission)
         if not (self.target or to_port):
             raise ConfigError(f"--to {self.to}: name where it goes, with --target HOST:PORT")

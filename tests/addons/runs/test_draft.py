@@ -8,10 +8,9 @@ from places import CAPTURES, MISSIONS, ROOT
 
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import SimulatedSource
-from edoras_tools.addons.runs.check import check
+from edoras_tools.addons.runs.check import check, junit
 from edoras_tools.addons.runs.draft import Draft
 from edoras_tools.addons.runs.expectations import load_expectations
-from edoras_tools.addons.runs.junit import junit
 from edoras_tools.addons.runs.run import Run
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.io import SourceDefaults

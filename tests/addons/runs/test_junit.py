@@ -2,8 +2,7 @@
 
 import pytest
 
-from edoras_tools.addons.runs.check import CheckResult
-from edoras_tools.addons.runs.junit import junit, write_junit
+from edoras_tools.addons.runs.check import CheckResult, junit, write_junit
 from edoras_tools.errors import CaptureError
 
 junitparser = pytest.importorskip("junitparser")

@@ -1,4 +1,4 @@
-"""A simulation as a source of datagrams, without sockets or privileges, in simulated or in real time."""
+"""A simulation as a source of datagrams and as a wire, without sockets, in simulated or in real time."""
 
 from __future__ import annotations
 
@@ -14,13 +14,17 @@ from edoras_tools.addons.lab.emulator.simulation import WireDatagram
 from edoras_tools.io import SourceDefaults
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux
+from edoras_tools.io.net.transmit import SendStatistics
+from edoras_tools.io.net.wire import Arrival
 from edoras_tools.model import Endpoint, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from edoras_tools.model import Link
     from edoras_tools.pipelines.workbench import Settings, Workbench
+    from edoras_tools.sessions.outgoing import Outgoing
 
 
 _TICK_S: Final = 0.02
@@ -91,6 +95,64 @@ class WireSource(_SimulationSource):
         """Yield all of it."""
         if self._carried:
             yield self._batch(self._carried)
+
+
+class SimulatedWire:
+    """A ``Wire`` to an emulated cFS; its clock is the simulation's.
+
+    Args:
+        simulation: without bridges, because the wire replaces them.
+        target: where datagrams go.
+        own: where answers are received.
+        link: the link of the answers.
+
+    Attributes:
+        carried: every datagram, where ``keeps_all``: also what goes between other parts.
+    """
+
+    def __init__(
+        self, simulation: Simulation, target: Endpoint, own: Endpoint, link: Link, *, keeps_all: bool = False
+    ) -> None:
+        self.carried: list[WireDatagram] = []
+        self._keeps_all = keeps_all
+        self.statistics = SendStatistics()
+        self._simulation, self._target, self._own, self._link = simulation, target, own, link
+        self.ends = own, target
+        self._arrived: list[Arrival] = []
+
+    def now(self) -> int:
+        """Return the simulation's time in ns."""
+        return self._simulation.now
+
+    def epoch_ns(self) -> int:
+        """Return 0: the simulation's time is ns since 1970."""
+        return 0
+
+    def wait(self, until_ns: int) -> bool:
+        """Run the simulation until that time."""
+        for item in self._simulation.run(until_ns):
+            if self._keeps_all:
+                self.carried.append(item)
+            if item.destination == self._own:
+                self._arrived.append(Arrival(self._link, item.payload, item.source, item.destination))
+        return True
+
+    def put(self, payload: bytes) -> bool:
+        """Deliver a datagram to the simulation now."""
+        self._simulation.feed(self._simulation.now, self._target, payload)
+        if self._keeps_all:
+            self.carried.append(WireDatagram(self._simulation.now, self._own, self._target, payload))
+        self.statistics.sent += 1
+        return True
+
+    def send(self, out: Outgoing, first: int, last: int) -> int:
+        """Deliver datagrams ``first`` up to ``last``, not included, now."""
+        return sum(self.put(out[index]) for index in range(first, last))
+
+    def receive(self) -> list[Arrival]:
+        """Return what has arrived."""
+        arrived, self._arrived = self._arrived, []
+        return arrived
 
 
 class RealTimeSource(_SimulationSource):

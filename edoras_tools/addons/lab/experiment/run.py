@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.addons.lab.emulator import BOOT_NS, MISSIONS, Simulation
 from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of, with_limit
-from edoras_tools.addons.lab.emulator.source import SimulatedSource, WireSource
-from edoras_tools.addons.lab.emulator.wire import SimulatedWire
+from edoras_tools.addons.lab.emulator.source import SimulatedSource, SimulatedWire, WireSource
 from edoras_tools.addons.lab.experiment.plan import RATE, Cell, ExperimentPlan
 from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.errors import ConfigError, InterruptError
@@ -66,7 +65,7 @@ class CellReport:
 
     Args:
         cell: its scenario and settings.
-        runs: ``topics`` of each: what became of them by name, ``sent``, ``lost``, ``rate_hz`` and ``delay_ms``.
+        runs: ``topics`` of each, by name: ``sent``, ``lost``, ``rate_hz`` and ``delay_ms``.
         width: to which loss is to be known; 0: to any.
 
     Attributes:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.addons.lab.emulator.routes import routes_of
-from edoras_tools.addons.lab.emulator.wire import SimulatedWire
+from edoras_tools.addons.lab.emulator.source import SimulatedWire
 from edoras_tools.addons.lab.sweep import plan as packets
 from edoras_tools.addons.lab.sweep.judge import Judge, StepOutcome, Sweep, SweepStep
 from edoras_tools.addons.lab.sweep.line import COMMAND_NS, Line, reset_filters

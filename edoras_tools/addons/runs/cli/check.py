@@ -53,8 +53,8 @@ def check(
     events, findings and verdicts may appear. Exit code 3: one of them is not met.
     """
     from edoras_tools.addons.runs.check import check as run
+    from edoras_tools.addons.runs.check import write_junit
     from edoras_tools.addons.runs.expectations import load_expectations
-    from edoras_tools.addons.runs.junit import write_junit
     from edoras_tools.addons.runs.run import Run
     from edoras_tools.io.outputs import check_new
     from edoras_tools.pipelines.doctor.doctor import Pace
@@ -154,7 +154,7 @@ def _draft(
 
 def _update(path: Path, expected: Expectations, report: CheckReport, run: Run) -> None:
     """Widen the expectations by a run."""
-    from edoras_tools.addons.runs.update import ExpectationUpdate
+    from edoras_tools.addons.runs.draft import ExpectationUpdate
 
     update = ExpectationUpdate(path.read_text(encoding="utf-8"), expected, report, run)
     if update.notes:

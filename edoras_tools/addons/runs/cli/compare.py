@@ -88,8 +88,8 @@ def compare(
     Exit code 3 means that the later runs are worse. To compare two captures of the same traffic, use doctor
     --against.
     """
+    from edoras_tools.addons.runs.check import write_junit
     from edoras_tools.addons.runs.differences import RunSummary, compare_runs, comparison_json
-    from edoras_tools.addons.runs.junit import write_junit
     from edoras_tools.addons.runs.run import read_runs
     from edoras_tools.io.outputs import check_new
 
