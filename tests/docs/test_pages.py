@@ -64,6 +64,7 @@ QUICK = [page for page in REFRESHED if page.stem not in {"sweep", "balance", "ar
     "docs/replay.md",
     "docs/plot.md",
     "docs/export.md",
+    "docs/experiment.md",
 )
 @pytest.mark.parametrize("page", long_but(QUICK, REFRESHED), ids=identity)
 def test_the_output_shown_is_the_output(page, refresh, typed, tmp_path):
