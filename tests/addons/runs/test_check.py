@@ -158,13 +158,13 @@ def test_what_the_end_of_the_capture_leaves_open(checked):
 def test_events(checked):
     found = checked(
         "events:\n  must: [TO telemetry output enabled, No such event]\n"
-        "  never: ['CFE_SB 17: Msg RunLimit', 'CFE_SB 25']\n"
+        "  never: ['CFE_SB 17: Msg Limit', 'CFE_SB 25']\n"
     )
     told = {item.expectation: (item.passed, item.found) for item in found.values()}
     assert told == {
         "TO telemetry output enabled": (True, "1 of 15 events; the first is packet 75 at 2.750 s"),
         "No such event": (False, "0 of 15 events"),
-        "CFE_SB 17: Msg RunLimit": (False, "14 of 15 events; the first is packet 105 at 4.250 s"),
+        "CFE_SB 17: Msg Limit": (False, "14 of 15 events; the first is packet 105 at 4.250 s"),
         "CFE_SB 25": (True, "0 of 15 events"),
     }
 
