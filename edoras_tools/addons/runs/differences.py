@@ -258,8 +258,8 @@ def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence
         before, after = map(fmean, shares)
         step = 1 / max(1, min(sent))
         interval = _difference(shares[0], shares[1], step)
-        spread = step * max(item["spread"] for item in (*ours, *theirs))
-        chance = _is_chance(shares, spread) if interval is None else interval.low <= 0 <= interval.high
+        spreads = [step * max(item["spread"] for item in side) for side in (ours, theirs)]
+        chance = _is_chance(shares, spreads) if interval is None else interval.low <= 0 <= interval.high
         least = LOSS_SHARE if before else 0.0
         differs = abs(after - before) > least and not chance
         enough = place is None or min(sent for _, sent in counts[1]) >= FEWEST
@@ -273,9 +273,10 @@ def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence
         yield Point(what, route, link, msg_id, values[0], values[1], worse, text, differs, interval=ends)
 
 
-def _is_chance(shares: Sequence[Sequence[float]], spread: float) -> bool:
+def _is_chance(shares: Sequence[Sequence[float]], spreads: Sequence[float]) -> bool:
     """Return whether what one side lost may be what the other side loses, which has more runs."""
-    base, other = sorted(shares, key=len, reverse=True)
+    more = len(shares[1]) > len(shares[0])
+    base, other, spread = shares[more], shares[not more], spreads[more]
     limits = tolerance_interval(base, spread, MODEL_WORTH)
     lost = all(any(side) for side in shares)
     return lost and spread > 0 and limits.low <= fmean(other) <= limits.high
