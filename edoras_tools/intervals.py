@@ -21,7 +21,7 @@ _CONTENT: Final = 0.99
 """Share of all runs that a tolerance interval holds, with ``_CONFIDENCE``."""
 
 
-class Interval(NamedTuple):
+class MeanInterval(NamedTuple):
     """Where a value lies.
 
     Attributes:
@@ -67,7 +67,7 @@ def _t_within(value: float, freedom: int) -> float:
     return 2 / pi * (angle + sin(angle) * total) if odd else sin(angle) * total
 
 
-def mean_interval(values: Sequence[float], step: float = 0.0) -> Interval:
+def mean_interval(values: Sequence[float], step: float = 0.0) -> MeanInterval:
     """Return where the mean of all possible runs lies, with ``_CONFIDENCE``; one value is its own.
 
     Args:
@@ -76,13 +76,13 @@ def mean_interval(values: Sequence[float], step: float = 0.0) -> Interval:
     """
     mean, count = fmean(values), len(values)
     if count < 2:
-        return Interval(mean, mean, mean)
+        return MeanInterval(mean, mean, mean)
     deviation = sqrt(variance(values) + step * step / 12)
     half = t_quantile((1 + _CONFIDENCE) / 2, count - 1) * deviation / sqrt(count)
-    return Interval(mean, mean - half, mean + half)
+    return MeanInterval(mean, mean - half, mean + half)
 
 
-def difference_interval(before: Sequence[float], after: Sequence[float], step: float = 0.0) -> Interval:
+def difference_interval(before: Sequence[float], after: Sequence[float], step: float = 0.0) -> MeanInterval:
     """Return by how much the mean of later runs is above that of earlier ones (Welch's interval).
 
     Args:
@@ -93,13 +93,13 @@ def difference_interval(before: Sequence[float], after: Sequence[float], step: f
     parts = [(variance(item) + step * step / 12) / len(item) for item in (before, after)]
     mean, whole = fmean(after) - fmean(before), sum(parts)
     if not whole:
-        return Interval(mean, mean, mean)
+        return MeanInterval(mean, mean, mean)
     below = sum(part**2 / (len(item) - 1) for part, item in zip(parts, (before, after), strict=True))
     half = t_quantile((1 + _CONFIDENCE) / 2, max(1, int(whole**2 / below))) * sqrt(whole)
-    return Interval(mean, mean - half, mean + half)
+    return MeanInterval(mean, mean - half, mean + half)
 
 
-def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> Interval:
+def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> MeanInterval:
     """Return where nearly all runs lie: ``_CONTENT`` of them, with ``_CONFIDENCE``.
 
     Args:
@@ -116,4 +116,4 @@ def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> 
     chi_square = total * (1 - part + normal.inv_cdf(1 - _CONFIDENCE) * sqrt(part)) ** 3
     half = normal.inv_cdf((1 + _CONTENT) / 2) * sqrt((1 + 1 / count) * total / chi_square) * deviation
     mean = fmean(values)
-    return Interval(mean, mean - half, mean + half)
+    return MeanInterval(mean, mean - half, mean + half)

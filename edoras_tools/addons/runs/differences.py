@@ -32,7 +32,7 @@ import numpy as np
 from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckResult
 from edoras_tools.addons.runs.limits import MODEL_WORTH, field_limit
 from edoras_tools.diagnosis.accounts import latency_ms
-from edoras_tools.intervals import Interval, difference_interval, tolerance_interval
+from edoras_tools.intervals import MeanInterval, difference_interval, tolerance_interval
 from edoras_tools.io.formats.text import json_value
 from edoras_tools.render import units
 from edoras_tools.wire import cfe
@@ -197,7 +197,7 @@ def _presence(
     yield Point("route", row["name"], *key, was, now, worse, text)
 
 
-def _difference(ours: Sequence[float], theirs: Sequence[float], step: float = 0.0) -> Interval | None:
+def _difference(ours: Sequence[float], theirs: Sequence[float], step: float = 0.0) -> MeanInterval | None:
     """Return the interval of a difference; None where one side has no two runs."""
     return difference_interval(ours, theirs, step) if min(len(ours), len(theirs)) > 1 else None
 
