@@ -112,7 +112,7 @@ def topic_limits(
 
 def _time_limit(values: Sequence[float]) -> RunLimit:
     spread = _TIME * sum(values) / len(values) + _LEAST_S
-    high = tolerance_interval(values, spread, _worth(len(values))).high
+    high = tolerance_interval(values, spread, _WORTH).high  # a longest time is no mean of many
     return RunLimit(0, high, _seen(values, lambda value: f"{value:.3g} s"))
 
 
