@@ -40,6 +40,7 @@ LICENCES = {
         "multidict propcache tornado yarl aiobotocore boto3 botocore moto responses s3transfer"
     ),
     "Apache-2.0 or BSD": "cryptography packaging",
+    "Apache-2.0 and BSD": "prometheus-client",
     "EPL-2.0, or Apache-2.0, or BSD": "cyclonedds eclipse-zenoh",
     "MPL-2.0": "certifi hypothesis pathspec",
     "PSF-2.0": "aiohappyeyeballs backports-zstd isal typing-extensions",
@@ -54,6 +55,7 @@ SAYS = {
     "BSD": r"(BSD|0BSD).*",
     "Apache-2.0": r"Apache.*",
     "Apache-2.0 or BSD": r"(?=.*Apache)(?=.*BSD).*",
+    "Apache-2.0 and BSD": r"(?=.*Apache)(?=.* AND )(?=.*BSD).*",
     "EPL-2.0, or Apache-2.0, or BSD": r"(?=.*(EPL|Eclipse))(?=.*(Apache|BSD)).*",
     "MPL-2.0": r"(MPL|Mozilla).*",
     "PSF-2.0": r"(PSF|Python).*",

@@ -53,6 +53,7 @@ WRITERS = {
     },
     "check -o": ("old.yaml", ["check", "--init", CAPTURE, "-c", ROVER]),
     "check --junit": ("old.xml", ["check", CAPTURE, EXPECTED, "-c", ROVER]),
+    "compare --junit": ("old.xml", ["compare", CAPTURE, "--against", CAPTURE, "-c", ROVER]),
     "mission draft -o": ("old.yaml", ["mission", "draft", CAPTURE]),
     "mission learn -o": ("old.yaml", ["mission", "learn", CAPTURE]),
     "xtce -o": ("old.xml", ["xtce", "-c", ROVER]),
@@ -80,6 +81,7 @@ FOLDERS = {
 """Command and option, the folder that is there, a file in it, and the words in front of the folder."""
 KEPT = {
     "--index": "a database that is brought up to date; a file that is none stays as it is",
+    "experiment -o": "a folder of runs, which goes on with those that are there",
     "record --socket": "a socket, made where nothing is, and removed at the end",
     "record --fire": "a socket that a recorder made",
 }
@@ -106,6 +108,8 @@ READS = {
         "FILE... [PACKET]",
         "[FILE]... TOPIC",
         "DIR|URL...",
+        "RUN...",
+        "PLAN.yaml",
     ),
 }
 """Arguments and options that name what is read."""
@@ -142,7 +146,7 @@ def test_every_option_that_writes_is_here():
         called = short.get(name, name)
         full = " ".join([*words, called])
         assert called in tried or any(item == full or item.startswith(f"{full} ") for item in tried), full
-        if called not in {"--index", "--socket", "--fire"} and words != ["files"]:
+        if called not in {"--index", "--socket", "--fire"} and words not in (["files"], ["experiment"]):
             options = {one for item in command_of(words).params for one in item.opts}
             assert "--force" in options, f"{full} cannot be told to replace"
 
