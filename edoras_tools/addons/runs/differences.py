@@ -5,9 +5,9 @@ times from each run's own start. The rules:
 
 1. Two runs or more on both sides: a figure is worse if its mean moved for the worse by more than the
    tolerance, and the 95 % interval of the difference (Welch) holds no 0.
-2. Else what was lost is worse where it is more than the tolerance interval of the other side allows, which
-   from one run the queue model gives (``limits``); rate and delay where they moved by more than the
-   tolerance.
+2. Else what was lost is worse where so much more is lost in one of 100 equal runs at most, by the spread that
+   the queue model gives for the earlier ones (``limits``) and that was seen; rate and delay where they moved
+   by more than the tolerance.
 3. The tolerance of a loss is one percentage point, of what was not lost at all nothing; that of a delay is
    10 ms at least.
 4. A figure of fewer than ``FEWEST`` messages in either run, a delay of fewer than ``FEWEST_DELAYS``, and the
@@ -24,7 +24,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, field, fields
-from statistics import fmean
+from math import sqrt
+from statistics import fmean, pvariance
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -32,7 +33,7 @@ import numpy as np
 from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckResult
 from edoras_tools.addons.runs.limits import MODEL_WORTH, field_limit
 from edoras_tools.diagnosis.accounts import latency_ms
-from edoras_tools.intervals import MeanInterval, difference_interval, tolerance_interval
+from edoras_tools.intervals import MeanInterval, difference_interval, t_quantile
 from edoras_tools.io.formats.text import json_value
 from edoras_tools.render import units
 from edoras_tools.wire import cfe
@@ -51,6 +52,8 @@ FEWEST: Final = 5
 FEWEST_DELAYS: Final = 20
 LOSS_SHARE: Final = 0.01
 LATENCY_MS: Final = 10.0
+_CONTENT: Final = 0.99
+"""Share of all equal runs that lose no more by chance."""
 _EVENTS: Final = frozenset({cfe.EVENT_MSG_ID, cfe.SHORT_EVENT_MSG_ID})
 _SERIOUS: Final = frozenset({"error", "warning"})
 _GONE: Final = {"lost": "lost", "superseded": "superseded", "unaccounted": "not accounted for"}
@@ -258,8 +261,8 @@ def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence
         before, after = map(fmean, shares)
         step = 1 / max(1, min(sent))
         interval = _difference(shares[0], shares[1], step)
-        spreads = [step * max(item["spread"] for item in side) for side in (ours, theirs)]
-        chance = _is_chance(shares, spreads) if interval is None else interval.low <= 0 <= interval.high
+        spread = step * max(item["spread"] for item in ours)
+        chance = _is_chance(shares, spread) if interval is None else interval.low <= 0 <= interval.high
         least = LOSS_SHARE if before else 0.0
         differs = abs(after - before) > least and not chance
         enough = place is None or min(sent for _, sent in counts[1]) >= FEWEST
@@ -273,13 +276,18 @@ def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence
         yield Point(what, route, link, msg_id, values[0], values[1], worse, text, differs, interval=ends)
 
 
-def _is_chance(shares: Sequence[Sequence[float]], spreads: Sequence[float]) -> bool:
-    """Return whether what one side lost may be what the other side loses, which has more runs."""
-    more = len(shares[1]) > len(shares[0])
-    base, other, spread = shares[more], shares[not more], spreads[more]
-    limits = tolerance_interval(base, spread, MODEL_WORTH)
-    lost = all(any(side) for side in shares)
-    return lost and spread > 0 and limits.low <= fmean(other) <= limits.high
+def _is_chance(shares: Sequence[Sequence[float]], spread: float) -> bool:
+    """Return whether one run lost what runs like those of the other side lose.
+
+    Args:
+        shares: of both sides, one of which has one run.
+        spread: standard deviation that the model gives for earlier runs.
+    """
+    one, others = sorted(shares, key=len)
+    freedom = MODEL_WORTH + len(others) - 1
+    seen = MODEL_WORTH * spread**2 + pvariance(others) * len(others)
+    room = t_quantile(_CONTENT, freedom) * sqrt(seen / freedom * (1 + 1 / len(others)))
+    return all(map(any, shares)) and abs(one[0] - fmean(others)) <= room
 
 
 def _limits(key: Key, theirs: Sequence[Route], limits: DifferenceLimits) -> Iterator[Point]:

@@ -44,22 +44,23 @@ def unlike(good: Path, sent: Path, bench: Workbench, rooms: Mapping[str, float])
     Raises:
         EdorasError: one of them cannot be read to its end.
     """
-    runs = []
-    for path in (good, sent):
-        run = Run.read(open_files([path]), bench.fresh())
-        if run.findings.failure is not None:
-            raise run.findings.failure
-        runs.append(run)
-    begins = [_begin_ns(run) for run in runs]
-    lines = []
-    for topic, ours in runs[0].values.items():
+    runs = [Run.read(open_files([path]), bench.fresh()) for path in (good, sent)]
+    for failure in (run.findings.failure for run in runs):
+        if failure is not None:
+            raise failure
+    return list(unlike_lines(runs[0], runs[1], rooms))
+
+
+def unlike_lines(good: Run, sent: Run, rooms: Mapping[str, float]) -> Iterator[str]:
+    """Yield the lines of ``unlike`` of runs that were read."""
+    begins = [_begin_ns(run) for run in (good, sent)]
+    for topic, ours in good.values.items():
         if ours.to_cfs:
             continue
-        if topic not in runs[1].values:
-            lines.append(f"{topic} did not come")
+        if topic not in sent.values:
+            yield f"{topic} did not come"
             continue
-        lines += _fields(topic, (ours, runs[1].values[topic]), begins, rooms)
-    return lines
+        yield from _fields(topic, (ours, sent.values[topic]), begins, rooms)
 
 
 def _begin_ns(run: Run) -> int:

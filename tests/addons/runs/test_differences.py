@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import pytest
 
@@ -55,8 +56,10 @@ def changes(good, bad):
     return [(item.what, item.worse) for item in found if item.differs]
 
 
-def test_a_run_is_no_worse_than_itself():
+def test_runs_are_no_worse_than_themselves():
     assert changes(run(), run()) == []
+    many = [run(account={"rate_hz": 9.0}), run(balance={"lost": 3})]
+    assert not any(item.differs for item in compare_runs(many, many, DifferenceLimits()))
 
 
 def test_a_longer_run_of_the_same_rate_is_the_same():
@@ -105,6 +108,16 @@ def test_loss_that_grew_a_little_is_no_news():
     assert changes(lossy(500), lossy(505)) == []
     assert changes(lossy(500), lossy(530)) == [("lost", True)]
     assert changes(lossy(500), lossy(300)) == [("lost", False)]
+
+
+@pytest.mark.parametrize(("before", "after", "worse"), [(25, 32, []), (25, 34, [("lost", True)])])
+def test_a_loss_of_one_run_is_worse_beyond_the_spread_of_the_earlier_one(before, after, worse):
+    key = ROUTE["link"], ROUTE["msg_id"]
+    good, bad = (
+        replace(run(account={"sent": 163}, balance={"lost": lost}), spreads={key: spread})
+        for lost, spread in ((before, 2.4), (after, 7.0))
+    )
+    assert changes(good, bad) == worse
 
 
 def test_a_verdict_at_another_place_is_the_same_one():
