@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     _Labels = tuple[tuple[str, str], ...]
 
 _GAUGES: Final = re.compile(
-    "rate_hz|jitter_ms|bytes_m(in|ax)|(start|end)_ns|max_rate|gaps|held|waiting|connected|p50|p99|max"
+    "rate_hz|jitter_ms|bytes_m(in|ax)|(start|end)_ns|max_rate|gaps|held|waiting|connected|seed|p50|p99|max"
 )
 """Keys whose figures may fall; all others only grow."""
 _LABELS: Final = frozenset({"processor_id", "spacecraft_id"})
