@@ -81,6 +81,7 @@ def test_parts_of_one_recording_are_one_run(tmp_path, one, seconds, away):
     assert judged(paths) == judged([whole])
 
 
+@pytest.mark.quick("telemetry")
 @pytest.mark.parametrize(
     "keep",
     [lambda item: item.destination[1] == 1234, lambda item: item.destination[1] == 1235],

@@ -1,4 +1,4 @@
-"""DifferenceLimits as people write them."""
+"""Bounds as people write them."""
 
 import pytest
 

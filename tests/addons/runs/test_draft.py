@@ -66,7 +66,7 @@ def test_a_topic_without_messages_is_told():
     assert any("no message in this run" in note for note in made.notes)
 
 
-def run(seconds=40, hertz=5.0, start_s=1_800_000_000, **profile):
+def run(seconds=16, hertz=5.0, start_s=1_800_000_000, **profile):
     simulation = Simulation(SimProfile(**profile), command_rate_hz=hertz, start_ns=start_s * SECOND)
     return SimulatedSource(simulation, seconds * SECOND)
 
@@ -84,7 +84,7 @@ class Muted(SourceDefaults):
         decoder = SETTINGS.workbench().columns
         for at, batch in enumerate(self.inner.batches()):
             columns = decoder.decode(batch)
-            yield batch.take((columns.msg_id != 0x827).nonzero()[0]) if at > 20 else batch
+            yield batch.take((columns.msg_id != 0x827).nonzero()[0]) if at > 8 else batch
 
 
 @pytest.fixture(scope="module")

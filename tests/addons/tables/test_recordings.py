@@ -20,7 +20,7 @@ def folder(tmp_path_factory):
     for capture, mission, name in (*PAIRS, (*PAIRS[0][:2], "three")):
         source = open_files([CAPTURES / capture])
         bench = Settings([MISSIONS / f"{mission}.yaml"]).workbench(source.info)
-        count = 200 if name == "three" else 400
+        count = 100 if name == "three" else 200
         record(source, bench, Target(folder / f"{name}.mcap"), limits=Limits(count=count))
     (folder / "notes.txt").touch()
     return folder

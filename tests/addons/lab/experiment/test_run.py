@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import filecmp
 import json
+import shutil
 import sys
 
 import pytest
@@ -42,11 +43,11 @@ def whole(tmp_path_factory):
 
 
 def test_broken_off_and_resumed_it_is_the_same(whole, tmp_path):
+    first = next(PLAN.cells()).name
+    shutil.copytree(whole[0] / first, tmp_path / first)
+    (tmp_path / first / "002.json").unlink()  # as if it had been broken off between recording and diagnosis
     with pytest.raises(BrokenError):
-        carried_out(tmp_path, most=3)
-    files = sorted(tmp_path.glob("*/*.json"))
-    assert len(files) == 3
-    files[0].unlink()  # as if it had been broken off between recording and diagnosis
+        carried_out(tmp_path, most=1)
     report, made = carried_out(tmp_path)
     assert len(made) == 2
     assert report["cells"] == whole[1]["cells"]
