@@ -286,8 +286,8 @@ def _is_chance(shares: Sequence[Sequence[float]], spread: float) -> bool:
     one, others = sorted(shares, key=len)
     freedom = MODEL_WORTH + len(others) - 1
     seen = MODEL_WORTH * spread**2 + pvariance(others) * len(others)
-    room = t_quantile(_CONTENT, freedom) * sqrt(seen / freedom * (1 + 1 / len(others)))
-    return all(map(any, shares)) and abs(one[0] - fmean(others)) <= room
+    moved, deviation = abs(one[0] - fmean(others)), sqrt(seen / freedom * (1 + 1 / len(others)))
+    return all(map(any, shares)) and moved <= t_quantile(_CONTENT, freedom) * deviation
 
 
 def _limits(key: Key, theirs: Sequence[Route], limits: DifferenceLimits) -> Iterator[Point]:

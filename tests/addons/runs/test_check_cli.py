@@ -39,6 +39,7 @@ def test_quiet_says_only_what_is_not_met(call, rover, expect):
     assert "✗ capture" in call("check", path, expect("lost: 0\n"), *mission, "-q").out
 
 
+@pytest.mark.quick("e_ci_errors")
 @pytest.mark.parametrize("name", ["a_rover", "e_ci_errors"])
 def test_json_holds_to_its_schema(name, call, captures, missions, expect):
     path = expect(

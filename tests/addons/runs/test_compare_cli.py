@@ -18,10 +18,12 @@ from typer.testing import CliRunner
 
 from edoras_tools.addons.runs.views import runs_view
 from edoras_tools.cli.main import program
+from edoras_tools.render.severity import Level
 from edoras_tools.units import SECOND
 
 ROVER = CAPTURES / "a_rover.pcap"
 MISSION = MISSIONS / "rover_ground.yaml"
+MARKS = [level.mark for level in Level]
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +39,7 @@ def compare():
 def test_a_run_beside_itself(compare):
     done = compare(ROVER, ROVER, "-c", MISSION, "--max-loss", "16%", "--max-delay", "0x0827=1s")
     assert (done.exit_code, done.stdout.splitlines()[-1]) == (0, "The second run is no worse.")
+    assert not [line for line in done.stdout.splitlines() if line.startswith(tuple(MARKS))]
 
 
 def test_a_worse_run(compare):
@@ -50,8 +53,7 @@ def test_a_worse_run(compare):
     assert {"verdict", "lost"} <= {item["what"] for item in told["changes"] if item["worse"]}
 
 
-@pytest.mark.each(2)
-@pytest.mark.quick("a_rover")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["a_rover", "f_sbn_disconnect", "n1_to_remove_all", "n12_two_hosts_ground"])
 def test_a_capture_beside_itself_has_no_difference(compare, name):
     path = ROOT / f"tests/captures/{name}.pcap.zst"
