@@ -124,20 +124,18 @@ def loss_limits(runs: Sequence[Figures], spread: float) -> Iterator[tuple[str, R
         if key == "lost" and any(item.not_counted for item in runs):
             continue
         numbers = [int(getattr(item, key)) for item in runs]
-        whole = _seen(
-            [number / item.sent for number, item in zip(numbers, runs, strict=True)], "{:.3%}".format
-        )
+        shares = [number / item.sent for number, item in zip(numbers, runs, strict=True)]
+        whole = _seen(shares, "{:.3%}".format)
         if len(runs) == 1:
             whole = f"{numbers[0]:,} of {runs[0].sent:,} in 1 run"
         if not any(numbers):
             yield key, RunLimit(0, 0, whole)
             continue
-        expected = max(spread if key == "lost" else 0.0, 1.0) if key == "lost" else math.sqrt(max(numbers))
-        sent = min(item.sent for item in runs)
-        shares = [number / item.sent for number, item in zip(numbers, runs, strict=True)]
-        high = tolerance_interval(
-            shares, expected / sent, MODEL_WORTH if key == "lost" else _worth(len(runs))
-        ).high
+        if key == "lost":
+            expected, worth = max(spread, 1.0), MODEL_WORTH
+        else:
+            expected, worth = math.sqrt(max(numbers)), _worth(len(runs))
+        high = tolerance_interval(shares, expected / min(item.sent for item in runs), worth).high
         yield key, RunLimit(0, min(1.0, high), whole, is_share=True)
 
 
