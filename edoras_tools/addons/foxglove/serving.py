@@ -76,14 +76,7 @@ def attach(
     """
     options = ServerOptions(listen, origins, publisher, player, token)
     sink = FoxgloveSink(
-        bench.mission,
-        bench.types,
-        info,
-        options,
-        levels=LEVELS,
-        statistics=statistics,
-        structs=bench.columns.context.structs,
-        endpoints=bench.columns.context.endpoints,
+        bench.columns.context, bench.types, info, options, levels=LEVELS, statistics=statistics
     )
     here = sink.server.endpoint
     if info.kind == "live" and (info.name in {"lo", "any"} or not is_loopback(here.address)):

@@ -142,7 +142,7 @@ def test_a_live_view_offers_the_topics_when_they_come(recorded, tmp_path):
     bench = Settings().workbench()
     source = open_file(tmp_path / "x.pcap")
     options = ServerOptions(Endpoint("127.0.0.1", 0))
-    sink = FoxgloveSink(bench.mission, bench.types, source.info, options)
+    sink = FoxgloveSink(bench.columns.context, bench.types, source.info, options)
     try:
         before = len(sink.server._channels)
         for batch in source.batches():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from base64 import b64encode
 from functools import cache
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 _STATE: Final = "/live.json"
+_SHARED_S: Final = 0.5
 _BLOCK: Final = r"<{0}>(.*?)</{0}>"
 
 
@@ -25,18 +27,32 @@ class HttpAnswer(NamedTuple):
     body: bytes
 
 
-def answer(path: str, state: Callable[[], Mapping[str, object]]) -> HttpAnswer:
+class SharedState:
+    """The JSON of a state, made once for all browsers that ask within half a second; for one thread."""
+
+    def __init__(self, state: Callable[[], Mapping[str, object]], clock: Callable[[], float]) -> None:
+        self._state, self._clock = state, clock
+        self._text, self._until = "", -math.inf
+
+    def text(self) -> str:
+        """Return the state as JSON."""
+        if self._clock() >= self._until:
+            self._text, self._until = json.dumps(self._state()), self._clock() + _SHARED_S
+        return self._text
+
+
+def answer(path: str, state: Callable[[], str]) -> HttpAnswer:
     """Return the answer to a request.
 
     Args:
         path: without the query.
-        state: returns what is shown, as JSON knows it.
+        state: returns what is shown, as JSON.
     """
     if path in {"/", "/index.html"}:
         text, policy = _page()
         return _answer(200, "text/html", text, {"Content-Security-Policy": policy})
     if path == _STATE:
-        return _answer(200, "application/json", json.dumps(state()), {})
+        return _answer(200, "application/json", state(), {})
     return _answer(404, "text/plain", f"There is / for people and {_STATE} for programs.\n", {})
 
 

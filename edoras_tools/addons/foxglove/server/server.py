@@ -137,6 +137,7 @@ class FoxgloveServer:
         ]
         self._counts = np.zeros(len(topics), np.int64)
         self.link_state: Callable[[], dict[str, Any]] | None = None
+        self._shared = page.SharedState(self._page_state, time.monotonic)
         self._session = secrets.token_hex(8)
         self._lock = threading.Lock()
         self._connections: dict[socket.socket, _Connection] = {}
@@ -377,7 +378,7 @@ class FoxgloveServer:
                     f"a page of http://{name} was refused; --allow-origin http://{name} allows that name"
                 )
             elif path:
-                client.serve(page.answer(path, self._page_state))
+                client.serve(page.answer(path, self._shared.text))
             elif len(self._open) >= MOST_CLIENTS:
                 client.refuse(503, f"{MOST_CLIENTS} clients are connected, which is the maximum.")
                 warning = f"{refusal}: {MOST_CLIENTS} clients are connected, which is the maximum"

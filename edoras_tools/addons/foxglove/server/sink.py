@@ -6,15 +6,15 @@ and link; and for the server's page the state of a link, its routes, rates, loss
 
 from __future__ import annotations
 
-import threading
-import time
-from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from edoras_tools.addons.foxglove.server.link_state import LinkState
+from edoras_tools.addons.foxglove.server.live_diagnosis import LiveDiagnosis
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
-from edoras_tools.cfs.names import message_name
+from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io import Sink
 from edoras_tools.io.topics.cfe import fault_messages
 from edoras_tools.io.topics.recorded import RecordedStreams
@@ -22,7 +22,7 @@ from edoras_tools.io.topics.rows import Messages, bodies_of, lay_out
 from edoras_tools.io.topics.streams import EVENTS_TOPIC, FAULTS, STATISTICS_TOPIC, TRANSFORMS, Streams, Topic
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, PacketBatch, SourceStatistics
-from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.units import SECOND
 from edoras_tools.wire.cdr import ENCAPSULATION
 
 if TYPE_CHECKING:
@@ -30,12 +30,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.links.site import Endpoints
+    from edoras_tools.decode import Context
     from edoras_tools.mission import Mission
     from edoras_tools.model import SourceInfo
     from edoras_tools.ros import TypeStore
     from edoras_tools.sessions.faults.fault import Fault
-    from edoras_tools.structs import Structs
 
 
 DIAGNOSTICS: Final = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
@@ -43,6 +42,8 @@ DIAGNOSTICS: Final = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
 OK: Final = 0
 WARN: Final = 1
 ERROR: Final = 2
+_LEVELS: Final = {"warning": WARN, "error": ERROR}
+"""Severities of the doctor that are no OK."""
 _MOST: Final = 256
 """Garbage may contain any number of MsgIds; those above this number share one status."""
 _BITS: Final = 32
@@ -60,6 +61,7 @@ class Diagnostics:
 
     Attributes:
         latest: the statuses of the last message, by name.
+        judgement: of the doctor, as ``LiveDiagnosis`` has it; it becomes statuses of its own.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Diagnostics:
         self._counts: dict[tuple[int, int], NDArray[np.int64]] = {}
         self._until = 0
         self.latest: dict[str, dict[str, Any]] = {}
+        self.judgement: Mapping[str, Any] | None = None
 
     def messages(self, batch: PacketBatch, columns: Columns, channel_id: int) -> Messages:
         """Add a batch of at least one row; return the message of a second, if the batch completes one."""
@@ -110,6 +113,8 @@ class Diagnostics:
         statuses = [self._status(*owner, counts) for owner, counts in sorted(self._counts.items())]
         if self._statistics is not None:
             statuses.insert(0, self._capture(self._statistics))
+        if self.judgement is not None:
+            statuses[:0] = self._doctor_statuses(self.judgement)
         self._counts.clear()
         self.latest = {item["name"]: item for item in statuses}
         values = {
@@ -142,6 +147,30 @@ class Diagnostics:
             ],
         }
 
+    def _doctor_statuses(self, judgement: Mapping[str, Any]) -> list[dict[str, Any]]:
+        """Return what the doctor says in all, and of each problem."""
+        figures = ("datagrams", "lost", "unaccounted", "uncertain", "messages_lost", "messages_uncertain")
+        sums = {"hardware_id": self._name, "name": "doctor", "message": judgement["headline"]}
+        whole = {
+            **sums,
+            "level": _LEVELS.get(judgement["worst"], OK),
+            "values": [{"key": name, "value": str(judgement[name])} for name in figures],
+        }
+        return [whole] + [
+            {
+                "level": _LEVELS.get(item["severity"], OK),
+                "name": f"doctor: {', '.join(item['rules']) or 'loss'} {place}",
+                "message": item["text"],
+                "hardware_id": self._name,
+                "values": [
+                    {"key": key, "value": str(item[key])}
+                    for key in ("lost", "remedy", "promise")
+                    if item[key] is not None
+                ],
+            }
+            for place, item in enumerate(judgement["problems"], 1)
+        ]
+
     def _capture(self, statistics: SourceStatistics) -> dict[str, Any]:
         drops = statistics.kernel_drops or 0
         lost, self._drops = drops - self._drops, drops
@@ -158,118 +187,6 @@ class Diagnostics:
                 {"key": "skipped", "value": str(statistics.skipped)},
             ],
         }
-
-
-_MOST_ROUTES: Final = 500
-"""Garbage may contain any number of MsgIds; those above this number are added up in one row."""
-_MOST_EVENTS: Final = 40
-_STALE_NS: Final = 2500 * MILLISECOND
-"""A route is counted once in a second with traffic; without a count for this long its rate is 0."""
-_LOG: Final = "rcl_interfaces/msg/Log"
-_SUMS: Final = ("count", "gaps", "bytes")
-
-
-class LinkState:
-    """Adds up what a sink makes of each batch; any thread may ask for the sum.
-
-    Args:
-        statistics: of the source, for losses of the capture itself; None: it has no such counter.
-    """
-
-    def __init__(self, types: TypeStore, statistics: SourceStatistics | None) -> None:
-        self._types, self._statistics = types, statistics
-        self._lock = threading.Lock()
-        self._routes: dict[tuple[int, int], dict[str, Any]] = {}
-        self._events: deque[dict[str, Any]] = deque(maxlen=_MOST_EVENTS)
-        self._time_ns, self._heard = 0, -1.0
-
-    def add(
-        self,
-        batch: PacketBatch,
-        counts: Messages,
-        events: Sequence[Messages],
-        statuses: Mapping[str, Mapping[str, Any]],
-    ) -> None:
-        """Add a batch of at least one row.
-
-        Args:
-            counts: its messages on ``/edoras/link_statistics``.
-            events: its messages on ``/edoras/events``: of cFE, of its reset log, of F Prime.
-            statuses: the latest of ``/diagnostics``, by name.
-        """
-        events_now = self._log_entries(events, len(batch)) if any(map(len, events)) else []
-        with self._lock:
-            self._heard, self._time_ns = time.monotonic(), int(batch.time_ns[-1])
-            self._events.extendleft(events_now)
-            if len(counts):
-                self._count(counts, statuses)
-
-    def summary(self) -> dict[str, Any]:
-        """Return routes by topic, the newest events first, and sums; rates are those of the last second."""
-        with self._lock:
-            silent = None if self._heard < 0 else time.monotonic() - self._heard
-            since_ns = self._time_ns - _STALE_NS
-            if silent is not None and silent * SECOND > _STALE_NS:
-                since_ns = self._time_ns
-            routes = [dict(item) for item in self._routes.values()]
-            events = list(self._events)
-        for item in routes:
-            if item["time_ns"] <= since_ns:
-                item["rate_hz"] = 0.0
-        routes.sort(key=lambda item: (not item["topic"], item["topic"] or item["msg_id"] or "~"))
-        sums: dict[str, Any] = {name: sum(item[name] for item in routes) for name in _SUMS}
-        moving = [item for item in routes if item["rate_hz"]]
-        drops = self._statistics.kernel_drops if self._statistics else None
-        return {
-            "time_ns": self._time_ns,
-            "silent_s": silent,
-            "datagrams": sums["count"],
-            "bytes": sums["bytes"],
-            "gaps": sums["gaps"],
-            "rate_hz": sum(item["rate_hz"] for item in moving),
-            "bytes_per_s": sum(item["bytes_per_s"] for item in moving),
-            "kernel_drops": drops,
-            "routes": routes,
-            "events": events,
-        }
-
-    def _log_entries(self, events: Sequence[Messages], rows: int) -> list[dict[str, Any]]:
-        records = lay_out(events, rows)
-        entries = []
-        for place in range(max(len(records) - _MOST_EVENTS, 0), len(records)):
-            cdr = bytes(records.data[records.start[place] : records.end[place]])
-            event = self._types.decode(_LOG, cdr)
-            texts = {"level": event["level"], "app": event["name"], "text": event["msg"]}
-            entries.append({"time_ns": int(records.log_time[place]), **texts})
-        return entries
-
-    def _count(self, counts: Messages, statuses: Mapping[str, Mapping[str, Any]]) -> None:
-        for place, head in enumerate(counts.heads(slice(0, len(counts)))):
-            key = int(head["link"]), int(head["msg_id"])
-            if key not in self._routes and len(self._routes) >= _MOST_ROUTES:
-                key = -1, NO_MSG_ID
-            start = int(counts.offset[place])
-            topic = bytes(counts.data[start : start + int(counts.length[place])]).rstrip(b"\0").decode()
-            row = self._routes.setdefault(key, _route(*key, topic))
-            for name in _SUMS:
-                row[name] += int(head[name])
-            row["rate_hz"], row["bytes_per_s"] = float(head["rate_hz"]), int(head["bytes"])
-            row["largest"] = max(row["largest"], int(head["largest"]))
-            row["time_ns"] = int(counts.log_time[place])
-            status: Mapping[str, Any] = {}
-            for name in (row["topic"], row["msg_id"] or "no MsgId"):  # structs have their own topics
-                status = status or statuses.get(f"{row['link']}: {name}", {})
-            row["level"], row["message"] = status.get("level", 0), status.get("message", "")
-
-
-def _route(link: int, msg_id: int, topic: str) -> dict[str, Any]:
-    return {
-        "link": table.link(link).label if link >= 0 else "",
-        "msg_id": f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else None,
-        "topic": topic if topic.startswith("/") and link >= 0 else None,
-        "name": (message_name(msg_id) if msg_id != NO_MSG_ID else "") or None,
-        **dict.fromkeys((*_SUMS, "largest"), 0),
-    }
 
 
 class ServedSink(Sink):
@@ -343,12 +260,10 @@ class FoxgloveSink(ServedSink):
     only made for clients that subscribed.
 
     Args:
-        mission: its routes become topics.
+        context: of the decoder; the routes of its mission become topics.
         info: of the source; gives the server its name.
         levels: the level of each finding in the diagnostics: 0 OK, 1 warning, 2 error.
         statistics: the source's, for losses of the capture itself.
-        structs: C structs in packets; None: only cFE's own.
-        endpoints: of DDS, as the decoder learns them; None: their samples are not sent.
 
     Raises:
         CaptureError: the address cannot be used.
@@ -358,19 +273,16 @@ class FoxgloveSink(ServedSink):
 
     def __init__(
         self,
-        mission: Mission,
+        context: Context,
         types: TypeStore,
         info: SourceInfo,
         options: ServerOptions = ServerOptions(),  # noqa: B008  frozen
         *,
         levels: Mapping[Finding, int] | None = None,
         statistics: SourceStatistics | None = None,
-        structs: Structs | None = None,
-        endpoints: Endpoints | None = None,
     ) -> None:
-        self._mission, self._types, self._info = mission, types, info
+        self._context, self._types, self._info = context, types, info
         self._levels, self._counted = levels or {}, statistics
-        self._structs, self._endpoints = structs, endpoints
         self._begin()
         bound = [Topic(item.topic, item.type, item.metadata) for item in self._streams.structs.all]
         own = [DIAGNOSTICS, FAULTS]
@@ -393,7 +305,7 @@ class FoxgloveSink(ServedSink):
             options,
         )
         self._streams.offer()
-        self.server.link_state = lambda: self._link.summary()  # noqa: PLW0108  there is a new one after a jump
+        self.server.link_state = self._link_state
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Send a batch to clients."""
@@ -411,9 +323,12 @@ class FoxgloveSink(ServedSink):
         for item in streams:
             if isinstance(item.channel_id, int):
                 own.setdefault(item.channel_id, []).append(item)
+        self._doctor.add(batch, columns)
+        if self.server.has_subscribers(self._places[DIAGNOSTICS.name]):
+            self._diagnostics.judgement = self._doctor.ask()
         streams.append(self._diagnostics.messages(batch, columns, self._places[DIAGNOSTICS.name]))
         counts, events = (own[self._places[name]] for name in (STATISTICS_TOPIC, EVENTS_TOPIC))
-        self._link.add(batch, counts[-1], events, self._diagnostics.latest)
+        self._link.add(batch, columns, counts[-1], events, self._diagnostics.latest)
         if self.server.clients:
             self.server.publish(lay_out(streams, len(batch)))
             self.show_time(int(batch.time_ns[-1]))
@@ -425,7 +340,17 @@ class FoxgloveSink(ServedSink):
 
     def restart(self) -> None:
         """Reset the statistics, because the following messages have other times."""
+        self._doctor.close()
         self._begin()
+
+    def close(self, statistics: SourceStatistics) -> None:
+        """Close all clients, and judge no more."""
+        super().close(statistics)
+        self._doctor.close()
+
+    def _link_state(self) -> dict[str, Any]:
+        """Return what the server's page shows; there are new states after a jump."""
+        return {**self._link.summary(), "doctor": self._doctor.ask()}
 
     def _offer(self, topic: Topic) -> int:
         """Return the place of a topic; of one that only the content names, after it is offered to clients."""
@@ -434,16 +359,11 @@ class FoxgloveSink(ServedSink):
         return self._places[topic.name]
 
     def _begin(self) -> None:
+        context, counted = self._context, self._counted
         self._streams = Streams(
-            self._mission,
-            self._types,
-            self._counted,
-            structs=self._structs,
-            add=self._offer,
-            transforms=True,
+            context.mission, self._types, counted, structs=context.structs, add=self._offer, transforms=True
         )
-        self._streams.endpoints = self._endpoints
-        self._link = LinkState(self._types, self._counted)
-        self._diagnostics = Diagnostics(
-            self._mission, self._types, self._info.name, self._levels, self._counted
-        )
+        self._streams.endpoints = context.endpoints
+        self._link = LinkState(context.mission, self._types, counted)
+        self._diagnostics = Diagnostics(context.mission, self._types, self._info.name, self._levels, counted)
+        self._doctor = LiveDiagnosis(partial(Examination, context), counted)

@@ -36,8 +36,41 @@ ROW = {
     "rate_hz": 5.0,
     "level": 2,
     "message": "truncated",
+    "age_s": 0.1,
+    "value": "x=1 <i>",
+}
+PROBLEM = {
+    "lost": 1_234,
+    "text": "at <pipe>",
+    "severity": "error",
+    "remedy": "send less",
+    "promise": "0 of 9,999 (by the model)",
+    "evidence": ["an event"],
+    "messages": [],
+}
+FIGURES = dict.fromkeys(("lost", "duplicated", "superseded", "waiting", "unaccounted", "uncertain"), 0)
+DOCTOR = {
+    "since_ns": None,
+    "until_ns": 10**18,
+    "datagrams": 11_111,
+    "lost": 1_234,
+    "unaccounted": 0,
+    "uncertain": 7,
+    "worst": "error",
+    "headline": "1,234 lost <b>",
+    "fine": "All else arrived.",
+    "problems": [PROBLEM],
+    "flows": [
+        {
+            "link": "to",
+            "names": ["/pose<b>"],
+            "hops": [{**FIGURES, "hop": "TO_LAB_TLM_PIPE", "in": 8_888, "out": 7_654, "lost": 1_234}],
+        }
+    ],
+    "routes": [{**FIGURES, "link": "to", "msg_id": "0x0827", "in": 8_888, "out": 7_654, "lost": 1_234}],
 }
 LINK = {
+    "time_ns": 10**18,
     "silent_s": 0.1,
     "datagrams": 7_654,
     "gaps": 12,
@@ -45,7 +78,16 @@ LINK = {
     "bytes_per_s": 680,
     "kernel_drops": None,
     "routes": [{**ROW, "topic": "/pose<b>"}],
-    "events": [{"time_ns": 10**18, "level": 40, "app": "CI_LAB_APP", "text": "<script>alert(1)</script>"}],
+    "events": [
+        {
+            "time_ns": 10**18,
+            "level": 40,
+            "app": "CI_LAB_APP",
+            "text": "<script>alert(1)</script>",
+            "count": 40,
+        }
+    ],
+    "doctor": None,
 }
 
 
@@ -74,7 +116,7 @@ def get(server, path="", **headers):
 
 
 def test_it_is_one_file_that_loads_nothing_else():
-    answer = page.answer("/", dict)
+    answer = page.answer("/", str)
     text = answer.body.decode()
     assert answer.status == 200
     assert not re.findall(r"(?:src|href)\s*=\s*[\"'](?!data:)|@import|url\(", text)
@@ -140,22 +182,59 @@ def test_who_asks_and_never_reads_disturbs_nobody(serve):
         waiting.until(lambda: len(server._connections) == 1)  # they are let go after a second
 
 
+def shown_by_chromium(server):
+    """The page's elements after some seconds of the browser's own time."""
+    options = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=3000", "--dump-dom")
+    command = [CHROMIUM, *options, server.page_url]
+    text = subprocess.run(command, capture_output=True, text=True, timeout=100, check=True).stdout
+    return re.sub(r"<script>.*?</script>", "", text, count=1, flags=re.DOTALL)
+
+
 @pytest.mark.skipif(not CHROMIUM, reason="no Chromium")
 def test_a_browser_shows_it_and_takes_nothing_for_markup(serve):
     server = serve()
-    server.link_state = lambda: LINK
-    options = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=3000", "--dump-dom")
-    shown = subprocess.run(
-        [CHROMIUM, *options, server.page_url],
-        capture_output=True,
-        text=True,
-        timeout=100,
-        check=True,
-    ).stdout
+    server.link_state = lambda: {**LINK, "doctor": DOCTOR}
+    shown = shown_by_chromium(server)
     assert "<title>a &lt;b&gt;link&lt;/b&gt;</title>" in shown
     assert re.search(r'id="state"[^>]*>live<', shown)
     assert "/<wbr>pose&lt;b&gt;" in shown
     assert re.search(r'<small class="level2">truncated</small>', shown)
-    assert '<td class="lost">12</td>' in shown
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in shown
-    assert "<span>lost by this capture</span>" not in shown, "not known"
+    assert "(40 times)" in shown
+    assert "lost by this capture" not in shown, "not known"
+    assert "1,234 lost &lt;b&gt;" in shown
+    assert 'class="card error"' in shown
+    assert '<b class="lost">1,234</b> <span>at &lt;pipe&gt;</span>' in shown
+    assert "send less; left: 0 of 9,999 (by the model)" in shown
+    assert '<span class="hop">TO_LAB_TLM_PIPE</span>' in shown
+    assert "\u22121,234" in shown
+    assert "up to 7 more may be lost" in shown
+    assert '<td class="lost">1,234</td>' in shown
+    assert "5 of 5.8" in shown, "8,888 were published, 7,654 came"
+    assert "x=1 &lt;i&gt;" in shown
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not CHROMIUM, reason="no Chromium")
+@pytest.mark.parametrize(
+    ("state", "text", "kind"),
+    [
+        ({"silent_s": 13.2}, "silent for 13 s", "quiet"),
+        ({"silent_s": None}, "no traffic yet", "quiet"),
+        ({"silent_s": 1.0}, "live", ""),
+    ],
+)
+def test_a_browser_says_that_traffic_stopped(serve, state, text, kind):
+    server = serve()
+    server.link_state = lambda: {**LINK, **state}
+    shown = shown_by_chromium(server)
+    assert re.search(rf'id="state"[^>]*class="{kind}"[^>]*>{text}<', shown)
+    assert "Not judged yet." in shown
+
+
+def test_browsers_that_ask_at_once_share_an_answer():
+    now, asked = [0.0], []
+    shared = page.SharedState(lambda: asked.append(0) or {"asked": len(asked)}, lambda: now[0])
+    assert [shared.text(), shared.text()] == ['{"asked": 1}'] * 2
+    now[0] = 0.6
+    assert shared.text() == '{"asked": 2}'

@@ -1,0 +1,187 @@
+"""What the server's page shows of a link: routes with rates, losses and last values, and the last events."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.cfs.names import message_name
+from edoras_tools.decode.summary import short_values
+from edoras_tools.errors import EdorasError
+from edoras_tools.io.topics.rows import Messages, lay_out
+from edoras_tools.links import table
+from edoras_tools.model import NO_MSG_ID, Columns, PacketBatch, SourceStatistics
+from edoras_tools.units import MILLISECOND, SECOND
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from edoras_tools.mission import Mission
+    from edoras_tools.ros import TypeStore
+
+_MOST_ROUTES: Final = 500
+"""Garbage may contain any number of MsgIds; those above this number are added up in one row."""
+_MOST_EVENTS: Final = 40
+_STALE_NS: Final = 2500 * MILLISECOND
+"""A route is counted once in a second with traffic; without a count for this long its rate is 0."""
+_LOG: Final = "rcl_interfaces/msg/Log"
+_SUMS: Final = ("count", "gaps", "bytes")
+_BITS: Final = 32
+
+
+class _LastPacket(NamedTuple):
+    """The last packet of a route: its time, ns; its message as CDR, empty where it has none; its route."""
+
+    time_ns: int
+    cdr: bytes
+    route: int
+
+
+class LinkState:
+    """Adds up what a sink makes of each batch; any thread may ask for the sum.
+
+    Args:
+        statistics: of the source, for losses of the capture itself; None: it has no such counter.
+    """
+
+    def __init__(self, mission: Mission, types: TypeStore, statistics: SourceStatistics | None) -> None:
+        self._mission, self._types, self._statistics = mission, types, statistics
+        self._lock = threading.Lock()
+        self._routes: dict[tuple[int, int], dict[str, Any]] = {}
+        self._last: dict[tuple[int, int], _LastPacket] = {}
+        self._events: dict[tuple[Any, ...], dict[str, Any]] = {}
+        self._time_ns, self._heard = 0, -1.0
+
+    def add(
+        self,
+        batch: PacketBatch,
+        columns: Columns,
+        counts: Messages,
+        events: Sequence[Messages],
+        statuses: Mapping[str, Mapping[str, Any]],
+    ) -> None:
+        """Add a batch of at least one row.
+
+        Args:
+            counts: its messages on ``/edoras/link_statistics``.
+            events: its messages on ``/edoras/events``: of cFE, of its reset log, of F Prime.
+            statuses: the latest of ``/diagnostics``, by name.
+        """
+        entries = self._log_entries(events, len(batch)) if any(map(len, events)) else []
+        last = self._last_packets(batch, columns)
+        with self._lock:
+            self._heard, self._time_ns = time.monotonic(), int(batch.time_ns[-1])
+            self._last.update(last)
+            for entry in entries:
+                self._add_event(entry)
+            if len(counts):
+                self._count(counts, statuses)
+
+    def summary(self) -> dict[str, Any]:
+        """Return routes by topic, events by their last time, newest first, and sums.
+
+        Rates are those of the last second. ``age_s`` is the time since the last packet of a route.
+        """
+        with self._lock:
+            silent = None if self._heard < 0 else time.monotonic() - self._heard
+            since_ns = self._time_ns - _STALE_NS
+            if silent is not None and silent * SECOND > _STALE_NS:
+                since_ns = self._time_ns
+            keyed = [(dict(item), self._last.get(key)) for key, item in self._routes.items()]
+            events = [dict(item) for item in reversed(self._events.values())]
+            now_ns = self._time_ns + int(SECOND * (silent or 0))
+        for item, last in keyed:
+            if item["time_ns"] <= since_ns:
+                item["rate_hz"] = 0.0
+            item["age_s"] = max(0.0, (now_ns - (last.time_ns if last else item["time_ns"])) / SECOND)
+            item["value"] = self._value(last) if last else None
+        routes = [item for item, _ in keyed]
+        routes.sort(key=lambda item: (not item["topic"], item["topic"] or item["msg_id"] or "~"))
+        sums: dict[str, Any] = {name: sum(item[name] for item in routes) for name in _SUMS}
+        moving = [item for item in routes if item["rate_hz"]]
+        drops = self._statistics.kernel_drops if self._statistics else None
+        return {
+            "time_ns": self._time_ns,
+            "silent_s": silent,
+            "datagrams": sums["count"],
+            "bytes": sums["bytes"],
+            "gaps": sums["gaps"],
+            "rate_hz": sum(item["rate_hz"] for item in moving),
+            "bytes_per_s": sum(item["bytes_per_s"] for item in moving),
+            "kernel_drops": drops,
+            "routes": routes,
+            "events": events,
+        }
+
+    def _value(self, last: _LastPacket) -> str | None:
+        """Return a message in a few words; None where there is none, or it is not of its route's type."""
+        if not last.cdr:
+            return None
+        try:
+            return short_values(self._types.decode(self._mission.routes[last.route].type, last.cdr))
+        except EdorasError:
+            return None
+
+    @staticmethod
+    def _last_packets(batch: PacketBatch, columns: Columns) -> dict[tuple[int, int], _LastPacket]:
+        """Return the last packet of each route in a batch."""
+        keys = (columns.link.astype(np.int64) << _BITS) | (columns.msg_id.astype(np.int64) + 1)
+        _, behind = np.unique(keys[::-1], return_index=True)
+        packets = {}
+        for row in (len(keys) - 1 - behind[:_MOST_ROUTES]).tolist():
+            start, route = int(columns.cdr_offset[row]), int(columns.route[row])
+            cdr = b""
+            if route >= 0 and columns.cdr_length[row] > 0:
+                cdr = batch.data[start : start + int(columns.cdr_length[row])].tobytes()
+            key = int(columns.link[row]), int(columns.msg_id[row])
+            packets[key] = _LastPacket(int(batch.time_ns[row]), cdr, route)
+        return packets
+
+    def _log_entries(self, events: Sequence[Messages], rows: int) -> list[dict[str, Any]]:
+        records = lay_out(events, rows)
+        entries = []
+        for place in range(len(records)):
+            cdr = bytes(records.data[records.start[place] : records.end[place]])
+            event = self._types.decode(_LOG, cdr)
+            texts = {"level": event["level"], "app": event["name"], "text": event["msg"]}
+            entries.append({"time_ns": int(records.log_time[place]), **texts})
+        return entries
+
+    def _add_event(self, entry: dict[str, Any]) -> None:
+        """Count an event among those of the same application and text; the oldest of too many goes."""
+        key = entry["app"], entry["level"], entry["text"]
+        known = self._events.pop(key, {"count": 0})
+        self._events[key] = {**entry, "count": known["count"] + 1}
+        if len(self._events) > _MOST_EVENTS:
+            del self._events[next(iter(self._events))]
+
+    def _count(self, counts: Messages, statuses: Mapping[str, Mapping[str, Any]]) -> None:
+        for place, head in enumerate(counts.heads(slice(0, len(counts)))):
+            key = int(head["link"]), int(head["msg_id"])
+            if key not in self._routes and len(self._routes) >= _MOST_ROUTES:
+                key = -1, NO_MSG_ID
+            start = int(counts.offset[place])
+            topic = bytes(counts.data[start : start + int(counts.length[place])]).rstrip(b"\0").decode()
+            row = self._routes.setdefault(key, _route(*key, topic))
+            for name in _SUMS:
+                row[name] += int(head[name])
+            row["rate_hz"], row["bytes_per_s"] = float(head["rate_hz"]), int(head["bytes"])
+            row["largest"] = max(row["largest"], int(head["largest"]))
+            row["time_ns"] = int(counts.log_time[place])
+            status: Mapping[str, Any] = {}
+            for name in (row["topic"], row["msg_id"] or "no MsgId"):  # structs have their own topics
+                status = status or statuses.get(f"{row['link']}: {name}", {})
+            row["level"], row["message"] = status.get("level", 0), status.get("message", "")
+
+
+def _route(link: int, msg_id: int, topic: str) -> dict[str, Any]:
+    return {
+        "link": table.link(link).label if link >= 0 else "",
+        "msg_id": f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else None,
+        "topic": topic if topic.startswith("/") and link >= 0 else None,
+        "name": (message_name(msg_id) if msg_id != NO_MSG_ID else "") or None,
+        **dict.fromkeys((*_SUMS, "largest"), 0),
+    }

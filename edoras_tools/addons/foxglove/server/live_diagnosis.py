@@ -1,0 +1,198 @@
+"""The doctor beside a sink: what became of the messages so far, judged again and again while somebody looks.
+
+Rules:
+
+1. Whoever writes batches never waits for a judgement: what comes meanwhile waits in a queue.
+2. Judging takes at most a fortieth of the time, however much was taken, and none while nobody asks.
+3. Where the queue grows beyond its limit, all is judged from there on, and ``since_ns`` says so.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+from edoras_tools.diagnosis.case import Capture
+from edoras_tools.diagnosis.summary import summarize
+from edoras_tools.diagnosis.verdict import Severity
+from edoras_tools.pipelines.capture.flushing import ROW_BYTES, compact, join
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from edoras_tools.diagnosis.balance import WaySum
+    from edoras_tools.diagnosis.examination import Diagnosis, Examination
+    from edoras_tools.diagnosis.ledger import Row
+    from edoras_tools.diagnosis.summary import Problem
+    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
+
+_EVERY_S: Final = 1.0
+_PAUSE: Final = 39
+"""Times as long as it judged, it pauses."""
+_ASKED_S: Final = 10.0
+"""So long after the last question it goes on."""
+_MOST_WAITING: Final = 64 << 20
+"""Bytes that wait at the most while it judges."""
+_TOGETHER: Final = 1 << 20
+"""Bytes that wait for each other: each batch costs a millisecond, however small it is."""
+_MOST_LISTED: Final = 50
+_FIGURES: Final = ("duplicated", "superseded", "waiting", "unaccounted", "uncertain")
+
+
+class LiveDiagnosis:
+    """Judges all that was taken so far; any thread may add and ask.
+
+    Args:
+        begin: makes an examination.
+        statistics: of the source, for losses of the capture itself.
+    """
+
+    def __init__(self, begin: Callable[[], Examination], statistics: SourceStatistics | None = None) -> None:
+        self._begin, self._statistics = begin, statistics
+        self._examination = self._fresh()
+        self._judging, self._state = threading.Lock(), threading.Lock()
+        self._queue: list[tuple[PacketBatch, Columns]] = []
+        self._queue_bytes = 0
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+        self._last_question = 0.0
+        self._since_ns: int | None = None
+        self._latest: dict[str, Any] | None = None
+
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take a batch of at least one row; it is not changed afterwards."""
+        part = compact(batch, columns)
+        with self._state:
+            self._queue.append(part)
+            self._queue_bytes += len(part[0].data) + ROW_BYTES * len(batch)
+            enough = self._queue_bytes >= _TOGETHER
+        if enough and self._judging.acquire(blocking=False):
+            try:
+                self._take_queue()
+            finally:
+                self._judging.release()
+
+    def ask(self) -> dict[str, Any] | None:
+        """Return the latest judgement as the page shows it, None before the first; go on judging a while."""
+        with self._state:
+            self._last_question = time.monotonic()
+            if self._thread is None and not self._stop.is_set():
+                self._thread = threading.Thread(target=self._run, name="doctor", daemon=True)
+                self._thread.start()
+            return self._latest
+
+    def close(self) -> None:
+        """Judge no more."""
+        self._stop.set()
+        with self._state:
+            thread = self._thread
+        if thread is not None:
+            thread.join()
+
+    def _fresh(self) -> Examination:
+        examination = self._begin()
+        examination.listing = True
+        return examination
+
+    def _run(self) -> None:
+        pause = 0.0
+        while not self._stop.wait(pause):
+            with self._state:
+                if time.monotonic() - self._last_question > _ASKED_S:
+                    self._thread = None
+                    return
+            began = time.thread_time()
+            with self._judging:
+                self._take_queue()
+                diagnosis = self._examination.diagnose(self._capture())
+            latest = {"since_ns": self._since_ns, **_page_values(diagnosis)} if diagnosis.datagrams else None
+            with self._state:
+                self._latest = latest
+            pause = max(_EVERY_S, _PAUSE * (time.thread_time() - began))
+
+    def _take_queue(self) -> None:
+        """Take what waited, as one batch."""
+        with self._state:
+            parts, size = self._queue, self._queue_bytes
+            self._queue, self._queue_bytes = [], 0
+        if size > _MOST_WAITING:
+            parts = parts[-1:]
+            self._examination = self._fresh()
+            self._since_ns = int(parts[0][0].time_ns[0])
+        if parts:
+            self._examination.add(*join(parts))
+
+    def _capture(self) -> Capture:
+        source = self._statistics
+        if source is None:
+            return Capture()
+        outages = tuple(source.outages)
+        return Capture(source.kernel_drops, tuple(source.warnings), None, source.passed_over, outages)
+
+
+def _page_values(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return what the page shows of a diagnosis: figures are sums of the ledger, as in ``doctor --json``."""
+    summary = summarize(diagnosis)
+    topics = {(way.hops[0].link, way.hops[0].msg_id): way for way in diagnosis.ways}
+    return {
+        "until_ns": diagnosis.end_ns,
+        "datagrams": diagnosis.datagrams,
+        "lost": diagnosis.lost,
+        "unaccounted": diagnosis.unaccounted,
+        "uncertain": diagnosis.uncertain,
+        "messages_lost": diagnosis.messages_lost,
+        "messages_uncertain": diagnosis.messages_uncertain,
+        "worst": diagnosis.worst.label,
+        "headline": summary.headline,
+        "fine": summary.fine,
+        "problems": [_problem(item, diagnosis) for item in summary.problems if item.severity > Severity.NOTE],
+        "flows": _flows(diagnosis.ways, diagnosis.topics),
+        "routes": [
+            {
+                "link": link,
+                "msg_id": None if msg_id is None else f"0x{msg_id:04x}",
+                **{name: value for name, value in way.as_json(None).items() if isinstance(value, int)},
+            }
+            for (link, msg_id), way in topics.items()
+        ],
+    }
+
+
+def _problem(problem: Problem, diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return a problem with the latest of the messages that were lost by it."""
+    about = {(item.link, item.msg_id) for item in problem.verdicts if item.msg_id is not None}
+    lost = [item for item in diagnosis.missing if (item.link, item.msg_id) in about] if problem.lost else []
+    return {
+        **problem.as_json(),
+        "promise": problem.promise or None,
+        "since_ns": min((item.start_ns for item in problem.verdicts), default=None),
+        "until_ns": max((item.end_ns for item in problem.verdicts), default=None),
+        "evidence": list(dict.fromkeys(line for item in problem.verdicts for line in item.evidence))[:12],
+        "messages": [item.as_json() for item in lost[-_MOST_LISTED:]],
+    }
+
+
+def _flows(ways: Iterable[WaySum], topics: Any) -> list[dict[str, Any]]:
+    """Return the traffic that goes through the same hops, added up hop by hop: losses first, then uplinks."""
+    groups: dict[tuple[str, tuple[str, ...]], list[tuple[Row, ...]]] = {}
+    for way in ways:
+        groups.setdefault((way.hops[0].link, tuple(row.hop for row in way.hops)), []).append(way.hops)
+    flows = []
+    for (link, hops), members in groups.items():
+        names = [topics.get(first.route) or first.topic or first.name for first, *_ in members]
+        columns = zip(*members, strict=True)
+        rows = [_hop(hop, rows) for hop, rows in zip(hops, columns, strict=True)]
+        flows.append({"link": link, "names": sorted(filter(None, names)), "hops": rows})
+    return sorted(flows, key=lambda item: (-sum(hop["lost"] for hop in item["hops"]), item["link"]))
+
+
+def _hop(hop: str, rows: Iterable[Row]) -> dict[str, Any]:
+    rows = list(rows)
+    return {
+        "hop": hop,
+        "in": sum(row.came for row in rows),
+        "out": sum(row.out for row in rows),
+        "lost": sum(row.all_lost for row in rows),
+        **{name: sum(getattr(row, name) for row in rows) for name in _FIGURES},
+    }

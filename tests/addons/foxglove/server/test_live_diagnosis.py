@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import threading
+from functools import partial
+
+import pytest
+import waiting
+
+from edoras_tools.addons.foxglove.server import live_diagnosis
+from edoras_tools.addons.foxglove.server.live_diagnosis import LiveDiagnosis
+from edoras_tools.decode import Context
+from edoras_tools.diagnosis.examination import Examination
+
+LOST = 92
+
+
+class Slow(Examination):
+    """Judges only when it is let."""
+
+    may = threading.Event()
+    judging = threading.Event()
+
+    def diagnose(self, capture=None):
+        Slow.judging.set()
+        assert Slow.may.wait(waiting.PATIENCE_S)
+        return super().diagnose(capture)
+
+
+@pytest.fixture
+def diagnosis(types):
+    opened = []
+
+    def start(read, kind=Examination):
+        opened.append(LiveDiagnosis(partial(kind, Context(read.mission, types))))
+        return opened[-1]
+
+    Slow.may.clear()
+    Slow.judging.clear()
+    yield start
+    Slow.may.set()
+    for item in opened:
+        item.close()
+
+
+def judged(item, datagrams):
+    """Its state, once it has judged so many datagrams."""
+    waiting.until(lambda: (item.ask() or {}).get("datagrams") == datagrams)
+    return item.ask()
+
+
+def doctor(read, types):
+    examination = Examination(Context(read.mission, types))
+    for batch, columns in read.pairs:
+        examination.add(batch, columns)
+    return examination.diagnose()
+
+
+def test_its_figures_are_those_of_the_doctor(diagnosis, capture, types):
+    rover = capture("a_rover", "rover_ground")
+    item = diagnosis(rover)
+    assert item.ask() is None
+    for batch, columns in rover.pairs:
+        item.add(batch, columns)
+    whole = doctor(rover, types)
+    state = judged(item, whole.datagrams)
+    assert state["lost"] == whole.lost == LOST
+    assert state["messages_lost"] == whole.messages_lost
+    assert state["headline"] == "About 1 in 7 commands never arrived: 92 of 600 /cmd_vel were lost."
+    (problem,) = state["problems"]
+    assert (problem["lost"], problem["severity"], problem["rules"]) == (LOST, "error", ["app_pipe_limit"])
+    assert problem["messages"]
+    assert {lost["msg_id"] for lost in problem["messages"]} == {"0x1827"}
+    flow = state["flows"][0]
+    assert flow["names"] == ["/cmd_vel"]
+    assert [(hop["hop"], hop["in"], hop["lost"], hop["out"]) for hop in flow["hops"]] == [
+        ("CI", 600, 0, 600),
+        ("software bus", 600, 92, 508),
+        ("application", 508, 0, 508),
+    ]
+    assert sum(hop["lost"] for each in state["flows"] for hop in each["hops"]) == whole.lost
+    (route,) = [each for each in state["routes"] if each["msg_id"] == "0x1827"]
+    assert (route["in"], route["out"], route["lost"]) == (600, 508, LOST)
+
+
+def test_who_writes_does_not_wait_for_it(diagnosis, capture, types):
+    rover = capture("a_rover", "rover_ground")
+    item = diagnosis(rover, Slow)
+    item.ask()
+    assert Slow.judging.wait(waiting.PATIENCE_S)
+    for batch, columns in rover.pairs:
+        item.add(batch, columns)  # returns, although nothing is judged yet
+    assert item._queue_bytes >= sum(map(len, rover.batches))
+    Slow.may.set()
+    assert judged(item, doctor(rover, types).datagrams)["lost"] == LOST
+    assert item._queue_bytes == 0
+
+
+def test_what_is_too_much_to_wait_is_judged_from_there_on(diagnosis, capture, monkeypatch):
+    rover = capture("a_rover", "rover_ground")
+    monkeypatch.setattr(live_diagnosis, "_MOST_WAITING", 1)
+    item = diagnosis(rover, Slow)
+    item.ask()
+    assert Slow.judging.wait(waiting.PATIENCE_S)
+    for batch, columns in rover.pairs:
+        item.add(batch, columns)
+    Slow.may.set()
+    waiting.until(item.ask)
+    last, _ = rover.pairs[-1]
+    assert item.ask()["since_ns"] == int(last.time_ns[0])
+
+
+def test_it_judges_only_while_somebody_asks(diagnosis, capture, monkeypatch):
+    monkeypatch.setattr(live_diagnosis, "_ASKED_S", 0.0)
+    monkeypatch.setattr(live_diagnosis, "_EVERY_S", 0.01)
+    monkeypatch.setattr(live_diagnosis, "_PAUSE", 0)
+    rover = capture("a_rover", "rover_ground")
+    item = diagnosis(rover)
+    item.ask()
+    waiting.until(lambda: item._thread is None)
+    monkeypatch.setattr(live_diagnosis, "_ASKED_S", 60.0)
+    for batch, columns in rover.pairs:
+        item.add(batch, columns)
+    waiting.until(item.ask)
+    item.close()
+    assert item.ask()["lost"] == LOST, "what it judged stays"
+    assert not item._thread.is_alive()
