@@ -317,7 +317,6 @@ class Case:
         told = {(item.system, item.subject) for item in changes}
         network = network_changes(self.rows, self.payloads, self.instances, self.network)
         changes += [item for item in network if (item.system, item.subject) not in told]
-        changes += [change for span in self.unreachable.spans for change in span.changes()]
         changes += capture_changes(self.away)
         found = stalls(self.rows, self.streams, self.instances, Timeline(changes))
         return Timeline([*changes, *found])

@@ -23,13 +23,12 @@ import numpy as np
 
 from edoras_tools.diagnosis.evidence.fingerprint import brackets
 from edoras_tools.diagnosis.evidence.table import number_hosts
-from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays.order import numbered
-from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -59,7 +58,6 @@ class ClosedSpan:
 
     Attributes:
         port: its endpoint.
-        open_ns: when it last was surely open; 0 where nothing shows it.
         start_ns: the datagram that the first error quotes.
         last_ns: the datagram that the last one quotes.
         end_ns: the next sign of life; ``NEVER`` where there is none.
@@ -68,20 +66,11 @@ class ClosedSpan:
     """
 
     port: Endpoint
-    open_ns: int
     start_ns: int
     last_ns: int
     end_ns: int
     errors: int
     step_ns: int = 0
-
-    def changes(self) -> Iterator[Change]:
-        """Yield when the port was closed, and when it was open again."""
-        owner = StateOwner("port", str(self.port))
-        witness = f"{plural(self.errors, 'ICMP error')}: port unreachable"
-        yield Change(EVERY, owner, "closed", self.open_ns, self.start_ns, witness)
-        if self.end_ns != NEVER:
-            yield Change(EVERY, owner, "open", self.last_ns, self.end_ns, "traffic without errors")
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +242,6 @@ def _spans(
         silent = len(steps) >= _VOICES and not ((voices > first) & (voices < end)).any()
         span = ClosedSpan(
             endpoints[number],
-            int(times[begin]) if life[begin] else 0,
             int(times[first]),
             int(times[last]),
             int(times[end]) if back else NEVER,

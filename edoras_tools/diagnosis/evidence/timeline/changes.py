@@ -19,15 +19,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import (
-    command_ingest,
-    event_services,
-    executive_services,
-    sbn,
-    telemetry_output,
-    time_services,
-)
-from edoras_tools.cfs.arguments import EVS_MSG_ID, TBL_MSG_ID, TIME_MSG_ID
+from edoras_tools.cfs import executive_services, sbn, telemetry_output, time_services
+from edoras_tools.cfs.arguments import TIME_MSG_ID
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
@@ -70,17 +63,6 @@ _APP_STATES: Final = {
     executive_services.STOP_APP: "stopped",
     executive_services.RESTART_APP: "restarting",
     executive_services.RELOAD_APP: "restarting",
-}
-_EVENT_STATES: Final = {
-    event_services.ENABLE_APP: "enabled",
-    event_services.DISABLE_APP: "disabled",
-    event_services.ENABLE_APP_TYPE: "types enabled",
-    event_services.DISABLE_APP_TYPE: "types disabled",
-    event_services.SET_FILTER: "filtered",
-    event_services.ADD_FILTER: "filtered",
-    event_services.DELETE_FILTER: "filter deleted",
-    event_services.RESET_FILTER: "filters reset",
-    event_services.RESET_ALL_FILTERS: "filters reset",
 }
 _COMMAND_EVENTS: Final = (telemetry_output.ADDED, telemetry_output.REMOVED, telemetry_output.ALL_REMOVED)
 
@@ -133,13 +115,9 @@ class SoftwareChanges:
         system = system_at(self._instances, int(self._rows.destination[command.row]), sent_ns)
         values, code = command.values, command.function_code
 
-        def change(
-            subject: StateOwner, state: str, value: int | str | None = None, *, slack_ns: int = _SLACK_NS
-        ) -> Change:
-            rows = (command.row,)
-            return Change(
-                system, subject, state, sent_ns, sent_ns + slack_ns, str(command), rows, value, sure=False
-            )
+        def change(subject: StateOwner, state: str, value: int | str | None = None) -> Change:
+            span = sent_ns, sent_ns + _SLACK_NS
+            return Change(system, subject, state, *span, str(command), (command.row,), value, sure=False)
 
         if command.msg_id == executive_services.COMMAND_MSG_ID:
             yield from self._executive(command, change(_CLOCK, ""))
@@ -157,17 +135,6 @@ class SoftwareChanges:
                 yield change(_ALL_ENTRIES, "unsubscribed")
         elif command.msg_id == TIME_MSG_ID and code in time_services.SETS:
             yield self._clock(command, change(_CLOCK, "set"))
-        elif command.msg_id == EVS_MSG_ID and code in _EVENT_STATES:
-            yield change(
-                StateOwner("events", values["application"]), _EVENT_STATES[code], values.get("event_id")
-            )
-        elif command.msg_id == TBL_MSG_ID and ("file_name" in values or "table_name" in values):
-            name = values.get("file_name") or values["table_name"]
-            yield change(StateOwner("table", name), str(command).split(" ", 1)[0].lower())
-        elif command.msg_id == sbn.COMMAND_MSG_ID and code == sbn.RELOAD:
-            yield change(StateOwner("table", sbn.TABLE), "reload")
-        elif command.msg_id == command_ingest.COMMAND_MSG_ID and code == command_ingest.RESET_COUNTERS:
-            yield change(StateOwner("counters", "", command_ingest.HOUSEKEEPING_MSG_ID), "reset", command.row)
 
     def _executive(self, command: CommandRecord, pattern: Change) -> Iterator[Change]:
         state = _APP_STATES.get(command.function_code)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
-from edoras_tools.cfs import command_ingest, sbn, telemetry_output
+from edoras_tools.cfs import sbn, telemetry_output
 from edoras_tools.model import NO_MSG_ID
 
 if TYPE_CHECKING:
@@ -24,20 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
 
 
-Kind = Literal[
-    "cfs",
-    "app",
-    "output",
-    "entry",
-    "peer",
-    "subscription",
-    "events",
-    "table",
-    "clock",
-    "counters",
-    "capture",
-    "port",
-]
+Kind = Literal["cfs", "app", "output", "entry", "peer", "subscription", "clock", "capture"]
 NEVER: Final = int(np.iinfo(np.int64).max)
 
 
@@ -46,10 +33,8 @@ class StateOwner(NamedTuple):
 
     ``kind`` is one of: ``cfs`` itself; ``app``, an application by ``name``; ``output``, whether Telemetry
     Output sends and where to; ``entry`` of its table, by ``msg_id``, ``NO_MSG_ID`` for all of them; ``peer``
-    of SBN by ``name`` (``66:3``); ``subscription`` of the peer ``name`` to ``msg_id``; ``events`` of the
-    application ``name``; ``table`` by ``name``; ``clock``; ``counters`` of a housekeeping MsgId;
-    ``capture``, the interface; ``port`` by ``name`` (``10.0.0.4:1235``). The last two are of no cFS: their
-    system is ``EVERY``.
+    of SBN by ``name`` (``66:3``); ``subscription`` of the peer ``name`` to ``msg_id``; ``clock``; or
+    ``capture``, the interface, which is of no cFS: its system is ``EVERY``.
     """
 
     kind: Kind
@@ -66,7 +51,7 @@ class Change:
     """A subject gets into a state.
 
     Attributes:
-        system: number of the cFS, as ``Instances.systems`` has them; ``EVERY`` of the capture and of ports.
+        system: number of the cFS, as ``Instances.systems`` has them; ``EVERY`` of the capture.
         subject: whose state it is.
         state: the state, e.g. ``stopped``.
         not_before_ns: capture time before which it was surely not yet in it.
@@ -193,14 +178,13 @@ NOT_RUNNING: Final = ("stopped", "restarting", "failed", "down", "stalled")
 
 
 class Way(NamedTuple):
-    """Where messages go: the MsgId, its link, the cFS, the SBN peer, the applications that handle them."""
+    """Where messages go: the MsgId, its link, the cFS, and the SBN peer."""
 
     msg_id: int
     link: Link
     system: int = 0
     to_cfs: bool = False
     peer: str = ""
-    apps: tuple[str, ...] = ()
 
 
 class Reason(NamedTuple):
@@ -242,12 +226,7 @@ def _blocking(way: Way) -> Iterator[tuple[int, StateOwner, Sequence[str]]]:
     """Yield what messages need on a way, and the states in which it does not let them through."""
     yield EVERY, StateOwner("capture"), ("away",)
     yield way.system, StateOwner("cfs"), NOT_RUNNING
-    for app in way.apps:
-        yield way.system, StateOwner("app", app), NOT_RUNNING
-    if way.link.only_to_cfs:
-        for app in command_ingest.NAMES:
-            yield way.system, StateOwner("app", app), NOT_RUNNING
-    elif way.link.only_from_cfs:
+    if way.link.only_from_cfs:
         for app in telemetry_output.NAMES:
             yield way.system, StateOwner("app", app), NOT_RUNNING
         yield way.system, StateOwner("output"), ("disabled", "suppressed")
@@ -269,12 +248,8 @@ def subject_name(subject: StateOwner) -> str:
         "entry": f"{number or 'every MsgId'} in Telemetry Output's table",
         "peer": f"SBN peer {subject.name}",
         "subscription": f"{number} for SBN peer {subject.name}",
-        "events": f"the events of {subject.name}",
-        "table": f"table {subject.name}",
         "clock": "cFS's clock",
-        "counters": f"the counters of {number}",
         "capture": "the capture",
-        "port": f"port {subject.name}",
     }[subject.kind]
 
 
@@ -291,15 +266,13 @@ _VERBS: Final = {
     "timed_out": "was given up",
     "disconnected": "was not connected",
     "away": "saw nothing",
-    "closed": "was closed",
 }
-"""State to how people are told of it; of others its name is."""
+"""State that explains a loss or a silence to how people are told of it."""
 
 
 def reason_text(span: StateSpan, at: Callable[[int], str]) -> str:
     """Return one line: who was in which state from when to when, and what shows it."""
-    change: Change = span.change
-    value = "" if change.value is None else f" ({change.value})"
+    change = span.change
     until = f" to {at(span.end_hi)}" if span.end_hi != NEVER else " on"
-    verb = _VERBS.get(change.state, change.state.replace("_", " "))
-    return f"{subject_name(change.subject)} {verb}{value} from {at(span.start_lo)}{until}: {change.witness}"
+    since = f"{_VERBS[change.state]} from {at(span.start_lo)}{until}"
+    return f"{subject_name(change.subject)} {since}: {change.witness}"
