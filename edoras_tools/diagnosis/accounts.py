@@ -117,7 +117,7 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
         return round(shown_hz, 1), "measured"
     fate = case.commands.fates.get(id(stream))
     arrives = fate.seen if fate is not None else stream.link.only_from_cfs
-    fastest_hz = max((span.offered_hz for span in case.spans(stream)), default=0.0)
+    fastest_hz = max((span.offered_hz for span in stream.spans), default=0.0)
     if not assumed_hz or (arrives and not lost_at_pipe and fastest_hz > _OVER * assumed_hz):
         return None, None
     names: tuple[str | int, ...] = ("ci_wake_ns", "app_msg_limit")
@@ -144,7 +144,7 @@ def _delay(case: Case, stream: Stream) -> Latency | None:
     if stream.link.only_to_cfs or stream.instance == NOBODY or not timed.any():
         return None
     offset = case.instances.items[stream.instance].offset_ns
-    return latency_of(np.asarray(case.rows.time_ns[stream.rows][timed] - mission[timed] - offset))
+    return latency_of(np.asarray(stream.time_ns[timed] - mission[timed] - offset))
 
 
 def _json(latency: Latency | None) -> dict[str, Any] | None:

@@ -26,7 +26,6 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.diagnosis.matching.streams import full_where_lacking
 from edoras_tools.diagnosis.verdict import Advice, Verdict, error
-from edoras_tools.links.sbn import SBN
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.words import plural
 
@@ -134,18 +133,19 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
     """Return the pipe of a loss, how many of its MsgId may wait there, and whether that was measured."""
     output = loss.hop == telemetry_output.PIPE
     queue = queues.telemetry_pipe(case.profile) if output else queues.peer_pipe(case.profile)
-    rounds, near = loss.comb, 10 if output else 5
+    rounds = case.rounds(loss.stream, loss.span) if loss.stream and loss.span else None
+    near = 10 if output else 5
     is_round = rounds and abs(rounds.period_ns - queue.round_ns) < queue.round_ns // near
-    if rounds and is_round and rounds.share >= _FULL and _is_full(case, loss, rounds.most):
+    if rounds and is_round and rounds.share >= _FULL and _is_full(loss, rounds.most):
         return replace(queue, round_ns=rounds.period_ns), rounds.most, True
     return queue, _limit_of(limit_command(case, loss)) or queue.limit(loss.msg_id), False
 
 
-def _is_full(case: Case, loss: Loss, most: int) -> bool:
+def _is_full(loss: Loss, most: int) -> bool:
     if loss.stream is None or loss.span is None:
         return False
     own = slice(loss.span.first, loss.span.last + 1)
-    return full_where_lacking(case.captured(loss.stream)[own], loss.stream.missing[own], most)
+    return full_where_lacking(loss.stream.time_ns[own], loss.stream.missing[own], most)
 
 
 def limit_command(case: Case, loss: Loss) -> Change | None:
@@ -294,7 +294,7 @@ def published_into(case: Case, stream: Stream) -> Arrivals:
 
 def published_at(case: Case, stream: Stream) -> NDArray[np.int64]:
     """Return when each message of a stream was published, the missing ones too: by its header's time."""
-    when, mission = case.rows.time_ns[stream.rows], case.rows.mission_time_ns[stream.rows]
+    when, mission = stream.time_ns, case.rows.mission_time_ns[stream.rows]
     if stream.instance != NOBODY and (mission > 0).all():
         when = np.maximum.accumulate(mission + case.instances.items[stream.instance].offset_ns)
     counts = stream.counts
@@ -326,7 +326,7 @@ def _raised(case: Case, msg_id: int, limit: int) -> str:
 
 def _at_application(case: Case, loss: Loss) -> Advice:
     """Return what helps where an application's pipe takes too few of a command, or CI's socket is full."""
-    over_network = loss.sender.startswith("SBN") or (loss.stream is not None and loss.stream.link is SBN)
+    over_network = loss.over_network
     pipe = queues.application_pipe(case.profile, over_network=over_network)
     socket = queues.ci_socket(case.profile)
     limit, clean = pipe.usual_limit, pipe.rate_hz(pipe.usual_limit)
@@ -357,7 +357,7 @@ def _at_application(case: Case, loss: Loss) -> Advice:
         for item in case.losses_of(stream)
         if item.kind in {"limit", "socket"} and item.start_ns < loss.end_ns and loss.start_ns < item.end_ns
     )
-    waiting = sum(item.waiting for item in case.ingests if item.endpoint == stream.receiver)
+    waiting = sum(item.waiting for item in case.ingests_at(stream.receiver))
     fits = _explains(
         arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id), lost or loss.lost, waiting
     )
@@ -407,7 +407,7 @@ def _stalls_of(case: Case, loss: Loss) -> Iterator[StateSpan]:
         # It is not known which they are.
         yield from (span for span in spans if span.overlaps(loss.start_ns - TAIL_NS, loss.end_ns))
         return
-    when = case.captured(loss.among.stream)[loss.among.rows]
+    when = loss.among.stream.time_ns[loss.among.rows]
     number = np.ones(len(when), np.int64) if loss.among.missing is None else loss.among.missing
     near = [(span, (when > span.start_lo - SECOND) & (when < span.end_hi + SECOND)) for span in spans]
     if sum(int(number[inside].sum()) for _, inside in near) * 2 > int(number.sum()):

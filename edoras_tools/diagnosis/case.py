@@ -60,7 +60,6 @@ from edoras_tools.diagnosis.matching.streams import (
     find_resets,
     find_robots,
     find_streams,
-    spans,
 )
 from edoras_tools.diagnosis.quality import (
     HostDrops,
@@ -208,9 +207,7 @@ class Case:
         self.refused: list[Verdict] = []
         self.verdicts: list[Verdict] = []
         self.advice: dict[tuple[object, ...], Advice] = {}
-        self._spans: dict[int, list[Span]] = {}
         self._silences: dict[int, list[tuple[int, int]]] = {}
-        self._captured: dict[int, NDArray[np.int64]] = {}
         self._times: dict[tuple[int, ...], NDArray[np.int64]] = {}
 
     @cached_property
@@ -269,6 +266,13 @@ class Case:
     def reported_losses(self) -> dict[ReportedLoss, LossEvents]:
         """Whom events about loss name."""
         return reported_losses(self.payloads.events, self.instances)
+
+    def events_about(
+        self, instance: int, msg_id: int, kind: PipeKind
+    ) -> list[tuple[ReportedLoss, LossEvents]]:
+        """Return what events say of losses of a MsgId at pipes of an instance."""
+        about, every = (instance, msg_id, kind), self.reported_losses.items()
+        return [(item, said) for item, said in every if (item.instance, item.msg_id, item.kind) == about]
 
     @cached_property
     def holes(self) -> list[tuple[int, int]]:
@@ -349,7 +353,7 @@ class Case:
         """Return the name of the cFS that a stream leaves."""
         if not out.link.only_from_cfs:
             return self.network.identity_of.get(out.sender, "")
-        owner = self.instances.owner(out.sender, int(self.rows.time_ns[out.rows[0]]))
+        owner = self.instances.owner(out.sender, int(out.time_ns[0]))
         return self.instances.items[owner].name if owner != NOBODY else ""
 
     def follows(self, into: Stream, out: Stream) -> bool:
@@ -402,6 +406,10 @@ class Case:
         """The account of every CI."""
         return ingests(self)
 
+    def ingests_at(self, endpoint: int) -> list[Ingest]:
+        """Return the account of the CI at an endpoint, if it is counted."""
+        return [item for item in self.ingests if item.endpoint == endpoint]
+
     @cached_property
     def listeners(self) -> dict[int, int]:
         """Endpoint of a CI to the number of its cFS, where its counts tell."""
@@ -416,18 +424,6 @@ class Case:
         """Tell which spans of time hold some of an outage of the capturing interface."""
         return overlapping(starts, ends, self.away)
 
-    def spans(self, stream: Stream) -> list[Span]:
-        """Return the spans of a stream at one rate; worked out once."""
-        if id(stream) not in self._spans:
-            self._spans[id(stream)] = spans(stream, self.rows)
-        return self._spans[id(stream)]
-
-    def captured(self, stream: Stream) -> NDArray[np.int64]:
-        """Return the capture times of a stream's packets: i64, ns since 1970; looked up once."""
-        if id(stream) not in self._captured:
-            self._captured[id(stream)] = self.rows.time_ns[stream.rows]
-        return self._captured[id(stream)]
-
     def rounds(self, stream: Stream, span: Span) -> Comb:
         """Return the rounds in which a stream's MsgId comes meanwhile."""
         times = self.times(stream)
@@ -438,7 +434,7 @@ class Case:
         key = stream.link.code, stream.sender, stream.receiver, stream.msg_id
         if key not in self._times:
             alike = [
-                self.rows.time_ns[item.rows]
+                item.time_ns
                 for item in self.streams
                 if (item.link.code, item.sender, item.receiver, item.msg_id) == key
                 or (item.link.only_from_cfs and (item.sender, item.msg_id) == (stream.sender, stream.msg_id))
@@ -466,7 +462,7 @@ class Case:
 
     def owner(self, stream: Stream) -> int:
         """Return the instance whose pipe a telemetry stream comes out of."""
-        start_ns = int(self.rows.time_ns[stream.rows[0]])
+        start_ns = int(stream.time_ns[0])
         if stream.link.only_from_cfs:
             return self.instances.owner(stream.sender, start_ns)
         if stream.instance != NOBODY:
@@ -564,7 +560,7 @@ class Case:
         lost = [(item.start_ns, item.end_ns) for item in self.losses_of(stream)]
         clean = [
             span.offered_hz
-            for span in self.spans(stream)
+            for span in stream.spans
             if span.end_ns - span.start_ns >= _CLEAN_NS
             and not any(span.start_ns <= end_ns and start_ns <= span.end_ns for start_ns, end_ns in lost)
         ]

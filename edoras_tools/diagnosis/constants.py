@@ -112,7 +112,7 @@ def learn_constants(
     for name, item in rounds.items():
         if _usual(assumed, name) and abs(item / getattr(assumed, name) - 1) > _ALIKE:
             profile = replace(profile, **{name: item})  # type: ignore[arg-type]
-    limits = _limits(assumed, rows, streams, losses) if "to_wake_ns" in rounds else {}
+    limits = _limits(assumed, streams, losses) if "to_wake_ns" in rounds else {}
     names: set[str | int] = {*rounds, *limits, *assumed.stated}
     profile = replace(profile, to_limits={**assumed.to_limits, **limits})
     lacking = sum(int(item.missing.sum()) for item in streams if item.link.only_from_cfs)
@@ -124,7 +124,7 @@ def learn_constants(
 
 
 def _limits(
-    assumed: SimProfile, rows: Rows, streams: Sequence[Stream], losses: Mapping[ReportedLoss, LossEvents]
+    assumed: SimProfile, streams: Sequence[Stream], losses: Mapping[ReportedLoss, LossEvents]
 ) -> dict[int, int]:
     """Return how many of a MsgId may wait at Telemetry Output, where full rounds show it."""
     found: dict[int, int] = {}
@@ -136,7 +136,7 @@ def _limits(
             continue
         if stream.duplicates + stream.reordered > _ALIKE * len(stream):
             continue  # a network that doubles and delays makes other rounds of them
-        times = rows.time_ns[stream.rows]
+        times = stream.time_ns
         most = _kept(times)
         # Fewer came, and many are missing: no more are kept. More came: more are.
         scarce = stream.msg_id in at_output and int(stream.missing.sum()) > _ALIKE * len(stream)

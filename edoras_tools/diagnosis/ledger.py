@@ -527,7 +527,7 @@ def _lost_copies(case: Case, fate: Fate, doubled: int) -> tuple[int, int]:
     number = relayed.figures["duplicated"] if relayed else int(copied.sum())
     # Else those that are lost are datagrams of the capture, or those that it lacks.
     if not fate.seen and not case.quality.missing:
-        doubled += sum(item.not_captured for item in case.ingests if item.endpoint == stream.receiver)
+        doubled += sum(item.not_captured for item in case.ingests_at(stream.receiver))
     if len(fate.hops) != 1 or doubled:
         return 0, number + doubled
     _, first, which = np.unique(fate.hops[0].prints, return_index=True, return_inverse=True)
@@ -571,7 +571,7 @@ def _taken_in(
     """Go on to what reads datagrams: CI, or SBN where it did not read all."""
     stream = fate.stream
     if stream.link.only_to_cfs:
-        accounts = [item for item in case.ingests if item.endpoint == stream.receiver]
+        accounts = case.ingests_at(stream.receiver)
         by = "the kernel's counter of its socket" if any(item.by_kernel for item in accounts) else "0x884"
         way.hop(CI_HOP, {"in": _SEEN, **({"out": by} if accounts else all_out or {"lost": _NO_INGEST})})
         way.lose(losses, _BEFORE_CI)

@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from edoras_tools.cfs import executive_services, queues, sbn, telemetry_output
-from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.claims import (
     CLOSED,
     MISSING,
@@ -50,7 +49,7 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.diagnosis.matching.streams import Span, full_rounds
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_ROUTE, Finding
+from edoras_tools.model import Finding
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND
 
@@ -220,18 +219,18 @@ class Telemetry:
         gaps = self._missing(stream) if hop is None else self._not_handed_on(stream, hop)
         if not len(gaps.at):
             return
-        owner, times = case.owner(stream), case.captured(stream)
+        owner, times = case.owner(stream), stream.time_ns
         away = case.is_away(times[gaps.at], times[np.minimum(gaps.at + 1, len(stream) - 1)])
         if away.any():
             self.ends[id(stream)]["away"] = int(gaps.number[away].sum())
         gaps = gaps.take(~away)
         closed = closed_at(case, stream, gaps.at)
         silences = case.silences_of(stream.sender) if stream.link.only_from_cfs else ()
-        silenced = silenced_at(case, stream, gaps.at, silences) & ~closed
+        silenced = silenced_at(stream, gaps.at, silences) & ~closed
         way = stream.sender, stream.receiver
         if hop is None and way not in self._unled:
             self._unled[way] = unled_silences(case, stream)
-        unled = silenced_at(case, stream, gaps.at, self._unled[way] if hop is None else ())
+        unled = silenced_at(stream, gaps.at, self._unled[way] if hop is None else ())
         unled &= ~(closed | silenced)
         closed |= silenced | unled
         for index in np.flatnonzero(closed).tolist():
@@ -242,7 +241,7 @@ class Telemetry:
             part = Part(stream, span, owner, own.among(stream), number, closed=True)
             part.silenced, part.unled = bool(silenced[index]), bool(unled[index])
             self._claim_closed(part, own)
-        gaps, spans = gaps.take(~closed), case.spans(stream)
+        gaps, spans = gaps.take(~closed), stream.spans
         which = np.searchsorted([item.first for item in spans], gaps.at, "right") - 1
         for index in np.unique(which).tolist():
             own = gaps.take(which == index)
@@ -260,15 +259,15 @@ class Telemetry:
     def _missing(self, stream: Stream) -> _Gaps:
         """Return what is missing by sequence counts."""
         case, missing = self._case, stream.missing - self._dropped(stream)
-        made = case.instances.made_ns[stream.rows] if stream.instance != NOBODY else case.captured(stream)
+        made = case.instances.made_ns[stream.rows] if stream.instance != NOBODY else stream.time_ns
         at = np.flatnonzero(missing[:-1])
         return _Gaps(stream, at, at, missing[at], made[at] - _SLACK_NS, made[at + 1] + _SLACK_NS)
 
     def _not_handed_on(self, stream: Stream, hop: Hop) -> _Gaps:
         """Return what came in and did not go out: what was lost further up is that link's loss."""
         self._dropped(stream)
-        out, absent = self._case.captured(stream), np.flatnonzero(hop.absent)
-        due = self._case.captured(hop.into)[absent]
+        out, absent = stream.time_ns, np.flatnonzero(hop.absent)
+        due = hop.into.time_ns[absent]
         # What came just before the last that went out may have waited for the next round.
         inside = (due >= out[0]) & (due <= out[-1] - self._case.profile.sbn_wake_ns)
         absent, due = absent[inside], due[inside]
@@ -320,11 +319,8 @@ class Telemetry:
         if not part.silenced and not part.unled:
             part.cause = self._cause(part)
         if part.owner in self._counts and part.stream.link.only_from_cfs:
-            rank, span = (
-                OWN_PACKETS if part.cause is None else CLOSED,
-                (int(gap.low_ns[0]), int(gap.high_ns[0])),
-            )
-            of, kinds, number = (part.owner,), tuple(COUNTERS), self._countable(part)
+            rank, kinds = OWN_PACKETS if part.cause is None else CLOSED, tuple(COUNTERS)
+            span, of, number = (int(gap.low_ns[0]), int(gap.high_ns[0])), (part.owner,), self._countable(part)
             self.claims.append(Claim(len(self.parts), *span, number, kinds, of, rank, id(part.stream)))
         self.parts.append(part)
 
@@ -346,8 +342,7 @@ class Telemetry:
         case, stream, span = self._case, part.stream, part.span
         if stream.link.peers:
             return self._ended_with_sbn(part)
-        housekeeping = stream.known_id in MSG_ID_NAMES and stream.route == NO_ROUTE
-        if housekeeping or not stream.link.only_from_cfs:
+        if stream.is_housekeeping or not stream.link.only_from_cfs:
             return None
         for command in case.payloads.about_apps(executive_services.STOP_APP):
             when = int(case.rows.time_ns[command.row])
@@ -418,7 +413,7 @@ class Telemetry:
         if not kinds and part.owner not in self._counts and stream.link.only_from_cfs and not via:
             own = slice(span.first, span.last + 1)
             period_ns = queues.telemetry_pipe(case.profile).round_ns
-            if most := full_rounds(case.captured(stream)[own], gaps[own], period_ns):
+            if most := full_rounds(stream.time_ns[own], gaps[own], period_ns):
                 part.evidence.append(f"they are missing behind rounds of {most} alone, and none is larger")
                 kinds.append((True, "limit"))
         return tuple(kind for _, kind in sorted(kinds, key=lambda item: item[0]))
@@ -426,15 +421,8 @@ class Telemetry:
     def _naming(self, part: Part, kind: PipeKind) -> LossEvents | None:
         """Return the events that name a MsgId at Telemetry Output's pipe, or at a peer's."""
         output = part.stream.link.only_from_cfs
-        for reported, said in self._case.reported_losses.items():
-            same = (reported.instance, reported.msg_id, reported.kind) == (
-                part.owner,
-                part.stream.msg_id,
-                kind,
-            )
-            if same and (reported.at_output if output else reported.at_peer):
-                return said
-        return None
+        about = self._case.events_about(part.owner, part.stream.msg_id, kind)
+        return next((said for item, said in about if (item.at_output if output else item.at_peer)), None)
 
     def _tail(self, key: int) -> None:
         """Claim counts of what was lost behind the last message that came: no gap shows it."""
@@ -446,7 +434,7 @@ class Telemetry:
         for hop in case.hops:
             if hop.out is stream and hop.matched > _MOSTLY * len(stream):
                 # It was made of what went in: no more were than went in behind the last that came out.
-                went_in = case.captured(hop.into)
+                went_in = hop.into.time_ns
                 most = min(most, int((hop.absent & (went_in > went_in[hop.arrived].max())).sum()))
         if most > 0:
             made_ns = int(case.instances.made_ns[stream.rows[-1]])
@@ -456,7 +444,7 @@ class Telemetry:
 
     def _ends(self, part: Part) -> bool:
         """Tell whether a stream ends with a part, or with one round behind it that lacks none."""
-        times, span = self._case.captured(part.stream), part.span
+        times, span = part.stream.time_ns, part.span
         if span.last == len(times) - 1:
             return True
         steps, next_ns = np.diff(times[span.first : span.last + 1]), times[span.last + 1]
@@ -497,13 +485,14 @@ class Telemetry:
         if rest > 0 and (number := min(rest, missed)):
             self.ends[id(part.stream)]["uncertain"] += number
             rest -= number
-        if rest > 0 and part.owner in self._counts:
-            self._unexplained(part, rest, of, taken=bool(taken), grown=any(grown))
-        elif rest > 0 and part.kinds:
+        if rest <= 0:
+            return
+        is_counted = part.owner in self._counts
+        if part.kinds and not is_counted:
             self._lose(part, part.kinds[0], rest, of, "high").uncounted = rest
-        elif rest > 0 and self._cut(part.stream):
+        elif not is_counted and self._cut(part.stream):
             self.ends[id(part.stream)]["untold"] += rest
-        elif rest > 0:
+        else:
             self._unexplained(part, rest, of, taken=bool(taken), grown=any(grown))
 
     def _unexplained(self, part: Part, number: int, of: int, *, taken: bool, grown: bool) -> None:
@@ -561,7 +550,7 @@ class Telemetry:
         found = []
         for stream in self._case.streams:
             begun = np.sort(np.array(self._beginnings(stream), np.int64))
-            times = self._case.captured(stream)
+            times = stream.time_ns
             for at in np.flatnonzero(stream.missing >= _LEAST_FRAGMENTED).tolist() if len(begun) else ():
                 start_ns, end_ns = int(times[at]), int(times[min(at + 1, len(times) - 1)])
                 inside = begun[(begun > start_ns) & (begun < end_ns)]
@@ -583,23 +572,10 @@ class Telemetry:
     def _lose(self, part: Part, kind: LossKind, number: int, of: int, confidence: Confidence) -> Loss:
         """Add a loss of what is missing from a span, and return it."""
         stream, span = part.stream, part.span
-        loss = Loss(
-            kind,
-            self._case.pipe_of(stream) if kind in COUNTERS else BEHIND,
-            number,
-            span.start_ns,
-            span.end_ns,
-            confidence,
-            part.owner,
-            stream.msg_id,
-            stream,
-            span,
-            of,
-            list(part.evidence),
-            self._case.rounds(stream, span),
-            closed=part.closed,
-            among=part.among,
-        )
+        hop = self._case.pipe_of(stream) if kind in COUNTERS else BEHIND
+        loss = Loss(kind, hop, number, span.start_ns, span.end_ns, confidence, part.owner, stream.msg_id)
+        loss.stream, loss.span, loss.of, loss.among = stream, span, of, part.among
+        loss.evidence, loss.closed = list(part.evidence), part.closed
         self.losses.append(loss)
         return loss
 

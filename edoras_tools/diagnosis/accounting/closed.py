@@ -41,7 +41,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.cfs import command_ingest, executive_services, names, queues, sbn, telemetry_output
+from edoras_tools.cfs import command_ingest, executive_services, queues, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import (
     READY_NS,
     TAIL_NS,
@@ -49,12 +49,11 @@ from edoras_tools.diagnosis.accounting.losses import (
     Fate,
     Loss,
     LossKind,
-    loss_of,
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, Way, reasons_for
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.model import NO_MSG_ID
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
 
@@ -79,7 +78,7 @@ def closed_at(case: Case, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bo
     """Tell which gaps of a stream span a time in which its way out was closed."""
     rows = case.rows
     behind = np.minimum(at + 1, len(stream) - 1)
-    starts, ends = rows.time_ns[stream.rows[at]], rows.time_ns[stream.rows[behind]]
+    starts, ends = stream.time_ns[at], stream.time_ns[behind]
     out = np.zeros(len(at), bool)
     if stream.link.only_from_cfs:
         # Telemetry Output that speaks from another port started anew, and forgot whom it sends to.
@@ -102,11 +101,9 @@ def closed_at(case: Case, stream: Stream, at: NDArray[np.intp]) -> NDArray[np.bo
     return out
 
 
-def silenced_at(
-    case: Case, stream: Stream, at: NDArray[np.intp], spans: Sequence[tuple[int, int]]
-) -> NDArray[np.bool_]:
+def silenced_at(stream: Stream, at: NDArray[np.intp], spans: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
     """Tell which gaps of a stream span a time in which Telemetry Output sent nothing until it was enabled."""
-    times, behind = case.captured(stream), np.minimum(at + 1, len(stream) - 1)
+    times, behind = stream.time_ns, np.minimum(at + 1, len(stream) - 1)
     out = np.zeros(len(at), bool)
     for start_ns, end_ns in spans:
         out |= (times[at] <= start_ns) & (times[behind] >= end_ns)
@@ -222,7 +219,7 @@ def unheard(case: Case) -> dict[int, Unheard]:
             if not stream.link.peers or (party(stream.receiver), party(stream.sender)) != ends:
                 continue
             item = found.setdefault(id(stream), Unheard(connection.peer))
-            times = case.captured(stream)
+            times = stream.time_ns
             for silence in silences:
                 inside = np.flatnonzero((times > silence.start_ns) & (times < silence.until_ns)).tolist()
                 if silence.given_up:
@@ -387,9 +384,9 @@ def _falls_silent(case: Case, app: str, span: StateSpan) -> bool:
         return False
     start_ns, end_ns = span.start_lo + WAITS_NS, span.end_lo
     for hop in case.hops:
-        sent = np.diff(np.searchsorted(case.captured(hop.into), (start_ns, end_ns)))[0]
+        sent = np.diff(np.searchsorted(hop.into.time_ns, (start_ns, end_ns)))[0]
         times = start_ns - _STOPS_NS - WAITS_NS, start_ns, end_ns
-        before, meanwhile = np.diff(np.searchsorted(case.captured(hop.out), times)).tolist()
+        before, meanwhile = np.diff(np.searchsorted(hop.out.time_ns, times)).tolist()
         if sent >= _LEAST_UNANSWERED and before and not meanwhile:
             return True
     return False
@@ -414,11 +411,7 @@ class Stops:
         self._case = case
         self._causes: list[_Cause] = []
         self.losses: list[Loss] = []
-        self._fates = [
-            fate
-            for fate in fates
-            if fate.stream.known_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE
-        ]
+        self._fates = [fate for fate in fates if not fate.stream.is_housekeeping]
         gone = [item for item in case.outages if item.app not in _LINKS]
         for fate in self._fates:
             if fate.seen:
@@ -446,7 +439,7 @@ class Stops:
 
     def _mark(self, fate: Fate, item: Outage) -> None:
         """Mark the messages that an application that was stopped did not take (rule 8)."""
-        times = self._case.captured(fate.stream)
+        times = fate.stream.time_ns
         back = times[fate.arrived & (times > item.start_ns + WAITS_NS)]
         until_ns = int(back[0]) if len(back) else NEVER
         if until_ns == NEVER and (item.end_ns is None or self._case.end_ns - item.end_ns > READY_NS):
@@ -471,10 +464,10 @@ class Stops:
         """Open what would come out yet, if the application had not stopped: all that was read by then."""
         case, stream = self._case, fate.stream
         most = case.profile.ci_datagrams_per_wake
-        if any(own.unread > most for own in case.ingests if own.endpoint == stream.receiver):
+        if any(own.unread > most for own in case.ingests_at(stream.receiver)):
             return  # it may wait in CI's socket for longer than a round
         pipe = queues.application_pipe(case.profile, over_network=not stream.link.only_to_cfs)
-        times = case.captured(stream)
+        times = stream.time_ns
         never = fate.waits & ~fate.unseen & (times > item.ended_ns) & (times < case.end_ns - pipe.round_ns)
         fate.open |= never
         fate.waits &= ~never
@@ -489,7 +482,7 @@ class Stops:
             inside: messages that did not come out of it around its stop.
             until_ns: when the first one was sent that came out behind it.
         """
-        times, over_network = self._case.captured(fate.stream), not fate.stream.link.only_to_cfs
+        times, over_network = fate.stream.time_ns, not fate.stream.link.only_to_cfs
         round_ns = queues.application_pipe(self._case.profile, over_network=over_network).round_ns
         back_ns = until_ns - round_ns
         if item.end_ns is not None and until_ns <= item.end_ns + TAIL_NS:
@@ -516,8 +509,8 @@ class Stops:
         if all(hop.out.link.peers for hop in fate.hops):
             for each in fate.hops:
                 way = Way(each.out.msg_id, each.out.link, system, peer=peer(each.out.receiver, ""))
-                ways.append((way, _newest(case, fate, each)))
-        times = case.captured(stream)
+                ways.append((way, _newest(fate, each)))
+        times = stream.time_ns
         closed = [
             (_CLOSED[reason.span.change.subject.kind], reason, newest)
             for way, newest in ways
@@ -559,7 +552,7 @@ class Stops:
         """Mark the messages that came over SBN while that surely did not run, where none can be followed."""
         case, stream = self._case, fate.stream
         spans = case.timeline.spans(StateOwner("app", sbn.NAME), "stopped", case.system(stream))
-        times = case.captured(stream)
+        times = stream.time_ns
         for span in spans if stream.link.peers else ():  # its socket is open a moment before it speaks
             inside = (
                 fate.open
@@ -587,7 +580,7 @@ class Stops:
                     spans.add((span.start_lo, span.end_lo, "stopped" if is_stopped else "disabled", text))
                 elif is_stopped:
                     stopped.append(span)  # what is missing from counts tells of that
-        times = case.captured(fate.stream)
+        times = fate.stream.time_ns
         for start_ns, end_ns, kind, text in sorted(spans):
             if not any(span.overlaps(start_ns, end_ns) for span in stopped):
                 inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
@@ -604,7 +597,7 @@ class Stops:
                 evidence = [text]
                 if counted := fate.counted_in_stop[place]:
                     evidence.append(f"0x803 counted {counted:,} of them: nobody read the pipe")
-                self.losses.append(loss_of(self._case, fate, kind, rows, evidence, hop=hop))
+                self.losses.append(fate.loss(kind, rows, evidence, hop=hop))
 
     def _unanswered(self, fate: Fate) -> None:
         """Mark what was sent after a command that stops an application, where no event answers (rule 10)."""
@@ -614,7 +607,7 @@ class Stops:
             when, code = int(rows.time_ns[item.row]), item.function_code
             answered = any(0 <= answer_ns - when <= _COMMAND_NS for answer_ns in answers_ns)
             if item.app not in _LINKS and not answered and fate.stream.receiver == rows.destination[item.row]:
-                fate.unfollowed = self._case.captured(fate.stream) > when
+                fate.unfollowed = fate.stream.time_ns > when
                 fate.unfollowed_since = (
                     f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
                     f"{code}, for {item.app}; no event that answers it can be read here"
@@ -623,7 +616,7 @@ class Stops:
 
     def _unfollowed(self, fate: Fate, own: Sequence[Outage]) -> None:
         """Apply rules 9 and 10."""
-        case, times = self._case, self._case.captured(fate.stream)
+        case, times = self._case, fate.stream.time_ns
         pipes = {
             reported.pipe
             for reported in case.reported_losses
@@ -639,19 +632,19 @@ class Stops:
                 inside &= times < item.asked_ns
             lacking = np.flatnonzero(inside)
             if fate.claim(lacking):
-                self.losses.append(loss_of(case, fate, "stopped", lacking, [item.witness], hop=item.app))
+                self.losses.append(fate.loss("stopped", lacking, [item.witness], hop=item.app))
         first = min(surely or own, key=lambda item: item.start_ns)
         fate.unfollowed = times > first.start_ns
         fate.unfollowed_since = first.witness
 
 
-def _newest(case: Case, fate: Fate, hop: Hop) -> NDArray[np.bool_]:
+def _newest(fate: Fate, hop: Hop) -> NDArray[np.bool_]:
     """Tell which messages an application that keeps the newest would send: the last of each of its rounds.
 
     Where it counts what it sends, as many as are missing there, spread evenly.
     """
     out = hop.out
-    times, left = case.captured(fate.stream), case.captured(out)
+    times, left = fate.stream.time_ns, out.time_ns
     steps = np.diff(left)[out.missing[:-1] == 0]
     period = int(np.median(steps)) if len(steps) >= _LEAST_ROUNDS else 0
     newest = np.ones(len(times), bool)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import names, queues, sbn, telemetry_output
+from edoras_tools.cfs import queues, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.claims import (
     MISSING,
     POSSIBLE,
@@ -42,13 +42,12 @@ from edoras_tools.diagnosis.accounting.losses import (
     Fate,
     Loss,
     follow,
-    loss_of,
 )
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Leftover, Pipes
 from edoras_tools.diagnosis.matching.streams import bursts, full_rounds
 from edoras_tools.diagnosis.quality import CONFIDENCE, binomial_tail, largest_number
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_ROUTE, Finding
+from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
@@ -104,7 +103,7 @@ class Commands:
         for fate in fates:
             key = fate.stream.link.label, fate.stream.msg_id
             self._by_packet.setdefault(key, []).append(fate)
-        self._spans = {key: _spans(case, own) for key, own in self._by_packet.items()}
+        self._spans = {key: _spans(own) for key, own in self._by_packet.items()}
         before_ci, pipes = BeforeCi(case, fates, self.losses), Pipes(case, self.losses)
         for account in case.ingests:
             before_ci.share(account)
@@ -156,7 +155,7 @@ class Commands:
 
     def _down(self, fate: Fate) -> None:
         """Tell lost what came over SBN while its cFS was down: from its last packet to its next boot."""
-        case, times = self._case, self._case.captured(fate.stream)
+        case, times = self._case, fate.stream.time_ns
         connection = case.network.crossing(fate.stream.sender, fate.stream.receiver)
         if connection and (connection.restarts or any(connection.silences(case.end_ns))):
             return  # its silence as a peer tells of that
@@ -184,15 +183,15 @@ class Commands:
         order = np.argsort(hops[0].out_rows)
         came, into = hops[0].out_rows[order], hops[0].in_rows[order]
         missing = np.append(np.diff(into) - 1, 0)
-        most = full_rounds(case.captured(hops[0].out)[came], missing, case.profile.ci_wake_ns, fewer=2)
+        most = full_rounds(hops[0].out.time_ns[came], missing, case.profile.ci_wake_ns, fewer=2)
         if not most or (missing < 0).any():
             return
         counted_ns = [own.times[-1] for at, own in case.loss_counts.items() if case.goes_to(fate.stream, at)]
-        inside = fate.open & (case.captured(fate.stream) > max(counted_ns, default=0))
+        inside = fate.open & (fate.stream.time_ns > max(counted_ns, default=0))
         inside[: into[0]] = inside[into[-1] :] = False
         if fate.claim(lacking := np.flatnonzero(inside)):
             text = f"they did not come out behind full rounds alone, of {most} at most"
-            self.losses.append(loss_of(case, fate, "limit", lacking, [text], hop=APP))
+            self.losses.append(fate.loss("limit", lacking, [text], hop=APP))
 
     def _relayed(self, fates: Sequence[Fate]) -> None:
         """Tell lost what went into a relay and did not come out of it: its other side is in the capture."""
@@ -213,7 +212,7 @@ class Commands:
         """Tell messages lost, those of them that are open: before CI, or in SBN's socket."""
         if fate.claim(rows):
             hop = SBN_SOCKET if fate.stream.link.peers else ""
-            self.losses.append(loss_of(self._case, fate, kind, rows, [text], hop=hop))
+            self.losses.append(fate.loss(kind, rows, [text], hop=hop))
 
     def refusals(self, item: Verdict) -> int:
         """Return how many messages of a refusal were lost by it, and by nothing else."""
@@ -227,7 +226,7 @@ class Commands:
         first_ns, last_ns = self._spans[key]
         for place in np.flatnonzero((first_ns <= item.end_ns) & (last_ns >= item.start_ns)).tolist():
             fate = self._by_packet[key][place]
-            times = self._case.captured(fate.stream)
+            times = fate.stream.time_ns
             within = (times >= item.start_ns) & (times <= item.end_ns)
             if within.any():
                 yield fate, within
@@ -256,7 +255,7 @@ class Commands:
             fate, over = self.fates[key], 0
             own = [loss for loss in self.losses if id(loss.stream) == key and loss.kind in COUNTERS]
             if own:
-                times = self._case.captured(fate.stream)
+                times = fate.stream.time_ns
                 inside = times >= min(loss.start_ns for loss in own)
                 inside &= times <= max(loss.end_ns for loss in own)
                 over = sum(loss.lost for loss in own) - int(inside.sum())
@@ -331,9 +330,7 @@ class Commands:
         unseen = [
             fate
             for fate in fates
-            if fate.stream.link.only_to_cfs
-            and not fate.seen
-            and (fate.stream.known_id not in names.MSG_ID_NAMES or fate.stream.route != NO_ROUTE)
+            if fate.stream.link.only_to_cfs and not (fate.seen or fate.stream.is_housekeeping)
         ]
         if not len(there) or len(unseen) != 1 or any(hop.out.link.last_hop for hop in self._case.hops):
             return
@@ -347,7 +344,7 @@ class Commands:
             fate.ends["queued"] = min(fate.ends["queued"], left)
             fate.ends["late"] = min(fate.ends["late"], left - fate.ends["queued"])
             left -= fate.ends["queued"] + fate.ends["late"]
-            late = self._case.captured(fate.stream) > self._case.end_ns - WAITS_NS
+            late = fate.stream.time_ns > self._case.end_ns - WAITS_NS
             fate.ends["unaccounted"] = max(0, left - int(late.sum()))
 
     def _commanded(self, fate: Fate) -> None:
@@ -366,7 +363,7 @@ class Commands:
         if case.payloads.outputs(telemetry_output.RESET) or (steps < 0).any():
             return
         fate.commanded = int(steps.sum())
-        times, counted_ns = case.captured(fate.stream), samples["time_ns"]
+        times, counted_ns = fate.stream.time_ns, samples["time_ns"]
         inside = int(((times > counted_ns[0]) & (times <= counted_ns[-1] - TAIL_NS)).sum())
         fate.ends["unaccounted"] = max(0, inside - (len(times) - self._untold(fate)) - fate.commanded)
 
@@ -401,7 +398,7 @@ class Commands:
         An application that keeps the newest took as many of each round as the pipe takes.
         """
         pipe = queues.application_pipe(self._case.profile, over_network=fate.stream.link.peers)
-        times = self._case.captured(fate.stream)[fate.waits]
+        times = fate.stream.time_ns[fate.waits]
         rounds = np.ptp(times) // pipe.round_ns if len(times) and fate.keeps_newest else 0
         return max(0, fate.waiting - int(rounds) * pipe.usual_limit)
 
@@ -415,7 +412,7 @@ class Commands:
         fate.open &= ~fate.newer
 
         if fate.stream.link.peers:
-            self._rushed(fate, self._case.captured(fate.stream))
+            self._rushed(fate, fate.stream.time_ns)
         ends["beyond"] = int((fate.open & fate.edge).sum())
         unaccounted = int(fate.open.sum()) - ends["beyond"]
         # One that came out and was lost behind that took others' place, too.
@@ -461,7 +458,7 @@ class Commands:
                 f"up to {int(before.max()):,} datagrams came to it within {wake_ns // 1_000_000} ms, and it "
                 f"reads about {sbn.DATAGRAMS_PER_WAKE}; no counter has what its socket drops"
             )
-            self.losses.append(loss_of(self._case, fate, "sbn_socket", chosen, [text], hop=SBN_SOCKET))
+            self.losses.append(fate.loss("sbn_socket", chosen, [text], hop=SBN_SOCKET))
 
 
 def hold_back(case: Case, claims: Sequence[Claim]) -> None:
@@ -488,9 +485,9 @@ def _missed(case: Case, stream: Stream, numbers: list[int]) -> list[int]:
     return shares(min(sum(numbers), most), numbers, numbers)
 
 
-def _spans(case: Case, fates: Sequence[Fate]) -> NDArray[np.int64]:
+def _spans(fates: Sequence[Fate]) -> NDArray[np.int64]:
     """Return when each stream began, and when it ended: i64 (2, n), ns since 1970."""
-    times = [case.captured(fate.stream) for fate in fates]
+    times = [fate.stream.time_ns for fate in fates]
     return np.array([[item.min() for item in times], [item.max() for item in times]])
 
 
@@ -566,7 +563,7 @@ def _outside_bursts(case: Case, losses: Sequence[tuple[Loss, int]], sent: int) -
     known = [
         (item, most, item.among) for item, most in losses if item.among and item.among.missing is not None
     ]
-    gaps = [(case.captured(among.stream)[among.rows], among.missing) for _, _, among in known]
+    gaps = [(among.stream.time_ns[among.rows], among.missing) for _, _, among in known]
     if not gaps:
         return
     whose = np.repeat(np.arange(len(gaps)), [len(times) for times, _ in gaps])
@@ -575,7 +572,7 @@ def _outside_bursts(case: Case, losses: Sequence[tuple[Loss, int]], sent: int) -
     whose, times, numbers = whose[order], times[order], numbers[order]
     first, sizes = bursts(times, _BURST_NS)
     lacking = np.add.reduceat(numbers, first)
-    captured = np.sort(np.concatenate([case.captured(item) for item in case.streams if item.counted]))
+    captured = np.sort(np.concatenate([item.time_ns for item in case.streams if item.counted]))
     ends = np.searchsorted(captured, times[first + sizes - 1], "right")
     passed = lacking + ends - np.searchsorted(captured, times[first])
     share, chance = int(numbers.sum()) / sent, (1 - CONFIDENCE) / len(first)
@@ -598,7 +595,7 @@ def _leave_quiet(case: Case, telemetry: Telemetry) -> None:
     for loss in telemetry.losses if case.quiet else ():
         among = loss.among
         if loss.kind in _UNEXPLAINED and among is not None and among.missing is not None:
-            times = case.captured(among.stream)
+            times = among.stream.time_ns
             inside = np.zeros(len(among.rows), bool)
             for start_ns, end_ns in case.quiet:
                 behind = np.minimum(among.rows + 1, len(times) - 1)

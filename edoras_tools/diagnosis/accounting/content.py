@@ -172,11 +172,11 @@ def _none_sent(case: Case, robot: Stream) -> WayContent | None:
     ]
     if not into or case.endpoints[robot.sender].port != CFS_PORT:
         return None
-    went_ns = np.sort(np.concatenate([case.captured(stream) for stream in into]))
+    went_ns = np.sort(np.concatenate([stream.time_ns for stream in into]))
     step_ns = int(np.median(np.diff(went_ns))) if len(went_ns) > 1 else SECOND
     # Where they were sent already when the capture began, older ones come first.
     already = int(went_ns[0]) - case.start_ns <= 2 * step_ns
-    own = robot.rows[rows.time_ns[robot.rows] > went_ns[0] + already * _DRAINS_NS]
+    own = robot.rows[robot.time_ns > went_ns[0] + already * _DRAINS_NS]
     before = np.searchsorted(went_ns, rows.time_ns[own])
     own = own[np.arange(1, len(own) + 1) <= before]
     if len(own) < _LEAST or len(np.unique(rows.body_print[into[0].rows])) < _LEAST:
@@ -203,7 +203,7 @@ def _sent_before(
     for stream in into:
         for kind in _KINDS if robot else _KINDS[:1]:
             prints = getattr(rows, kind)
-            at = latest_equal(prints[stream.rows], rows.time_ns[stream.rows], prints[out], rows.time_ns[out])
+            at = latest_equal(prints[stream.rows], stream.time_ns, prints[out], rows.time_ns[out])
             some = np.flatnonzero(at >= 0)
             last_ns[some] = np.maximum(last_ns[some], rows.time_ns[stream.rows[at[some]]])
     return last_ns
@@ -219,7 +219,7 @@ def _old(
     """Tell which of what comes out is older than others that came or were due; often the same: all of it."""
     when = case.rows.time_ns[out]
     newest = np.maximum.accumulate(np.append(-1, sent_ns))[:-1]
-    went_ns = np.sort(np.concatenate([case.captured(hop.into) for hop in hops]))
+    went_ns = np.sort(np.concatenate([hop.into.time_ns for hop in hops]))
     due = np.searchsorted(went_ns, when - _rounds(case, hops[0]))
     meanwhile = due - np.searchsorted(went_ns, last_ns, "right")
     old = (newest > last_ns) | (meanwhile >= _LEAST)
@@ -250,7 +250,7 @@ def _replaced(
         absent, own = np.flatnonzero(hop.absent), np.intersect1d(rest, hop.out.rows[hop.origin < 0])
         into, came = np.sort(hop.in_rows), np.sort(hop.out.rows[hop.out_rows])
         between = np.concatenate((np.searchsorted(into, absent), np.searchsorted(came, own)))
-        when = np.concatenate((rows.time_ns[hop.into.rows[absent]], rows.time_ns[own]))
+        when = np.concatenate((hop.into.time_ns[absent], rows.time_ns[own]))
         side = np.repeat([0, 1], [len(absent), len(own)])
         order = np.lexsort((side, when, between))
         opening, closing = brackets(between[order], side[order] == 0)
@@ -292,7 +292,7 @@ def _rounds(case: Case, hop: Hop) -> int:
 
 def _expected(case: Case, hop: Hop) -> NDArray[np.int64]:
     """Return until when each message that goes in has to come out, behind what waits in CI's socket."""
-    own, profile = case.captured(hop.into), case.profile
+    own, profile = hop.into.time_ns, case.profile
     rows = case.rows
     every = np.sort(rows.time_ns[rows.destination == hop.into.receiver])
     if hop.into.link.only_to_cfs:

@@ -33,7 +33,7 @@ import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services
 from edoras_tools.diagnosis.accounting.claims import shares
-from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, Fate, Loss, loss_of
+from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, Fate, Loss
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND, SECOND
@@ -269,7 +269,7 @@ class _Counted:
             np.array([getattr(item, name) for item in own]) for name in ("seen_ns", "made_ns", "count")
         )
         hops = [hop for hop in case.hops if hop.into.link.only_to_cfs and hop.into.receiver == endpoint]
-        sent = [case.captured(hop.into)[hop.arrived] for hop in hops]
+        sent = [hop.into.time_ns[hop.arrived] for hop in hops]
         self._arrived = np.sort(np.concatenate(sent)) if sent else None
         """When commands to it were sent that came out of cFS again, in order; None where nothing shows it."""
         self._first_out = min((_first_read(hop) for hop in hops if hop.first is not None), default=(0, 0))
@@ -623,7 +623,7 @@ class BeforeCi:
         fates = self._to(account)
         for start_ns, end_ns in account.ended:
             for fate in fates:
-                times = self._case.captured(fate.stream)
+                times = fate.stream.time_ns
                 inside = np.flatnonzero(fate.open & (times > start_ns) & (times <= end_ns))
                 fate.ends["crowded"] += fate.claim(inside)
         for before in account.losses:
@@ -655,7 +655,7 @@ class BeforeCi:
                 evidence.append(f"{more:,} more did not come out, and its counts leave room for them")
         if before.said:
             for fate in fates:  # nor will it come
-                never = fate.waits & (self._case.captured(fate.stream) > before.since_ns)
+                never = fate.waits & (fate.stream.time_ns > before.since_ns)
                 fate.open |= never
                 fate.waits &= ~never
         # What did not come out is the likelier; what is lost first may have been before the first count.
@@ -680,7 +680,7 @@ class BeforeCi:
         until_ns = max((end for end in ends if end and before.since_ns < end < before.end_ns), default=None)
         if until_ns is None:
             return before
-        times = [self._case.captured(fate.stream)[fate.open & self._within(fate, before)] for fate in fates]
+        times = [fate.stream.time_ns[fate.open & self._within(fate, before)] for fate in fates]
         sent = np.sort(np.concatenate(times))
         sent = sent[sent < until_ns]
         if len(sent) < number:
@@ -689,7 +689,7 @@ class BeforeCi:
 
     def _within(self, fate: Fate, before: Before, since_ns: int | None = None) -> NDArray[np.bool_]:
         """Tell which messages were sent while something was lost, or since a time."""
-        times = self._case.captured(fate.stream)
+        times = fate.stream.time_ns
         since_ns = before.since_ns if since_ns is None else since_ns
         return np.asarray((times > since_ns) & (times <= before.end_ns))
 
@@ -697,7 +697,7 @@ class BeforeCi:
         """Return the most that can be lost of what was sent to a CI until a time: what did not come out."""
         missing = int(np.searchsorted(self._case.rows.time_ns[account.rows], end_ns, "right"))
         for fate in fates:
-            missing -= int((~fate.open & (self._case.captured(fate.stream) <= end_ns)).sum())
+            missing -= int((~fate.open & (fate.stream.time_ns <= end_ns)).sum())
         return missing
 
     def _spread(
@@ -734,7 +734,7 @@ class BeforeCi:
             if before.cause == "unknown":
                 fate.ends["uncounted"] += share
             else:
-                self.losses.append(loss_of(self._case, fate, before.cause, chosen, evidence, among=inside))
+                self.losses.append(fate.loss(before.cause, chosen, evidence, among=inside))
         return sum(parts)
 
     def outnumbered(self, account: Ingest) -> None:
@@ -746,17 +746,17 @@ class BeforeCi:
         if self._case.quality.missing:
             return  # what CI counts more may be what the capture lacks
         until_ns = account.last_ns - _HELD_NS  # what came out until then is in its last count
-        came_out = sum(int((self._case.captured(out) <= until_ns).sum()) for out in outs)
+        came_out = sum(int((out.time_ns <= until_ns).sum()) for out in outs)
         read, streams = account.taken + account.not_captured, [fate.stream for fate in fates]
         on_bus = sum(loss.lost for loss in self.losses if loss.stream in streams and loss.kind in COUNTERS)
         text = f"CI read {read:,}, of which {came_out:,} came out of the application: so many others did not"
         for fate in fates:
-            inside = np.flatnonzero(fate.open & (self._case.captured(fate.stream) <= until_ns))
+            inside = np.flatnonzero(fate.open & (fate.stream.time_ns <= until_ns))
             number = fate.ends["unaccounted"] - max(0, read - came_out - on_bus)
             if (number := min(number, len(inside))) > 0:
                 rows = _spread_evenly(inside, number)
                 fate.ends["unaccounted"] -= fate.claim(rows)
-                self.losses.append(loss_of(self._case, fate, "network", rows, [text], among=inside))
+                self.losses.append(fate.loss("network", rows, [text], among=inside))
 
     def wait(self, account: Ingest) -> None:
         """Tell which messages may wait in CI's socket at its last count, once all else is told: the latest.
@@ -768,13 +768,13 @@ class BeforeCi:
         free, read_ns = np.ones(len(rows), bool), -1
         for fate in fates:
             free[fate.stream.rows] = fate.open | fate.waits
-            read_ns = max(read_ns, int(self._case.captured(fate.stream)[fate.arrived].max(initial=-1)))
+            read_ns = max(read_ns, int(fate.stream.time_ns[fate.arrived].max(initial=-1)))
         times = rows.time_ns[account.rows]
         own = account.rows[(times > read_ns) & (times <= account.last_ns) & free[account.rows]]
         late = own[len(own) - min(number, len(own)) :]
         for fate in fates:
             if not fate.seen:
-                behind = self._case.captured(fate.stream) > account.last_ns
+                behind = fate.stream.time_ns > account.last_ns
                 fate.ends["late"] = int(behind.sum())
                 fate.open &= ~behind
             chosen = np.isin(fate.stream.rows, late)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from edoras_tools.cfs import command_ingest, executive_services
+from edoras_tools.cfs import command_ingest, executive_services, sbn
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.loss_reports import PipeKind
 from edoras_tools.model import NO_MSG_ID
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
-    from edoras_tools.diagnosis.matching.streams import Comb, Span, Stream
+    from edoras_tools.diagnosis.matching.streams import Span, Stream
     from edoras_tools.diagnosis.verdict import Confidence
 
 IngestKind = Literal["network", "socket", "down", "restart", "ci_stopped", "port_closed"]
@@ -85,7 +85,6 @@ class Loss:
         span: when; None for all of the capture.
         of: of how many sent; None where unknown.
         evidence: what was seen.
-        comb: the rounds in which the stream arrives.
         sender: application that sent them, as an event names it.
         closed: Telemetry Output was not sending meanwhile: it would not have sent them either.
         among: the messages that it is, or is some of; None where nothing tells.
@@ -105,12 +104,16 @@ class Loss:
     span: Span | None = None
     of: int | None = None
     evidence: list[str] = field(default_factory=list)
-    comb: Comb | None = None
     sender: str = ""
     closed: bool = False
     among: Among | None = None
     rivals: tuple[tuple[str, int, str], ...] = ()
     uncounted: int = 0
+
+    @property
+    def over_network(self) -> bool:
+        """Whether SBN brought them to the pipe that lost them."""
+        return self.sender.startswith(sbn.NAME) or (self.stream is not None and self.stream.link.peers)
 
     @property
     def offered_hz(self) -> float:
@@ -238,6 +241,30 @@ class Fate:
         self.open[own] = self.blind[own] = False
         return len(own)
 
+    def loss(
+        self,
+        kind: LossKind,
+        rows: NDArray[np.intp],
+        evidence: list[str],
+        hop: str = "",
+        among: NDArray[np.intp] | None = None,
+    ) -> Loss:
+        """Return the loss of some of the messages.
+
+        Args:
+            rows: which, as indices into the stream's rows.
+            hop: where; by default where that kind of loss is.
+            among: which they may be as well; by default it is sure which they are.
+        """
+        stream, own = self.stream, self.stream.time_ns
+        start_ns, end_ns = int(own[rows].min()), int(own[rows].max())
+        sure = "high" if self.seen else "medium"
+        loss = Loss(kind, hop or LOST_AT[kind], len(rows), start_ns, end_ns, sure, stream=stream)
+        loss.msg_id, loss.evidence = stream.msg_id, evidence
+        loss.of = int(((own >= start_ns) & (own <= end_ns)).sum())
+        loss.among = Among(stream, rows if among is None else among)
+        return loss
+
 
 def _keep_newest(hops: Sequence[Hop]) -> bool:
     return any(hop.rewritten and hop.out.link.peers for hop in hops)
@@ -246,7 +273,7 @@ def _keep_newest(hops: Sequence[Hop]) -> bool:
 def follow(case: Case, stream: Stream) -> Fate:
     """Follow a stream to where it comes out, if that can be seen."""
     hops = [hop for hop in case.hops if hop.into is stream]
-    size, times = len(stream), case.captured(stream)
+    size, times = len(stream), stream.time_ns
     arrived, followed = (
         np.logical_or.reduce([np.zeros(size, bool), *masks])
         for masks in ([hop.arrived for hop in hops], [hop.known for hop in hops])
@@ -262,7 +289,7 @@ def follow(case: Case, stream: Stream) -> Fate:
     return Fate(
         stream,
         hops,
-        case.spans(stream),
+        stream.spans,
         arrived,
         _newer(case, hops, open_, times),
         open_ & ~waits,
@@ -289,7 +316,7 @@ def _newer(
     first = np.where(behind > 0, came[behind - 1] + 1, 0)
     next_ns = times[came[behind]]
     out[rows] = next_ns - times[first] <= 2 * WAITS_NS
-    left_ns = np.sort(np.concatenate([case.captured(hop.out) for hop in hops]))
+    left_ns = np.sort(np.concatenate([hop.out.time_ns for hop in hops]))
     for system, owner in case.timeline.subjects:
         sleeps = owner.kind == "app" and owner.name in executive_services.SCHEDULERS
         states = ("stopped", "restarting") if sleeps else ("stalled",)
@@ -300,39 +327,6 @@ def _newer(
                 until_ns = max([until_ns, *awake[:1].tolist()])
             out[rows] |= (times[rows] > span.start_lo - SECOND) & (next_ns <= until_ns)
     return out
-
-
-def loss_of(
-    case: Case,
-    fate: Fate,
-    kind: LossKind,
-    rows: NDArray[np.intp],
-    evidence: list[str],
-    hop: str = "",
-    among: NDArray[np.intp] | None = None,
-) -> Loss:
-    """Return the loss of some messages of a stream.
-
-    Args:
-        rows: which, as indices into the stream's rows.
-        hop: where; by default where that kind of loss is.
-        among: which they may be as well; by default it is sure which they are.
-    """
-    own = case.captured(fate.stream)
-    start_ns, end_ns = int(own[rows].min()), int(own[rows].max())
-    return Loss(
-        kind,
-        hop or LOST_AT[kind],
-        len(rows),
-        start_ns,
-        end_ns,
-        "high" if fate.seen else "medium",
-        msg_id=fate.stream.msg_id,
-        stream=fate.stream,
-        of=int(((own >= start_ns) & (own <= end_ns)).sum()),
-        evidence=evidence,
-        among=Among(fate.stream, rows if among is None else among),
-    )
 
 
 LOST_AT: Final[Mapping[str, str]] = {

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import names, queues, telemetry_output
+from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.cfs.software_bus import STOPS_AFTER
 from edoras_tools.diagnosis.accounting.claims import (
     ABSENT,
@@ -47,7 +47,6 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.matching.streams import bursts
 from edoras_tools.links.table import carrying
-from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
 
@@ -148,7 +147,7 @@ class Pipes:
 
     def _bursts(self, fate: Fate) -> bool:
         """Tell whether more of a stream may come to its pipe in one round than that takes."""
-        times, profile = self._case.captured(fate.stream), self._case.profile
+        times, profile = fate.stream.time_ns, self._case.profile
         period = (
             profile.ci_wake_ns if fate.stream.link.only_to_cfs else profile.sbn_wake_ns * profile.sbn_polls
         )
@@ -159,7 +158,7 @@ class Pipes:
 
         CI hands on in order: what it lost was handed on before the next one that came out did.
         """
-        times = self._case.captured(fate.stream)
+        times = fate.stream.time_ns
         delay = max((hop.last_ns for hop in fate.hops), default=0)
         low_ns = np.maximum(times - LEAD_NS, self._taken_since(fate, times))
         return low_ns, times + delay + LATE_NS
@@ -231,30 +230,19 @@ class Pipes:
         else:
             evidence.append("no event names it: suppressed, filtered, or lost itself")
         of, start_ns, end_ns = self._sent_to(stream, cut, instance)
-        self._same[key] = Loss(
-            kind,
-            reported.pipe if reported else APP,
-            number,
-            start_ns,
-            end_ns,
-            "high" if reported else "medium",
-            instance,
-            stream.msg_id,
-            stream,
-            cut,
-            of,
-            evidence,
-            sender=reported.sender if reported else "",
-            among=Among(stream, among),
-        )
-        self.losses.append(self._same[key])
+        hop, sure = (reported.pipe, "high") if reported else (APP, "medium")
+        loss = Loss(kind, hop, number, start_ns, end_ns, sure, instance, stream.msg_id, stream, cut, of)
+        loss.evidence, loss.among = evidence, Among(stream, among)
+        loss.sender = reported.sender if reported else ""
+        self._same[key] = loss
+        self.losses.append(loss)
 
     def _sent_to(self, stream: Stream, cut: Span, instance: int) -> tuple[int, int, int]:
         """Return how many of a span were sent in the life of one cFS, and from when to when."""
         items, systems = self._case.instances.items, self._case.instances.systems
         item, system = items[instance], systems[instance]
         own = [other.offset_ns for other, its in zip(items, systems, strict=True) if its == system]
-        times = self._case.captured(stream)[cut.first : cut.last + 1]
+        times = stream.time_ns[cut.first : cut.last + 1]
         boot_ns = item.boot_ns(self._case.profile)
         inside = times[(times > (boot_ns if item.offset_ns > min(own) else 0))]
         inside = inside[inside <= item.last_ns] if item.offset_ns < max(own) else inside
@@ -265,10 +253,7 @@ class Pipes:
     def _named(
         self, stream: Stream, kind: PipeKind, instance: int
     ) -> tuple[ReportedLoss | None, LossEvents | None]:
-        for reported, said in self._case.reported_losses.items():
-            if (reported.instance, reported.msg_id, reported.kind) == (instance, stream.msg_id, kind):
-                return reported, said
-        return None, None
+        return next(iter(self._case.events_about(instance, stream.msg_id, kind)), (None, None))
 
 
 def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: NDArray[np.int64]) -> bool:
@@ -284,7 +269,7 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: NDA
     profile, output = case.profile, stream.link.only_from_cfs
     queue = queues.telemetry_pipe(profile) if output else queues.peer_pipe(profile)
     period, limit = queue.round_ns, queue.limit(stream.msg_id)
-    own = case.captured(stream)
+    own = stream.time_ns
     at = np.arange(span.first, min(span.last + 1, len(own) - 1))
     at = at[missing[at] > 0]
     if kind == "overflow":
@@ -529,7 +514,7 @@ class Leftover:
         for item in candidates:
             fate = self._fates.get(id(item.stream))
             if fate is not None and not fate.seen:
-                sent = self._case.captured(fate.stream)[fate.open]
+                sent = fate.stream.time_ns[fate.open]
                 fate.ends["earlier"] += min(counts.first.get(kind, 0), int((sent < counts.times[0]).sum()))
         groups: dict[tuple[tuple[int, int], ...], list[int]] = {}
         for second in np.flatnonzero(left).tolist():
@@ -564,7 +549,7 @@ class Leftover:
             out = self._seen_behind(reported)
             # What leaves by a pipe and is seen behind it has gaps, which are counted there; what is lost
             # behind the last message that was seen leaves none.
-            if any(case.captured(stream)[-1] > said.first_ns for stream in out):
+            if any(stream.time_ns[-1] > said.first_ns for stream in out):
                 continue
             fate = self._fed(reported, instance)
             if fate is None:
@@ -591,15 +576,15 @@ class Leftover:
     def _candidate(
         self, stream: Stream, pipe: str, sender: str = "", said: LossEvents | None = None
     ) -> _Candidate:
-        case, spans, since_ns = self._case, self._case.spans(stream), self._older_ns.get(stream.receiver, 0)
-        ingests = [item for item in case.ingests if item.endpoint == stream.receiver]
+        case, spans, since_ns = self._case, stream.spans, self._older_ns.get(stream.receiver, 0)
+        ingests = case.ingests_at(stream.receiver)
         # Where CI read others, more came than is here; an application that was stopped takes nothing.
         seen = stream.link.only_to_cfs and not any(item.not_captured for item in ingests)
         fate = self._fates.get(id(stream))
         seen &= fate is None or fate.unfollowed is None
         queue = queues.application_pipe(case.profile) if seen else None
         late = [item for item in ingests if item.waiting or item.older_until_ns or item.lost]
-        times, reads = case.captured(stream), case.profile.ci_datagrams_per_wake
+        times, reads = stream.time_ns, case.profile.ci_datagrams_per_wake
         crowded = most_at_once(times, case.profile.ci_wake_ns) > reads  # it waits in CI's socket
         counted_ns = DRAINS_NS if late or crowded or not ingests else LATE_NS
         return _Candidate(
@@ -621,10 +606,9 @@ class Leftover:
         application, output = queues.application_pipe(case.profile), queues.telemetry_pipe(case.profile)
         leaving = {stream.msg_id for stream in case.streams if stream.link.only_from_cfs}
         for stream in case.streams:
-            own = stream.known_id in names.MSG_ID_NAMES and stream.route == NO_ROUTE
-            if own and not stream.link.only_to_cfs:
+            if stream.is_housekeeping and not stream.link.only_to_cfs:
                 continue
-            fate, times = self._fates.get(id(stream)), case.captured(stream)
+            fate, times = self._fates.get(id(stream)), stream.time_ns
             if stream.link.only_to_cfs and not (fate and fate.seen):
                 if most_at_once(times, application.round_ns) > application.usual_limit:
                     yield self._candidate(stream, APP)
@@ -662,23 +646,15 @@ class Leftover:
         if item.said is not None:
             first = item.said.records[0].message
             evidence = [f"event CFE_SB {PIPE_EVENTS[kind]} x{item.said.count}: {first}", text]
-        self._add(
-            Loss(
-                kind,
-                item.pipe,
-                number,
-                *((cut.start_ns, cut.end_ns) if cut else times),
-                "medium",
-                instance,
-                item.msg_id,
-                item.lost_from,
-                cut,
-                cut.count if cut else None,
-                evidence,
-                sender=item.sender,
-                among=among,
-            )
+        span = (cut.start_ns, cut.end_ns) if cut else times
+        loss = Loss(kind, item.pipe, number, *span, "medium", instance, item.msg_id, item.lost_from, cut)
+        loss.of, loss.evidence, loss.sender, loss.among = (
+            cut.count if cut else None,
+            evidence,
+            item.sender,
+            among,
         )
+        self._add(loss)
 
     def _add(self, loss: Loss) -> None:
         """Take a loss; what an event names and the capture lacks is one."""

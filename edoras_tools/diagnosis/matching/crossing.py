@@ -154,10 +154,10 @@ def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list
         for at, (place, (came_by, went_by)) in sorted(_ways_in(ways_in, ways_out, crossing.follows).items()):
             into, out = ways_in.streams[place], ways_out.streams[at]
             came, went = ways_in.of(place, came_by), ways_out.of(at, went_by)
-            hops.append(_match(into, out, rows, came, went))
+            hops.append(_match(into, out, came, went))
             other = ~np.isin(went, came)
             if out.link.last_hop and other.any():
-                comes_out.append(replace(out, rows=out.rows[other]))
+                comes_out.append(replace(out, rows=out.rows[other], time_ns=out.time_ns[other]))
     return [hop for hop in hops if hop.matched]
 
 
@@ -401,9 +401,9 @@ def _likely(came: NDArray[np.uint64], went: NDArray[np.uint64]) -> bool:
     return bool(there_too.sum() >= _LEAST_DIFFERENT and there_too.mean() > _NEARLY_ALL)
 
 
-def _match(into: Stream, out: Stream, rows: Rows, came: NDArray[np.uint64], went: NDArray[np.uint64]) -> Hop:
+def _match(into: Stream, out: Stream, came: NDArray[np.uint64], went: NDArray[np.uint64]) -> Hop:
     """Give every message that came out the latest equal one that had gone in and not come out yet."""
-    in_ns, out_ns = rows.time_ns[into.rows], rows.time_ns[out.rows]
+    in_ns, out_ns = into.time_ns, out.time_ns
     from_ = paired(came, in_ns - _EARLY_NS, went, out_ns)
     from_[out_ns - in_ns[from_] > _LONGEST_NS] = -1
     goes_row = np.flatnonzero(from_ >= 0)

@@ -72,7 +72,7 @@ def stalls(
             start_ns, end_ns = times[at : at + 2].tolist()
             if _switched_off(timeline, system, start_ns, end_ns):
                 continue
-            if _published_nothing(rows, instances, own, start_ns, end_ns):
+            if _published_nothing(instances, own, start_ns, end_ns):
                 seconds = (end_ns - start_ns) / SECOND
                 text = (
                     f"nothing came of it for {seconds:.1f} s, no count is missing, and it went on as before"
@@ -91,9 +91,7 @@ def _switched_off(timeline: Timeline, system: int, start_ns: int, end_ns: int) -
     return any(span.overlaps(start_ns, end_ns) for span in (*spans, *away))
 
 
-def _published_nothing(
-    rows: Rows, instances: Instances, streams: Sequence[Stream], start_ns: int, end_ns: int
-) -> bool:
+def _published_nothing(instances: Instances, streams: Sequence[Stream], start_ns: int, end_ns: int) -> bool:
     """Tell whether several steady streams were due, few of them lack any, and none was made meanwhile.
 
     What was made just before waits in the pipe of Telemetry Output, and comes out when all goes on.
@@ -103,7 +101,7 @@ def _published_nothing(
     first_ns, last_ns = start_ns + edge_ns, end_ns - edge_ns
     due = lacking = 0
     for stream in streams:
-        times = rows.time_ns[stream.rows]
+        times = stream.time_ns
         at = int(np.searchsorted(times, start_ns, "right")) - 1
         if at < 1 or at + 2 > len(times) - 1:
             continue

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from bisect import bisect_left, insort
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.preparation import handed_on
 from edoras_tools.links import table
@@ -37,7 +39,7 @@ _PAUSE_FACTOR: Final = 4
 _LEAST_FELL: Final = 3
 
 
-@dataclass(slots=True)
+@dataclass(eq=False)
 class Stream:
     """One MsgId of one sender on one link.
 
@@ -50,6 +52,7 @@ class Stream:
         instance: index of the cFS that made it, ``NOBODY`` where unknown.
         route: index of its configured route, or ``NO_ROUTE``.
         rows: of the table, in order.
+        time_ns: i64 (rows,), their capture times, ns since 1970.
         counted: whether its sequence count counts.
         missing: i64 (rows,), counts that never came between a row and its next.
         pauses: bool (rows,), the next row came after a pause: what is missing may never have come this way.
@@ -68,6 +71,7 @@ class Stream:
     instance: int
     route: int
     rows: NDArray[np.intp]
+    time_ns: NDArray[np.int64]
     counted: bool
     missing: NDArray[np.int64]
     pauses: NDArray[np.bool_]
@@ -83,6 +87,11 @@ class Stream:
         return bool(VERSION_1.is_command(self.known_id))
 
     @property
+    def is_housekeeping(self) -> bool:
+        """Whether they are packets of cFS's own, and no topic of a mission."""
+        return self.known_id in MSG_ID_NAMES and self.route == NO_ROUTE
+
+    @property
     def duplicates(self) -> int:
         """Rows that repeat one."""
         return int(self.repeats.sum())
@@ -91,6 +100,22 @@ class Stream:
     def counts(self) -> NDArray[np.int64]:
         """How many messages each row stands for, i64: itself, and those behind it that never came."""
         return np.append(self.missing[:-1], 0) + ~self.repeats
+
+    @cached_property
+    def spans(self) -> list[Span]:
+        """Its parts at one rate each."""
+        found: list[Span] = []
+        bounds = [0, *(np.flatnonzero(self.pauses) + 1).tolist(), len(self)]
+        for first, end in pairwise(bounds):
+            cuts = _changes(self.time_ns[first:end], (self.missing + ~self.repeats)[first:end])
+            edges = [first, *(first + cut for cut in cuts), end]
+            found += [self._span(low, high - 1) for low, high in pairwise(edges)]
+        return found
+
+    def _span(self, first: int, last: int) -> Span:
+        own = slice(first, last + 1)
+        once, missing = int((~self.repeats[own]).sum()), int(self.missing[own].sum())
+        return Span(first, last, int(self.time_ns[first]), int(self.time_ns[last]), once, missing)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -139,6 +164,7 @@ def find_robots(rows: Rows) -> list[Stream]:
             instance=NOBODY,
             route=NO_ROUTE,
             rows=there[members],
+            time_ns=rows.time_ns[there[members]],
             counted=False,
             missing=np.zeros(len(members), np.int64),
             pauses=np.zeros(len(members), np.bool_),
@@ -167,7 +193,7 @@ def find_resets(rows: Rows, streams: Sequence[Stream]) -> list[Reset]:
         if stream.link.only_from_cfs and stream.counted:
             count = rows.sequence_count[stream.rows].astype(np.int64)
             for at in np.flatnonzero(np.diff(rows.source[stream.rows])).tolist():
-                start, end = rows.time_ns[stream.rows[at : at + 2]].tolist()
+                start, end = stream.time_ns[at : at + 2].tolist()
                 if start < end:
                     fell = (count[at + 1] - count[at]) % MODULUS >= FORWARD
                     spans.setdefault(stream.instance, []).append((end, start, fell))
@@ -277,6 +303,7 @@ def _stream(
         instance=int(instance[first]) if not table.link(rows.link[first]).only_to_cfs else NOBODY,
         route=int(known[0]) if len(known) else NO_ROUTE,
         rows=members,
+        time_ns=rows.time_ns[members],
         counted=bool(rows.counted[members].any()),
         missing=np.append(missing[1:], 0),
         pauses=_pauses(rows.time_ns[members]),
@@ -357,11 +384,6 @@ class Span:
     missing: int
 
     @property
-    def seconds(self) -> float:
-        """How long it is."""
-        return (self.end_ns - self.start_ns) / SECOND
-
-    @property
     def rate_hz(self) -> float:
         """Rows a second."""
         return rate_hz(self.count, self.end_ns - self.start_ns)
@@ -370,25 +392,6 @@ class Span:
     def offered_hz(self) -> float:
         """Rows and missing counts a second."""
         return rate_hz(self.count + self.missing, self.end_ns - self.start_ns)
-
-
-def spans(stream: Stream, rows: Rows) -> list[Span]:
-    """Divide a stream."""
-    times = rows.time_ns[stream.rows]
-    ends = np.flatnonzero(stream.pauses)
-    bounds = [0, *(ends + 1).tolist(), len(times)]
-    found: list[Span] = []
-    for first, end in pairwise(bounds):
-        cuts = _changes(times[first:end], (stream.missing + ~stream.repeats)[first:end])
-        edges = [first, *(first + cut for cut in cuts), end]
-        found += [_span(times, stream, low, high - 1) for low, high in pairwise(edges)]
-    return found
-
-
-def _span(times: NDArray[np.int64], stream: Stream, first: int, last: int) -> Span:
-    own = slice(first, last + 1)
-    once, missing = int((~stream.repeats[own]).sum()), int(stream.missing[own].sum())
-    return Span(first, last, int(times[first]), int(times[last]), once, missing)
 
 
 def _changes(times: NDArray[np.int64], counts: NDArray[np.int64]) -> list[int]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from edoras_tools.cfs import sbn
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
-from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.cfs.software_bus import NAME
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.closed import PORT_CLOSED, REFUSED, UDP_PORT, one_sided
@@ -19,7 +18,6 @@ from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.rules.about import stream_subject
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, habit, note, verdict, warning
 from edoras_tools.links.robot import ROBOT
-from edoras_tools.model import NO_ROUTE
 from edoras_tools.units import SECOND
 from edoras_tools.words import listed, plural
 
@@ -73,12 +71,12 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
     ways = dict.fromkeys(
         "to the robot" if hop.out.link == ROBOT else f"as {case.name(hop.out.msg_id)}" for hop in fate.hops
     )
-    missing = case.rows.time_ns[stream.rows][np.flatnonzero(fate.open)]
+    missing = stream.time_ns[np.flatnonzero(fate.open)]
     visible = bool(case.tracks)
     evidence = [f"{int(fate.arrived.sum()):,} came out {', '.join(ways)} with the same values"]
     if superseded := fate.ends["superseded"]:
         evidence.append(f"{superseded:,} more gave way to a newer one, and are not counted here")
-    accounts = [item for item in case.ingests if item.endpoint == stream.receiver]
+    accounts = case.ingests_at(stream.receiver)
     last_ns = max((item.last_ns for item in accounts), default=case.end_ns)
     behind = int((missing > last_ns).sum())
     uncounted = visible and not accounts and stream.link.only_to_cfs
@@ -120,7 +118,7 @@ def _lost_crossing(case: Case, fate: Fate) -> Verdict:
 def _unfollowed(case: Case, fate: Fate) -> Verdict:
     """Say that nobody can follow what was sent after an application stopped."""
     stream = fate.stream
-    times = case.rows.time_ns[stream.rows]
+    times = stream.time_ns
     if fate.reached is not None:
         why = f"the robot got {fate.reached:,}, and which they were is cut off"
         evidence = ["datagrams counted: to CI, and on the robot link"]
@@ -155,9 +153,8 @@ def lost_after_cfs(case: Case) -> Iterator[Verdict]:
     groups: dict[tuple[object, ...], list[Loss]] = {}
     for loss in after:
         assert loss.stream is not None
-        known = loss.msg_id in MSG_ID_NAMES and loss.stream.route == NO_ROUTE
-        known |= loss.kind == "fragments"
-        key = (loss.stream.sender, loss.stream.link, loss.kind) if known else (id(loss),)
+        together = loss.stream.is_housekeeping or loss.kind == "fragments"
+        key = (loss.stream.sender, loss.stream.link, loss.kind) if together else (id(loss),)
         groups.setdefault(key, []).append(loss)
     for members in groups.values():
         yield _lost_after(case, members)
@@ -232,8 +229,8 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
         msg_id=streams[0].msg_id if len(streams) == 1 else None,
         link=streams[0].link.label if len({stream.link for stream in streams}) == 1 else None,
         span=(
-            min(int(case.rows.time_ns[stream.rows[0]]) for stream in streams),
-            max(int(case.rows.time_ns[stream.rows[-1]]) for stream in streams),
+            min(int(stream.time_ns[0]) for stream in streams),
+            max(int(stream.time_ns[-1]) for stream in streams),
         ),
         remedy="these are lost if the kernel dropped none; pcapng keeps its count of drops, and so does: "
         "edoras record",
@@ -461,7 +458,7 @@ def _within(case: Case, span: ClosedSpan, open_ns: int, cause: str | None) -> Co
     for loss in case.commands.losses if cause else ():
         if loss.kind == cause and loss.stream and case.endpoints[loss.stream.receiver] == span.port:
             assert loss.among is not None
-            times = case.captured(loss.stream)[loss.among.rows]
+            times = loss.stream.time_ns[loss.among.rows]
             found[case.name(loss.msg_id)] += _between(times, open_ns, span.end_ns)
     return +found
 

@@ -290,7 +290,7 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
         if stream.link is not CI or len(stream) < _LEAST or stream.known_id in MSG_ID_NAMES:
             continue
         clean, hop, why = limit(CI, stream.msg_id, case.profile, to_cfs=True)
-        times = case.rows.time_ns[stream.rows]
+        times = stream.time_ns
         usual = float(np.median(np.diff(times)))
         rate = SECOND / usual if usual > 0 else 0.0
         named = any(loss.msg_id == stream.msg_id and loss.kind == "limit" for loss in case.losses)
@@ -314,7 +314,7 @@ def _watched(case: Case, stream: Stream) -> bool:
     fate = case.commands.fates.get(id(stream))
     if fate is not None and fate.seen:
         return True
-    times = case.captured(stream)[:: max(1, len(stream) // _ASKED)].tolist()
+    times = stream.time_ns[:: max(1, len(stream) // _ASKED)].tolist()
     watched = sum(any(track.watches(when) for track in case.tracks.values()) for when in times)
     return watched > len(times) // 2
 

@@ -220,7 +220,7 @@ def _restarted(case: Case, told: Callable[..., tuple[int | None, list[str]]]) ->
     """Say that Telemetry Output sends from another port: it was restarted."""
     rows = case.rows
     moves = [
-        rows.time_ns[stream.rows[at : at + 2]].tolist()
+        stream.time_ns[at : at + 2].tolist()
         for stream in case.streams
         if stream.link is TO
         for at in (rows.source[stream.rows][1:] != rows.source[stream.rows][:-1]).nonzero()[0].tolist()

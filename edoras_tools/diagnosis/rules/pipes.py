@@ -28,7 +28,6 @@ from edoras_tools.diagnosis.rules.about import of_messages, packet
 from edoras_tools.diagnosis.rules.commands import refusals
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, warning
 from edoras_tools.links.ci import CI
-from edoras_tools.links.sbn import SBN
 from edoras_tools.links.to import TO
 from edoras_tools.model import NO_ROUTE, Finding
 from edoras_tools.wire import cfe
@@ -55,7 +54,7 @@ def app_pipe_limit(case: Case) -> Iterator[Verdict]:
 
 def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     profile = case.profile
-    over_network = loss.sender.startswith("SBN") or (loss.stream is not None and loss.stream.link is SBN)
+    over_network = loss.over_network
     pipe = queues.application_pipe(profile, over_network=over_network)
     who, period, limit = "SBN" if over_network else "CI", pipe.round_ns, pipe.usual_limit
     clean = pipe.rate_hz(limit)
@@ -88,7 +87,7 @@ def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     if crowd := crowding_of(case, loss):
         reason += f". {crowd[0].upper()}{crowd[1:]}"
     if loss.span is not None and loss.stream is not None and loss.span.rate_hz:
-        times = case.captured(loss.stream)[loss.span.first : loss.span.last + 1]
+        times = loss.stream.time_ns[loss.span.first : loss.span.last + 1]
         most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
         sent = f"sent at {loss.span.rate_hz:.1f} Hz"
         if loss.span.rate_hz > clean and times[-1] - times[0] > period:
@@ -340,8 +339,8 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
     for fate in case.commands.fates.values():
         if number := fate.ends["uncounted"]:
             stream = fate.stream
-            start_ns = int(case.rows.time_ns[stream.rows[0]])
-            counted = (item.first_ns for item in case.ingests if item.endpoint == stream.receiver)
+            start_ns = int(stream.time_ns[0])
+            counted = (item.first_ns for item in case.ingests_at(stream.receiver))
             yield warning(
                 f"{number:,} of {len(stream):,} commands on {case.name(stream.msg_id)} are not "
                 "accounted for: CI's first count has fewer than were sent before it",

@@ -101,7 +101,7 @@ def _stops(case: Case) -> NDArray[np.int64]:
 def _strange(case: Case) -> list[tuple[int, Stream]]:
     """Return the streams from Telemetry Output that are nobody's, and when each came first, in that order."""
     found = [
-        (int(case.rows.time_ns[item.rows[0]]), item)
+        (int(item.time_ns[0]), item)
         for item in case.streams
         if item.link is TO and item.msg_id not in MSG_ID_NAMES and case.route(item.msg_id) is None
     ]
@@ -128,7 +128,7 @@ def _signs(
         if told and -_NEAR_NS < said.first_ns - last_ns < 2 * _NEAR_NS:
             yield f"event at {case.at(said.first_ns)}: {said.records[0]}"
     for other in alike:
-        first_ns = int(case.rows.time_ns[other.rows[0]])
+        first_ns = int(other.time_ns[0])
         yield f"0x{other.msg_id:04x}, of the same size and nobody's, came first at {case.at(first_ns)}"
     owner = case.instances.owner(stream.sender, last_ns)
     track = case.tracks.get(owner)
@@ -143,7 +143,7 @@ def _signs(
         before = track.growth("no_subscribers", last_ns - before_ns, last_ns)
         more = track.growth("no_subscribers", last_ns, alive_ns)
         more -= round(before * (alive_ns - last_ns) / before_ns) if before_ns > 0 else 0
-        missed = (alive_ns - last_ns) / float(np.median(np.diff(case.rows.time_ns[stream.rows])))
+        missed = (alive_ns - last_ns) / float(np.median(np.diff(stream.time_ns)))
         if more > _FEW and abs(more - missed) < _ABOUT * missed:
             yield f"0x803: from then on {more} more have no subscriber, about as many as are missing here"
 
@@ -154,7 +154,7 @@ def _longer(case: Case, last_ns: int) -> Iterator[str]:
         if stream.link is TO:
             continue
         rows = case.rows
-        times, sizes = rows.time_ns[stream.rows], rows.cdr_length[stream.rows]
+        times, sizes = stream.time_ns, rows.cdr_length[stream.rows]
         near = (times > last_ns - _NEAR_NS) & (times < last_ns + _NEAR_NS)
         before = sizes[times <= last_ns - _NEAR_NS]
         if near.any() and len(before) and int(sizes[near].max()) > int(before.max()):
@@ -192,11 +192,6 @@ class Silence(NamedTuple):
     until_ns: int | None
     end_ns: int
     rate: Rate | None
-
-    @property
-    def housekeeping(self) -> bool:
-        """Whether it is one of cFS's own packets, and no topic of a mission."""
-        return self.stream.known_id in MSG_ID_NAMES and self.stream.route == NO_ROUTE
 
 
 def topic_silent(case: Case) -> Iterator[Verdict]:
@@ -255,9 +250,9 @@ def _has_reason(case: Case, item: Silence) -> bool:
 
 
 def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
-    times = case.rows.time_ns[stream.rows]
+    times = stream.time_ns
     steps = np.diff(np.append(times, _ends(case, stream)))
-    spans = case.spans(stream)
+    spans = stream.spans
     for at in np.flatnonzero((steps > _WAIT_NS) & (stream.missing == 0)).tolist():
         start_ns = int(times[at])
         until_ns = int(times[at + 1]) if at + 1 < len(times) else _again(case, stream, start_ns)
@@ -312,9 +307,8 @@ def _others_go_on(case: Case, silence: Silence, members: Sequence[Silence]) -> b
     start_ns, end_ns = silence.start_ns, silence.end_ns
     own = {id(item.stream) for item in members}
     for other in case.streams:
-        of_cfs = other.known_id in MSG_ID_NAMES and other.route == NO_ROUTE
-        if id(other) not in own and (not of_cfs or silence.housekeeping):
-            times = case.rows.time_ns[other.rows]
+        if id(other) not in own and (silence.stream.is_housekeeping or not other.is_housekeeping):
+            times = other.time_ns
             later = (times > start_ns + (end_ns - start_ns) // 4) & (times < end_ns)
             if int(later.sum()) > _FEW and (times <= start_ns).any():
                 return True
@@ -328,7 +322,7 @@ def _again(case: Case, stream: Stream, start_ns: int) -> int | None:
     party = case.network.party
     ways = party(stream.sender), party(stream.receiver)
     later = [
-        int(case.rows.time_ns[item.rows[0]])
+        int(item.time_ns[0])
         for item in case.streams
         if (item.link, item.msg_id) == (stream.link, stream.msg_id)
         and (party(item.sender), party(item.receiver)) == ways
@@ -358,8 +352,7 @@ def _ends(case: Case, stream: Stream) -> int:
 
 def _surely_silent(stream: Stream, before: NDArray[np.int64], length: int) -> bool:
     """Tell whether what came irregularly is silent for longer than ever before; housekeeping may be."""
-    housekeeping = stream.known_id in MSG_ID_NAMES and stream.route == NO_ROUTE
-    if housekeeping or len(before) < _LEAST:
+    if stream.is_housekeeping or len(before) < _LEAST:
         return False
     return length > max(_LONG_NS, _IRREGULAR * int(np.diff(before).max()))
 
@@ -380,7 +373,7 @@ def _explained(case: Case, stream: Stream, start_ns: int, end_ns: int) -> bool:
         return True
     for hop in case.hops:
         if hop.out is stream:
-            times = case.rows.time_ns[hop.into.rows]
+            times = hop.into.time_ns
             return not ((times > start_ns) & (times < end_ns - _SLACK_NS)).any()
     # What cFS sends to a bridge is mostly what an operator sends to cFS.
     rows = case.rows
@@ -465,7 +458,7 @@ def _sent_before(case: Case, start_ns: int) -> Iterator[str]:
             and stream.route == NO_ROUTE
             and not case.rows.cdr_length[stream.rows].any()
         ):
-            times = case.rows.time_ns[stream.rows]
+            times = stream.time_ns
             near = stream.rows[(times > start_ns - _NEAR_NS) & (times < start_ns + _SLACK_NS)]
             if len(near) and len(near) <= _FEW:
                 code = int(case.rows.function_code[near[-1]])
