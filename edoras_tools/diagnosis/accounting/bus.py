@@ -168,7 +168,6 @@ class Telemetry:
         self.ends: defaultdict[int, Counter[GapEnd]] = defaultdict(Counter)
         self._unled: dict[tuple[int, int], list[tuple[int, int]]] = {}
         self.silenced: list[tuple[Stream, int, Among]] = []
-        self._spare = Counter[int]()
         self.losses: list[Loss] = []
         self.parts: list[Part] = []
         self.claims: list[Claim] = []
@@ -202,9 +201,6 @@ class Telemetry:
             if claim.rank == POSSIBLE:  # behind the last message that came, where no gap shows it
                 self.parts[claim.key].missing += sum(claim.taken.values())
         for part in self.parts:
-            # Of those that may have been counted before or behind all samples, a count here may be another's.
-            self._spare[part.owner] += max(0, part.outside - part.missing + part.taken.total())
-        for part in self.parts:
             if part.closed:
                 self._tell_closed(part)
             else:
@@ -217,8 +213,6 @@ class Telemetry:
         if hop is None and not (stream.counted and stream.missing.any()):
             return
         gaps = self._missing(stream) if hop is None else self._not_handed_on(stream, hop)
-        if not len(gaps.at):
-            return
         owner, times = case.owner(stream), stream.time_ns
         away = case.is_away(times[gaps.at], times[np.minimum(gaps.at + 1, len(stream) - 1)])
         if away.any():
@@ -493,11 +487,11 @@ class Telemetry:
         elif not is_counted and self._cut(part.stream):
             self.ends[id(part.stream)]["untold"] += rest
         else:
-            self._unexplained(part, rest, of, taken=bool(taken), grown=any(grown))
+            self._unexplained(part, rest, of, grown=any(grown))
 
-    def _unexplained(self, part: Part, number: int, of: int, *, taken: bool, grown: bool) -> None:
+    def _unexplained(self, part: Part, number: int, of: int, *, grown: bool) -> None:
         """Make a loss of what no counter has: behind cFS, where nothing else can have lost it."""
-        why = next(self._doubts(part, taken=taken), "") if part.watched else ""
+        why = next(self._doubts(part), "") if part.watched else ""
         behind = part.watched and not why
         if behind and grown:
             why = (
@@ -507,11 +501,9 @@ class Telemetry:
         part.evidence += [why] if why else []
         self._lose(part, "after" if behind else "unknown", number, of, "medium" if behind else "low")
 
-    def _doubts(self, part: Part, *, taken: bool) -> Iterator[str]:
+    def _doubts(self, part: Part) -> Iterator[str]:
         """Yield why what is missing may not have been lost behind cFS."""
         case, stream = self._case, part.stream
-        if taken and self._spare[part.owner]:
-            yield "a sample of 0x803 outside the capture may have counted others told as counted"
         if case.peers_unseen:
             yield (
                 "several cFS are here, and what they send each other over SBN is not in the capture: it may "

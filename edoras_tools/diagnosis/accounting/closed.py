@@ -25,12 +25,11 @@ Applications and links that did not run:
    one restarts: no event tells when it ended.
 10. Elsewhere it is unaccounted for what was sent since the first stop and is not lost by rule 9: whether an
     application that was started again took it, or whether it was for the one that stopped, nothing shows.
-    So it is after a command that stops one, where no event that answers it can be read.
 11. What came over SBN, or was to leave over it, is lost while SBN was stopped, and while the peer that it was
     for was away or had not subscribed to it: the timeline says when. Of what an application that keeps the
     newest was to send, that is one message a round.
-12. What an application was to send on by Telemetry Output is lost while that was stopped, sent nothing until
-    it was enabled, or had no entry for it: it did not come out, and could not.
+12. What an application was to send on by Telemetry Output is lost while that sent nothing until it was
+    enabled: it did not come out, and could not.
 """
 
 from __future__ import annotations
@@ -327,8 +326,6 @@ _LEAST_UNANSWERED: Final = 5
 """So many messages of which none is passed on show that a command that stops an application did."""
 _FASTER: Final = 1.25
 """Messages that come faster than rounds by this give way to newer ones."""
-_COMMAND_NS: Final = 10 * SECOND
-"""An application that is told to stop may take so long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,8 +426,6 @@ class Stops:
             ]
             if own:
                 self._unfollowed(fate, own)
-            else:
-                self._unanswered(fate)
 
     def _add(self, fate: Fate, rows: NDArray[np.bool_], cause: _Cause) -> None:
         if rows.any():
@@ -567,24 +562,11 @@ class Stops:
         case, outs = self._case, [hop.out for hop in fate.hops]
         if not all(out.link.only_from_cfs for out in outs):
             return
-        spans: set[tuple[int, int, LossKind, str]] = set()
-        stopped = []
-        for out in outs:
-            for start_ns, end_ns in case.silences_of(out.sender):
-                text = f"Telemetry Output sent nothing until it was enabled, {case.at(end_ns)}"
-                spans.add((start_ns, end_ns, "disabled", text))
-            way = Way(out.msg_id, out.link, case.system(fate.stream))
-            for span, text in reasons_for(case.timeline, way, 0, NEVER, case.at):
-                is_stopped = span.change.state == "stopped"
-                if span.change.subject.kind == "entry" or (is_stopped and not span.end):
-                    spans.add((span.start_lo, span.end_lo, "stopped" if is_stopped else "disabled", text))
-                elif is_stopped:
-                    stopped.append(span)  # what is missing from counts tells of that
         times = fate.stream.time_ns
-        for start_ns, end_ns, kind, text in sorted(spans):
-            if not any(span.overlaps(start_ns, end_ns) for span in stopped):
-                inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
-                self._add(fate, inside, _Cause(kind, telemetry_output.NAME, text))
+        for start_ns, end_ns in sorted({span for out in outs for span in case.silences_of(out.sender)}):
+            text = f"Telemetry Output sent nothing until it was enabled, {case.at(end_ns)}"
+            inside = fate.open & (fate.stop < 0) & (times > start_ns) & (times < end_ns)
+            self._add(fate, inside, _Cause("disabled", telemetry_output.NAME, text))
 
     def tell(self) -> None:
         """Make losses of what was marked, did not come out by the counts there, and no counter has."""
@@ -598,21 +580,6 @@ class Stops:
                 if counted := fate.counted_in_stop[place]:
                     evidence.append(f"0x803 counted {counted:,} of them: nobody read the pipe")
                 self.losses.append(fate.loss(kind, rows, evidence, hop=hop))
-
-    def _unanswered(self, fate: Fate) -> None:
-        """Mark what was sent after a command that stops an application, where no event answers (rule 10)."""
-        rows, payloads = self._case.rows, self._case.payloads
-        answers_ns = [record.time_ns for record in payloads.events if record.app == executive_services.NAME]
-        for item in payloads.about_apps(*executive_services.ENDS_APP):
-            when, code = int(rows.time_ns[item.row]), item.function_code
-            answered = any(0 <= answer_ns - when <= _COMMAND_NS for answer_ns in answers_ns)
-            if item.app not in _LINKS and not answered and fate.stream.receiver == rows.destination[item.row]:
-                fate.unfollowed = fate.stream.time_ns > when
-                fate.unfollowed_since = (
-                    f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
-                    f"{code}, for {item.app}; no event that answers it can be read here"
-                )
-                return
 
     def _unfollowed(self, fate: Fate, own: Sequence[Outage]) -> None:
         """Apply rules 9 and 10."""

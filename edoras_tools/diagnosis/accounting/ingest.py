@@ -62,8 +62,6 @@ DRAINS_NS: Final = 15 * SECOND
 _MODULUS: Final = 1 << 32
 _BUSY: Final = 0.9
 """Of what CI can read at the most; whoever reads so much may have left something."""
-_FULL: Final = 0.8
-"""Of what a socket holds: datagrams differ in length."""
 _MOSTLY: Final = 0.5
 """More than so many of the samples."""
 
@@ -347,10 +345,8 @@ class _Counted:
         most_read = before + self._most_read(self._own[last:first], ended_ns)
         before = int(self._sent_until(ended_ns)) - lost
         if before > most_read:
-            # What waited in its socket is gone with it; where that was full it was lost before.
-            is_full = account.waiting > _FULL * self._profile.socket_queue
-            ended: Cause = "restart" if sooner.instance == later.instance else "down"
-            cause: Cause = "socket" if is_full else ended
+            # What waited in its socket is gone with it.
+            cause: Cause = "restart" if sooner.instance == later.instance else "down"
             account.losses.append(Before(cause, before - most_read, self._own[last].seen_ns, ended_ns))
             lost, before = lost + before - most_read, most_read
         down = sooner.instance != later.instance or any(
@@ -644,8 +640,6 @@ class BeforeCi:
         """Share out what was lost before CI: to what did not come out, else by how much was sent."""
         left, fates = before.lost, self._to(account)
         seen = [fate for fate in fates if fate.seen]
-        if before.cause == "network" and left > self._missing(account, fates, before.end_ns):
-            return  # more than did not come out: its counts are late, as over a slow link, and tell no loss
         evidence = _evidence(account, before)
         if before.cause in _OUTAGES:
             missing = sum(int((fate.open & self._within(fate, before)).sum()) for fate in seen)
@@ -692,13 +686,6 @@ class BeforeCi:
         times = fate.stream.time_ns
         since_ns = before.since_ns if since_ns is None else since_ns
         return np.asarray((times > since_ns) & (times <= before.end_ns))
-
-    def _missing(self, account: Ingest, fates: Sequence[Fate], end_ns: int) -> int:
-        """Return the most that can be lost of what was sent to a CI until a time: what did not come out."""
-        missing = int(np.searchsorted(self._case.rows.time_ns[account.rows], end_ns, "right"))
-        for fate in fates:
-            missing -= int((~fate.open & (fate.stream.time_ns <= end_ns)).sum())
-        return missing
 
     def _spread(
         self,

@@ -258,7 +258,7 @@ class Fate:
         """
         stream, own = self.stream, self.stream.time_ns
         start_ns, end_ns = int(own[rows].min()), int(own[rows].max())
-        sure = "high" if self.seen else "medium"
+        sure: Confidence = "high" if self.seen else "medium"
         loss = Loss(kind, hop or LOST_AT[kind], len(rows), start_ns, end_ns, sure, stream=stream)
         loss.msg_id, loss.evidence = stream.msg_id, evidence
         loss.of = int(((own >= start_ns) & (own <= end_ns)).sum())

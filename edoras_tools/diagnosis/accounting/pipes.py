@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind, ReportedLoss
     from edoras_tools.diagnosis.matching.streams import Span, Stream
+    from edoras_tools.diagnosis.verdict import Confidence
 
 
 LATE_NS: Final = 2 * SECOND
@@ -221,6 +222,8 @@ class Pipes:
             return
         reported, said = self._named(stream, kind, instance)
         evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them{_FIRST if first else ''}"]
+        hop, sender = (reported.pipe, reported.sender) if reported else (APP, "")
+        confidence: Confidence = "high" if reported else "medium"
         if said is not None:
             if events := said.within(cut.start_ns - LEAD_NS, cut.end_ns + TAIL_NS):
                 evidence.insert(0, f"event CFE_SB {PIPE_EVENTS[kind]} x{events}: {said.records[0].message}")
@@ -230,10 +233,8 @@ class Pipes:
         else:
             evidence.append("no event names it: suppressed, filtered, or lost itself")
         of, start_ns, end_ns = self._sent_to(stream, cut, instance)
-        hop, sure = (reported.pipe, "high") if reported else (APP, "medium")
-        loss = Loss(kind, hop, number, start_ns, end_ns, sure, instance, stream.msg_id, stream, cut, of)
-        loss.evidence, loss.among = evidence, Among(stream, among)
-        loss.sender = reported.sender if reported else ""
+        loss = Loss(kind, hop, number, start_ns, end_ns, confidence, instance, stream.msg_id, stream, cut, of)
+        loss.evidence, loss.sender, loss.among = evidence, sender, Among(stream, among)
         self._same[key] = loss
         self.losses.append(loss)
 
@@ -646,14 +647,10 @@ class Leftover:
         if item.said is not None:
             first = item.said.records[0].message
             evidence = [f"event CFE_SB {PIPE_EVENTS[kind]} x{item.said.count}: {first}", text]
-        span = (cut.start_ns, cut.end_ns) if cut else times
-        loss = Loss(kind, item.pipe, number, *span, "medium", instance, item.msg_id, item.lost_from, cut)
-        loss.of, loss.evidence, loss.sender, loss.among = (
-            cut.count if cut else None,
-            evidence,
-            item.sender,
-            among,
-        )
+        start_ns, end_ns = (cut.start_ns, cut.end_ns) if cut else times
+        loss = Loss(kind, item.pipe, number, start_ns, end_ns, "medium", instance, item.msg_id)
+        loss.stream, loss.span, loss.of = item.lost_from, cut, cut.count if cut else None
+        loss.evidence, loss.sender, loss.among = evidence, item.sender, among
         self._add(loss)
 
     def _add(self, loss: Loss) -> None:

@@ -16,7 +16,6 @@ from truth import FOLDER, diagnosed, sums
 
 from edoras_tools.diagnosis.evidence.port_errors import PortErrors
 from edoras_tools.diagnosis.evidence.table import Rows
-from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, StateOwner, Timeline
 from edoras_tools.diagnosis.evidence.unreachable import find_unreachable
 from edoras_tools.model import Endpoint
 
@@ -160,18 +159,6 @@ def test_bursts_without_identification_are_told_apart():
 def test_an_error_long_after_is_about_another_datagram():
     sent = [(0, ROBOT, 5), (100 * SECOND, ROBOT, 6)]
     assert not found_in(sent, [(50 * SECOND, ROBOT, 5, 1)]).closed.any()
-
-
-def test_the_timeline_has_the_states_of_a_port():
-    sent = every(200, 100)
-    found = found_in(sent, [about(item) for item in sent[30:60] + sent[90:]])
-    timeline = Timeline(change for span in found.spans for change in span.changes())
-    port = StateOwner("port", "127.0.0.1:8585")
-    first, second = timeline.spans(port, "closed", EVERY)
-    assert first.start_hi <= sent[31][0] <= first.end_lo
-    assert (first.end_lo, first.end_hi) == (sent[59][0], sent[60][0])
-    assert (second.start_hi, second.end_hi) == (sent[90][0], NEVER)
-    assert [item.state for item in timeline.of(port, EVERY)][1] == "open"
 
 
 @settings(max_examples=examples(150))

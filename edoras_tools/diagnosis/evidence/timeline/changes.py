@@ -215,8 +215,6 @@ class SoftwareChanges:
                     entry = StateOwner("entry", "", number)
                     limit = int(found["limit"]) if "limit" in found else None
                     yield change(entry, "unsubscribed" if limit is None else "subscribed", limit)
-        elif event.app == sbn.NAME and event.message == sbn.NOT_RELOADED[1].text:
-            yield change(StateOwner("app", sbn.NAME), "failed")
 
     def _boots(self) -> Iterator[Change]:
         items, systems = self._instances.items, self._instances.systems
