@@ -13,20 +13,11 @@ import numpy as np
 from edoras_tools.cfs import command_ingest, sbn, telemetry_output
 from edoras_tools.cfs.commands import inject_line
 from edoras_tools.cfs.names import message_name
+from edoras_tools.diagnosis.accounting import closed, ingest
 from edoras_tools.diagnosis.accounting.bus import Telemetry
 from edoras_tools.diagnosis.accounting.claims import Counts
-from edoras_tools.diagnosis.accounting.closed import (
-    Outage,
-    Unheard,
-    Unreached,
-    outages,
-    silences_of,
-    unheard,
-    unreached,
-)
 from edoras_tools.diagnosis.accounting.commands import Commands
-from edoras_tools.diagnosis.accounting.content import WayContent, judge_contents
-from edoras_tools.diagnosis.accounting.ingest import Ingest, ingests
+from edoras_tools.diagnosis.accounting.content import judge_contents
 from edoras_tools.diagnosis.constants import learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import steadied
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
@@ -82,6 +73,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
+    from edoras_tools.diagnosis.accounting.ingest import Ingest
     from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.constants import Constants
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
@@ -174,7 +166,20 @@ class Case:
         verdicts: what the rules have said so far.
         refused: messages that came to nothing by what they are, each judged by itself.
         advice: what helps against losses at queues, once it was asked for; see ``diagnosis.advice``.
+        ingests: the account of every CI.
+        outages: every stop and restart of an application that is sure, or shows.
+        unheard: what was sent to SBN peers that were silent, by the id of its stream.
+        unreached: what went to ports that were closed, or that could not be reached.
+        contents: what arrived as something else than was sent.
+        ledger: what became of all traffic, once the rules about single messages were asked.
     """
+
+    ingests = cached_property(ingest.ingests)
+    outages = cached_property(closed.outages)
+    unheard = cached_property(closed.unheard)
+    unreached = cached_property(closed.unreached)
+    contents = cached_property(judge_contents)
+    ledger = cached_property(MessageLedger)
 
     def __init__(
         self,
@@ -335,11 +340,6 @@ class Case:
         """Streams that come out again as others."""
         return find_hops([*self.streams, *self.robots], self.rows, self)
 
-    @cached_property
-    def contents(self) -> list[WayContent]:
-        """What arrived as something else than was sent."""
-        return judge_contents(self, self.robots)
-
     def arrival(self, stream: Stream) -> Hashable:
         """Return all that decides what may come out of a stream; None where nobody took it."""
         taken = stream.msg_id not in self._not_taken
@@ -400,11 +400,6 @@ class Case:
                     msg_id = self.context.msg_ids.of(item.head, start)
                     found.setdefault((item.source, msg_id), []).append(item.time_ns)
         return found
-
-    @cached_property
-    def ingests(self) -> list[Ingest]:
-        """The account of every CI."""
-        return ingests(self)
 
     def ingests_at(self, endpoint: int) -> list[Ingest]:
         """Return the account of the CI at an endpoint, if it is counted."""
@@ -505,21 +500,6 @@ class Case:
         return self.commands.telemetry
 
     @cached_property
-    def outages(self) -> list[Outage]:
-        """Every stop and restart of an application that is sure, or shows."""
-        return outages(self)
-
-    @cached_property
-    def unheard(self) -> dict[int, Unheard]:
-        """What was sent to SBN peers that were silent, by the id of its stream."""
-        return unheard(self)
-
-    @cached_property
-    def unreached(self) -> list[Unreached]:
-        """What went to ports that were closed, or that could not be reached."""
-        return unreached(self)
-
-    @cached_property
     def commands(self) -> Commands:
         """What became of everything that went into cFS."""
         return Commands(self, Telemetry(self))
@@ -565,11 +545,6 @@ class Case:
             and not any(span.start_ns <= end_ns and start_ns <= span.end_ns for start_ns, end_ns in lost)
         ]
         return max((rate for rate in clean if rate > _HIGHER * assumed_hz), default=0.0)
-
-    @cached_property
-    def ledger(self) -> MessageLedger:
-        """What became of all traffic, once the rules about single messages were asked."""
-        return MessageLedger(self)
 
     @cached_property
     def _losses_of(self) -> dict[int, list[Loss]]:
@@ -669,7 +644,7 @@ class Case:
     def silences_of(self, sender: int) -> list[tuple[int, int]]:
         """Return when the Telemetry Output behind an endpoint sent nothing, until it was enabled."""
         if sender not in self._silences:
-            self._silences[sender] = silences_of(self, sender)
+            self._silences[sender] = closed.silences_of(self, sender)
         return self._silences[sender]
 
     def span(self, rows: Sequence[int] | NDArray[np.intp]) -> tuple[int, int]:

@@ -31,7 +31,7 @@ from edoras_tools.wire.arrays.fingerprint import MIX
 from edoras_tools.wire.robot import CFS_PORT
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -90,18 +90,14 @@ class WayContent:
         return len(self.changed) + len(self.constant) == self.of
 
 
-def judge_contents(case: Case, robots: Iterable[Stream]) -> list[WayContent]:
-    """Return every way out on which something else arrived than was sent.
-
-    Args:
-        robots: what was sent to each robot.
-    """
+def judge_contents(case: Case) -> list[WayContent]:
+    """Return every way out on which something else arrived than was sent."""
     ways: dict[tuple[int, ...], list[Hop]] = {}
     for hop in case.hops:
         if hop.rewritten:
             ways.setdefault(_way(hop.out), []).append(hop)
     every = [_judge(case, hops) for hops in ways.values()]
-    every += [_none_sent(case, robot) for robot in robots if _way(robot) not in ways]
+    every += [_none_sent(case, robot) for robot in case.robots if _way(robot) not in ways]
     return [item for item in every if item is not None]
 
 
