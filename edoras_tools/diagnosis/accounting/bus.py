@@ -23,15 +23,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from edoras_tools.cfs import executive_services, queues, sbn, telemetry_output
-from edoras_tools.diagnosis.accounting.claims import (
-    CLOSED,
-    MISSING,
-    OWN_PACKETS,
-    POSSIBLE,
-    PRESSED,
-    Claim,
-    claimed_alike,
-)
+from edoras_tools.diagnosis.accounting.claims import Claim, Rank, claimed_alike
 from edoras_tools.diagnosis.accounting.closed import closed_at, enables_ns, silenced_at, unled_silences
 from edoras_tools.diagnosis.accounting.losses import (
     BEHIND,
@@ -198,7 +190,7 @@ class Telemetry:
             taken = self.parts[claim.key].taken
             for (_, kind), number in claim.by_kind().items():
                 taken[kind] += number
-            if claim.rank == POSSIBLE:  # behind the last message that came, where no gap shows it
+            if claim.rank == Rank.POSSIBLE:  # behind the last message that came, where no gap shows it
                 self.parts[claim.key].missing += sum(claim.taken.values())
         for part in self.parts:
             if part.closed:
@@ -276,7 +268,7 @@ class Telemetry:
         part.outside = int(gaps.number[~inside].sum())
         part.watched = 2 * part.outside <= part.missing
         kinds = (*part.kinds, *(kind for kind in COUNTERS if kind not in part.kinds))
-        rank, flow = PRESSED if part.kinds else MISSING, id(part.stream)
+        rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, id(part.stream)
         for members in claimed_alike([counts], low, high):
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())
             self.claims.append(Claim(key, *span, number, kinds, (part.owner,), rank, flow))
@@ -313,7 +305,7 @@ class Telemetry:
         if not part.silenced and not part.unled:
             part.cause = self._cause(part)
         if part.owner in self._counts and part.stream.link.only_from_cfs:
-            rank, kinds = OWN_PACKETS if part.cause is None else CLOSED, tuple(COUNTERS)
+            rank, kinds = Rank.OWN_PACKETS if part.cause is None else Rank.CLOSED, tuple(COUNTERS)
             span, of, number = (int(gap.low_ns[0]), int(gap.high_ns[0])), (part.owner,), self._countable(part)
             self.claims.append(Claim(len(self.parts), *span, number, kinds, of, rank, id(part.stream)))
         self.parts.append(part)
@@ -432,9 +424,8 @@ class Telemetry:
                 most = min(most, int((hop.absent & (went_in > went_in[hop.arrived].max())).sum()))
         if most > 0:
             made_ns = int(case.instances.made_ns[stream.rows[-1]])
-            self.claims.append(
-                Claim(key, made_ns, made_ns + TAIL_NS, most, part.kinds, (part.owner,), POSSIBLE, id(stream))
-            )
+            span, of = (made_ns, made_ns + TAIL_NS), (part.owner,)
+            self.claims.append(Claim(key, *span, most, part.kinds, of, Rank.POSSIBLE, id(stream)))
 
     def _ends(self, part: Part) -> bool:
         """Tell whether a stream ends with a part, or with one round behind it that lacks none."""

@@ -8,6 +8,7 @@ traffic is given to none of them.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -22,22 +23,26 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-PRESSED: Final = 0
-"""Rank of what surely is missing, where an event names it or its pipe was full."""
-ABSENT: Final = 1
-"""Rank of other commands that surely did not come out."""
-CLOSED: Final = 2
-"""Rank of what is missing while nothing took it."""
-OWN_PACKETS: Final = 3
-"""Rank of the packets of cFS itself that are."""
-QUIET: Final = 4
-"""Rank of commands that surely did not come out, where no event names them and no pipe was full by them."""
-INTO_STOP: Final = 5
-"""Rank of what was sent to an application that was stopped: its pipe may have been full before that."""
-MISSING: Final = 6
-"""Rank of what is missing where no pipe was full: it takes what nothing else that is missing explains."""
-POSSIBLE: Final = 7
-"""Ranks from here on are of messages of which it is not sure that they are missing."""
+
+class Rank(IntEnum):
+    """Which claims are served first: those of messages that surely are missing, and have a cause."""
+
+    PRESSED = 0
+    """What surely is missing, where an event names it or its pipe was full."""
+    ABSENT = 1
+    """Other commands that surely did not come out."""
+    CLOSED = 2
+    """What is missing while nothing took it."""
+    OWN_PACKETS = 3
+    """The packets of cFS itself that are."""
+    QUIET = 4
+    """Commands that surely did not come out, where no event names them and no pipe was full by them."""
+    INTO_STOP = 5
+    """What was sent to an application that was stopped: its pipe may have been full before that."""
+    MISSING = 6
+    """What is missing where no pipe was full: it takes what nothing else that is missing explains."""
+    POSSIBLE = 7
+    """Ranks from here on are of messages of which it is not sure that they are missing."""
 
 
 _APART_NS: Final = 3 * SECOND
@@ -229,9 +234,9 @@ def settle_known(
         rivals: traffic that is not in the capture.
     """
     for ranks, slack_ns in (
-        ((PRESSED, ABSENT, CLOSED), _APART_NS),
-        ((PRESSED, ABSENT, CLOSED, OWN_PACKETS), _APART_NS),
-        ((QUIET, INTO_STOP), 0),
+        ((Rank.PRESSED, Rank.ABSENT, Rank.CLOSED), _APART_NS),
+        ((Rank.PRESSED, Rank.ABSENT, Rank.CLOSED, Rank.OWN_PACKETS), _APART_NS),
+        ((Rank.QUIET, Rank.INTO_STOP), 0),
     ):
         sure = [claim for claim in claims if claim.rank in ranks]
         settle(counts, sure)
@@ -286,7 +291,7 @@ def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: 
         low_ns, own = claim.low_ns, [(at, counts[at]) for at in claim.instances]
         watched = any(item.times[0] <= low_ns <= item.times[-1] for _, item in own)
         may = [at for at, item in own if item.boot_ns < low_ns < item.times[0] and not watched]
-        if claim.rank not in (PRESSED, ABSENT) or len(may) != 1:
+        if claim.rank not in (Rank.PRESSED, Rank.ABSENT) or len(may) != 1:
             continue
         spared = min(claim.open, missed[claim.flow])
         missed[claim.flow] -= spared
@@ -299,7 +304,7 @@ def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: 
 
 def settle_rest(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
     """Give what nothing else explains to what is missing for no reason that is seen."""
-    settle(counts, [claim for claim in claims if claim.rank == MISSING], _APART_NS)
+    settle(counts, [claim for claim in claims if claim.rank == Rank.MISSING], _APART_NS)
 
 
 def settle_doubted(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
@@ -323,7 +328,7 @@ def settle_possible(
     tables = _tables(counts, claims).values()
     found: dict[tuple[int, PipeKind, frozenset[int]], Shared] = {}
     has_rest = True
-    for rank in sorted({claim.rank for claim in claims if claim.rank >= POSSIBLE}):
+    for rank in sorted({claim.rank for claim in claims if claim.rank >= Rank.POSSIBLE}):
         for place in range(len(COUNTERS)):
             for table in tables:
                 asking = {at for at in table.asking if table.prefers(at, rank, place)}
@@ -341,7 +346,7 @@ def settle_possible(
                         item.number += number
                         item.end_ns = span[1]
     if not rivals:
-        _pass_on(counts, [claim for claim in claims if claim.rank != MISSING])
+        _pass_on(counts, [claim for claim in claims if claim.rank != Rank.MISSING])
     return list(found.values())
 
 

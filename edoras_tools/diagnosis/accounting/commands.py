@@ -22,8 +22,7 @@ import numpy as np
 
 from edoras_tools.cfs import queues, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.claims import (
-    MISSING,
-    POSSIBLE,
+    Rank,
     settle_doubted,
     settle_first,
     settle_known,
@@ -121,7 +120,7 @@ class Commands:
         leftover.take_named()
         shared = settle_known(counts, claims, telemetry.claims, leftover.rivals())
         settle_first(counts, claims, may_be_missed(case, claims))
-        tails = {claim.flow: sum(claim.taken.values()) for claim in claims if claim.rank == POSSIBLE}
+        tails = {claim.flow: sum(claim.taken.values()) for claim in claims if claim.rank == Rank.POSSIBLE}
         pipes.tell()
         stops.tell()
         self.losses += stops.losses
@@ -468,7 +467,7 @@ def hold_back(case: Case, claims: Sequence[Claim]) -> None:
     """
     groups: dict[int, list[Claim]] = {}
     for claim in claims:
-        if claim.rank == MISSING:
+        if claim.rank == Rank.MISSING:
             groups.setdefault(claim.flow, []).append(claim)
     missing = sum(claim.number for own in groups.values() for claim in own)
     if missing and not case.quality.excludes(missing / (sum(map(len, case.streams)) + missing)):

@@ -15,14 +15,10 @@ import numpy as np
 from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.cfs.software_bus import STOPS_AFTER
 from edoras_tools.diagnosis.accounting.claims import (
-    ABSENT,
     BEFORE,
-    INTO_STOP,
-    POSSIBLE,
-    PRESSED,
-    QUIET,
     Claim,
     Counts,
+    Rank,
     Rival,
     Shared,
     claimed_alike,
@@ -63,7 +59,14 @@ if TYPE_CHECKING:
 
 LATE_NS: Final = 2 * SECOND
 """A count is seen within so long of what it counts."""
-_RANKS: Final = (ABSENT, POSSIBLE + 1, POSSIBLE + 3, POSSIBLE + 2, INTO_STOP, POSSIBLE + 2)
+_RANKS: Final = (
+    Rank.ABSENT,
+    Rank.POSSIBLE + 1,
+    Rank.POSSIBLE + 3,
+    Rank.POSSIBLE + 2,
+    Rank.INTO_STOP,
+    Rank.POSSIBLE + 2,
+)
 """Ranks of the claims of ``_standing`` messages."""
 _FIRST: Final = "; its first value already had some"
 _LATE: Final = 1.5
@@ -133,9 +136,9 @@ class Pipes:
                 continue
             rows, rank = np.flatnonzero(there), _RANKS[place]
             if named:
-                rank = PRESSED if rank == ABSENT else rank
+                rank = Rank.PRESSED if rank == Rank.ABSENT else rank
             elif not self._bursts(fate):
-                rank = {ABSENT: QUIET, INTO_STOP: INTO_STOP}.get(rank, rank + len(_RANKS))
+                rank = {Rank.ABSENT: Rank.QUIET, Rank.INTO_STOP: Rank.INTO_STOP}.get(rank, rank + len(_RANKS))
             if place == _MAY_WAIT:
                 rows = rows[np.logical_or.reduce([own.often(low_ns[rows], high_ns[rows]) for own in counts])]
             for members in claimed_alike(counts, low_ns[rows], high_ns[rows], which[rows]):
@@ -448,7 +451,7 @@ class Leftover:
         times, claims = self._case.instances.made_ns[[record.row for record in said.records]], []
         for key, (_, members) in enumerate(by_value(counts.seconds(times))):
             span, of = (int(times[members].min()), int(times[members].max())), (item.instance,)
-            claims.append(Claim(key, *span, len(members), (kind,), of, PRESSED, id(item)))
+            claims.append(Claim(key, *span, len(members), (kind,), of, Rank.PRESSED, id(item)))
         for slack_ns in (0, WAITS_NS):
             settle(self._counts, claims, slack_ns)
         return claims

@@ -4,10 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.diagnosis.accounting.claims import (
-    MISSING,
-    POSSIBLE,
     Claim,
     Counts,
+    Rank,
     Rival,
     settle,
     settle_doubted,
@@ -118,8 +117,11 @@ def test_what_may_be_of_several_is_given_to_none(limit, overflow, claims):
 
 def test_what_only_one_may_have_lost_is_its_own():
     there = counts([3, 2], [0, 0])
-    claims = [claim(0, 0, 0, 9, KINDS, POSSIBLE, flow=7), claim(1, 1, 1, 9, KINDS, POSSIBLE, flow=7)]
-    claims.append(claim(2, 1, 1, 1, KINDS, POSSIBLE, flow=8))
+    claims = [
+        claim(0, 0, 0, 9, KINDS, Rank.POSSIBLE, flow=7),
+        claim(1, 1, 1, 9, KINDS, Rank.POSSIBLE, flow=7),
+    ]
+    claims.append(claim(2, 1, 1, 1, KINDS, Rank.POSSIBLE, flow=8))
     (item,) = settle_possible({0: there}, claims)
     assert (claims[0].taken, item.number, item.flows) == ({(0, "limit", 0): 3}, 2, frozenset({7, 8}))
     assert (item.start_ns, item.end_ns) == (SECOND, 2 * SECOND)
@@ -127,7 +129,7 @@ def test_what_only_one_may_have_lost_is_its_own():
 
 def test_what_traffic_that_is_not_in_the_capture_may_be_is_shared_with_it():
     there = counts([3, 2], [0, 0])
-    claims = [claim(0, 0, 1, 9, KINDS, POSSIBLE, flow=7)]
+    claims = [claim(0, 0, 1, 9, KINDS, Rank.POSSIBLE, flow=7)]
     rival = Rival(8, 0, "limit", 3 * SECOND // 2, 9 * SECOND)
     (item,) = settle_possible({0: there}, claims, [rival])
     assert (claims[0].taken, claims[0].reserved) == ({(0, "limit", 0): 3}, 2)
@@ -136,12 +138,15 @@ def test_what_traffic_that_is_not_in_the_capture_may_be_is_shared_with_it():
 
 def test_as_many_as_all_of_several_can_have_are_shared_by_none():
     there = counts([5], [0])
-    claims = [claim(0, 0, 0, 3, KINDS, POSSIBLE, flow=7), claim(1, 0, 0, 2, KINDS, POSSIBLE, flow=8)]
+    claims = [
+        claim(0, 0, 0, 3, KINDS, Rank.POSSIBLE, flow=7),
+        claim(1, 0, 0, 2, KINDS, Rank.POSSIBLE, flow=8),
+    ]
     assert settle_possible({0: there}, claims) == []
     assert [item.open for item in claims] == [0, 0]
 
 
-@pytest.mark.parametrize(("rank", "lost"), [(POSSIBLE, 2), (MISSING, 0)])
+@pytest.mark.parametrize(("rank", "lost"), [(Rank.POSSIBLE, 2), (Rank.MISSING, 0)])
 def test_counts_of_others_make_room_for_what_only_one_may_have_lost(rank, lost):
     # Two counts of the first second went to what could be counted in the second one as well.
     there = counts([0, 2], [0, 0])
@@ -155,7 +160,7 @@ def test_counts_of_others_make_room_for_what_only_one_may_have_lost(rank, lost):
 
 def test_what_the_capture_may_have_missed_takes_what_is_left_at_the_end():
     there = counts([3], [0])
-    missing = claim(0, 0, 0, 1, KINDS, MISSING)
+    missing = claim(0, 0, 0, 1, KINDS, Rank.MISSING)
     missing.doubted = 1
     settle_doubted({0: there}, [missing])
     assert (missing.taken, missing.number) == ({(0, "limit", 0): 2}, 2)
