@@ -32,12 +32,11 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.accounting.losses import Loss
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.timeline.table import Change, StateSpan
     from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 LET_RUN: Final = "look at the load of its host, and at who may stop its process (a debugger, SIGSTOP)"
@@ -69,10 +68,10 @@ class Arrivals:
         msg_id: (n,), i64.
     """
 
-    time_ns: NDArray[np.int64]
-    msg_id: NDArray[np.int64]
+    time_ns: Integers
+    msg_id: Integers
 
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Arrivals:
+    def take(self, rows: Places | Mask) -> Arrivals:
         """Return some of them."""
         return Arrivals(self.time_ns[rows], self.msg_id[rows])
 
@@ -292,7 +291,7 @@ def published_into(case: Case, stream: Stream) -> Arrivals:
     return Arrivals(time_ns, msg_id).take(np.argsort(time_ns, kind="stable"))
 
 
-def published_at(case: Case, stream: Stream) -> NDArray[np.int64]:
+def published_at(case: Case, stream: Stream) -> Integers:
     """Return when each message of a stream was published, the missing ones too: by its header's time."""
     when, mission = stream.time_ns, case.rows.mission_time_ns[stream.rows]
     if stream.instance != NOBODY and (mission > 0).all():

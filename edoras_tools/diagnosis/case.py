@@ -32,11 +32,7 @@ from edoras_tools.diagnosis.evidence.loss_reports import (
 from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied
-from edoras_tools.diagnosis.evidence.timeline.changes import (
-    SoftwareChanges,
-    capture_changes,
-    network_changes,
-)
+from edoras_tools.diagnosis.evidence.timeline.changes import SoftwareChanges, capture_changes, network_changes
 from edoras_tools.diagnosis.evidence.timeline.table import Timeline
 from edoras_tools.diagnosis.evidence.unreachable import Unreachable, find_unreachable
 from edoras_tools.diagnosis.ledger import MessageLedger

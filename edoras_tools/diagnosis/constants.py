@@ -23,12 +23,11 @@ from edoras_tools.units import MILLISECOND, SECOND
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.wire.arrays.order import Integers
 
 _USUAL: Final = SimProfile()
 _BURST_NS: Final = 20 * MILLISECOND
@@ -45,7 +44,7 @@ _WAITS: Final = 0.7, 1.3
 _ALIKE: Final = 0.1
 
 
-def find_round(times: NDArray[np.int64]) -> int | None:
+def find_round(times: Integers) -> int | None:
     """Return the period of the rounds in which bursts come, ns; None where they show none.
 
     Args:
@@ -166,7 +165,7 @@ def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
     return found if _WAITS[0] < longest < _WAITS[1] else None
 
 
-def _kept(times: NDArray[np.int64]) -> int:
+def _kept(times: Integers) -> int:
     """Return how many come in a full round; 0 where rounds are seldom full.
 
     One that arrives while a round is sent may come with it.

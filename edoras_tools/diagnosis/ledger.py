@@ -37,14 +37,13 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.accounting.closed import Unheard, Unreached
     from edoras_tools.diagnosis.accounting.losses import Fate
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.relays import LostInRelay
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import Verdict
+    from edoras_tools.wire.arrays.order import Places
 
 HowEnded = Literal["lost", "superseded", "waiting", "not_captured", "unaccounted", "uncertain", "shared"]
 """How an arrival can end at a hop."""
@@ -199,7 +198,7 @@ class LedgerEntry:
     cause: str = ""
     text: str = ""
     times_ns: tuple[int, int] = (0, 0)
-    among: Among | NDArray[np.intp] | None = None
+    among: Among | Places | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -712,7 +711,7 @@ def _of_no_stream(case: Case, item: Verdict, number: int) -> LedgerWay:
     return way
 
 
-def _refuse(way: LedgerWay, item: Verdict, number: int, among: Among | NDArray[np.intp]) -> None:
+def _refuse(way: LedgerWay, item: Verdict, number: int, among: Among | Places) -> None:
     """Let end at the last hop what cFS refused."""
     text = f"{item.rule} at {item.hop or 'cFS'}"
     way.end("lost", number, item.rule, text=text, times_ns=(item.start_ns, item.end_ns), among=among)

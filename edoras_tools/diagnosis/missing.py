@@ -24,9 +24,8 @@ from edoras_tools.sessions.sequence import MODULUS
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.wire.arrays.order import Integers, Places
 
 _Share = tuple[LedgerEntry, Among]
 _ROOM: Final = 1 << 32
@@ -93,7 +92,7 @@ def missing(case: Case) -> list[Missing]:
     return sorted(listed, key=lambda item: item.time_ns)
 
 
-def _alone(case: Case, entry: LedgerEntry, rows: NDArray[np.intp] | None) -> Iterator[Missing]:
+def _alone(case: Case, entry: LedgerEntry, rows: Places | None) -> Iterator[Missing]:
     """Yield the messages of a loss that is of no stream: the rows that it may be, where they are as many."""
     number = entry.number
     if rows is None or len(rows) != number:
@@ -106,7 +105,7 @@ def _alone(case: Case, entry: LedgerEntry, rows: NDArray[np.intp] | None) -> Ite
         yield replace(one, number=int(case.rows.number[row]))
 
 
-def _units(among: Among) -> NDArray[np.int64]:
+def _units(among: Among) -> Integers:
     """Return a number for each message: a row of the stream, and which of those missing behind it."""
     base = among.rows.astype(np.int64) * _ROOM
     if among.missing is None:
@@ -117,7 +116,7 @@ def _units(among: Among) -> NDArray[np.int64]:
     return np.asarray(np.repeat(base, among.missing) + within)
 
 
-def _connected(units: Sequence[NDArray[np.int64]]) -> NDArray[np.intp]:
+def _connected(units: Sequence[Integers]) -> Places:
     """Return a label for each set of messages, the same for those that share some, or do so by others."""
     label = np.arange(len(units))
     which = np.repeat(label, [len(own) for own in units])
@@ -133,9 +132,7 @@ def _connected(units: Sequence[NDArray[np.int64]]) -> NDArray[np.intp]:
     return label
 
 
-def _together(
-    case: Case, shares: Sequence[tuple[LedgerEntry, Among, NDArray[np.int64]]]
-) -> Iterator[Missing]:
+def _together(case: Case, shares: Sequence[tuple[LedgerEntry, Among, Integers]]) -> Iterator[Missing]:
     """Yield the messages of losses that share what they are among (rules 2 to 4)."""
     every = np.unique(np.concatenate([units for _, _, units in shares]))
     if sum(entry.number for entry, _, _ in shares) == len(every):

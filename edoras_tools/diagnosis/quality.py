@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.model import HostCounters
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 
 EvidenceKind = Literal["identifications", "inputs", "ci_counts", "sequence_counts"]
@@ -234,7 +235,7 @@ def check_identifications(rows: Rows, hosts: NDArray[np.int32]) -> Iterator[Evid
     yield from (Evidence("identifications", sender, *counts) for sender, counts in totals.items())
 
 
-def _between(time_ns: NDArray[np.int64], identification: NDArray[np.uint16]) -> tuple[int, int]:
+def _between(time_ns: Integers, identification: NDArray[np.uint16]) -> tuple[int, int]:
     """Return how many even numbers have both neighbours within a tick, and how many of these are missing."""
     if len(time_ns) < 2:
         return 0, 0
@@ -327,11 +328,8 @@ def check_ci_counts(
 
 
 def _rests(
-    sent_ns: NDArray[np.int64],
-    made_ns: NDArray[np.int64],
-    total: NDArray[np.int64],
-    holes: Sequence[tuple[int, int]],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    sent_ns: Integers, made_ns: Integers, total: Integers, holes: Sequence[tuple[int, int]]
+) -> tuple[Integers, Integers]:
     """Return what CI counted, and what was captured, between two samples at which it had read everything."""
     before = np.searchsorted(sent_ns, made_ns - _REST_NS)
     rest = np.flatnonzero(before == np.searchsorted(sent_ns, made_ns + _LATE_NS))
@@ -380,7 +378,7 @@ def check_sequence_counts(
     yield from (Evidence("sequence_counts", sender, *counts) for sender, counts in totals.items())
 
 
-def _quiet(track: Track, start_ns: NDArray[np.int64], end_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _quiet(track: Track, start_ns: Integers, end_ns: Integers) -> Mask:
     """Tell in which times samples on both sides say that the bus lost nothing."""
     times = np.array(track.times, np.int64)
     lost = np.array(track.totals["pipe_overflows"]) + np.array(track.totals["msg_limits"])
@@ -390,9 +388,7 @@ def _quiet(track: Track, start_ns: NDArray[np.int64], end_ns: NDArray[np.int64])
     return np.asarray(inside & (lost[np.maximum(low, 0)] == lost[np.minimum(high, len(times) - 1)]))
 
 
-def overlapping(
-    start_ns: NDArray[np.int64], end_ns: NDArray[np.int64], holes: Sequence[tuple[int, int]]
-) -> NDArray[np.bool_]:
+def overlapping(start_ns: Integers, end_ns: Integers, holes: Sequence[tuple[int, int]]) -> Mask:
     """Tell which times overlap one of some spans: bool."""
     out = np.zeros(len(start_ns), bool)
     for begin, end in holes:
@@ -495,7 +491,7 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
     return found[0], found[1]
 
 
-def _counted_streams(rows: Rows) -> list[NDArray[np.intp]]:
+def _counted_streams(rows: Rows) -> list[Places]:
     """Return the rows of each stream that cFS counts."""
     counted = np.flatnonzero(rows.counted & among(rows.link, lambda link: link.from_cfs))
     keys = (rows.link, rows.source, rows.destination, rows.processor_id, rows.msg_id)
@@ -503,7 +499,7 @@ def _counted_streams(rows: Rows) -> list[NDArray[np.intp]]:
     return [counted[members] for _, members in by_value(which)]
 
 
-def _steady(times: NDArray[np.int64], start_ns: int, end_ns: int) -> bool:
+def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:
     """Tell whether someone sent before and after a time, and far more often than once in so long."""
     at = int(np.searchsorted(times, start_ns, "right"))
     before, after = times[:at], times[at:]
@@ -515,7 +511,7 @@ def _steady(times: NDArray[np.int64], start_ns: int, end_ns: int) -> bool:
     return bool(1.5 * usual < end_ns - start_ns and idle <= max(3 * usual, _IDLE_NS))
 
 
-def _went_on(rows: Rows, streams: Sequence[NDArray[np.intp]], start_ns: int, end_ns: int) -> bool:
+def _went_on(rows: Rows, streams: Sequence[Places], start_ns: int, end_ns: int) -> bool:
     """Tell whether most streams that are there before and after a time miss counts in it."""
     missing = there = 0
     for own in streams:

@@ -41,14 +41,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.cfs import command_ingest, executive_services, queues, sbn, telemetry_output
-from edoras_tools.diagnosis.accounting.losses import (
-    READY_NS,
-    TAIL_NS,
-    WAITS_NS,
-    Fate,
-    Loss,
-    LossKind,
-)
+from edoras_tools.diagnosis.accounting.losses import READY_NS, TAIL_NS, WAITS_NS, Fate, Loss, LossKind
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, Way, reasons_for
 from edoras_tools.links.table import among

@@ -33,12 +33,11 @@ from edoras_tools.wire.robot import CFS_PORT
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _ENCAPSULATION: Final = 4
 _LEAST: Final = 3
@@ -76,13 +75,13 @@ class WayContent:
     into: Stream
     out: Stream
     of: int
-    changed: NDArray[np.intp]
-    constant: NDArray[np.intp]
-    again: NDArray[np.intp]
-    late: NDArray[np.intp]
+    changed: Places
+    constant: Places
+    again: Places
+    late: Places
     rounds_ns: int
     longest_ns: int
-    replaced: dict[int, NDArray[np.intp]] = field(default_factory=dict)
+    replaced: dict[int, Places] = field(default_factory=dict)
 
     @property
     def nothing_sent(self) -> bool:
@@ -148,7 +147,7 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
     )
 
 
-def _older(sent_ns: NDArray[np.int64], when: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _older(sent_ns: Integers, when: Integers) -> Mask:
     """Tell what came out of the backlog with which the capture began: the first that was sent here waited."""
     known = np.flatnonzero(sent_ns >= 0)
     waited = len(known) > 0 and when[known[0]] - sent_ns[known[0]] > _SLACK_NS
@@ -181,7 +180,7 @@ def _none_sent(case: Case, robot: Stream) -> WayContent | None:
     return WayContent(into[0], robot, len(own), *_same(rows, own), none, none, 0, 0)
 
 
-def _same(rows: Rows, changed: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _same(rows: Rows, changed: Places) -> tuple[Places, Places]:
     """Divide what has changed: what differs, and what always is the same."""
     _, which, count = np.unique(rows.body_print[changed], return_inverse=True, return_counts=True)
     same = count[which] > 1
@@ -191,9 +190,7 @@ def _same(rows: Rows, changed: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDAr
 _KINDS: Final = "body_print", "value_print", "stamped_print", "shared_print"
 
 
-def _sent_before(
-    rows: Rows, into: Sequence[Stream], out: NDArray[np.intp], *, robot: bool
-) -> NDArray[np.int64]:
+def _sent_before(rows: Rows, into: Sequence[Stream], out: Places, *, robot: bool) -> Integers:
     """Return when the value of each row that came out was sent last: i64, -1 where it never was."""
     last_ns = np.full(len(out), -1)
     for stream in into:
@@ -205,13 +202,7 @@ def _sent_before(
     return last_ns
 
 
-def _old(
-    case: Case,
-    hops: Sequence[Hop],
-    out: NDArray[np.intp],
-    sent_ns: NDArray[np.int64],
-    last_ns: NDArray[np.int64],
-) -> NDArray[np.bool_]:
+def _old(case: Case, hops: Sequence[Hop], out: Places, sent_ns: Integers, last_ns: Integers) -> Mask:
     """Tell which of what comes out is older than others that came or were due; often the same: all of it."""
     when = case.rows.time_ns[out]
     newest = np.maximum.accumulate(np.append(-1, sent_ns))[:-1]
@@ -224,7 +215,7 @@ def _old(
     return np.asarray(old | np.isin(body, values[number >= _LEAST]))
 
 
-def _once_more(rows: Rows, out: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _once_more(rows: Rows, out: Places) -> Mask:
     """Tell which rows are a datagram that came before."""
     numbered, when = rows.identification[out] != 0, rows.time_ns[out]
     whole = np.where(numbered, rows.bytes_print[out] ^ rows.identification[out].astype(np.uint64) * MIX, 0)
@@ -232,8 +223,8 @@ def _once_more(rows: Rows, out: NDArray[np.intp]) -> NDArray[np.bool_]:
 
 
 def _replaced(
-    case: Case, hops: Sequence[Hop], out: NDArray[np.intp], odd: NDArray[np.bool_], old: NDArray[np.bool_]
-) -> tuple[dict[int, NDArray[np.intp]], NDArray[np.intp]]:
+    case: Case, hops: Sequence[Hop], out: Places, odd: Mask, old: Mask
+) -> tuple[dict[int, Places], Places]:
     """Return which messages that did not come out others stand for, and the rows that have changed.
 
     Args:
@@ -241,7 +232,7 @@ def _replaced(
         old: what was, and came before.
     """
     rows, rest, chance = case.rows, out[odd | old], 0.0
-    pairs: dict[int, tuple[NDArray[np.intp], NDArray[np.intp]]] = {}
+    pairs: dict[int, tuple[Places, Places]] = {}
     for hop in hops:
         absent, own = np.flatnonzero(hop.absent), np.intersect1d(rest, hop.out.rows[hop.origin < 0])
         into, came = np.sort(hop.in_rows), np.sort(hop.out.rows[hop.out_rows])
@@ -286,7 +277,7 @@ def _rounds(case: Case, hop: Hop) -> int:
     return sum(waits)
 
 
-def _expected(case: Case, hop: Hop) -> NDArray[np.int64]:
+def _expected(case: Case, hop: Hop) -> Integers:
     """Return until when each message that goes in has to come out, behind what waits in CI's socket."""
     own, profile = hop.into.time_ns, case.profile
     rows = case.rows
@@ -301,7 +292,7 @@ def _expected(case: Case, hop: Hop) -> NDArray[np.int64]:
     return np.asarray(read[at].astype(np.int64) + _rounds(case, hop) + _SLACK_NS)
 
 
-def _stood_still(case: Case, sent_ns: NDArray[np.int64], when: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _stood_still(case: Case, sent_ns: Integers, when: Integers) -> Mask:
     """Tell which were under way while cFS or an application did not run, or the interface was away."""
     spans = [
         (span.start_lo, span.end_hi)

@@ -68,6 +68,8 @@ _RANKS: Final = (
     Rank.POSSIBLE + 2,
 )
 """Ranks of the claims of ``_standing`` messages."""
+_UNNAMED: Final[Mapping[int, int]] = {Rank.ABSENT: Rank.QUIET, Rank.INTO_STOP: Rank.INTO_STOP}
+"""Rank to that of messages which no event names and of which no pipe was full; of others a later one."""
 _FIRST: Final = "; its first value already had some"
 _LATE: Final = 1.5
 """A pipe that is read late loses so many times what it would."""
@@ -138,7 +140,7 @@ class Pipes:
             if named:
                 rank = Rank.PRESSED if rank == Rank.ABSENT else rank
             elif not self._bursts(fate):
-                rank = {Rank.ABSENT: Rank.QUIET, Rank.INTO_STOP: Rank.INTO_STOP}.get(rank, rank + len(_RANKS))
+                rank = _UNNAMED.get(rank, rank + len(_RANKS))
             if place == _MAY_WAIT:
                 rows = rows[np.logical_or.reduce([own.often(low_ns[rows], high_ns[rows]) for own in counts])]
             for members in claimed_alike(counts, low_ns[rows], high_ns[rows], which[rows]):

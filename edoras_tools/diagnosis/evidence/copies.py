@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import Samples
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
 
 _WITHIN_NS: Final = 20 * MILLISECOND
@@ -71,17 +72,17 @@ class Copies:
         at_once: bool (n,), at the same time as the one before it that is equal.
     """
 
-    copy: NDArray[np.bool_]
-    duplicate: NDArray[np.bool_]
-    at_once: NDArray[np.bool_]
+    copy: Mask
+    duplicate: Mask
+    at_once: Mask
 
 
 def find_copies(
-    time_ns: NDArray[np.int64],
+    time_ns: Integers,
     identification: NDArray[np.uint16],
     conversation: NDArray[np.integer[Any]],
-    tap: NDArray[np.uint64],
-    prints: NDArray[np.uint64],
+    tap: Prints,
+    prints: Prints,
 ) -> Copies:
     """Find the datagrams that are there more than once; the first of each stays.
 
@@ -146,7 +147,7 @@ class Once:
         self.copies = 0
         self._last: tuple[NDArray[Any], ...] = ()
 
-    def keep(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
+    def keep(self, batch: PacketBatch, columns: Columns) -> Mask:
         """Return which datagrams of a batch are to be counted; those of no link all are."""
         kept = np.ones(len(batch), bool)
         rows = np.flatnonzero(columns.link != OTHER)
@@ -157,7 +158,7 @@ class Once:
         short = _glance(batch, conversation, identification)
         told: tuple[NDArray[Any], ...] = batch.time_ns, identification, conversation
 
-        def whole(chosen: NDArray[np.intp] | slice) -> tuple[NDArray[Any], ...]:
+        def whole(chosen: Places | slice) -> tuple[NDArray[Any], ...]:
             """Return what ``find_copies`` asks for, of some datagrams."""
             frame = batch.frame_offset[chosen]
             tap = of_bytes(batch.data, frame, network[chosen] - frame) + life[chosen]
@@ -190,7 +191,7 @@ class Repeats:
         self.possible = False
         self._last = np.zeros(0, np.uint64), np.zeros(0, np.int64)
 
-    def add(self, batch: PacketBatch, some: NDArray[np.intp]) -> None:
+    def add(self, batch: PacketBatch, some: Places) -> None:
         """Take those of a batch that may be equal to another one, also of the batch before."""
         late = np.flatnonzero(batch.time_ns > batch.time_ns.max(initial=0) - _WITHIN_NS)
         own, newest = ((rows, _alone(rows)) for rows in (batch.take(some), batch.take(late)))
@@ -199,20 +200,18 @@ class Repeats:
         self._last = newest[1], newest[0].time_ns
 
 
-def _alone(batch: PacketBatch) -> NDArray[np.uint64]:
+def _alone(batch: PacketBatch) -> Prints:
     return _glance(batch, _conversation(batch), network_headers(batch)[1])
 
 
-def _conversation(batch: PacketBatch) -> NDArray[np.int64]:
+def _conversation(batch: PacketBatch) -> Integers:
     """Return a number for each datagram by its endpoints."""
     ends = batch.source_address.astype(np.uint64) << np.uint64(32) | batch.destination_address
     ports = batch.source_port.astype(np.uint64) << np.uint64(16) | batch.destination_port
     return ((ends * MIX ^ ports) >> np.uint64(1)).astype(np.int64)
 
 
-def _glance(
-    batch: PacketBatch, conversation: NDArray[np.int64], identification: NDArray[np.uint16]
-) -> NDArray[np.uint64]:
+def _glance(batch: PacketBatch, conversation: Integers, identification: NDArray[np.uint16]) -> Prints:
     """Return a number for each datagram that equal ones share: by its headers; without a number by bytes."""
     number = batch.length.astype(np.uint64) << np.uint64(16) | identification
     number ^= conversation.astype(np.uint64) * MIX
@@ -226,7 +225,7 @@ def _glance(
     return number
 
 
-def _perhaps_again(number: NDArray[np.uint64], time_ns: NDArray[np.int64]) -> bool:
+def _perhaps_again(number: Prints, time_ns: Integers) -> bool:
     """Tell whether two datagrams within 20 ms may be equal, by the numbers that equal ones share."""
     for shift in (0, _WITHIN_NS):  # two within 20 ms are in one window of 40 ms, of these or of those between
         window = ((time_ns + shift) // (2 * _WITHIN_NS)).astype(np.uint64)
@@ -276,7 +275,7 @@ def who_doubled(
 
 def _tracks(
     rows: Rows, receiver: int, samples: Samples, sources: NDArray[np.int32], endpoints: Sequence[Endpoint]
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+) -> Iterator[tuple[Integers, Integers]]:
     """Yield times and counts of each CI that may be a receiver: those at its address."""
     address = endpoints[receiver].address
     if not among(rows.link[rows.destination == receiver], lambda link: link.only_to_cfs).all():
@@ -286,9 +285,7 @@ def _tracks(
             yield samples["time_ns"][members], (samples["packets"] + samples["errors"])[members]
 
 
-def _by_counts(
-    sent_ns: NDArray[np.int64], again: NDArray[np.bool_], seen_ns: NDArray[np.int64], total: NDArray[np.int64]
-) -> int:
+def _by_counts(sent_ns: Integers, again: Mask, seen_ns: Integers, total: Integers) -> int:
     """Return how many of those that were there twice CI read twice, less those that it read once.
 
     Args:
@@ -317,9 +314,7 @@ def _by_counts(
     return vote
 
 
-def _by_answers(
-    rows: Rows, mine: NDArray[np.intp], again: NDArray[np.bool_], answers: NDArray[np.intp]
-) -> int:
+def _by_answers(rows: Rows, mine: Places, again: Mask, answers: Places) -> int:
     """Return of how many that were there twice two came out, less those of which one did.
 
     Args:
@@ -346,7 +341,7 @@ _AT_USUAL: Final = 0.6
 """and so many of the others come at that usual time, give or take a third."""
 
 
-def crowding(rows: Rows, own: NDArray[np.intp], endpoints: Sequence[Endpoint]) -> str:
+def crowding(rows: Rows, own: Places, endpoints: Sequence[Endpoint]) -> str:
     """Return half a sentence that says who sent some datagrams more than once; empty where one sender did.
 
     Args:
@@ -355,7 +350,7 @@ def crowding(rows: Rows, own: NDArray[np.intp], endpoints: Sequence[Endpoint]) -
     return _several_senders(rows, own, endpoints) or _echoes(rows, own)
 
 
-def _several_senders(rows: Rows, own: NDArray[np.intp], endpoints: Sequence[Endpoint]) -> str:
+def _several_senders(rows: Rows, own: Places, endpoints: Sequence[Endpoint]) -> str:
     """Tell of senders that sent at one time, not one after the other."""
     sources, counts = np.unique(rows.source[own], return_counts=True)
     least = max(_LEAST_ECHOES, _LEAST_SHARE * len(own))
@@ -373,7 +368,7 @@ def _several_senders(rows: Rows, own: NDArray[np.intp], endpoints: Sequence[Endp
     return f"{len(times)} senders sent it at once ({each})"
 
 
-def find_echoes(rows: Rows, own: NDArray[np.intp]) -> NDArray[np.bool_]:
+def find_echoes(rows: Rows, own: Places) -> Mask:
     """Tell which of a steady sender's datagrams are copies: they come a short time after an equal one.
 
     That time is always about the same; a burst of equal ones has no usual time from one to the next. What a
@@ -396,7 +391,7 @@ def find_echoes(rows: Rows, own: NDArray[np.intp]) -> NDArray[np.bool_]:
     return np.concatenate(([False], echo))
 
 
-def _echoes(rows: Rows, own: NDArray[np.intp]) -> str:
+def _echoes(rows: Rows, own: Places) -> str:
     """Tell of copies on the way."""
     echo, steps = find_echoes(rows, own), np.diff(rows.time_ns[own])
     if not echo.any():
@@ -408,10 +403,10 @@ def _echoes(rows: Rows, own: NDArray[np.intp]) -> str:
     )
 
 
-def _usual(steps: NDArray[np.int64]) -> float:
+def _usual(steps: Integers) -> float:
     """Return the time from one message to the next, of most of them."""
     return float(np.quantile(steps, 0.75))
 
 
-def _hz(times: NDArray[np.int64]) -> str:
+def _hz(times: Integers) -> str:
     return f"{(len(times) - 1) * SECOND / max(1, int(times[-1] - times[0])):.1f} Hz"

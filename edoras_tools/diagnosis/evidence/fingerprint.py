@@ -35,18 +35,15 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
     from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
     from edoras_tools.structs import Structs
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
 
 _OCTETS: Final = np.uint8, np.int8
 
 
 def of_values(
-    types: TypeStore,
-    type_name: str,
-    data: NDArray[np.uint8],
-    offset: NDArray[np.int64],
-    length: NDArray[np.int32],
-) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+    types: TypeStore, type_name: str, data: NDArray[np.uint8], offset: Integers, length: NDArray[np.int32]
+) -> tuple[Prints, Prints]:
     """Return two fingerprints of each message: of all numbers but time stamps, and of all numbers.
 
     A type without numbers goes by its strings. Messages that do not decode have none.
@@ -79,16 +76,14 @@ def of_values(
     return plain, stamped
 
 
-def of_fields(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.uint64]:
+def of_fields(columns: Mapping[str, NDArray[Any]]) -> Prints:
     """Return a fingerprint of some numbers of each message, by their names; of one column at least."""
     return finished(
         np.sum([_field(name, column) for name, column in columns.items()], axis=0, dtype=np.uint64)
     )
 
 
-def latest_equal(
-    into: NDArray[np.uint64], into_ns: NDArray[np.int64], out: NDArray[np.uint64], out_ns: NDArray[np.int64]
-) -> NDArray[np.intp]:
+def latest_equal(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> Places:
     """Return which of ``into`` is the latest equal to each of ``out`` and not later; -1 for none."""
     prints, order = _in_order(into, into_ns, out, out_ns)
     latest = np.maximum.accumulate(np.where(order < len(into), np.arange(len(order)), -1))
@@ -100,9 +95,7 @@ def latest_equal(
     return found
 
 
-def paired(
-    into: NDArray[np.uint64], into_ns: NDArray[np.int64], out: NDArray[np.uint64], out_ns: NDArray[np.int64]
-) -> NDArray[np.intp]:
+def paired(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> Places:
     """Return which of ``into`` each of ``out`` is, each once, -1 for none: equal, the latest not later."""
     prints, order = _in_order(into, into_ns, out, out_ns)
     opening, closing = brackets(prints[order], order < len(into))
@@ -112,16 +105,14 @@ def paired(
     return found
 
 
-def _in_order(
-    into: NDArray[np.uint64], into_ns: NDArray[np.int64], out: NDArray[np.uint64], out_ns: NDArray[np.int64]
-) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
+def _in_order(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> tuple[Prints, Places]:
     """Return both together, and their order: equal ones by time, what went in first at one time."""
     prints = np.concatenate((into, out))
     side = np.repeat([0, 1], [len(into), len(out)])
     return prints, np.lexsort((side, np.concatenate((into_ns, out_ns)), prints))
 
 
-def brackets(group: NDArray[Any], opens: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def brackets(group: NDArray[Any], opens: Mask) -> tuple[Places, Places]:
     """Return which brackets close which: places of opening ones, and of those that close them.
 
     A closing bracket closes the one of its group that was opened last, if any is open.
@@ -140,7 +131,7 @@ def brackets(group: NDArray[Any], opens: NDArray[np.bool_]) -> tuple[NDArray[np.
     return before[closed], behind[closed]
 
 
-def _field(name: str, column: NDArray[Any] | Ragged) -> NDArray[np.uint64]:
+def _field(name: str, column: NDArray[Any] | Ragged) -> Prints:
     """Return what a numeric field adds to the fingerprints, a row each."""
     key = np.uint64(crc32(name.encode()) * int(MIX) & 0xFFFFFFFFFFFFFFFF)
     if isinstance(column, np.ndarray):
@@ -174,9 +165,7 @@ def _field(name: str, column: NDArray[Any] | Ragged) -> NDArray[np.uint64]:
     return total
 
 
-def _octets(
-    data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int64], key: np.uint64
-) -> NDArray[np.uint64]:
+def _octets(data: NDArray[np.uint8], offset: Integers, length: Integers, key: np.uint64) -> Prints:
     """Return what ranges of bytes add to the fingerprints; each byte counts, however many there are."""
     data = np.append(data, np.zeros(HASHED_BYTES, np.uint8))
     total = np.zeros(len(offset), np.uint64)
@@ -186,7 +175,7 @@ def _octets(
     return total
 
 
-def _text(name: str, column: NDArray[Any] | Ragged) -> NDArray[np.uint64]:
+def _text(name: str, column: NDArray[Any] | Ragged) -> Prints:
     key = name.encode()
     rows = (
         column.tolist()
@@ -196,7 +185,7 @@ def _text(name: str, column: NDArray[Any] | Ragged) -> NDArray[np.uint64]:
     return np.array([crc32(text.encode("utf-8", "replace"), crc32(key)) for text in rows], np.uint64) * MIX
 
 
-def _bits(values: NDArray[Any]) -> NDArray[np.uint64]:
+def _bits(values: NDArray[Any]) -> Prints:
     if values.dtype.kind == "f":
         with np.errstate(invalid="ignore"):  # what was never set may be no number
             return (values.astype(np.float64) + 0.0).view(np.uint64)  # 0.0 and -0.0 are one value
@@ -239,8 +228,8 @@ class SharedFields:
                     self._shared[bound.topic] = kind, dict(sorted(shared.items()))
 
     def fingerprints(
-        self, batch: PacketBatch, columns: Columns, offset: NDArray[np.int64], length: NDArray[np.int32]
-    ) -> NDArray[np.uint64]:
+        self, batch: PacketBatch, columns: Columns, offset: Integers, length: NDArray[np.int32]
+    ) -> Prints:
         """Return a fingerprint of each command and of each struct made of one; 0 for others.
 
         Args:
@@ -283,7 +272,7 @@ def _by_name(columns: MessageColumns) -> dict[str, tuple[str, np.dtype[Any]]]:
     }
 
 
-def robot_commands(columns: Columns, batch: PacketBatch, structs: Structs) -> NDArray[np.bool_]:
+def robot_commands(columns: Columns, batch: PacketBatch, structs: Structs) -> Mask:
     """Tell which datagrams are commands to a robot: all but the states that it sends."""
     port = batch.destination_port
     state = (batch.length == robot.ROBOT_STATE.size) & (structs.of_port(port) == UDP_KEY)
@@ -304,9 +293,7 @@ def with_garbled(columns: Columns, batch: PacketBatch) -> Columns:
     )
 
 
-def robot_prints(
-    batch: PacketBatch, rows: NDArray[np.intp], types: TypeStore | None
-) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+def robot_prints(batch: PacketBatch, rows: Places, types: TypeStore | None) -> tuple[Prints, Prints]:
     """Return two fingerprints of each command to a robot: of its bytes, and of its values.
 
     They are those that the command to cFS has, as a message of an unknown and of a known type.

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
+    from edoras_tools.wire.arrays.order import Integers, Places
 
 _LEAST_ROWS: Final = 3
 _BASELINE_NS: Final = 5 * SECOND
@@ -105,7 +106,7 @@ class Instances:
         self._owners = self._find_owners(rows)
         self.made_ns = self._when_made(rows)
 
-    def _waited(self, rows: Rows, members: NDArray[np.intp]) -> int:
+    def _waited(self, rows: Rows, members: Places) -> int:
         """Return the instance that made packets, stood still, and then sent them; else ``NOBODY``."""
         first_ns, last_ns = int(rows.time_ns[members].min()), int(rows.time_ns[members].max())
         if last_ns - first_ns > BOOT_APART_NS:
@@ -121,7 +122,7 @@ class Instances:
                 return index
         return NOBODY
 
-    def _add(self, rows: Rows, members: NDArray[np.intp], says: dict[int, str]) -> None:
+    def _add(self, rows: Rows, members: Places, says: dict[int, str]) -> None:
         self.of_row[members] = len(self.items)
         times = rows.time_ns[members]
         offset = int((times - rows.mission_time_ns[members]).min())
@@ -180,7 +181,7 @@ class Instances:
         return found
 
     @staticmethod
-    def _name(rows: Rows, members: NDArray[np.intp], says: dict[int, str]) -> str:
+    def _name(rows: Rows, members: Places, says: dict[int, str]) -> str:
         """Return an instance's own name: from its events, else as SBN sender."""
         events = members[rows.known_id[members] == cfe.EVENT_MSG_ID]
         told = Counter(says[row] for row in events.tolist() if row in says)
@@ -189,7 +190,7 @@ class Instances:
         network = members[among(rows.link[members], lambda link: link.peers)]
         return rows.usual_sender(network)[0] if len(network) else ""
 
-    def _when_made(self, rows: Rows) -> NDArray[np.int64]:
+    def _when_made(self, rows: Rows) -> Integers:
         """Return when each packet was made, in capture time, by the quickest of its time: clocks drift."""
         made = rows.time_ns.copy()
         for index in range(len(self.items)):
@@ -279,9 +280,7 @@ def _in_turn(whose: Sequence[Hashable], spans: Sequence[tuple[int, int]]) -> lis
     return found
 
 
-def _publishers(
-    rows: Rows, members: NDArray[np.intp], says: dict[int, str], hosts: NDArray[np.int32]
-) -> list[NDArray[np.intp]]:
+def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArray[np.int32]) -> list[Places]:
     """Divide the rows of one boot time by instance, if two instances have this boot time."""
     members = np.sort(members)
     output = members[among(rows.link[members], lambda link: link.only_from_cfs)]
@@ -317,7 +316,7 @@ def _publishers(
     return [np.sort(rows_of[of_name == index]) for index in np.unique(of_name).tolist()]
 
 
-def _conflict(rows: Rows, members: NDArray[np.intp]) -> bool:
+def _conflict(rows: Rows, members: Places) -> bool:
     """Tell whether 0x803 comes with one count and different contents: two instances make it.
 
     Where frames are cut, less is left of it on one link than on another, and that is no other content.

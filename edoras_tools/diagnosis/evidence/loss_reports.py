@@ -16,11 +16,11 @@ from edoras_tools.wire.arrays.order import numbered
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from numpy.typing import NDArray
     from typing_extensions import Self
 
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads, Samples
     from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.wire.arrays.order import Integers, Places
 
 
 _BYTE: Final = 1 << 8
@@ -65,7 +65,7 @@ class Track:
         return bool(self.times) and self.times[0] <= time_ns <= self.times[-1]
 
     @classmethod
-    def of(cls, made_ns: NDArray[np.int64], counters: Mapping[str, NDArray[np.int64]]) -> Self:
+    def of(cls, made_ns: Integers, counters: Mapping[str, Integers]) -> Self:
         """Follow samples of the counters, each made at another time and later than the one before."""
         track = cls(made_ns.tolist())
         for name, values in counters.items():
@@ -105,7 +105,7 @@ def tracks(rows: Rows, payloads: Payloads, instances: Instances) -> dict[int, Tr
     return found
 
 
-def _track(samples: Samples, chosen: NDArray[np.intp], instances: Instances) -> Track:
+def _track(samples: Samples, chosen: Places, instances: Instances) -> Track:
     made_ns = instances.made_ns[samples["row"][chosen]]
     order = np.argsort(made_ns, kind="stable")
     # Of one time there is one sample: what comes again is the same.
@@ -190,7 +190,7 @@ class LossEvents:
         return int(np.count_nonzero((times >= start_ns) & (times <= end_ns)))
 
     @cached_property
-    def _times(self) -> NDArray[np.int64]:
+    def _times(self) -> Integers:
         return np.array([item.time_ns for item in self.records], np.int64)
 
 

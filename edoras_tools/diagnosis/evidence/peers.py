@@ -24,11 +24,10 @@ from edoras_tools.wire.arrays.order import groups, numbered
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.wire.arrays.order import Integers, Places
 
 ObservedState = Literal["connected", "silent", "timed_out", "disconnected"]
 _LEAST_ROWS: Final = 3
@@ -108,7 +107,7 @@ class Connection:
     peer: str
     observer: str
     changes: list[PeerChange]
-    sent_ns: NDArray[np.int64]
+    sent_ns: Integers
     restarts: list[PeerRestart]
 
     def state_at(self, time_ns: int) -> ObservedState | None:
@@ -135,7 +134,7 @@ class Connection:
             back = next((item.time_ns for item in later if item.state == "connected"), end_ns)
             yield PeerSilence(change.time_ns, back, bool(later) and later[0].state == "timed_out", at)
 
-    def sent_in(self, silence: PeerSilence) -> NDArray[np.int64]:
+    def sent_in(self, silence: PeerSilence) -> Integers:
         """Return when application messages were sent to it in a silence."""
         return self.sent_ns[(self.sent_ns > silence.start_ns) & (self.sent_ns < silence.until_ns)]
 
@@ -194,7 +193,7 @@ class Network:
         flight_software |= speakers - {""}
         self._connect(rows, network, flight_software)
 
-    def _identify(self, rows: Rows, network: NDArray[np.intp]) -> None:
+    def _identify(self, rows: Rows, network: Places) -> None:
         short = rows.has(Finding.TRUNCATED) & ~rows.has(Finding.CAPTURE_CUT)
         sound = network[~(rows.has(Finding.SBN_UNKNOWN_TYPE) | short)[network]]
         for source, own in groups(rows.source, sound):
@@ -207,7 +206,7 @@ class Network:
         """Return the party at an endpoint; two with one identity are distinguished by their addresses."""
         return self.identity_of.get(endpoint, ""), int(self._hosts[endpoint])
 
-    def _connect(self, rows: Rows, network: NDArray[np.intp], flight_software: set[str]) -> None:
+    def _connect(self, rows: Rows, network: Places, flight_software: set[str]) -> None:
         parties = [self.party(endpoint) for endpoint in range(len(self._hosts))]
         first, way = numbered(rows.source[network], rows.destination[network])
         ends = (rows.source[network[first]].tolist(), rows.destination[network[first]].tolist())
@@ -229,12 +228,7 @@ class Network:
                 )
 
     def _changes(
-        self,
-        rows: Rows,
-        heard: NDArray[np.intp],
-        alive_ns: int,
-        end_ns: int,
-        farewells: list[tuple[int, int]],
+        self, rows: Rows, heard: Places, alive_ns: int, end_ns: int, farewells: list[tuple[int, int]]
     ) -> list[PeerChange]:
         """Follow one peer's datagrams to one observer, who is there from ``alive_ns`` on.
 
@@ -306,7 +300,7 @@ class Network:
         return any(start_ns <= when <= end_ns and msg_id in wanted for when, wanted in self._unsubscribed)
 
 
-def _farewells(rows: Rows, sent: NDArray[np.intp]) -> list[tuple[int, int]]:
+def _farewells(rows: Rows, sent: Places) -> list[tuple[int, int]]:
     """Return when an observer sent DISCONNECT, and from when on it took the peer's datagrams again.
 
     It does so when it sends anything else to it: it answers what comes. Never is the largest time there is.
@@ -322,7 +316,7 @@ def _farewells(rows: Rows, sent: NDArray[np.intp]) -> list[tuple[int, int]]:
     return found
 
 
-def _believed(changes: list[PeerChange], sent_ns: NDArray[np.int64]) -> list[PeerChange]:
+def _believed(changes: list[PeerChange], sent_ns: Integers) -> list[PeerChange]:
     """Take back time-outs that the observer did not see: it went on sending, so the peer was heard there."""
     out: list[PeerChange] = []
     for at, change in enumerate(changes):
@@ -335,9 +329,7 @@ def _believed(changes: list[PeerChange], sent_ns: NDArray[np.int64]) -> list[Pee
     return out
 
 
-def _restarts(
-    rows: Rows, heard: NDArray[np.intp], sent: NDArray[np.intp], changes: list[PeerChange]
-) -> list[PeerRestart]:
+def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]) -> list[PeerRestart]:
     """Return the restarts of a peer: it was silent for long while it was sent to, and then subscribed anew.
 
     A bridge that repeats its subscriptions does so after any silence. Where it answers what it is sent, it

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
     Numbers = Callable[[PacketBatch], tuple[NDArray[np.int32], NDArray[np.int32]]]
     """Returns the numbers of the source and of the destination of each row."""
@@ -38,14 +39,14 @@ class PortErrors(NamedTuple):
         print: i64, fingerprint of the error's own IP packet.
     """
 
-    time_ns: NDArray[np.int64]
-    source: NDArray[np.int64]
-    destination: NDArray[np.int64]
-    identification: NDArray[np.int64]
-    closed: NDArray[np.bool_]
-    print: NDArray[np.int64]
+    time_ns: Integers
+    source: Integers
+    destination: Integers
+    identification: Integers
+    closed: Mask
+    print: Integers
 
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> PortErrors:
+    def take(self, rows: Places | Mask) -> PortErrors:
         """Return some of them."""
         columns: list[Any] = [column[rows] for column in self]
         return PortErrors(*columns)
@@ -61,7 +62,7 @@ class ErrorRecorder:
     def __init__(self, numbers: Numbers) -> None:
         self._numbers = numbers
         self._errors: list[PortErrors] = []
-        self._voices: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
+        self._voices: list[tuple[Integers, Integers]] = []
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take the errors of a batch; all else in it is a sign of life of its sender."""
@@ -94,7 +95,7 @@ class ErrorRecorder:
         every = every.take(~again)
         return every.take(np.argsort(every.time_ns, kind="stable"))
 
-    def voices(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def voices(self) -> tuple[Integers, Integers]:
         """Return when other datagrams came, and the number of the endpoint of each."""
         if not self._voices:
             return np.zeros(0, np.int64), np.zeros(0, np.int64)

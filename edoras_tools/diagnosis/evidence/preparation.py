@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.relays import LostInRelay, Proxied, RouteWay
+    from edoras_tools.wire.arrays.order import Mask, Places
 
 _MOST_SET: Final = 16
 """A clock is set back now and then; records that go back more often are out of order."""
@@ -68,7 +69,7 @@ class Prepared:
     copies: int
     relayed: int
     passed: tuple[LostInRelay, ...]
-    duplicates: NDArray[np.intp]
+    duplicates: Places
     doubled: Rows
     disordered: int
     translated: Mapping[str, str]
@@ -181,7 +182,7 @@ def _counted(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bool:
     return 2 * (grown - own) >= strange
 
 
-def _different(rows: Rows, chosen: NDArray[np.bool_]) -> int:
+def _different(rows: Rows, chosen: Mask) -> int:
     """Return how many datagrams some rows are: one with equal bytes and identification may be a copy."""
     own = np.flatnonzero(chosen & (rows.identification != 0))
     first, _ = numbered(rows.bytes_print[own], rows.identification[own])
@@ -201,7 +202,7 @@ def _disordered(rows: Rows) -> int:
     return len(back)
 
 
-def _goes_back(rows: Rows, far: NDArray[np.intp]) -> bool:
+def _goes_back(rows: Rows, far: Places) -> bool:
     """Tell whether the times in cFS's packets go back where the records do: then no clock was set."""
     timed = np.flatnonzero((rows.mission_time_ns > 0) & among(rows.link, lambda link: link.from_cfs))
     if not len(timed):
@@ -215,7 +216,7 @@ def _goes_back(rows: Rows, far: NDArray[np.intp]) -> bool:
     return votes > 0
 
 
-def _emptied(rows: Rows, chosen: NDArray[np.bool_]) -> Rows:
+def _emptied(rows: Rows, chosen: Mask) -> Rows:
     """Return the rows, some of them as datagrams that hold no packet."""
     none = {
         "msg_id": NO_MSG_ID,
@@ -268,7 +269,7 @@ def with_cut_times(rows: Rows) -> Rows:
     return followed(replace(rows, mission_time_ns=times))
 
 
-def handed_on(rows: Rows, network: NDArray[np.intp], output: NDArray[np.intp]) -> NDArray[np.intp]:
+def handed_on(rows: Rows, network: Places, output: Places) -> Places:
     """Return which row of SBN each row of Telemetry Output is, as its place in ``network``; -1 for none.
 
     They are equal in all bytes; where frames are cut, as different parts of a packet are left of it then, in

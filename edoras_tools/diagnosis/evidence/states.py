@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.model import Columns, PacketBatch
+    from edoras_tools.wire.arrays.order import Integers, Prints
 
 _LEAST: Final = 3
 
@@ -38,18 +39,18 @@ class PassedStates(NamedTuple):
     """
 
     msg_id: int
-    number: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
-    age_ns: NDArray[np.int64]
-    sent_ns: NDArray[np.int64]
+    number: Integers
+    time_ns: Integers
+    age_ns: Integers
+    sent_ns: Integers
 
 
 class StateRecorder:
     """Keeps the states of robots, and of telemetry behind the first of them what may carry one."""
 
     def __init__(self) -> None:
-        self._sent: list[tuple[NDArray[np.int64], NDArray[np.uint64]]] = []
-        self._passed: list[tuple[NDArray[np.int64], ...]] = []
+        self._sent: list[tuple[Integers, Prints]] = []
+        self._passed: list[tuple[Integers, ...]] = []
 
     def add_states(self, batch: PacketBatch) -> None:
         """Take datagrams without a packet; some may be states of a robot."""
@@ -60,7 +61,7 @@ class StateRecorder:
             self._sent.append((batch.time_ns[own], of_bytes(batch.data, batch.offset[own], length)))
 
     def add_messages(
-        self, batch: PacketBatch, columns: Columns, offset: NDArray[np.int64], length: NDArray[np.int32]
+        self, batch: PacketBatch, columns: Columns, offset: Integers, length: NDArray[np.int32]
     ) -> None:
         """Take packets.
 

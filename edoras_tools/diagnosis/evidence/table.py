@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.decode import Context
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
 SCATTERED: Final = 20
 """One record in so many, at the least, stands before an earlier one where a capture is out of order."""
@@ -77,8 +78,8 @@ class Rows:
         shared_print: u64, fingerprint of what commands share with a robot's own struct; 0 where it has none.
     """
 
-    number: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
+    number: Integers
+    time_ns: Integers
     link: NDArray[np.uint8]
     source: NDArray[np.int32]
     destination: NDArray[np.int32]
@@ -89,7 +90,7 @@ class Rows:
     known_id: NDArray[np.int32]
     sequence_count: NDArray[np.uint16]
     function_code: NDArray[np.int16]
-    mission_time_ns: NDArray[np.int64]
+    mission_time_ns: Integers
     length: NDArray[np.int32]
     packet_length: NDArray[np.int32]
     header_length: NDArray[np.uint8]
@@ -99,20 +100,20 @@ class Rows:
     route: NDArray[np.int16]
     findings: NDArray[np.uint32]
     identification: NDArray[np.uint16]
-    tap: NDArray[np.uint64]
+    tap: Prints
     life: NDArray[np.uint8]
-    streamed: NDArray[np.bool_]
-    bytes_print: NDArray[np.uint64]
-    counted: NDArray[np.bool_]
+    streamed: Mask
+    bytes_print: Prints
+    counted: Mask
     missing: NDArray[np.int32]
     duplicates: NDArray[np.int32]
     reordered: NDArray[np.int32]
     restarts: NDArray[np.int32]
-    packet_print: NDArray[np.uint64]
-    body_print: NDArray[np.uint64]
-    value_print: NDArray[np.uint64]
-    stamped_print: NDArray[np.uint64]
-    shared_print: NDArray[np.uint64]
+    packet_print: Prints
+    body_print: Prints
+    value_print: Prints
+    stamped_print: Prints
+    shared_print: Prints
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -136,20 +137,20 @@ class Rows:
         """Return the rows that an index array, a mask or a slice chooses."""
         return type(self)(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
 
-    def way(self, rows: NDArray[Any] | slice = slice(None)) -> NDArray[np.int64]:
+    def way(self, rows: NDArray[Any] | slice = slice(None)) -> Integers:
         """Return the source and the destination of some rows as one number each: i64."""
         return self.source[rows].astype(np.int64) << 32 | self.destination[rows]
 
-    def sbn_sender(self, rows: NDArray[Any] | slice = slice(None)) -> NDArray[np.uint64]:
+    def sbn_sender(self, rows: NDArray[Any] | slice = slice(None)) -> Prints:
         """Return the SBN identity of the senders of some rows as one number each, as ``peer_of`` reads it."""
         return self.spacecraft_id[rows].astype(np.uint64) << np.uint64(32) | self.processor_id[rows]
 
-    def usual_sender(self, rows: NDArray[np.intp]) -> tuple[str, int]:
+    def usual_sender(self, rows: Places) -> tuple[str, int]:
         """Return the SBN identity that most of some rows have, and how many do."""
         values, counts = np.unique(self.sbn_sender(rows), return_counts=True)
         return str(peer_of(int(values[counts.argmax()]))), int(counts.max())
 
-    def has(self, finding: Finding) -> NDArray[np.bool_]:
+    def has(self, finding: Finding) -> Mask:
         """Tell which rows have one of these findings."""
         return np.asarray((self.findings & np.uint32(finding)) != 0)
 
@@ -200,7 +201,7 @@ class Recorder:
         self.samples: dict[tuple[int, int], dict[int, bytes]] = {}
         self._index: dict[tuple[int, str, int], int] = {}
         self._shared = SharedFields(context)
-        self._times: list[NDArray[np.int64]] = []
+        self._times: list[Integers] = []
         self._parts: list[Rows] = []
         self._sequences = SequenceCounts()
         self._told: list[SequenceRows] = []
@@ -328,7 +329,7 @@ class Recorder:
 
     def _messages(
         self, batch: PacketBatch, columns: Columns
-    ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    ) -> tuple[Integers, NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
         """Find where messages lie: as decoded, and behind an envelope that no configured route explains.
 
         Returns:
@@ -367,8 +368,8 @@ class Recorder:
         return offset, length, space, vain
 
     def _fingerprints(
-        self, batch: PacketBatch, columns: Columns, offset: NDArray[np.int64], length: NDArray[np.int32]
-    ) -> tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]:
+        self, batch: PacketBatch, columns: Columns, offset: Integers, length: NDArray[np.int32]
+    ) -> tuple[Prints, Prints, Prints]:
         """Return fingerprints of the bytes of each message, of its values, and of these with time stamps."""
         body = np.zeros(len(batch), np.uint64)
         types, routes = self.context.types, self.context.mission.routes
@@ -387,7 +388,7 @@ class Recorder:
         return body, plain, stamped
 
     def _sample(
-        self, batch: PacketBatch, columns: Columns, offset: NDArray[np.int64], length: NDArray[np.int32]
+        self, batch: PacketBatch, columns: Columns, offset: Integers, length: NDArray[np.int32]
     ) -> None:
         rows = np.flatnonzero(offset >= 0)
         first, _ = numbered(columns.link[rows], columns.msg_id[rows], length[rows])

@@ -30,11 +30,10 @@ from edoras_tools.wire.arrays.order import numbered
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.evidence.port_errors import ErrorRecorder, PortErrors
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
+    from edoras_tools.wire.arrays.order import Integers, Mask
 
 _WITHIN_NS: Final = 5 * SECOND
 """An error comes so long after its datagram at most."""
@@ -84,9 +83,9 @@ class Unreachable:
         spans: when ports were closed, by port and time.
     """
 
-    closed: NDArray[np.bool_]
-    refused: NDArray[np.bool_]
-    uncertain: NDArray[np.bool_]
+    closed: Mask
+    refused: Mask
+    uncertain: Mask
     spans: Sequence[ClosedSpan] = ()
 
 
@@ -121,7 +120,7 @@ def find_unreachable(
     return Unreachable(found.closed, found.refused, found.uncertain, spans)
 
 
-def _quoted(rows: Rows, errors: PortErrors) -> NDArray[np.int64]:
+def _quoted(rows: Rows, errors: PortErrors) -> Integers:
     """Return the row of the datagram that each error quotes; -1 where it is not there (rule 1).
 
     In order of time datagrams are opening brackets and errors closing ones: an error is about the datagram
@@ -155,24 +154,20 @@ class _Events(NamedTuple):
         unanswered: bool, a datagram without an error.
     """
 
-    port: NDArray[np.int64]
-    time_ns: NDArray[np.int64]
-    row: NDArray[np.int64]
-    kind: NDArray[np.int64]
-    error: NDArray[np.int64]
-    unanswered: NDArray[np.bool_]
+    port: Integers
+    time_ns: Integers
+    row: Integers
+    kind: Integers
+    error: Integers
+    unanswered: Mask
 
 
 def _events(
-    rows: Rows,
-    errors: PortErrors,
-    quoted: NDArray[np.int64],
-    closed: NDArray[np.bool_],
-    voices: tuple[NDArray[np.int64], NDArray[np.int64]],
+    rows: Rows, errors: PortErrors, quoted: Integers, closed: Mask, voices: tuple[Integers, Integers]
 ) -> _Events:
     to, out = (np.flatnonzero(np.isin(end, errors.destination)) for end in (rows.destination, rows.source))
     heard = np.isin(voices[1], errors.destination)
-    port: NDArray[np.int64]
+    port: Integers
     port = np.concatenate((rows.destination[to], errors.destination, rows.source[out], voices[1][heard]))
     when = np.where(quoted >= 0, rows.time_ns[quoted], errors.time_ns)
     times = np.concatenate((rows.time_ns[to], when, rows.time_ns[out], voices[0][heard]))
@@ -184,9 +179,7 @@ def _events(
     return _Events(port[order], times[order], row, kind, order - len(to), unanswered)
 
 
-def _telling(
-    rows: Rows, errors: PortErrors, events: _Events, endpoints: Sequence[Endpoint]
-) -> NDArray[np.bool_]:
+def _telling(rows: Rows, errors: PortErrors, events: _Events, endpoints: Sequence[Endpoint]) -> Mask:
     """Tell of which datagrams an error would have been sent, had their port been closed (rule 3)."""
     host = number_hosts(endpoints)
     loops = np.array([ipaddress.ip_address(item.address).is_loopback for item in endpoints])
@@ -207,7 +200,7 @@ def _telling(
     return np.asarray(telling | loops[events.port])
 
 
-def _signs_of_life(events: _Events, telling: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _signs_of_life(events: _Events, telling: Mask) -> Mask:
     """Tell which events show that their port is open: no error about the next datagram to it (rule 2)."""
     size = len(events.port)
     datagram = np.append(np.flatnonzero(events.kind == _DATAGRAM), size)
@@ -220,7 +213,7 @@ def _signs_of_life(events: _Events, telling: NDArray[np.bool_]) -> NDArray[np.bo
 
 
 def _spans(
-    events: _Events, telling: NDArray[np.bool_], endpoints: Sequence[Endpoint], found: Unreachable
+    events: _Events, telling: Mask, endpoints: Sequence[Endpoint], found: Unreachable
 ) -> list[ClosedSpan]:
     """Return when ports were closed; mark the datagrams of rules 3 and 4 in ``found``."""
     port, times, row = events[:3]

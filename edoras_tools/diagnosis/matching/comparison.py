@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
     from edoras_tools.diagnosis.verdict import Choice
     from edoras_tools.mission import Mission
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _EARLY_NS: Final = MILLISECOND
 """Clocks of two records are aligned so well at the best."""
@@ -159,16 +160,16 @@ class _Side:
 
     rows: Rows
     sender: NDArray[np.str_]
-    doubled: NDArray[np.intp]
+    doubled: Places
 
-    def during(self, times: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def during(self, times: Integers) -> Mask:
         """Tell which times, by its clock, it was capturing at."""
         if not len(self.rows):
             return np.zeros(len(times), bool)
         own = self.rows.time_ns
         return np.asarray((times >= own.min()) & (times <= own.max()))
 
-    def again(self, rows: NDArray[np.intp], paired: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def again(self, rows: Places, paired: Places) -> Mask:
         """Tell which rows are doubles: by the network, or of a packet with a count that is paired."""
         same = np.isin(self.rows.packet_print[rows], self.rows.packet_print[paired])
         return np.isin(rows, self.doubled) | (self.rows.counted[rows] & same)
@@ -307,13 +308,13 @@ def _keys(rows: Rows) -> list[_Key]:
     return [(int(link), int(msg_id)) for link, msg_id in both.T]
 
 
-def _rows(rows: Rows, link: int, msg_id: int) -> NDArray[np.intp]:
+def _rows(rows: Rows, link: int, msg_id: int) -> Places:
     return np.flatnonzero((rows.link == link) & (rows.msg_id == msg_id))
 
 
 _Key = tuple[int, int]
 """Link and MsgId."""
-_Pair = tuple["NDArray[np.intp]", "NDArray[np.intp]"]
+_Pair = tuple["Places", "Places"]
 """Rows of the first, and the rows of the second that are the same packets."""
 
 
@@ -334,7 +335,7 @@ def _turned(first: _Side, second: _Side, key: _Key, back: dict[str, bool]) -> bo
 
 
 def _difference(
-    near: _Side, far: _Side, key: _Key, sent: NDArray[np.intp], came: NDArray[np.intp], segment: Segment
+    near: _Side, far: _Side, key: _Key, sent: Places, came: Places, segment: Segment
 ) -> Difference:
     """Count one MsgId, from the sender's side to the receiver's; equal ones are not timed."""
     ours, theirs = sent[segment.into], came[segment.out]
@@ -371,9 +372,7 @@ def _difference(
     )
 
 
-def _echoed(
-    near: Rows, far: Rows, sent: NDArray[np.intp], came: NDArray[np.intp], extra: NDArray[np.intp]
-) -> NDArray[np.bool_]:
+def _echoed(near: Rows, far: Rows, sent: Places, came: Places, extra: Places) -> Mask:
     """Tell which of what only the receiver's side has came a short time after an equal one."""
     echo = came[find_echoes(far, came)]
     likely = np.flatnonzero(np.isin(far.packet_print[extra], far.packet_print[echo]))
@@ -382,7 +381,7 @@ def _echoed(
     return out
 
 
-def _altered(first: Rows, second: Rows, missing: NDArray[np.intp], extra: NDArray[np.intp]) -> int:
+def _altered(first: Rows, second: Rows, missing: Places, extra: Places) -> int:
     """Count packets whose count, or whose values, are in both and whose bytes differ."""
     if not len(missing) or not len(extra):
         return 0

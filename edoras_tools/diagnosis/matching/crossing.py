@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
 _LONGEST_NS: Final = 120 * SECOND
 """No message is under way for longer: a full socket at CI is read within a minute and a half."""
@@ -91,22 +92,22 @@ class Hop:
     into: Stream
     out: Stream
     rewritten: bool
-    prints: NDArray[np.uint64]
-    arrived: NDArray[np.bool_]
-    single: NDArray[np.bool_]
-    origin: NDArray[np.intp]
-    sole: NDArray[np.bool_]
+    prints: Prints
+    arrived: Mask
+    single: Mask
+    origin: Places
+    sole: Mask
     doubled: int
     latency: Latency | None
-    delays_ns: NDArray[np.int64]
-    out_ns: NDArray[np.int64]
+    delays_ns: Integers
+    out_ns: Integers
     last_ns: int
     first: tuple[int, int] | None
-    in_rows: NDArray[np.intp]
-    out_rows: NDArray[np.intp]
+    in_rows: Places
+    out_rows: Places
 
     @property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Mask:
         """Which have a fingerprint, so that they can be found again."""
         return np.asarray(self.prints != 0)
 
@@ -121,7 +122,7 @@ class Hop:
         return int(self.arrived.sum())
 
     @property
-    def absent(self) -> NDArray[np.bool_]:
+    def absent(self) -> Mask:
         """Which of those did not."""
         return self.known & ~self.arrived
 
@@ -200,16 +201,16 @@ class _Ends:
         cut = self._owner[rows.has(Finding.CAPTURE_CUT)[self._at]]
         self.cut = np.bincount(cut, minlength=len(streams)) > 0
 
-    def _prints(self, kind: str, at: NDArray[np.intp]) -> NDArray[np.uint64]:
+    def _prints(self, kind: str, at: Places) -> Prints:
         if kind != _COUNT:
             return np.asarray(getattr(self._rows, kind)[at])
         return np.where(self._rows.counted[at], self._rows.sequence_count[at].astype(np.uint64) + 1, 0)
 
-    def of(self, place: int, kind: str) -> NDArray[np.uint64]:
+    def of(self, place: int, kind: str) -> Prints:
         """Return the fingerprints of a stream's rows, u64: of a column, or its counts; 0 tells nothing."""
         return self._prints(kind, self.streams[place].rows)
 
-    def different(self, kind: str, some: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.uint64]]:
+    def different(self, kind: str, some: Mask) -> tuple[Places, Prints]:
         """Return the different fingerprints of some streams, in order, without 0: whose, and which."""
         mine = slice(None) if some.all() else some[self._owner]
         owner, prints = self._owner[mine], self._prints(kind, self._at[mine])
@@ -222,9 +223,7 @@ class _Ends:
         what = self.msg_id[owner[once]] << 16 | self.instance[owner[once]] << 48
         return owner[once], prints[once] + what.astype(np.uint64)
 
-    def keys(
-        self, owner: NDArray[np.intp], values: NDArray[np.uint64], *, into: bool
-    ) -> tuple[NDArray[np.intp], NDArray[np.uint64]]:
+    def keys(self, owner: Places, values: Prints, *, into: bool) -> tuple[Places, Prints]:
         """Return what equal fingerprints are looked up by: whose, and which.
 
         Of what goes from an SBN peer to an SBN peer only the streams of one endpoint may be the same.
@@ -265,9 +264,7 @@ def _ways_in(
     return {comes: (int(place[index]), _COMPARED[order[index]]) for comes, index in chosen.items()}
 
 
-def share_out(
-    alike: dict[int, list[int]], came: NDArray[np.int64], went: NDArray[np.int64]
-) -> dict[int, int]:
+def share_out(alike: dict[int, list[int]], came: Integers, went: Integers) -> dict[int, int]:
     """Give each way out one of the ways in that are equally likely: another one each, as far as there are.
 
     Those with equal values on both sides go by the order of their MsgIds; else the first is the likeliest.
@@ -296,7 +293,7 @@ class _Parties:
         self._width = int(out.party.max(initial=-1)) + 1
         self._known: dict[int, bool] = {}
 
-    def usable(self, kinds: tuple[str, str]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def usable(self, kinds: tuple[str, str]) -> tuple[Mask, Mask]:
         """Tell of which streams of each side something may be the same; of very many it is not asked."""
         shape = len(self._into.streams), len(self._out.streams)
         able = self._into.party >= 0
@@ -307,7 +304,7 @@ class _Parties:
         fits[fits] = self.follows(place[fits], at[fits])
         return np.isin(np.arange(shape[0]), place[fits]), np.isin(np.arange(shape[1]), at[fits])
 
-    def follows(self, place: NDArray[np.intp], at: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def follows(self, place: Places, at: Places) -> Mask:
         """Tell for pairs of places, of which none is of a party where nothing follows."""
         pair = self._into.party[place] * self._width + self._out.party[at]
         first, which = numbered(pair)
@@ -365,9 +362,7 @@ def _scored(
         yield place[taken], at[taken], np.full(len(taken), order), score[taken], near[taken]
 
 
-def _may_follow(
-    into: _Ends, out: _Ends, place: NDArray[np.intp], at: NDArray[np.intp], kinds: tuple[str, str]
-) -> NDArray[np.bool_]:
+def _may_follow(into: _Ends, out: _Ends, place: Places, at: Places, kinds: tuple[str, str]) -> Mask:
     """Tell which pairs of places these fingerprints can make the same, as far as MsgIds and times go."""
     in_time = (out.span_ns[1, at] >= into.span_ns[0, place]) & (
         out.span_ns[0, at] <= into.span_ns[1, place] + _LONGEST_NS
@@ -388,7 +383,7 @@ def _may_follow(
     return np.asarray(in_time & fits)
 
 
-def _likely(came: NDArray[np.uint64], went: NDArray[np.uint64]) -> bool:
+def _likely(came: Prints, went: Prints) -> bool:
     """Tell whether a robot gets what goes in: what it got before the first that did had gone in before.
 
     Args:
@@ -401,7 +396,7 @@ def _likely(came: NDArray[np.uint64], went: NDArray[np.uint64]) -> bool:
     return bool(there_too.sum() >= _LEAST_DIFFERENT and there_too.mean() > _NEARLY_ALL)
 
 
-def _match(into: Stream, out: Stream, came: NDArray[np.uint64], went: NDArray[np.uint64]) -> Hop:
+def _match(into: Stream, out: Stream, came: Prints, went: Prints) -> Hop:
     """Give every message that came out the latest equal one that had gone in and not come out yet."""
     in_ns, out_ns = into.time_ns, out.time_ns
     from_ = paired(came, in_ns - _EARLY_NS, went, out_ns)
@@ -436,13 +431,13 @@ def _match(into: Stream, out: Stream, came: NDArray[np.uint64], went: NDArray[np
     )
 
 
-def _occurrences(values: NDArray[np.uint64]) -> NDArray[np.intp]:
+def _occurrences(values: Prints) -> Places:
     """Return how often each value occurs."""
     _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
     return np.asarray(counts[which])
 
 
-def latency_of(delay_ns: NDArray[np.int64]) -> Latency | None:
+def latency_of(delay_ns: Integers) -> Latency | None:
     """Return the figures of some delays; None where there are none."""
     if not len(delay_ns):
         return None

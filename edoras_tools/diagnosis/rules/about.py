@@ -11,13 +11,12 @@ from edoras_tools.model import NO_MSG_ID
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
     from typing_extensions import Unpack
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.diagnosis.verdict import About
+    from edoras_tools.wire.arrays.order import Places
 
 _FEW: Final = 20
 """So many of one kind are told one by one; more are told together."""
@@ -32,7 +31,7 @@ class AboutMessages(TypedDict):
     span: tuple[int, int]
 
 
-def subject(case: Case, members: Sequence[int] | NDArray[np.intp]) -> AboutMessages:
+def subject(case: Case, members: Sequence[int] | Places) -> AboutMessages:
     """Return the MsgId and the link of the first of some rows, and the times of all; in order of time."""
     msg_id, link = int(case.rows.msg_id[members[0]]), table.link(case.rows.link[members[0]])
     known = msg_id if msg_id != NO_MSG_ID else None
@@ -57,7 +56,7 @@ def packet(case: Case, row: int) -> str:
 def of_messages(
     severity: Severity,
     case: Case,
-    members: NDArray[np.intp],
+    members: Places,
     what: str,
     *evidence: str,
     noun: str = "messages",

@@ -29,10 +29,9 @@ from edoras_tools.words import listed, plural
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
+    from edoras_tools.wire.arrays.order import Places
 
 
 _ANSWERED_NS: Final = 1700 * MILLISECOND
@@ -314,7 +313,7 @@ class _Hosts:
         self.names = list(dict.fromkeys(item.address for item in case.endpoints))
         self.of_endpoint, self._rows = case.instances.hosts, case.rows
 
-    def ways(self, rows: NDArray[np.intp]) -> Iterator[tuple[tuple[str, str], NDArray[np.intp]]]:
+    def ways(self, rows: Places) -> Iterator[tuple[tuple[str, str], Places]]:
         """Yield from which address to which some rows went, and those that did."""
         ends = [self.of_endpoint[end[rows]] for end in (self._rows.source, self._rows.destination)]
         first, which = numbered(*ends)
@@ -419,7 +418,7 @@ _MOST: Final = 8
 _UNSOUND = Finding.TRUNCATED | Finding.INVALID_MSG_ID | Finding.WRONG_DIRECTION | Finding.LENGTH_MISMATCH
 
 
-def _sound_commands(case: Case) -> NDArray[np.intp]:
+def _sound_commands(case: Case) -> Places:
     """Return the rows of sound commands to CI, in order of capture."""
     rows = case.rows
     return np.flatnonzero((rows.link == CI) & (rows.function_code >= 0) & ~rows.has(_UNSOUND))

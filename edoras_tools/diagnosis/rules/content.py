@@ -17,10 +17,9 @@ from edoras_tools.words import listed, plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.accounting.content import WayContent
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.wire.arrays.order import Places
 
 _EDORAS = "EDORAS"
 """The public applications, their pipes and their housekeeping begin so; these pass values on as they are."""
@@ -171,7 +170,7 @@ def _where(case: Case, item: WayContent) -> str:
     return f"came out as {case.name(item.out.msg_id)}"
 
 
-def _first(case: Case, members: NDArray[np.intp]) -> str:
+def _first(case: Case, members: Places) -> str:
     packets = listed([packet(case, int(row)) for row in members[:_FEW]])
     return f"{packets}{', and more' * (len(members) > _FEW)}"
 

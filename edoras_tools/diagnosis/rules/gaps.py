@@ -24,13 +24,12 @@ from edoras_tools.words import listed, plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.accounting.losses import Fate, Loss
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.unreachable import ClosedSpan
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.model import Endpoint
+    from edoras_tools.wire.arrays.order import Integers
 
 
 def crossing_loss(case: Case) -> Iterator[Verdict]:
@@ -463,5 +462,5 @@ def _within(case: Case, span: ClosedSpan, open_ns: int, cause: str | None) -> Co
     return +found
 
 
-def _between(times: NDArray[np.int64], start_ns: int, end_ns: int) -> int:
+def _between(times: Integers, start_ns: int, end_ns: int) -> int:
     return int(((times >= start_ns) & (times < end_ns)).sum())

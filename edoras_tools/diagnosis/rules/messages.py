@@ -28,11 +28,10 @@ from edoras_tools.words import either, listed, plural
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.mission import Route
+    from edoras_tools.wire.arrays.order import Integers, Places
 
 
 def struct_overrun(case: Case) -> Iterator[Verdict]:
@@ -52,7 +51,7 @@ def struct_overrun(case: Case) -> Iterator[Verdict]:
                 yield _overrun(case, members)
 
 
-def _overrun(case: Case, members: NDArray[np.intp]) -> Verdict:
+def _overrun(case: Case, members: Places) -> Verdict:
     rows, first = case.rows, int(members[0])
     held, claimed = int(rows.space[first]), int(rows.claimed[first])
     before = _malformed_before(case, int(rows.time_ns[first]))
@@ -218,9 +217,7 @@ def _without_subscriber(case: Case) -> dict[tuple[int, int], list[int]]:
     return found
 
 
-def _may_be(
-    sent_ns: NDArray[np.int64], seen_ns: NDArray[np.int64], counts: NDArray[np.int64], lag_ns: int
-) -> bool:
+def _may_be(sent_ns: Integers, seen_ns: Integers, counts: Integers, lag_ns: int) -> bool:
     """Tell whether a counter has all that was sent until so long before each of its samples, and no more."""
     sent_ns = np.sort(sent_ns)
     least, most = (np.searchsorted(sent_ns, seen_ns - before_ns) for before_ns in (lag_ns, 0))
@@ -392,7 +389,7 @@ def wrong_type(case: Case) -> Iterator[Verdict]:
         )
 
 
-def misread(case: Case) -> Iterator[tuple[int, NDArray[np.intp], int]]:
+def misread(case: Case) -> Iterator[tuple[int, Places, int]]:
     """Yield routes most of whose messages are not of their type: index, those rows, of how many."""
     rows = case.rows
     for index, route in enumerate(case.mission.routes):

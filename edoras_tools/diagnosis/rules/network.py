@@ -24,12 +24,11 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.cfs.event_services import EventText
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
     from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.wire.arrays.order import Mask, Places
 
 
 def sbn_timeout(case: Case) -> Iterator[Verdict]:
@@ -177,7 +176,7 @@ def sbn_tcp_overwritten(case: Case) -> Iterator[Verdict]:
         )
 
 
-def _beside(rows: Rows, app: NDArray[np.intp], every: NDArray[np.intp], span_ns: int) -> NDArray[np.bool_]:
+def _beside(rows: Rows, app: Places, every: Places, span_ns: int) -> Mask:
     """Tell which messages have one of another source within a span of time, before or after."""
     near = np.zeros(len(app), bool)
     every_ns, own = rows.time_ns[every], dict(groups(rows.source, every))
@@ -473,12 +472,7 @@ def wrong_ident(case: Case) -> Iterator[Verdict]:
 
 
 def _refused(
-    case: Case,
-    members: Sequence[int] | NDArray[np.intp],
-    reason: str,
-    remedy: str,
-    said: list[str],
-    seen: str = "",
+    case: Case, members: Sequence[int] | Places, reason: str, remedy: str, said: list[str], seen: str = ""
 ) -> Verdict:
     """Return a verdict on datagrams that SBN takes none of.
 

@@ -27,11 +27,10 @@ from edoras_tools.words import listed
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.wire.arrays.order import Integers
 
 _FIRST: Final = itemgetter(0)
 _FEW: Final = 2
@@ -87,7 +86,7 @@ def telemetry_vanished(case: Case) -> Iterator[Verdict]:
         )
 
 
-def _stops(case: Case) -> NDArray[np.int64]:
+def _stops(case: Case) -> Integers:
     """Return what may have ended telemetry: MsgId, -1 for all of them, and time, each a row of the array.
 
     A MsgId was removed from Telemetry Output, or an application was stopped.
@@ -331,7 +330,7 @@ def _again(case: Case, stream: Stream, start_ns: int) -> int | None:
     return min((when for when in later if when > start_ns), default=None)
 
 
-def _rate(stream: Stream, times: NDArray[np.int64], before: Sequence[Span], at: int) -> Rate | None:
+def _rate(stream: Stream, times: Integers, before: Sequence[Span], at: int) -> Rate | None:
     """Return how often a stream came before a row, if steadily; a short span may go on as an earlier one."""
     first = before[-1].first
     now_hz = (at - first) * SECOND / max(1, int(times[at] - times[first]))
@@ -350,7 +349,7 @@ def _ends(case: Case, stream: Stream) -> int:
     return min((case.instances.items[index].last_ns for index in ran), default=case.end_ns)
 
 
-def _surely_silent(stream: Stream, before: NDArray[np.int64], length: int) -> bool:
+def _surely_silent(stream: Stream, before: Integers, length: int) -> bool:
     """Tell whether what came irregularly is silent for longer than ever before; housekeeping may be."""
     if stream.is_housekeeping or len(before) < _LEAST:
         return False

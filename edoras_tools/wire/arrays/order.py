@@ -9,8 +9,18 @@ import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from typing import TypeAlias
 
     from numpy.typing import NDArray
+
+    Integers: TypeAlias = NDArray[np.int64]
+    """Times in ns, or counts."""
+    Mask: TypeAlias = NDArray[np.bool_]
+    """Which elements of others are meant."""
+    Places: TypeAlias = NDArray[np.intp]
+    """Where elements of others are."""
+    Prints: TypeAlias = NDArray[np.uint64]
+    """Fingerprints; 0 tells nothing."""
 
 _MIX: Final = np.uint64(0x9E3779B97F4A7C15)
 _SLOTS: Final = 18

@@ -57,11 +57,10 @@ from edoras_tools.words import seconds
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.evidence.table import Recorder, Rows
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
 
-    _Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
+    _Pairs = tuple[Integers, Integers]
     """When causes were captured, and when their effects."""
 
 
@@ -151,7 +150,7 @@ def _answers(cause: Side, effect: Side, about: ClockLine | None, *, back: bool) 
                 yield pairs
 
 
-def _begins(times: NDArray[np.int64]) -> NDArray[np.int64]:
+def _begins(times: Integers) -> Integers:
     """Return when something began after a silence that ends a connection."""
     silence = _PROFILE.sbn_timeout_s * SECOND
     return times[np.diff(times, prepend=-silence) >= silence] if len(times) else times
@@ -230,7 +229,7 @@ class Alignment:
     high_ns: int
     drift: tuple[float, float] | None
     by: str
-    shared: NDArray[np.int64]
+    shared: Integers
 
     def told(self, other: str) -> str:
         """Return it in words; ``other`` is the first capture."""
@@ -256,7 +255,7 @@ class _Told:
     by: str
     loose_ns: int = 0
     near: Sequence[int] = ()
-    shared: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    shared: Integers = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
     def of(cls, pairs: Sequence[Ordered], by: str, loose_ns: int = 0) -> _Told | None:
@@ -317,9 +316,7 @@ def boot_offsets(recorder: Recorder, name: str) -> list[int]:
     return [item.offset_ns for item in _side(recorder).instances.items if item.name in {name, ""}]
 
 
-def align_ways(
-    first_ns: NDArray[np.int64], second_ns: NDArray[np.int64], back: NDArray[np.bool_]
-) -> Alignment | None:
+def align_ways(first_ns: Integers, second_ns: Integers, back: Mask) -> Alignment | None:
     """Tell it by messages that both recorded; None where there are none, or they contradict each other.
 
     Args:
@@ -388,7 +385,7 @@ def _shared(first: Recorder, second: Recorder) -> _Told | None:
     return replace(best, shared=np.sort(b.number[segment.out[same]]))
 
 
-def _one(first: Recorder, second: Recorder) -> Callable[..., NDArray[np.bool_]]:
+def _one(first: Recorder, second: Recorder) -> Callable[..., Mask]:
     """Return what tells which pairs of rows with equal bytes are one datagram, by identification and ends.
 
     Without an identification it keeps both its ends, lives shorter, or has an end with two names. What a
@@ -399,10 +396,10 @@ def _one(first: Recorder, second: Recorder) -> Callable[..., NDArray[np.bool_]]:
     here, there = ([end.address for end in item.endpoints] or [""] for item in (first, second))
     ends = (a.source, b.source), (a.destination, b.destination)
 
-    def common(ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.int64]:
+    def common(ours: Places, theirs: Places) -> Integers:
         return np.asarray(np.sum([end[ours] == number[other[theirs]] for end, other in ends], axis=0))
 
-    def renamed(ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def renamed(ours: Places, theirs: Places) -> Mask:
         return np.asarray(among(a.link[ours], lambda link: link.only_from_cfs) & (common(ours, theirs) == 1))
 
     # Telemetry from one place, or to one, is one datagram: its other ends are two names of one host.
@@ -412,7 +409,7 @@ def _one(first: Recorder, second: Recorder) -> Callable[..., NDArray[np.bool_]]:
     names = {there[other]: here[end] for end, other in pairs if there[other] != here[end]}
     address, other_name = np.array(here), np.array([names.get(item, "") for item in there])
 
-    def one(ours: NDArray[np.intp], theirs: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def one(ours: Places, theirs: Places) -> Mask:
         numbers = a.identification[ours], b.identification[theirs]
         bare = (common(ours, theirs) == 2) | (a.life[ours] != b.life[theirs]) | renamed(ours, theirs)
         for end, other in ends:
@@ -422,7 +419,7 @@ def _one(first: Recorder, second: Recorder) -> Callable[..., NDArray[np.bool_]]:
     return one
 
 
-def _moved(first: Recorder, second: Recorder) -> NDArray[np.int64]:
+def _moved(first: Recorder, second: Recorder) -> Integers:
     """Return the number that each endpoint of the second has in the first; -1 for none."""
     number = {endpoint: index for index, endpoint in enumerate(first.endpoints)}
     return np.array([number.get(endpoint, -1) for endpoint in second.endpoints] or [-1])
@@ -455,7 +452,7 @@ def _counted(first: Recorder, second: Recorder, coarse: _Told | None) -> _Told |
     return next(filter(None, (_Told.of(near, by, loose_ns) for loose_ns in _LOOSE_NS)), None)
 
 
-def _key(rows: Rows, source: NDArray[np.int64], ahead: int) -> NDArray[np.uint64]:
+def _key(rows: Rows, source: Integers, ahead: int) -> Prints:
     """Return what names a packet of a stream by its count, moved on; 0 where it is not counted."""
     count = (rows.sequence_count.astype(np.int64) + ahead) % _MODULUS
     key = np.zeros(len(rows), np.uint64)

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
+    from edoras_tools.wire.arrays.order import Integers, Places
+
 MOST_DRIFT: Final = 500e-6
 """No clock gains or loses more on another, in ns per ns."""
 _RESOLUTION_NS: Final = MICROSECOND
@@ -49,12 +51,12 @@ class ClockLine:
     offset_ns: int
     drift: float = 0.0
 
-    def ahead(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def ahead(self, time_ns: Integers) -> Integers:
         """Return by how much it is ahead at times of the other clock."""
         gained = np.rint((time_ns - self.begin_ns) * self.drift)
         return self.offset_ns + np.asarray(gained, np.int64)
 
-    def set_back(self, time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    def set_back(self, time_ns: Integers) -> Integers:
         """Return the times of the other clock at which it shows these."""
         moved = time_ns - self.offset_ns
         gained = np.rint((moved - self.begin_ns) * (self.drift / (1 + self.drift)))
@@ -75,8 +77,8 @@ class Ordered(NamedTuple):
         apart_ns: the two of a pair tell of times that lie so far apart at most.
     """
 
-    first_ns: NDArray[np.int64]
-    second_ns: NDArray[np.int64]
+    first_ns: Integers
+    second_ns: Integers
     back: bool = False
     early_ns: int = 0
     wait_ns: int | None = None
@@ -85,7 +87,7 @@ class Ordered(NamedTuple):
     apart_ns: int = 0
 
     @property
-    def took_ns(self) -> NDArray[np.int64]:
+    def took_ns(self) -> Integers:
         """From the cause to the effect, by the clock of each."""
         return self.first_ns - self.second_ns if self.back else self.second_ns - self.first_ns
 
@@ -93,8 +95,8 @@ class Ordered(NamedTuple):
 class _Bounds(NamedTuple):
     """Points that a line passes on one side."""
 
-    time_ns: NDArray[np.int64]
-    ahead_ns: NDArray[np.int64]
+    time_ns: Integers
+    ahead_ns: Integers
 
 
 def _sides(told: Ordered, drift: float) -> tuple[_Bounds, _Bounds]:
@@ -117,7 +119,7 @@ def _sides(told: Ordered, drift: float) -> tuple[_Bounds, _Bounds]:
     return limit, waited
 
 
-def _tightest(time_ns: NDArray[np.int64], value: NDArray[np.int64]) -> NDArray[np.intp]:
+def _tightest(time_ns: Integers, value: Integers) -> Places:
     """Return the rows of the least value, at each of some hundred times."""
     if len(value) <= _PLACES:
         return np.arange(len(value))
@@ -126,13 +128,13 @@ def _tightest(time_ns: NDArray[np.int64], value: NDArray[np.int64]) -> NDArray[n
     return least_of_each(place, value)
 
 
-def least_of_each(group: NDArray[np.int64], value: NDArray[np.int64]) -> NDArray[np.intp]:
+def least_of_each(group: Integers, value: Integers) -> Places:
     """Return the row of the least value of each group; groups are numbers from 0."""
     order = np.lexsort((value, group))
     return order[np.flatnonzero(np.diff(group[order], prepend=-1))]
 
 
-def one_way(first_ns: NDArray[np.int64], second_ns: NDArray[np.int64]) -> list[Ordered]:
+def one_way(first_ns: Integers, second_ns: Integers) -> list[Ordered]:
     """Return what packets tell that all went one way: by how much delays vary, they are longer than 0.
 
     The line below all of them (their hull) touches the two quickest: one early, one late.
@@ -157,7 +159,7 @@ def one_way(first_ns: NDArray[np.int64], second_ns: NDArray[np.int64]) -> list[O
     ]
 
 
-def _above(time_ns: NDArray[np.int64], value: NDArray[np.int64], left: int, at: int, right: int) -> bool:
+def _above(time_ns: Integers, value: Integers, left: int, at: int, right: int) -> bool:
     """Tell whether a point is on or above the line from the point on its left to that on its right."""
     rise = int(value[right] - value[left]) * int(time_ns[at] - time_ns[left])
     return int(value[at] - value[left]) * int(time_ns[right] - time_ns[left]) >= rise

@@ -21,11 +21,10 @@ from edoras_tools.wire.arrays.order import numbered
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.model import Endpoint
+    from edoras_tools.wire.arrays.order import Integers, Mask, Places
 
 _BACK_NS: Final = SECOND
 _MOST: Final = 16
@@ -78,7 +77,7 @@ def steadied(
     return rows, jumps, instances
 
 
-def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> NDArray[np.int64]:
+def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> Integers:
     """Return by how much each row's mission time is to be moved: what a cFS's clock slipped or drifted by.
 
     The shortest delay in a window is less than the time between two wake-ups of Telemetry Output: where it is
@@ -115,7 +114,7 @@ def _levelled(rows: Rows, instances: Instances, jumps: list[Jump]) -> NDArray[np
     return moved
 
 
-def _slips(level: NDArray[np.int64], rows: NDArray[np.intp], name: str) -> list[Jump]:
+def _slips(level: Integers, rows: Places, name: str) -> list[Jump]:
     """Return where the level of delays steps for good: one that it comes back from is a queue on the way.
 
     Args:
@@ -127,17 +126,17 @@ def _slips(level: NDArray[np.int64], rows: NDArray[np.intp], name: str) -> list[
     return [Jump(name or "cFS", int(rows[at + 1]), int(level[at] - level[at + 1])) for at in lasting]
 
 
-def _neighbours(values: NDArray[np.int64]) -> NDArray[np.int64]:
+def _neighbours(values: Integers) -> Integers:
     """Return the value before, the value and the value behind each; at the ends the value itself."""
     return np.stack((np.append(values[:1], values[:-1]), values, np.append(values[1:], values[-1:])))
 
 
-def _smoothed(values: NDArray[np.int64]) -> NDArray[np.int64]:
+def _smoothed(values: Integers) -> Integers:
     """Return values, in which a single one that differs from both beside it is as these are."""
     return np.asarray(np.median(_neighbours(values), axis=0).astype(np.int64))
 
 
-def _by_output(delay: NDArray[np.int64], output: NDArray[np.intp]) -> NDArray[np.int64]:
+def _by_output(delay: Integers, output: Places) -> Integers:
     """Return what the clock slipped by at each packet of a cFS, by Telemetry Output's housekeeping.
 
     That is made right after a round and sent in the next one: it always waits for one round, and nothing
@@ -153,7 +152,7 @@ def _by_output(delay: NDArray[np.int64], output: NDArray[np.intp]) -> NDArray[np
     behind = np.searchsorted(output, np.arange(len(delay)))
     before, after = late[np.maximum(behind - 1, 0)], late[np.minimum(behind, len(late) - 1)]
     fits = (after <= delay) & (delay - after <= waits + _JITTER_NS)
-    slipped: NDArray[np.int64] = np.minimum(np.where(fits, after, before), delay)
+    slipped: Integers = np.minimum(np.where(fits, after, before), delay)
     return slipped
 
 
@@ -203,11 +202,11 @@ def _parted(rows: Rows, instances: Instances) -> tuple[Jump, int] | None:
     return None
 
 
-def _offset_ns(rows: Rows, own: NDArray[np.intp]) -> int:
+def _offset_ns(rows: Rows, own: Places) -> int:
     return int((rows.time_ns[own] - rows.mission_time_ns[own]).min())
 
 
-def _first_and_last(rows: Rows, own: NDArray[np.intp]) -> list[dict[tuple[int, ...], int]]:
+def _first_and_last(rows: Rows, own: Places) -> list[dict[tuple[int, ...], int]]:
     """Return the first and the last count of each MsgId from each endpoint, by link, endpoint and MsgId."""
     found: list[dict[tuple[int, ...], int]] = []
     for order in (own, own[::-1]):
@@ -217,9 +216,7 @@ def _first_and_last(rows: Rows, own: NDArray[np.intp]) -> list[dict[tuple[int, .
     return found
 
 
-def _places(
-    last: list[dict[tuple[int, ...], int]],
-) -> dict[tuple[int, ...], tuple[NDArray[np.intp], NDArray[np.int64]]]:
+def _places(last: list[dict[tuple[int, ...], int]]) -> dict[tuple[int, ...], tuple[Places, Integers]]:
     """Return of each stream which instances have it, and their last counts of it."""
     found: dict[tuple[int, ...], tuple[list[int], list[int]]] = {}
     for place, counts in enumerate(last):
@@ -231,9 +228,7 @@ def _places(
 
 
 def _taken_up(
-    last: dict[tuple[int, ...], tuple[NDArray[np.intp], NDArray[np.int64]]],
-    begin: dict[tuple[int, ...], int],
-    end: int,
+    last: dict[tuple[int, ...], tuple[Places, Integers]], begin: dict[tuple[int, ...], int], end: int
 ) -> list[int]:
     """Return of which instances before one it takes up most counts.
 
@@ -254,7 +249,7 @@ def _taken_up(
     return found
 
 
-def _without(rows: Rows, jump: Jump, before: NDArray[np.bool_]) -> Rows:
+def _without(rows: Rows, jump: Jump, before: Mask) -> Rows:
     """Return rows as if a clock had not been set; ``before`` are those whose packets were made before it."""
     later = np.arange(len(rows)) >= jump.row
     if jump.clock == "capture":

@@ -31,13 +31,12 @@ from edoras_tools.wire.sbn import MsgType
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from edoras_tools.diagnosis.evidence.clocks.steady import Jump
     from edoras_tools.diagnosis.evidence.instances import Instances
     from edoras_tools.diagnosis.evidence.payloads import CommandRecord, EventRecord, Payloads
     from edoras_tools.diagnosis.evidence.peers import Connection, Network, SbnParty
     from edoras_tools.diagnosis.evidence.table import Rows
+    from edoras_tools.wire.arrays.order import Integers, Mask
 
 
 _SLACK_NS: Final = 2 * SECOND
@@ -273,9 +272,7 @@ def _system(instances: Instances, observer: SbnParty) -> int:
     return fits[0] if fits else 0
 
 
-def _between(
-    rows: Rows, network: Network, at: NDArray[np.int64], peer: SbnParty, observer: SbnParty
-) -> NDArray[np.bool_]:
+def _between(rows: Rows, network: Network, at: Integers, peer: SbnParty, observer: SbnParty) -> Mask:
     """Tell which rows one party sent to another."""
     ends = []
     for party, column in ((peer, rows.source), (observer, rows.destination)):
@@ -317,12 +314,7 @@ def _goodbyes(
 
 
 def _subscriptions(
-    rows: Rows,
-    at: NDArray[np.int64],
-    contents: NDArray[np.int64],
-    payloads: Payloads,
-    connection: Connection,
-    system: int,
+    rows: Rows, at: Integers, contents: Integers, payloads: Payloads, connection: Connection, system: int
 ) -> Iterator[Change]:
     peer = connection.peer
     ends = [item for item in connection.changes if item.state in {"timed_out", "disconnected"}]
