@@ -34,11 +34,6 @@ class MeanInterval(NamedTuple):
     low: float
     high: float
 
-    @property
-    def half_width(self) -> float:
-        """Half the distance from ``low`` to ``high``."""
-        return (self.high - self.low) / 2
-
 
 def t_quantile(probability: float, freedom: int) -> float:
     """Return what Student's t exceeds with ``1 - probability``.

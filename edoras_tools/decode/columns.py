@@ -346,9 +346,10 @@ class _Pass:
         structs = self.context.structs
         samples = payloads(structs, self.out.__getitem__, partial(getattr, self.batch), self.batch.data)
         for _, members, fits in structs.split(samples):
-            # A command of a wrong length is flagged already.
-            unlike = ~fits & ((self.out["findings"][members.row] & np.uint32(Finding.COMMAND_LENGTH)) == 0)
-            self.flag(Finding.STRUCT_LENGTH, members.row, unlike)
+            if not fits.all():  # a command of a wrong length is flagged already
+                rows = members.row[~fits]
+                flagged = (self.out["findings"][rows] & np.uint32(Finding.COMMAND_LENGTH)) != 0
+                self.flag(Finding.STRUCT_LENGTH, rows, ~flagged)
         if structs.dictionary is not None:
             self.flag(Finding.UNKNOWN_MSG_ID, samples.row, samples.key == structs.dictionary.unknown)
             self.flag(Finding.LENGTH_MISMATCH, samples.row, samples.key == structs.dictionary.odd)

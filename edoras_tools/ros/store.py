@@ -11,7 +11,7 @@ from edoras_tools.ros.cdr.plan import CdrPlan, Compiler
 from edoras_tools.ros.cdr.validity import extent
 from edoras_tools.ros.cdr.writer import Writer
 from edoras_tools.ros.types.library import Library
-from edoras_tools.ros.types.schema import Definition, MessageField, complete_text, full_name
+from edoras_tools.ros.types.schema import Definition, MessageField, complete_text, full_name, with_used
 
 if TYPE_CHECKING:
     import os
@@ -93,9 +93,7 @@ class TypeStore:
     def definitions(self, type_name: str) -> tuple[Definition, ...]:
         """Return a type's definition, then that of every type that it uses, each once."""
         self.plan(type_name)
-        by_name: dict[str, Definition] = {}
-        self._collect(full_name(type_name), by_name)
-        return tuple(by_name.values())
+        return with_used(full_name(type_name), self._definition)
 
     def fields(self, type_name: str) -> tuple[MessageField, ...]:
         """Return a type's fields, in wire order; those of a type that it uses are asked for by its name."""
@@ -206,11 +204,3 @@ class TypeStore:
             hint += "give its definition with --set msg-path"
             raise RouteError(f"type {name!r} is not known to ROS 2 {self.distro}; {hint}")
         return definition
-
-    def _collect(self, name: str, by_name: dict[str, Definition]) -> None:
-        """Add a type, then all that it uses, each once."""
-        if name not in by_name:
-            by_name[name] = self._definition(name)
-            for field in by_name[name].fields:
-                if "/" in field.type:
-                    self._collect(field.type, by_name)

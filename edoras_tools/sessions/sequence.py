@@ -43,7 +43,7 @@ import numpy as np
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import fingerprint
-from edoras_tools.wire.arrays.order import order_by
+from edoras_tools.wire.arrays.order import changes, order_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -488,14 +488,19 @@ class SequenceCounts:
         self._index: dict[int, int] = {}
         self._rows = 0
         self._newest: tuple[PacketBatch, SequenceRows] | None = None
-        self._ordered: tuple[PacketBatch, NDArray[np.int64]] | None = None
+        self._ordered: tuple[PacketBatch, NDArray[np.int64], NDArray[np.bool_]] | None = None
 
-    def order(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
-        """Return all rows of a batch, those of one link, sender and MsgId side by side, as they came."""
+    def order(self, batch: PacketBatch, columns: Columns) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return all rows of a batch, those of one link, sender and MsgId side by side, as they came.
+
+        Returns:
+            the rows; bool, where those of another begin.
+        """
         if self._ordered is None or self._ordered[0] is not batch:
-            msg_id = (columns.msg_id + 1).astype(np.uint32)
-            self._ordered = batch, order_by(columns.processor_id, columns.link, msg_id)
-        return self._ordered[1]
+            keys = columns.processor_id, columns.link, (columns.msg_id + 1).astype(np.uint32)
+            order = order_by(*keys)
+            self._ordered = batch, order, changes(order, *keys)
+        return self._ordered[1:]
 
     def follow(self, batch: PacketBatch, columns: Columns) -> SequenceRows:
         """Follow the counts of a batch's packets that have one; return what they say of its rows."""
@@ -513,7 +518,7 @@ class SequenceCounts:
         has_count = (columns.msg_id != NO_MSG_ID) & (
             (columns.findings & np.uint32(Finding.SEQUENCE_UNSET)) == 0
         )
-        order = self.order(batch, columns)
+        order, _ = self.order(batch, columns)
         rows = order[has_count[order]]
         if len(rows):
             self._follow(batch, columns, _ordered(batch, columns, rows), out)
@@ -618,8 +623,8 @@ class _Groups:
 
 def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _Groups:
     """Put the rows of each stream side by side (rule 1); most are so already."""
-    breaks = np.zeros(len(rows) - 1, np.bool_)
-    for column in (
+    fresh = changes(
+        rows,
         columns.link,
         columns.msg_id,
         columns.processor_id,
@@ -629,12 +634,9 @@ def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _
         batch.destination_address,
         batch.destination_port,
         *((batch.ip_version,) if batch.ipv6 else ()),
-    ):
-        if (column != column[0]).any():
-            own = column[rows]
-            breaks |= own[1:] != own[:-1]
-    begins = np.append(0, np.flatnonzero(breaks) + 1)
-    first = rows[begins]
+    )
+    starts = np.flatnonzero(fresh)
+    first = rows[starts]
     identity = columns.spacecraft_id[first].astype(np.uint64) << np.uint64(32)
     identity |= columns.processor_id[first]
     source = _endpoints(batch, batch.source_address, batch.source_port, first)
@@ -645,9 +647,9 @@ def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _
     keys = fingerprint.stirred(keys + receiver * (identity != 0))
     unique, which = np.unique(keys, return_inverse=True)
     if len(unique) == len(keys):
-        return _Groups(rows, begins, keys)
+        return _Groups(rows, starts, keys)
     group = np.full(len(batch), len(unique), np.min_scalar_type(len(unique)))
-    group[rows] = np.repeat(which, np.diff(begins, append=len(rows)))
+    group[rows] = np.repeat(which, np.diff(starts, append=len(rows)))
     sizes = np.bincount(group[rows], minlength=len(unique))
     return _Groups(np.argsort(group, kind="stable")[: len(rows)], np.cumsum(sizes) - sizes, unique)
 

@@ -6,6 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.ros.types.schema import complete_text, with_used
 from edoras_tools.structs.bound import Bound
 from edoras_tools.structs.messages import (
     HEADER_TYPE,
@@ -17,9 +18,10 @@ from edoras_tools.structs.messages import (
     parts,
     unique,
 )
+from edoras_tools.structs.shapes import SHIPPED
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from edoras_tools.ros.types.schema import Definition
     from edoras_tools.structs.shapes import Key, Struct, StructLayout
@@ -28,14 +30,13 @@ if TYPE_CHECKING:
 class Bindings:
     """The structs of some layouts bound to packets, each named once.
 
+    The shipped ones, no two of which want one name, are bound when they are asked for.
+
     Args:
         layouts: where several name the same packets, the first applies.
 
     Attributes:
-        all: every struct that is bound, by MsgId and function code.
-        by_id: those of a MsgId, function codes first.
-        definitions: of their messages, and all that these use, by type.
-        texts: the ``.msg`` file of each.
+        keys: of a MsgId's packets, function codes first.
 
     Raises:
         ConfigError: a struct cannot become a message.
@@ -49,30 +50,64 @@ class Bindings:
                     key.msg_id == other.msg_id and owner is not layout for other, owner in owners.items()
                 ):
                     owners[key] = layout
-        often = Counter(layout.bindings[key].removesuffix("_t") for key, layout in owners.items())
-        self.definitions: dict[str, Definition] = {}
-        self.texts: dict[str, str] = {}
+        self._owners = dict(
+            sorted(owners.items(), key=lambda item: (item[0].msg_id, item[0].function_code or 0))
+        )
+        self._often = Counter(layout.bindings[key].removesuffix("_t") for key, layout in owners.items())
+        self.keys: dict[int, list[Key]] = {}
+        for key in sorted(self._owners, key=lambda key: key.function_code is None):
+            self.keys.setdefault(key.msg_id, []).append(key)
+        self._bound: dict[Key, Bound] = {}
+        self._definitions: dict[str, Definition] = {}
+        self._texts: dict[str, str] = {}
         self._names: dict[tuple[int, str, bool], str] = {}
         self._used: set[str] = set()
-        bound: list[Bound] = []
-        for key, layout in sorted(
-            owners.items(), key=lambda item: (item[0].msg_id, item[0].function_code or 0)
-        ):
-            struct = layout.structs[layout.bindings[key]]
-            if struct.header and key.port is not None:
-                why = f"{struct.name} begins with a cFE header, which a robot's datagram has not"
-                raise ConfigError(f"{layout.origin}: {key}: {why}; bind what follows it")
-            if layout.entries:
-                type_name = self.define(layout, struct, whole=True)
-                bound.append(layout.entries.bind(key, layout, struct, type_name))
-                continue
-            name = struct.name.removesuffix("_t")
-            topic = f"/cfs/{name}/{key}".replace(":", "_") if often[name] > 1 else f"/cfs/{name}"
-            bound.append(Bound(key, layout, struct, topic, self.define(layout, struct, whole=True)))
-        self.all: tuple[Bound, ...] = tuple(bound)
-        self.by_id: dict[int, list[Bound]] = {}
-        for item in sorted(bound, key=lambda item: item.key.function_code is None):
-            self.by_id.setdefault(item.key.msg_id, []).append(item)
+        if any(layout.origin != SHIPPED for layout in layouts):
+            _ = self.all  # so that mistakes are found
+
+    @property
+    def all(self) -> tuple[Bound, ...]:
+        """Every struct that is bound, by MsgId and function code."""
+        return tuple(map(self._bind, self._owners))
+
+    def of(self, msg_id: int) -> list[Bound]:
+        """Return the structs of a MsgId, in the order of ``keys``."""
+        return list(map(self._bind, self.keys[msg_id]))
+
+    @property
+    def definitions(self) -> Mapping[str, Definition]:
+        """The definitions of all messages, and of all that these use, by type."""
+        _ = self.all
+        return self._definitions
+
+    @property
+    def texts(self) -> Mapping[str, str]:
+        """The ``.msg`` file of each of these."""
+        _ = self.all
+        return self._texts
+
+    def text(self, name: str) -> str | None:
+        """Return a message's complete ``ros2msg`` text; None if no struct that is bound has this type."""
+        known = name in self._definitions
+        return complete_text(with_used(name, self._definitions.__getitem__)) if known else None
+
+    def _bind(self, key: Key) -> Bound:
+        if key not in self._bound:
+            self._bound[key] = self._new(key, self._owners[key])
+        return self._bound[key]
+
+    def _new(self, key: Key, layout: StructLayout) -> Bound:
+        struct = layout.structs[layout.bindings[key]]
+        if struct.header and key.port is not None:
+            why = f"{struct.name} begins with a cFE header, which a robot's datagram has not"
+            raise ConfigError(f"{layout.origin}: {key}: {why}; bind what follows it")
+        type_name = self.define(layout, struct, whole=True)
+        if layout.entries:
+            bound: Bound = layout.entries.bind(key, layout, struct, type_name)
+            return bound
+        name = struct.name.removesuffix("_t")
+        topic = f"/cfs/{name}/{key}".replace(":", "_") if self._often[name] > 1 else f"/cfs/{name}"
+        return Bound(key, layout, struct, topic, type_name)
 
     def define(self, layout: StructLayout, struct: Struct, *, whole: bool) -> str:
         """Make the definition of a struct's message, and of all that it uses; return its type in full."""
@@ -96,11 +131,11 @@ class Bindings:
             if nested is not None:
                 names[nested.name] = self._define(layout, nested, False, inside)
         fields = described(layout, struct, names, whole=whole)
-        self.definitions[name] = definition(name, fields)
-        self.texts[name] = definition_text(struct, fields)
-        if HEADER_TYPE in names and names[HEADER_TYPE] not in self.definitions:
-            self.definitions[names[HEADER_TYPE]] = header = header_definition(names[HEADER_TYPE])
-            self.texts[names[HEADER_TYPE]] = "# what the packet was, and where it came from\n" + header.text
+        self._definitions[name] = definition(name, fields)
+        self._texts[name] = definition_text(struct, fields)
+        if HEADER_TYPE in names and names[HEADER_TYPE] not in self._definitions:
+            self._definitions[names[HEADER_TYPE]] = header = header_definition(names[HEADER_TYPE])
+            self._texts[names[HEADER_TYPE]] = "# what the packet was, and where it came from\n" + header.text
         return name
 
     def _free(self, package: str, name: str) -> str:

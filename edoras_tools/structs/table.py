@@ -59,7 +59,7 @@ class Structs:
         entries = sum(len(layout.entries or ()) for layout in layouts or ())
         self.has: NDArray[np.bool_] = np.zeros(ENTRY_KEY + entries + _NONE, np.bool_)
         own = [*packets(msg_ids), *commanded(msg_ids), UDP_KEY]
-        self.has[own if layouts is None else list(self._bindings.by_id)] = True
+        self.has[own if layouts is None else list(self._bindings.keys)] = True
 
     @cached_property
     def layouts(self) -> tuple[StructLayout, ...]:
@@ -110,6 +110,10 @@ class Structs:
         """Every definition by type."""
         return self._bindings.definitions
 
+    def text(self, name: str) -> str | None:
+        """Return the complete ``ros2msg`` text of what a struct becomes; None if it is no type of these."""
+        return self._bindings.text(name)
+
     @cached_property
     def types(self) -> TypeStore:
         """The types of the messages."""
@@ -141,7 +145,7 @@ class Structs:
     @cached_property
     def shared(self) -> tuple[int, ...]:
         """The MsgIds whose commands hold different structs of a layout, told apart by function code."""
-        own = () if self._layouts is None else self._bindings.by_id
+        own = () if self._layouts is None else self._bindings.keys
         return tuple(msg_id for msg_id in own if msg_id < UDP_KEY and len(self.own(msg_id)) > 1)
 
     def is_shipped(self, msg_id: int) -> bool:
@@ -184,10 +188,10 @@ class Structs:
             for item in self.bound_to(value):
                 code = item.key.function_code
                 mask = payloads.length[rest] > 0 if code is None else payloads.code[rest] == code
-                part = payloads.take(rest[mask])
-                if len(part.row):
+                if mask.any():
+                    part = payloads.take(rest[mask])
                     yield item, part, item.fits(part.length)
-                rest = rest[~mask]
+                    rest = rest[~mask]
 
     def payloads_of(
         self, payloads: StructPayloads, columns: Callable[[str], NDArray[Any]], data: NDArray[np.uint8]
@@ -207,7 +211,7 @@ class Structs:
 
     def bound_to(self, msg_id: int) -> Sequence[Bound]:
         """Return the structs of a MsgId, in the order in which they are tried."""
-        return self._bindings.by_id[msg_id] if self.has[msg_id] else ()
+        return self._bindings.of(msg_id) if self.has[msg_id] else ()
 
 
 @cache

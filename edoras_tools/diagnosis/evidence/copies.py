@@ -60,6 +60,9 @@ _STEADY: Final = 0.8
 _NEARLY_ALL: Final = 0.95
 _LEAST_GROUPS: Final = 8
 _LEAST_BYTES: Final = 16
+_WINDOW_BITS: Final = 20
+"""For some hours in one batch; what is later counts as being at one time."""
+_NEVER_NS: Final = (1 << 63) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,12 +230,12 @@ def _glance(batch: PacketBatch, conversation: Integers, identification: NDArray[
 
 def _perhaps_again(number: Prints, time_ns: Integers) -> bool:
     """Tell whether two datagrams within 20 ms may be equal, by the numbers that equal ones share."""
-    for shift in (0, _WITHIN_NS):  # two within 20 ms are in one window of 40 ms, of these or of those between
-        window = ((time_ns + shift) // (2 * _WITHIN_NS)).astype(np.uint64)
-        ranked = np.sort(number ^ window * MIX)
-        if (ranked[1:] == ranked[:-1]).any():
-            return True
-    return False
+    window = (
+        time_ns - time_ns.min(initial=_NEVER_NS)
+    ) // _WITHIN_NS  # two within 20 ms: of one, or side by side
+    most = (1 << _WINDOW_BITS) - 1
+    ranked = np.sort(number << np.uint64(_WINDOW_BITS) | np.minimum(window, most).astype(np.uint64))
+    return bool((ranked[1:] - ranked[:-1] <= 1).any())
 
 
 BY_CAPTURE: Final = 1

@@ -14,6 +14,7 @@ from edoras_tools.links import table
 from edoras_tools.model import Columns, HostCounters, PacketBatch, SocketCounters, SourceStatistics
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import changes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -118,12 +119,13 @@ class LinkStatistics:
         return self._write(groups, rows, rows + self._end_ns, channel_id)
 
     def _count(self, batch: PacketBatch, columns: Columns, second: NDArray[np.int64]) -> NDArray[np.void]:
-        order = self._sequences.order(batch, columns)
-        flow = (columns.link.astype(np.uint32) << _MSG_ID_BITS) | (columns.msg_id + 1).astype(np.uint32)
-        flow, second, length = flow[order], second[order], batch.length[order]
-        starts = np.append(0, np.flatnonzero((flow[1:] != flow[:-1]) | (second[1:] != second[:-1])) + 1)
+        order, fresh = self._sequences.order(batch, columns)
+        length = batch.length[order]
+        starts = np.flatnonzero(fresh | changes(order, second))
         groups = np.zeros(len(starts), dtype=_GROUP)
-        groups["second"], groups["flow"] = second[starts], flow[starts]
+        first = order[starts]
+        groups["second"] = second[first]
+        groups["flow"] = columns.link[first].astype(np.int64) << _MSG_ID_BITS | (columns.msg_id[first] + 1)
         groups["count"] = np.diff(np.append(starts, len(order)))
         groups["bytes"] = np.add.reduceat(length, starts, dtype=np.int64)
         groups["largest"] = np.maximum.reduceat(length, starts)

@@ -21,7 +21,7 @@ from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketB
 from edoras_tools.ros.fitting import types_that_fit
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import by_value, order_by
+from edoras_tools.wire.arrays.order import by_value, changes, order_by
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -304,16 +304,21 @@ class Ledger:
             return
         # Messages of a recording have no MsgId: there the topic is what tells streams apart.
         own = table.message_kinds(columns, batch.length) if batch.recorded is None else columns.route
-        kind = columns.link.astype(np.uint32) << 9 | (own + 1).astype(np.uint16)
-        order = self.sequences.order(batch, columns)
+        order, fresh = self.sequences.order(batch, columns)
         # Of one link and MsgId only what has none is of several kinds.
         if not (named := columns.msg_id[order] != NO_MSG_ID).all():
             unnamed = order[~named]
-            unnamed = unnamed[order_by(columns.processor_id[unnamed], kind[unnamed])]
+            kinds = columns.processor_id, columns.link.astype(np.uint32) << 9 | (own + 1).astype(np.uint16)
+            unnamed = unnamed[order_by(*(item[unnamed] for item in kinds))]
             order = np.concatenate((unnamed, order[named]))
-        keys = np.stack((columns.processor_id, kind, columns.msg_id.view(np.uint32)))[:, order]
-        starts = np.append(0, np.flatnonzero((keys[:, 1:] != keys[:, :-1]).any(axis=0)) + 1)
-        accounts = [self._account(columns, int(own[row]), row) for row in order[starts].tolist()]
+            fresh = np.concatenate((changes(unnamed, *kinds), fresh[named]))
+        starts = np.flatnonzero(fresh)
+        first = order[starts]
+        keys = (item[first].tolist() for item in (columns.link, columns.processor_id, columns.msg_id, own))
+        accounts = [
+            self.accounts.get(key) or self._account(columns, key[-1], row)
+            for key, row in zip(zip(*keys, strict=True), first.tolist(), strict=True)
+        ]
         self._count(accounts, batch, columns, order, starts)
         stream = self.sequences.follow(batch, columns).stream
         if len(self.sequences.streams) > self._known:

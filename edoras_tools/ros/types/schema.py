@@ -9,7 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
 PRIMITIVES: Final = {
     "bool": "?",
@@ -115,6 +115,21 @@ def full_name(name: str) -> str:
 def short_name(name: str) -> str:
     """Return ``pkg/Name`` for ``pkg/msg/Name``, as definitions refer to it; any other name as it is."""
     return name.replace("/msg/", "/")
+
+
+def with_used(name: str, find: Callable[[str], Definition]) -> tuple[Definition, ...]:
+    """Return a type's definition, then that of every type that it uses, each once."""
+    by_name: dict[str, Definition] = {}
+
+    def collect(name: str) -> None:
+        if name not in by_name:
+            by_name[name] = find(name)
+            for item in by_name[name].fields:
+                if "/" in item.type:
+                    collect(item.type)
+
+    collect(name)
+    return tuple(by_name.values())
 
 
 def complete_text(definitions: Iterable[Definition]) -> str:

@@ -1,7 +1,7 @@
 """The standard messages of every ROS 2 distribution, as rosbags knows them.
 
 They are kept as text: rosbags builds a class for each, which takes longer than any other step of a command's
-start. ``write_standard`` writes the text again from the installed rosbags.
+start. ``python tests/ros/types/test_standard.py`` writes the text again from the installed rosbags.
 """
 
 from __future__ import annotations
@@ -31,10 +31,6 @@ _STANDARD_DEFAULTS: Final = {
 }
 """rosbags keeps no defaults; of the standard packages' only these differ from zero, each where the definition
 has a constant, if one is named."""
-_ADDED: Final = {
-    "jazzy": {"nav_msgs/msg/Goals": "std_msgs/Header header\ngeometry_msgs/PoseStamped[] goals\n"}
-}
-"""What a distribution got after its release, and rosbags does not know of."""
 
 
 def distros() -> list[str]:
@@ -62,31 +58,6 @@ def standard(distro: str) -> dict[str, str]:
 def _table() -> dict[str, Any]:
     table: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
     return table
-
-
-def collect() -> dict[str, Any]:
-    """Return the content of ``FILE``, made from the installed rosbags."""
-    from rosbags.typesys import Stores, get_typestore
-
-    stores = [store for store in Stores if store.value.startswith("ros2_")]
-    types: dict[str, dict[str, str | None]] = {}
-    now: dict[str, str | None] = {}
-    for store in stores:
-        distro = store.value.removeprefix("ros2_")
-        fields = get_typestore(store).fielddefs
-        texts = {name: converted(name, fields).text for name in fields} | _ADDED.get(distro, {})
-        for name in sorted({*texts, *now}):
-            if name not in now or now[name] != texts.get(name):
-                now[name] = types.setdefault(name, {})[distro] = texts.get(name)
-    return {
-        "distros": [store.value.removeprefix("ros2_") for store in stores],
-        "types": dict(sorted(types.items())),
-    }
-
-
-def write_standard() -> None:
-    """Write ``FILE``."""
-    FILE.write_text(json.dumps(collect(), indent=1) + "\n", encoding="utf-8")
 
 
 def converted(name: str, types: Typesdict) -> Definition:

@@ -50,6 +50,17 @@ def order_by(*keys: NDArray[np.integer]) -> NDArray[np.int64]:
     return np.lexsort(digits)
 
 
+def changes(rows: NDArray[np.intp], *columns: NDArray[Any]) -> NDArray[np.bool_]:
+    """Tell for each of some rows whether a column changes there; True for the first."""
+    out = np.zeros(len(rows), np.bool_)
+    out[:1] = True
+    for column in columns:
+        if (column != column[0]).any():
+            own = column[rows]
+            out[1:] |= own[1:] != own[:-1]
+    return out
+
+
 def numbered(*keys: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Number the distinct rows of some columns of whole numbers, in the order they first come.
 

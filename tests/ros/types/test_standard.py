@@ -1,6 +1,8 @@
-"""The standard messages kept as text, beside rosbags."""
+"""The standard messages kept as text, beside rosbags; as a program it writes them again."""
 
 from __future__ import annotations
+
+import json
 
 import pytest
 from rosbags.typesys import Stores, get_typestore
@@ -8,9 +10,29 @@ from rosbags.typesys import Stores, get_typestore
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.types import standard
 
+ADDED = {"jazzy": {"nav_msgs/msg/Goals": "std_msgs/Header header\ngeometry_msgs/PoseStamped[] goals\n"}}
+"""What a distribution got after its release, and rosbags does not know of."""
+
+
+def collect():
+    """Return what ``standard.FILE`` holds, made from the installed rosbags."""
+    stores = [store for store in Stores if store.value.startswith("ros2_")]
+    types, now = {}, {}
+    for store in stores:
+        distro = store.value.removeprefix("ros2_")
+        fields = get_typestore(store).fielddefs
+        texts = {name: standard.converted(name, fields).text for name in fields} | ADDED.get(distro, {})
+        for name in sorted({*texts, *now}):
+            if name not in now or now[name] != texts.get(name):
+                now[name] = types.setdefault(name, {})[distro] = texts.get(name)
+    return {
+        "distros": [store.value.removeprefix("ros2_") for store in stores],
+        "types": dict(sorted(types.items())),
+    }
+
 
 def test_every_standard_message_is_what_rosbags_says():
-    then, now = standard.standard, _standards(standard.collect())
+    then, now = standard.standard, _standards(collect())
     for distro in standard.distros():
         kept, collected = then(distro), now[distro]
         both = kept.keys() & collected.keys()
@@ -70,3 +92,7 @@ def _standards(table):
             if name in store.fielddefs
         }
     return found
+
+
+if __name__ == "__main__":
+    standard.FILE.write_text(json.dumps(collect(), indent=1) + "\n", encoding="utf-8")

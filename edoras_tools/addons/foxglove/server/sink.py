@@ -293,10 +293,7 @@ class FoxgloveSink(ServedSink):
         definitions = {
             **self._streams.definitions,
             **{item.type: types.definition(item.type) for item in (DIAGNOSTICS, FAULTS, TRANSFORMS)},
-            **{
-                item.type: self._streams.structs.types.definition(item.type)
-                for item in self._streams.structs.all
-            },
+            **{item.type: self._streams.structs.text(item.type) for item in self._streams.structs.all},
         }
         self.server = FoxgloveServer(
             f"edoras: {info.name}",

@@ -222,12 +222,9 @@ class McapSink(Sink):
     def _add_topic(self, topic: Topic) -> int:
         """Create a topic that not every recording has; return its channel."""
         self._chunks.flush()  # so that it does not depend on the workers where in the file it is
-        structs = self._streams.structs
-        types = structs.types if topic.type in structs.definitions else self._types
+        text = self._streams.structs.text(topic.type) or self._types.definition(topic.type)
         file = self.files[-1]
-        return file.add_channel(
-            topic.name, file.add_schema(topic.type, types.definition(topic.type)), topic.metadata
-        )
+        return file.add_channel(topic.name, file.add_schema(topic.type, text), topic.metadata)
 
     def _append(self, batch: PacketBatch, columns: Columns) -> None:
         self._attach(int(batch.time_ns[0]))
