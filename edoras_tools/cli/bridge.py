@@ -62,6 +62,13 @@ class RosOptions(NamedTuple):
     ] = None
     domain: options.RosDomain = None
     ros_options: options.RosOption = None
+    ros_args: Annotated[
+        list[str] | None,
+        Option(
+            metavar="... --",
+            help="As of a ROS node: -r __ns:=/robot_1, -r FROM:=TO, -p NAME:=VALUE, --params-file FILE.",
+        ),
+    ] = None
 
 
 class PacketOptions(NamedTuple):
@@ -118,6 +125,8 @@ def bridge(
         enable=packets.enable,
     )
     settings = decoding.settings()
+    if graph.ros_args:
+        settings = doors.part("ros_args_settings")(settings, graph.ros_args)
     domain = usual_domain() if graph.domain is None else graph.domain
     given = _options(way, graph.ros_options, outputs)
     if decoding.merged().distro is None and not running.dry_run:

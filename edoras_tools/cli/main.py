@@ -297,6 +297,7 @@ def with_command(words: list[str]) -> list[str]:
     Args:
         words: what follows ``edoras``.
     """
+    words = _joined(words)
     options = [*takewhile({"-q", "-v", "--quiet", "--verbose"}.__contains__, words)]
     if options and is_command(command := "".join(words[len(options) :][:1])):
         words = [command, *options, *words[len(options) + 1 :]]
@@ -312,6 +313,20 @@ def with_command(words: list[str]) -> list[str]:
     if is_file and is_command("".join(words[1:])):
         return [words[1], first]  # edoras FILE sniff
     return ["doctor", *words] if is_file else words
+
+
+def _joined(words: list[str]) -> list[str]:
+    """Return a command line where each word from ``--ros-args`` to ``--``, or to the end, is an option."""
+    line: list[str] = []
+    ros = False
+    for word in words:
+        if ros and word != "--":
+            line.append(f"--ros-args={word}")
+        elif ros or word == "--ros-args":
+            ros = not ros
+        else:
+            line.append(word)
+    return line
 
 
 def is_command(word: str) -> bool:

@@ -26,10 +26,9 @@ def check_name(name: str, noun: str) -> str:
     Raises:
         ConfigError: it is none.
     """
-    if not _NAME.fullmatch(name) or "__" in name:
+    if not _NAME.fullmatch(name):
         raise ConfigError(
-            f"{noun} {name!r} is not a ROS name; write /NAME/NAME, of letters, digits and single _, "
-            "no digit first"
+            f"{noun} {name!r} is not a ROS name; write /NAME/NAME, of letters, digits and _, no digit first"
         )
     return name
 

@@ -112,7 +112,33 @@ _SECONDARY_HEADER_BIT = 0x0800
 
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 _OTHER_SPELLING = re.compile(r"([a-z][a-z0-9_]*)(?:/|::|\.)(?:msg(?:/|::|\.))?([A-Z][A-Za-z0-9]*)")
-_TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
+_TOPIC = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)+")
+_LONGEST_TOPIC: Final = 247
+"""Characters of a topic, as rmw has it."""
+
+
+def node_of(name: str) -> tuple[str, str]:
+    """Return namespace and name of a node; a wildcard is none, as without ``__ns`` or ``__node``."""
+    namespace, _, last = name.rpartition("/")
+    return "" if "*" in namespace else namespace, "" if "*" in last else last
+
+
+def full_topic(text: str, node: str) -> str:
+    """Return a topic of a node fully qualified, as rcl expands it; empty where that is none.
+
+    Args:
+        text: as in the code or a file: ``cmd_vel``, ``/cmd_vel``, ``~/cmd_vel``, ``{node}/cmd_vel``.
+        node: fully qualified; a wildcard where it is not known.
+    """
+    namespace, name = node_of(node)
+    if not name and (text.startswith("~") or "{node}" in text):
+        return ""
+    for word, value in (("{node}", name), ("{ns}", namespace or "/"), ("{namespace}", namespace or "/")):
+        text = text.replace(word, value)
+    if text == "~" or text.startswith("~/"):
+        text = f"{namespace}/{name}{text[1:]}"
+    topic = text if text.startswith("/") else f"{namespace}/{text}"
+    return topic if _TOPIC.fullmatch(topic) and len(topic) <= _LONGEST_TOPIC else ""
 
 
 def find_bridges(nodes: list[NodeParameters]) -> list[NodeParameters]:
@@ -150,8 +176,8 @@ def read_stored(node: NodeParameters, check_type: CheckType | None) -> Iterator[
             topic, kind, file = (str(item.value) if isinstance(item, ScalarNode) else "" for item in values)
             name = file.rpartition("/")[2]
             well_formed = _TYPE.fullmatch(kind) and (check_type is None or check_type(kind) is None)
-            if name and well_formed and _TOPIC.fullmatch(topic):
-                yield StoredTopic("/" + topic.removeprefix("/"), kind, name)
+            if name and well_formed and (topic := full_topic(topic, node.name)):
+                yield StoredTopic(topic, kind, name)
 
 
 def read_pdu_msg_ids(node: NodeParameters, report: Mistakes) -> tuple[int, ...]:
@@ -306,13 +332,17 @@ class _Routes:
         text = self.fields.text(name, "a topic is needed, as /robot_1/cmd_vel")
         if text is None:
             return None
-        if not _TOPIC.fullmatch(text):
+        node = self.fields.node
+        topic = full_topic(text, node.name)
+        if not topic:
             allowed = (
                 "letters, digits and _ between single slashes are allowed, no part starting with a digit"
             )
+            if text.startswith("~") and full_topic(text, "/node"):
+                allowed = f"~ needs the node's name in place of {node.name or 'none'}, or -r __node:=NAME"
             self.fields.mistake(name, f'"{printable(text)}" is not a topic; {allowed}')
             return None
-        topic = "/" + text.removeprefix("/")
+        topic = node.remap(topic)
         if topic in self.topics:
             other, line = self.topics[topic]
             clash = f"{topic} is the topic of {printable(other)} on line {line} already"

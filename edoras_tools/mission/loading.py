@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import shlex
 from operator import itemgetter
 from pathlib import Path, PurePath
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools import doors
 from edoras_tools.cfs.profile import constant_names
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import link_of_label, links
@@ -32,12 +34,14 @@ from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FrameFormat
 from edoras_tools.words import either
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Iterator, Mapping
+    from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 
     from edoras_tools.mission.bridges import CheckType, Claims
     from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Route, StoredTopic, TransferLink
 
 _PARAMETERS: Final = b"ros__parameters"
+ROS_ARGS: Final = "ros_args"
+"""Name of the file of a mission that holds the words of ``--ros-args``, as a shell reads them."""
 
 
 def load(
@@ -45,6 +49,7 @@ def load(
     *,
     check_type: CheckType | None = None,
     msg_ids: MsgIds = VERSION_1,
+    ros_args: Sequence[str] = (),
 ) -> Mission:
     """Read EDORAS bridge files, ground and flight alike, into one mission.
 
@@ -53,6 +58,7 @@ def load(
             it; those that are no parameter files of ROS 2, or have no bridge, are left out with a warning.
         check_type: asked for every ROS type; returns None where it is known, else what is wrong, as
             ``unknown type a/msg/B; did you mean a/msg/C?``.
+        ros_args: what follows ``--ros-args`` where the bridges are started: they hold for every file.
 
     Raises:
         ConfigError: all mistakes of all files at once.
@@ -62,10 +68,10 @@ def load(
     contents = [
         item
         for path, files in folders
-        for item in ([(os.fspath(path), _read(path))] if files is None else files)
+        for item in ([(os.fspath(path), read_file(path))] if files is None else files)
     ]
     of_folders = {name for _, files in folders for name, _ in files or ()}
-    return _mission(contents, check_type, msg_ids, of_folders)
+    return _mission(contents, check_type, msg_ids, of_folders, ros_args)
 
 
 def loads(
@@ -76,7 +82,9 @@ def loads(
     Raises:
         ConfigError: all mistakes of all files at once.
     """
-    return _mission(list(files.items()), check_type, msg_ids)
+    words = shlex.split(files.get(ROS_ARGS, b"").decode("utf-8", "replace"))
+    contents: list[tuple[str, bytes | str]] = [item for item in files.items() if item[0] != ROS_ARGS]
+    return _mission(contents, check_type, msg_ids, ros_args=words)
 
 
 def _files(path: str | os.PathLike[str]) -> list[tuple[str, bytes | str]] | None:
@@ -87,12 +95,12 @@ def _files(path: str | os.PathLike[str]) -> list[tuple[str, bytes | str]] | None
         files = sorted(item for item in Path(path).iterdir() if item.suffix in {".yaml", ".yml"})
     except OSError:
         return None
-    return [(str(item), _read(item)) for item in files] or [
+    return [(str(item), read_file(item)) for item in files] or [
         (os.fspath(path), "a folder without YAML files; give the files of bridges")
     ]
 
 
-def _read(path: str | os.PathLike[str]) -> bytes | str:
+def read_file(path: str | os.PathLike[str]) -> bytes | str:
     """Return a file's bytes, or why there are none."""
     try:
         with Path(path).open("rb") as file:
@@ -109,8 +117,15 @@ def _mission(
     check_type: CheckType | None,
     msg_ids: MsgIds,
     of_folders: Container[str] = (),
+    ros_args: Sequence[str] = (),
 ) -> Mission:
     loading = _Loading(check_type, msg_ids)
+    if ros_args:
+        by_name = {PurePath(name).name: content for name, content in contents}
+        loading.arguments = doors.part("ros_args")(
+            ros_args, lambda path: by_name.get(PurePath(path).name) or read_file(path)
+        )
+        loading.files |= {ROS_ARGS: shlex.join(ros_args).encode(), **loading.arguments.overrides}
     for name, content in contents:
         if content not in loading.files.values():  # the same file given twice
             loading.add(name, content, of_folder=name in of_folders)
@@ -122,10 +137,12 @@ class _Loading:
 
     Attributes:
         files: bytes of each file, by name.
+        arguments: what its bridges are started with; None for nothing.
     """
 
     def __init__(self, check_type: CheckType | None, msg_ids: MsgIds) -> None:
         self.files: dict[str, bytes] = {}
+        self.arguments: Any = None
         self._check_type, self._msg_ids = check_type, msg_ids
         self._reports: list[Mistakes] = []
         self._claims: Claims = {}
@@ -153,7 +170,7 @@ class _Loading:
         if isinstance(content, bytes):
             self.files[_free_name(PurePath(name).name, self.files)] = content
         text = _text(content, report)
-        nodes = read_nodes(text, report) if text is not None else []
+        nodes = self._nodes(text, report)
         bridges = find_bridges(nodes)
         for node in nodes:
             if is_transfer(node):
@@ -199,6 +216,10 @@ class _Loading:
             tuple(dict.fromkeys(self._topics)),
             software=self._software or FlightSoftware(),
         )
+
+    def _nodes(self, text: str | None, report: Mistakes) -> list[NodeParameters]:
+        nodes = [] if text is None else read_nodes(text, report)
+        return self.arguments.applied(nodes, report) if self.arguments else nodes
 
     def _add_transfer(self, node: NodeParameters, report: Mistakes) -> None:
         self._pdus += read_pdu_msg_ids(node, report)

@@ -22,6 +22,8 @@ from edoras_tools.mission.tree import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from edoras_tools.mission.report import Mistakes
 
 PARAMETERS_KEY = "ros__parameters"
@@ -38,6 +40,7 @@ class NodeParameters:
         values: dotted name to a scalar or a list of them; None where the report already has a mistake.
         groups: dotted name of everything that has names below it.
         lines: dotted name, of parameter or group, to the line of its key.
+        remap: replaces a topic, fully qualified, as the node's arguments say.
     """
 
     name: str
@@ -45,6 +48,7 @@ class NodeParameters:
     values: dict[str, ScalarNode | tuple[ScalarNode, ...] | None] = field(default_factory=dict)
     groups: set[str] = field(default_factory=set)
     lines: dict[str, int] = field(default_factory=dict)
+    remap: Callable[[str], str] = str
 
     def children(self, group: str) -> list[str]:
         """Return the last part of every name directly below a group."""
@@ -58,8 +62,8 @@ class NodeParameters:
         return self.lines[name] if name else self.line
 
 
-def read_nodes(text: str, report: Mistakes) -> list[NodeParameters]:
-    """Return the nodes of a parameter file, with the parameters of matching wildcards.
+def read_nodes(text: str, report: Mistakes, *, merge: bool = True) -> list[NodeParameters]:
+    """Return the nodes of a parameter file, with the parameters of matching wildcards unless told not to.
 
     Mistakes go to ``report``; everything that can be read is returned.
     """
@@ -76,7 +80,8 @@ def read_nodes(text: str, report: Mistakes) -> list[NodeParameters]:
     else:
         for line, key in reader.strays:
             report.mistake(line, key, f"a value outside {PARAMETERS_KEY}; indent it below, or remove it")
-    return _with_wildcards(list(reader.nodes.values()))
+    nodes = list(reader.nodes.values())
+    return _with_wildcards(nodes) if merge else nodes
 
 
 class _Reader:
@@ -190,7 +195,7 @@ def _with_wildcards(nodes: list[NodeParameters]) -> list[NodeParameters]:
     for node in targets:
         merged = NodeParameters(node.name, node.line)
         for other in nodes:
-            if other is node or ("*" in other.name and _matches(other.name, node.name)):
+            if other is node or ("*" in other.name and name_matches(other.name, node.name)):
                 used.add(other.name)
                 merged.values.update(other.values)
                 merged.groups.update(other.groups)
@@ -199,7 +204,7 @@ def _with_wildcards(nodes: list[NodeParameters]) -> list[NodeParameters]:
     return [*result, *(node for node in nodes if node.name not in used)]
 
 
-def _matches(pattern: str, name: str) -> bool:
+def name_matches(pattern: str, name: str) -> bool:
     """Tell whether a wildcard matches: ``*`` is one part of a name, ``**`` any number of parts."""
     parts = name.split("/")[1:]
     ends = {0}

@@ -76,6 +76,7 @@ class Settings:
         options: how to read the bytes.
         structs: layouts of C structs; they take precedence over cFE's own.
         constants: of cFS, by name; they take precedence over those of mission files.
+        ros_args: words after ``--ros-args``, which hold for all mission files.
     """
 
     configs: Sequence[Path] = ()
@@ -84,6 +85,7 @@ class Settings:
     options: Options = Options()  # noqa: RUF009  frozen, and the same for all
     structs: Sequence[Path] = ()
     constants: Mapping[str, Any] = field(default_factory=dict)
+    ros_args: Sequence[str] = ()
 
     def workbench(self, info: SourceInfo | None = None, paths: Sequence[Path] = ()) -> Workbench:
         """Load the mission, the types and the layouts.
@@ -100,7 +102,9 @@ class Settings:
         options = self.options.over(info.read_with) if info else self.options
         types = TypeStore(self.distro, self.msg_paths, info.definitions if info else None)
         bridges = {name: data for name, data in attached.items() if not name.startswith(_LAYOUTS)}
-        read = partial(load, self.configs) if self.configs else partial(loads, bridges)
+        read = (
+            partial(load, self.configs, ros_args=self.ros_args) if self.configs else partial(loads, bridges)
+        )
         mission = read(check_type=types.check, msg_ids=options.msg_ids)
         if headers := mission.software.headers:
             options = options.saying(headers)

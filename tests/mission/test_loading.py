@@ -142,13 +142,17 @@ def test_nothing_configured_is_a_mission():
 def test_any_name_of_a_node_will_do(top):
     text = f"{top}:\n  ros__parameters:\n    communication: {COMMUNICATION}\n    a: {CMD_VEL}\n"
     mission = read(text + "    command: [a]\n    telemetry: ['']\n")
-    assert mission.find("cmd_vel").msg_id == 0x1827
+    assert mission.find("a").msg_id == 0x1827
+    assert mission.find("a").topic == ("/ground/cmd_vel" if "ground" in top else "/cmd_vel")
     assert mission.warnings == ()
 
 
 def test_namespaces_may_be_nested():
     body = f"communication: {COMMUNICATION}, command: [a], telemetry: [''], a: {CMD_VEL}"
-    assert read(f"ns: {{inner: {{node: {{ros__parameters: {{{body}}}}}}}}}").find("a").topic == "/cmd_vel"
+    assert (
+        read(f"ns: {{inner: {{node: {{ros__parameters: {{{body}}}}}}}}}").find("a").topic
+        == "/ns/inner/cmd_vel"
+    )
 
 
 def test_a_wildcard_is_put_into_the_nodes_it_matches():
@@ -160,7 +164,7 @@ def test_a_wildcard_is_put_into_the_nodes_it_matches():
     )
     (link,) = mission.ground
     assert (link.bridge_port, link.fsw_port) == (1235, 99)
-    assert mission.find("a").topic == "/cmd_vel"
+    assert mission.find("a").topic == "/ns/cmd_vel"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""What follows ``--ros-args``: names of nodes and topics, and parameters, as rcl reads them."""
