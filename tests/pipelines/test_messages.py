@@ -8,8 +8,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from edoras_tools.errors import RouteError
+from edoras_tools.mission.model import RecordedTopic
 from edoras_tools.pipelines.capture.info import inspect
-from edoras_tools.pipelines.messages import open_inputs
+from edoras_tools.pipelines.messages import message_bench, open_inputs
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings
 
@@ -66,3 +67,28 @@ def test_some_topics(bag):
         counted(bag, ["cmd_vle"])
     (row,) = counted(bag, ["/empty"])["routes"]
     assert (row["topic"], row["count"]) == ("/empty", 0)
+
+
+IDL = """// generated from rosidl_adapter/resource/msg.idl.em
+// with input from my_msgs/msg/Nothing.msg
+// generated code does not contain a copyright notice
+
+
+module my_msgs {
+  module msg {
+    struct Nothing {
+      uint8 structure_needs_at_least_one_member;
+    };
+  };
+};
+"""
+"""What rosidl writes of an empty message, as in ``share/test_msgs/msg/Empty.idl``."""
+
+
+def test_an_empty_message_of_an_own_package_with_an_idl_schema_is_read():
+    name = "my_msgs/msg/Nothing"
+    schema = f"{'=' * 80}\nIDL: {name}\n{IDL}".encode()
+    bench = message_bench([RecordedTopic("/nothing", name, "cdr", "ros2idl", schema)], Settings())
+    assert [item.unread for item in bench.mission.recorded] == [""]
+    assert bench.types.decode(name, b"\0\1\0\0\0") == {}
+    assert bench.types.encode(name, {}) == b"\0\1\0\0\0"

@@ -213,7 +213,7 @@ def text_of_idl(name: str, text: str) -> str:
     if full_name(name) not in by_name:
         raise ConfigError(f"schema of {name}: defines {', '.join(by_name) or 'no type'}")
     head = by_name.pop(full_name(name))
-    return complete_text([head, *by_name.values()])
+    return complete_text([head, *by_name.values()]) or "\n"  # an empty message has a definition, too
 
 
 def _idl_line(error: Exception) -> int:
