@@ -185,7 +185,10 @@ ADDONS: Final = (
                 before="samples",
             ),
         },
-        adds={"parts": {"simulation": "emulator.source:start_simulation", "prove": "cli.prove:prove"}},
+        adds={
+            "middleware": {"local": ":LOCAL"},
+            "parts": {"simulation": "emulator.source:start_simulation", "prove": "cli.prove:prove"},
+        },
     ),
     Addon(
         "fprime",
@@ -197,6 +200,15 @@ ADDONS: Final = (
     ),
     Addon("databases", adds={"databases": {"eds": "eds.sheets:SHEETS", "xtce": "xtce.systems:SYSTEMS"}}),
     Addon("frames", adds={"links": {"frames": "link:FRAMES"}, "rules": _rules("frames_lost")}),
+    Addon(
+        "ros_args",
+        adds={
+            "parts": {
+                "ros_args": "arguments:RosArguments",
+                "ros_args_settings": "arguments:with_arguments",
+            }
+        },
+    ),
     Addon("racs2", adds={"links": {"racs2": "link:RACS2"}}),
     Addon(
         "rtps",

@@ -24,13 +24,12 @@ _OF_THE_CORE: Final = {
         "pip install ros-rclpy ros-rmw-fastrtps-cpp",
         open=True,
     ),
-    "local": Middleware(f"{_HERE}.local:open_graph"),
 }
 
 
 def names() -> list[str]:
     """Return the names of all that ship."""
-    return [*doors.shipped("middleware"), *_OF_THE_CORE]
+    return sorted([*doors.shipped("middleware"), *_OF_THE_CORE])
 
 
 def middleware(ros: str) -> Middleware:

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from edoras_tools.addons.lab.demo.local_graph import LocalGraph
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import open_graph
-from edoras_tools.middleware.local import LocalGraph
 from edoras_tools.middleware.opening import middleware, usual, usual_domain
 from edoras_tools.ros import TypeStore
 
@@ -50,12 +50,14 @@ def test_a_library_that_does_not_load_is_one_line(monkeypatch):
         raise OSError("libddsc.so: wrong ELF class")
 
     monkeypatch.setattr("edoras_tools.doors.imported", broken)
-    with pytest.raises(ConfigError, match=r"^--ros local: its library does not load: libddsc.so: wrong ELF"):
-        open_graph("local", TypeStore(), "node")
+    with pytest.raises(ConfigError, match=r"^--ros rclpy: its library does not load: libddsc.so: wrong ELF"):
+        open_graph("rclpy", TypeStore(), "node")
 
 
 def test_another_name_is_told():
-    with pytest.raises(ConfigError, match=r"'ddz' is not known; there are zenoh, dds"):
+    with pytest.raises(
+        ConfigError, match=r"'ddz' is not known; there are dds, foxglove, local, rclpy, zenoh"
+    ):
         open_graph("ddz", TypeStore(), "node")
 
 

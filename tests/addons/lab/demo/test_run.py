@@ -19,10 +19,10 @@ from mcap.reader import make_reader
 from places import ROOT
 from waiting import PATIENCE_S, free_ports, until
 
+from edoras_tools.addons.lab.demo.local_graph import open_graph
 from edoras_tools.addons.lab.demo.run import Demo, DemoPlan
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.middleware import Qos
-from edoras_tools.middleware.local import open_graph
 from edoras_tools.model import Endpoint
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND

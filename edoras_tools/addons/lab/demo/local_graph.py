@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.graph import TopicState
 from edoras_tools.middleware.names import unknown_options
 
 if TYPE_CHECKING:
@@ -93,7 +94,10 @@ class LocalGraph:
             late = [
                 cdr
                 for publisher in topic_.publishers
-                if qos.transient_local and publisher.node is not self and _match(publisher.qos, qos)
+                if qos.transient_local is not False
+                and publisher.qos.transient_local
+                and publisher.node is not self
+                and _match(publisher.qos, qos)
                 for cdr in publisher.last
             ]
         for cdr in late:
@@ -118,6 +122,15 @@ class LocalGraph:
                     item.heard(cdr)
 
         return publish
+
+    def states(self) -> Mapping[str, TopicState]:
+        """See ``Graph``: what follows its publishers has what they offer; nothing is lost."""
+        with self._domain.lock:
+            return {
+                name: TopicState(tuple(dict.fromkeys(item.qos for item in topic.publishers)))
+                for name, topic in self._domain.topics.items()
+                if topic.publishers
+            }
 
     def notes(self) -> list[str]:
         """See ``Graph``: there is nothing to tell."""
@@ -145,5 +158,6 @@ class LocalGraph:
 
 
 def _match(offered: Qos, requested: Qos) -> bool:
-    """Tell whether a publisher offers all that a subscription asks for."""
-    return offered.reliable >= requested.reliable and offered.transient_local >= requested.transient_local
+    """Tell whether a publisher offers all that a subscription asks for; what it follows, it does not ask."""
+    pairs = (offered.reliable, requested.reliable), (offered.transient_local, requested.transient_local)
+    return all(offer or not request for offer, request in pairs)

@@ -6,9 +6,9 @@ from contextlib import closing
 
 import pytest
 
+from edoras_tools.addons.lab.demo.local_graph import open_graph
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import Qos
-from edoras_tools.middleware.local import open_graph
 from edoras_tools.ros import TypeStore
 
 TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/Pose"
