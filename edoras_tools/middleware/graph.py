@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
+_AUTOMATIC: Final = "automatic"
 MOST_DOMAIN: Final = 232
 """The highest ROS_DOMAIN_ID: DDS has no ports for more (RTPS 9.6.1.1)."""
 
@@ -17,14 +18,35 @@ class Qos:
     """Quality of service of one topic, by ROS's names (https://design.ros2.org/articles/qos.html).
 
     Attributes:
-        reliable: lost samples are sent again; False is ``best_effort``.
-        transient_local: late subscribers get the last samples; False is ``volatile``.
+        reliable: lost samples are sent again; False is ``best_effort``. None, of a subscription: what each
+            publisher offers.
+        transient_local: late subscribers get the last samples; False is ``volatile``. None as above.
         depth: samples kept (``keep_last``); 0 is ``keep_all``.
     """
 
-    reliable: bool = True
-    transient_local: bool = False
+    reliable: bool | None = True
+    transient_local: bool | None = False
     depth: int = 10
+
+    def words(self) -> dict[str, str | int]:
+        """Return the policies by ROS's names; ``automatic`` is what each publisher offers."""
+        reliability = {True: "reliable", False: "best_effort", None: _AUTOMATIC}[self.reliable]
+        durability = {True: "transient_local", False: "volatile", None: _AUTOMATIC}[self.transient_local]
+        return {"reliability": reliability, "durability": durability, "depth": self.depth}
+
+
+class TopicState(NamedTuple):
+    """How a topic of a node is connected now, and what was lost on it so far.
+
+    Attributes:
+        qos: in force; of a subscription that follows its publishers one for each kind of them.
+        missed: messages that a publisher's history or the network lost before they came here.
+        overwritten: messages overwritten in a history of ours, at the most.
+    """
+
+    qos: tuple[Qos, ...]
+    missed: int = 0
+    overwritten: int = 0
 
 
 class Graph(Protocol):
@@ -47,6 +69,9 @@ class Graph(Protocol):
         Raises:
             ConfigError: the type is unknown, or the middleware refuses the topic.
         """
+
+    def states(self) -> Mapping[str, TopicState]:
+        """Return the state of each topic by name; those without are as they were asked for."""
 
     def notes(self) -> list[str]:
         """Return new notes for the user: incompatible peers, where to connect to."""

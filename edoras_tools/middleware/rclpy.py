@@ -5,11 +5,14 @@ from __future__ import annotations
 import time
 from collections import defaultdict, deque
 from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from threading import Lock, Thread, current_thread
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.graph import TopicState
 from edoras_tools.middleware.names import check_name, node_name, unknown_options
 from edoras_tools.ros.types.schema import full_name
 
@@ -22,11 +25,15 @@ if TYPE_CHECKING:
 _MODULES: Final = (
     "rclpy",
     "rclpy.context",
+    "rclpy.event_handler",
     "rclpy.executors",
     "rclpy.qos",
 )
 _ECHO_SECONDS: Final = 1.0
 _MOST_ECHOES: Final = 10_000
+_FOLLOW_S: Final = 0.25
+_LEAST_WAITING: Final = 1000
+"""Messages that may wait for the thread that reads them, whatever the depth."""
 
 
 class RclpyGraph:
@@ -44,6 +51,7 @@ class RclpyGraph:
         self._closing = Lock()
         self._closed = False
         self._echoes: defaultdict[str, list[_Echoes]] = defaultdict(list)
+        self._listeners: list[_Listener] = []
         self._context = import_module("rclpy.context").Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)
         try:
@@ -74,7 +82,10 @@ class RclpyGraph:
 
         self._echoes[topic].append(echoes)
         try:
-            self._node.create_subscription(kind, topic, receive, _profile(qos), raw=True)
+            listener = _Listener(self._node, kind, topic, qos, receive)
+            self._listeners.append(listener)
+            if None in (qos.reliable, qos.transient_local):
+                self._node.create_timer(_FOLLOW_S, listener.follow)
         except Exception as error:  # rclpy raises RuntimeError, ValueError and classes of its own
             raise ConfigError(f"{topic}: refused by rclpy: {_line(error)}") from error
 
@@ -96,6 +107,10 @@ class RclpyGraph:
                 publisher.publish(cdr)
 
         return publish
+
+    def states(self) -> Mapping[str, TopicState]:
+        """See ``Graph``: what rclpy's event ``message_lost`` counts is missed."""
+        return {item.topic: TopicState((item.asked,), item.missed) for item in self._listeners}
 
     def notes(self) -> list[str]:
         """See ``Graph``: ROS 2 itself logs incompatible peers."""
@@ -133,6 +148,76 @@ class RclpyGraph:
                 f"{topic}: this ROS 2 has no {full_name(type_name)}: {_line(error)}; "
                 "source the workspace that has it, or install its package"
             ) from error
+
+
+class _Listener:
+    """A subscription; where it follows its publishers, it asks for what all of them offer, as rosbag2 does.
+
+    It is made anew when that changes; the old one stays for a while, and what both hear is heard once.
+
+    Attributes:
+        topic: its topic.
+        asked: the quality of service that it asks for.
+        missed: messages that rclpy says were lost.
+    """
+
+    def __init__(self, node: Any, kind: Any, topic: str, qos: Qos, receive: Callable[[bytes], None]) -> None:
+        self.topic, self.missed = topic, 0
+        self._node, self._kind, self._qos, self._receive = node, kind, qos, receive
+        self._recent: dict[tuple[int, int], None] = {}
+        self.asked = self._adapted()
+        self._subscriptions = [self._made()]
+
+    def follow(self) -> None:
+        """Ask for what the publishers offer now."""
+        for old in self._subscriptions[:-1]:
+            self._node.destroy_subscription(old)
+        del self._subscriptions[:-1]
+        if (now := self._adapted()) != self.asked:
+            self.asked = now
+            self._subscriptions.append(self._made())
+
+    def _adapted(self) -> Qos:
+        names, own = import_module("rclpy.qos"), (self._node.get_name(), self._node.get_namespace())
+        offers = [
+            item.qos_profile
+            for item in self._node.get_publishers_info_by_topic(self.topic)
+            if (item.node_name, item.node_namespace) != own
+        ]
+        reliable = all(item.reliability == names.ReliabilityPolicy.RELIABLE for item in offers)
+        lasting = all(item.durability == names.DurabilityPolicy.TRANSIENT_LOCAL for item in offers)
+        return replace(
+            self._qos,
+            reliable=reliable if self._qos.reliable is None else self._qos.reliable,
+            transient_local=(bool(offers) and lasting)
+            if self._qos.transient_local is None
+            else self._qos.transient_local,
+        )
+
+    def _made(self) -> Any:
+        depth = self.asked.depth
+        deep = depth if self.asked.transient_local or not depth else max(depth, _LEAST_WAITING)
+        profile = _profile(replace(self.asked, depth=deep))
+        lost_before = self.missed
+
+        def lost(status: Any) -> None:
+            self.missed = lost_before + status.total_count
+
+        handlers = import_module("rclpy.event_handler")
+        make = partial(self._node.create_subscription, self._kind, self.topic, self._hear, profile, raw=True)
+        try:
+            return make(event_callbacks=handlers.SubscriptionEventCallbacks(message_lost=lost))
+        except handlers.UnsupportedEventTypeError:  # a middleware need not count
+            return make()
+
+    def _hear(self, cdr: bytes, info: Mapping[str, int]) -> None:
+        key = info["source_timestamp"], info.get("publication_sequence_number", 0)
+        if key in self._recent:
+            return
+        self._recent[key] = None
+        if len(self._recent) > _LEAST_WAITING:
+            del self._recent[next(iter(self._recent))]
+        self._receive(cdr)
 
 
 class _Echoes:

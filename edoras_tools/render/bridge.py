@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 
 _NOTES: Final = 4
+_LOST: Final = {
+    "missed": "overwritten in their publisher's history before they came, or by the network",
+    "overwritten": "overwritten in the bridge's history before a subscriber acknowledged them, at most",
+}
 
 
 def live_table(console: Console, output: Path | None = None) -> LiveTable[LiveRun]:
@@ -73,6 +77,9 @@ def losses(summary: Mapping[str, Any]) -> list[str]:
             for reason, count in route["refused"].items():
                 number = plural(count, "message")
                 lines.append(f"{name}: {route['topic']}: {number} refused: {reason}")
+            for key, reason in _LOST.items():
+                if route[key]:
+                    lines.append(f"{name}: {route['topic']}: {plural(route[key], 'message')} lost: {reason}")
         for reason, count in item["refused"].items():
             lines.append(f"{name}: {plural(count, 'datagram')} refused: {reason}")
         if item["unreadable"]:

@@ -3,6 +3,7 @@
 There is no ROS 2 here: that a real one does the same is not shown by these tests.
 """
 
+import itertools
 import queue
 import sys
 import threading
@@ -28,11 +29,17 @@ class Ros:
     def __init__(self):
         self.nodes = []
         self.contexts = []
+        self.offers, self.timers, self.events = {}, [], {}
+        self.uncounted = False
+        self.stamps = itertools.count(1)
 
     def modules(self):
         ros = self
 
         class ExternalShutdownException(Exception):  # noqa: N818  rclpy's name
+            pass
+
+        class UnsupportedEventTypeError(Exception):
             pass
 
         class Context:
@@ -82,12 +89,32 @@ class Ros:
                 self.destroyed = False
                 ros.nodes.append(self)
 
-            def create_subscription(self, kind, topic, callback, qos_profile, *, raw):
+            def get_name(self):
+                return self.name
+
+            def get_namespace(self):
+                return self.namespace
+
+            def get_publishers_info_by_topic(self, topic):
+                return ros.offers.get(topic, [])
+
+            def create_timer(self, period, follow):
+                assert period > 0
+                ros.timers.append(follow)
+
+            def destroy_subscription(self, subscription):
+                self.subscriptions.remove(subscription)
+
+            def create_subscription(self, kind, topic, callback, qos_profile, *, raw, event_callbacks=None):
                 assert raw
+                if event_callbacks and ros.uncounted:
+                    raise UnsupportedEventTypeError
+                ros.events[topic] = event_callbacks
                 if topic == "/refused":
                     raise RuntimeError("rcl said no\nat some place")
                 self.profiles[topic] = qos_profile.asked
                 self.subscriptions.append((topic, callback))
+                return self.subscriptions[-1]
 
             def create_publisher(self, kind, topic, qos_profile):
                 if topic == "/refused":
@@ -111,7 +138,7 @@ class Ros:
                 while self.context.ok():
                     if (item := self.work.get()) is not None:
                         callback, message = item
-                        callback(message)
+                        callback(message, {"source_timestamp": next(ros.stamps)})
                 raise ExternalShutdownException
 
             def shutdown(self):
@@ -129,6 +156,10 @@ class Ros:
             "rclpy.executors": {
                 "SingleThreadedExecutor": SingleThreadedExecutor,
                 "ExternalShutdownException": ExternalShutdownException,
+            },
+            "rclpy.event_handler": {
+                "SubscriptionEventCallbacks": SimpleNamespace,
+                "UnsupportedEventTypeError": UnsupportedEventTypeError,
             },
             "rclpy.qos": {
                 "QoSProfile": QoSProfile,
@@ -213,7 +244,57 @@ def test_a_node_never_hears_itself_and_hears_others_who_say_the_same(graph, othe
 def test_quality_of_service_by_rclpys_names(ros, graph, qos, asked):
     graph.subscribe("/in", TWIST, qos, print)
     graph.advertise("/out", TWIST, qos)
-    assert ros.nodes[0].profiles == {"/in": asked, "/out": asked}
+    deep = (asked[0], max(asked[1], 1000), *asked[2:]) if asked[3] == "VOLATILE" else asked
+    assert ros.nodes[0].profiles == {"/in": deep, "/out": asked}
+
+
+@pytest.mark.parametrize(
+    ("qos", "offers", "asked"),
+    [
+        (Qos(None, None), [], "RELIABLE VOLATILE"),
+        (Qos(None, None), ["RELIABLE TRANSIENT_LOCAL"] * 2, "RELIABLE TRANSIENT_LOCAL"),
+        (Qos(None, None), ["RELIABLE TRANSIENT_LOCAL", "RELIABLE VOLATILE"], "RELIABLE VOLATILE"),
+        (Qos(None, None), ["BEST_EFFORT VOLATILE", "RELIABLE VOLATILE"], "BEST_EFFORT VOLATILE"),
+        (Qos(True, None), ["BEST_EFFORT TRANSIENT_LOCAL"], "RELIABLE TRANSIENT_LOCAL"),
+        (Qos(None, False), ["BEST_EFFORT TRANSIENT_LOCAL"], "BEST_EFFORT VOLATILE"),
+    ],
+)  # fmt: skip
+def test_what_all_publishers_offer_is_followed(ros, graph, other, until, qos, offers, asked):
+    """The subscription is made anew; what the old one and the new one hear both is heard once."""
+    heard, policies = [], sys.modules["rclpy.qos"].ReliabilityPolicy
+    graph.subscribe("/in", TWIST, qos, heard.append)
+    ros.offers["/in"] = [
+        SimpleNamespace(
+            node_name="talker",
+            node_namespace="/",
+            qos_profile=SimpleNamespace(
+                **{
+                    name: policies[word]
+                    for name, word in zip(("reliability", "durability"), text.split(), strict=False)
+                }
+            ),
+        )
+        for text in offers
+    ]
+    (follow,) = ros.timers
+    follow()
+    assert " ".join(ros.nodes[0].profiles["/in"][2:]) == asked
+    (state,) = graph.states().values()
+    assert " ".join(map(str, state.qos[0].words().values())) == f"{asked.lower()} 10"
+    publish = other.advertise("/in", TWIST, Qos())
+    ros.stamps = iter([1, 1, 2, 2] if len(ros.nodes[0].subscriptions) == 2 else [1, 2])
+    publish(b"a")
+    until(lambda: len(heard) == 1)
+    ros.events["/in"].message_lost(SimpleNamespace(total_count=3))
+    assert graph.states()["/in"].missed == 3
+    follow()
+    assert len(ros.nodes[0].subscriptions) == 1
+
+
+def test_a_middleware_that_does_not_count_is_heard_all_the_same(ros, graph):
+    ros.uncounted = True
+    graph.subscribe("/in", TWIST, Qos(), print)
+    assert graph.states()["/in"].missed == 0
 
 
 def test_nothing_is_heard_once_closed(ros, graph, other):

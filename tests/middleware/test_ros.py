@@ -17,14 +17,13 @@ from effort import LONG
 from namespace import ip
 from places import ROOT, SUPPORT
 from ros_round_trip import topics
+from ros_wheels import APART, HOME, INSTALLED, python
 from waiting import PATIENCE_S, until
 
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.arbitrary import arbitrary
 from edoras_tools.ros.type_hash import type_hash
 
-HOME = ROOT / ".ros"
-DISTROS = ("jazzy", "kilted")
 GRAPHS = ("dds", "rclpy")
 HASHES = {"jazzy": 132, "kilted": 131}
 """How many types of each distribution have a hash in its wheels and a definition here."""
@@ -55,24 +54,7 @@ LOCAL = (
 )
 
 
-def distro(name, *marks):
-    """Return a distribution as a parameter: its test is skipped where its wheels are not installed."""
-    if (HOME / name / ".installed").exists():
-        return pytest.param(name, marks=marks)
-    absent = HOME / f"{name}.absent"
-    why = absent.read_text().strip() if absent.exists() else f"ROS 2 {name} is not installed: make ros"
-    return pytest.param(name, marks=pytest.mark.skip(reason=why))
-
-
-INSTALLED = [distro(name) for name in DISTROS]
-APART = [distro(name, pytest.mark.own_network) for name in DISTROS]
-
-
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-
-
-def python(name):
-    return HOME / name / "bin/python"
 
 
 @contextmanager

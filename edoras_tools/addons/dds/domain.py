@@ -9,6 +9,7 @@ What comes later in this list holds:
 3. ``CYCLONEDDS_URI``.
 4. Our options.
 
+Interfaces would add up, and one that is named twice is refused: the last that names some replaces the others.
 Beside these Cyclone DDS's own defaults hold: the first interface that it finds fit, discovery by multicast.
 But where nothing else is said it also uses ``lo``, and listens on one of the ports that the standard gives to
 participants of a machine (RTPS 9.6.1.1): there a node with ``LOCALHOST`` looks for others.
@@ -20,8 +21,9 @@ import os
 import re
 import sys
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Final
 from xml.sax.saxutils import quoteattr
@@ -56,6 +58,10 @@ _FAST_DDS_3: Final = "1.15"
 """The vendor id of eProsima; Cyclone DDS then matches its types by name, as rmw_fastrtps itself does."""
 _PREFIX: Final = re.compile(r"^\d+\.\d+ \[\d*\]\s+\S+:\s*")
 """What Cyclone DDS puts before a line: time, domain and thread."""
+_CHOICE: Final = re.compile(r"<(Interfaces|NetworkInterfaceAddress)\b.*?</\1\s*>", re.DOTALL | re.IGNORECASE)
+_FILE: Final = "file://"
+UNACKNOWLEDGED_BYTES: Final = 8 << 20
+"""Where a writer begins to wait for its readers, of whatever history; Cyclone DDS's own value is 500 kB."""
 _COMPATIBLE: Final = f"<IgnoreTypeInformation>{_FAST_DDS_3}</IgnoreTypeInformation>"
 
 
@@ -71,8 +77,12 @@ _lock = Lock()
 
 
 def compatible() -> str:
-    """Return what every domain is configured with, as XML."""
-    return _domain(Compatibility=_COMPATIBLE)
+    """Return what every domain is configured with, as XML.
+
+    Fast DDS learns that an endpoint is gone only where its key's hash is sent, too.
+    """
+    marks = f"<Watermarks><WhcHigh>{UNACKNOWLEDGED_BYTES} B</WhcHigh></Watermarks>"
+    return _domain(Compatibility=_COMPATIBLE, Internal=f"{marks}<GenerateKeyhash>true</GenerateKeyhash>")
 
 
 def discovery(environ: Mapping[str, str]) -> str:
@@ -160,9 +170,42 @@ def release(number: int) -> None:
             del _domains[number]
 
 
+def one_choice(*layers: str) -> str:
+    """Return layers of configuration as one, where only the last one that names interfaces does."""
+    last = max((number for number, item in enumerate(layers) if _CHOICE.search(item)), default=0)
+    return ",".join(filter(None, (*(_CHOICE.sub("", item) for item in layers[:last]), *layers[last:])))
+
+
+def _of_user() -> str:
+    """Return the user's own configuration; a file's content where it is one that can be read."""
+    text = os.environ.get(_URI, "")
+    if text.startswith(_FILE):
+        with suppress(OSError, UnicodeDecodeError):
+            return Path(text.removeprefix(_FILE)).read_text(encoding="utf-8")
+    return text
+
+
+def missing_hint(environ: Mapping[str, str]) -> str:
+    """Return what to look at where no other node was found."""
+    reach = "LOCALHOST" if environ.get(_LOCAL_ONLY) == "1" else environ.get(_RANGE, "") or _RANGES[0]
+    variable = _LOCAL_ONLY if environ.get(_LOCAL_ONLY) == "1" else _RANGE
+    if reach == "OFF":
+        return f"{_RANGE} is OFF here, so nobody is found; unset it"
+    if reach == "LOCALHOST":
+        return (
+            f"{variable} limits ours to this machine; if the others are on another one, "
+            f"unset it here, or name their addresses in {_PEERS}"
+        )
+    return (
+        f"is ROS_DOMAIN_ID the same? If {_RANGE} is LOCALHOST there, they are found only from their own "
+        "machine, through lo: write --ros-option interface=lo, or unset it there; if OFF, unset it there. "
+        "If multicast does not reach the others, write --ros-option peers=ADDRESS"
+    )
+
+
 def _create(number: int, config: str) -> Domain | None:
     """Return a new domain; None if the one that is open in this process already fits."""
-    users, variables = os.environ.get(_URI, ""), discovery(os.environ)
+    users, variables = _of_user(), discovery(os.environ)
     lines: list[str] = []
     usual, chosen = variables == discovery({}), bool(users) or "NetworkInterface" in config
     # Each asks for less than the one before: a machine may have no other interface, or no port left.
@@ -172,7 +215,7 @@ def _create(number: int, config: str) -> Domain | None:
         lines.clear()
         try:
             with _overheard(lines):
-                return Domain(number, ",".join(filter(None, (compatible(), reach, users, config))))
+                return Domain(number, one_choice(compatible(), reach, users, config))
         except DDSException as error:
             failure = error
             if error.code == DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:

@@ -5,9 +5,11 @@ ROS's quality of service becomes DDS policies as in rmw_cyclonedds.
 
 from __future__ import annotations
 
+import os
 import time
+from functools import partial
 from threading import Event, RLock, Thread, current_thread
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from cyclonedds.core import (
     DDSException,
@@ -24,16 +26,8 @@ from cyclonedds.util import duration
 
 from edoras_tools.addons.dds import domain as dds_domain
 from edoras_tools.addons.dds import peers as dds_peers
-from edoras_tools.addons.dds.messages import (
-    ANY_STATE,
-    DdsTypes,
-    is_little_endian,
-    padded,
-    rewritten,
-    taker_of,
-    trimmed,
-    writer_of,
-)
+from edoras_tools.addons.dds.endpoints import BLOCKING_MS, CountedWriter, TopicReaders, acknowledged, room_of
+from edoras_tools.addons.dds.messages import ANY_STATE, DdsTypes, padded, trimmed, writer_of
 from edoras_tools.addons.dds.peers import Discovered, OwnEndpoint, user_data
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware.names import check_name, dds_name, node_name
@@ -44,8 +38,8 @@ if TYPE_CHECKING:
 
     from cyclonedds.core import Entity
 
-    from edoras_tools.addons.dds.messages import Take
     from edoras_tools.middleware import graph
+    from edoras_tools.middleware.graph import TopicState
     from edoras_tools.ros import TypeStore
 
     Owned = TypeVar("Owned", bound=Entity)
@@ -61,31 +55,30 @@ _UNFIT: Final = {
 of ours has to be for the other to match."""
 _PATIENCE_S: Final = 5.0
 """Seconds after which a note says that no other node was found."""
-LEAST_WAITING: Final = 1000
-"""Samples that may wait for the thread that reads them: about 50 ms at 20,000 a second."""
-BLOCKING_MS: Final = 100
-"""How long a write waits for readers that are behind: DDS's own default. ROS waits for ever."""
 _UNLIMITED: Final = -1
 
 
-def writer_qos(qos: graph.Qos, user_data: bytes = b"") -> Qos:
-    """Return the policies of a writer, and what others are told of it."""
+def writer_qos(qos: graph.Qos, user_data: bytes = b"", room: int = 0) -> Qos:
+    """Return the policies of a writer, and what others are told of it.
+
+    Args:
+        room: samples that wait for acknowledgement; by default as many as late subscribers get.
+    """
     history = _history(qos.depth)
     service = Policy.DurabilityService(0, history, _UNLIMITED, _UNLIMITED, _UNLIMITED)
     lifecycle = Policy.WriterDataLifecycle(autodispose=False)
     durable = (service,) if qos.transient_local else ()
-    return Qos(*_common(qos), history, lifecycle, *durable, Policy.Userdata(user_data))
+    waiting = _history(max(room, qos.depth)) if qos.depth else history
+    return Qos(*_common(qos), waiting, lifecycle, *durable, Policy.Userdata(user_data))
 
 
 def reader_qos(qos: graph.Qos, user_data: bytes = b"") -> Qos:
     """Return the policies of a reader, and what others are told of it.
 
-    The depth limits how far a subscriber may fall behind. Here that is only as long as a thread takes to wake
-    up, and must not cut a burst, so more samples are kept. Of samples from before the subscription, no more
-    than the depth are asked for.
+    ROS's depth limits how far a subscriber may fall behind. Here that is only as long as a thread takes to
+    wake up, and must not cut a burst: nothing is overwritten.
     """
-    depth = qos.depth if qos.transient_local or not qos.depth else max(qos.depth, LEAST_WAITING)
-    return Qos(*_common(qos), _history(depth), Policy.Userdata(user_data))
+    return Qos(*_common(qos), Policy.History.KeepAll, Policy.Userdata(user_data))
 
 
 def _common(qos: graph.Qos) -> tuple[Any, ...]:
@@ -103,25 +96,12 @@ def _history(depth: int) -> Any:
     return Policy.History.KeepLast(depth) if depth else Policy.History.KeepAll
 
 
-def _loss(code: int) -> str:
-    """Return why a write failed, in words."""
-    if code == DDSException.DDS_RETCODE_TIMEOUT:
-        return f"a reliable subscriber did not keep up for {BLOCKING_MS} ms"
-    return str(DDSException(code, "while writing"))
-
-
 def _unfit(topic: str, status: Any, *, ours_writes: bool) -> str:
     """Return why an endpoint of another does not match ours, and what to write."""
     kind, as_subscriber, as_publisher = _UNFIT.get(status.last_policy_id, ("a policy", "", ""))
     line = as_publisher if ours_writes else as_subscriber
     remedy = f"; write qos: {{{line}}} for this topic in the mission file" if line else ""
     return f"{topic}: a {'subscriber' if ours_writes else 'publisher'} does not match: {kind} differs{remedy}"
-
-
-class _Ear(NamedTuple):
-    type_name: str
-    take: Take
-    heard: Callable[[bytes], None]
 
 
 class DdsGraph:
@@ -148,7 +128,10 @@ class DdsGraph:
         self._lock = RLock()
         self._closed = Event()
         self._told: set[str] = set()
-        self._ears: list[_Ear] = []
+        self._subscriptions: list[TopicReaders] = []
+        self._publications: list[CountedWriter] = []
+        self._conditions: dict[DataReader[Any], ReadCondition] = {}
+        self._changed = self._follows = False
         self._topics: dict[str, Topic[Any]] = {}
         self._types_of: dict[str, str] = {}
         self._readers: list[tuple[str, DataReader[Any]]] = []
@@ -171,15 +154,19 @@ class DdsGraph:
         """Call ``heard(cdr)`` for each message of a topic; see ``Graph``."""
         with self._lock:
             on = self._topic(topic, type_name)
+
+            def make(request: graph.Qos) -> DataReader[Any]:
+                return self._reader(topic, type_name, on, request)
+
             try:
-                reader = self._own(
-                    DataReader(self._subscriber, on, reader_qos(qos, self._user_data(type_name)))
-                )
-                ready = self._own(ReadCondition(reader, ANY_STATE))
-                self._readers.append((topic, reader))
-                self._types_of[topic] = type_name
-                self._ears.append(_Ear(type_name, taker_of(reader), heard))
-                self._waitset.attach(ready)
+                subscription = TopicReaders(topic, type_name, qos, heard, make, partial(self._drop, topic))
+                offers = self._peers.writers[f"rt{topic}"].values() if subscription.follows else ()
+                subscription.follow(offers, self._offer_of)
+                self._subscriptions.append(subscription)
+                if subscription.follows and not self._follows:
+                    self._follows = True
+                    for reader in self._peers.entities:
+                        self._waitset.attach(self._own(ReadCondition(reader, ANY_STATE)))
             except DDSException as error:
                 raise ConfigError(f"{topic}: cannot be subscribed to: {error}") from error
             self._announce()
@@ -187,30 +174,38 @@ class DdsGraph:
     def advertise(self, topic: str, type_name: str, qos: graph.Qos) -> Callable[[bytes], None]:
         """Return what publishes one message of a topic; see ``Graph``. Once closed, it does nothing.
 
-        It raises ``WireError`` where the message is not valid, or is lost because a reliable subscriber has
-        been behind for ``BLOCKING_MS``. That can only happen where all samples are kept, or large ones.
+        It raises ``WireError`` as ``CountedWriter.publish`` does.
         """
         with self._lock:
             on = self._topic(topic, type_name)
+            room = room_of(qos, self._types.fixed_size(type_name))
+            policies = writer_qos(qos, self._user_data(type_name), room)
             try:
-                writer = self._own(
-                    DataWriter(self._publisher, on, writer_qos(qos, self._user_data(type_name)))
-                )
+                writer = self._own(DataWriter(self._publisher, on, policies))
             except DDSException as error:
                 raise ConfigError(f"{topic}: cannot be published on: {error}") from error
             self._writers.append((topic, writer))
             self._types_of[topic] = type_name
+            self._publications.append(CountedWriter(topic, type_name, qos, room, writer, self._types))
             self._announce()
-        types, write, refused = self._types, writer_of(writer), DDSException.DDS_RETCODE_BAD_PARAMETER
+        write, closed = self._publications[-1].publish, self._closed
 
         def publish(cdr: bytes) -> None:
-            code = write(padded(cdr)) if is_little_endian(cdr) else refused
-            if code == refused and not self._closed.is_set():
-                code = write(padded(rewritten(types, type_name, cdr)))
-            if code and not self._closed.is_set():
-                raise WireError(f"{topic}: a message of {type_name} is lost: {_loss(code)}")
+            try:
+                write(cdr)
+            except WireError:
+                if not closed.is_set():
+                    raise
 
         return publish
+
+    def states(self) -> Mapping[str, TopicState]:
+        """See ``Graph``: of a topic that is both, the subscription's."""
+        with self._lock:
+            if self._closed.is_set():
+                return {}
+            published = {item.topic: item.state() for item in self._publications}
+            return published | {item.topic: item.state() for item in self._subscriptions}
 
     def subscribers(self, topic: str) -> int:
         """Return how many readers of other participants a topic has that is published on here."""
@@ -221,10 +216,7 @@ class DdsGraph:
 
     def acknowledged(self) -> bool:
         """Tell whether reliable subscribers have acknowledged everything that was published."""
-        try:
-            return all(writer.wait_for_acks(0) for _, writer in self._writers)
-        except AttributeError:  # cyclonedds 11.0.1 asks the wrong class whether its time is over
-            return False
+        return all(acknowledged(writer) for _, writer in self._writers)
 
     def notes(self) -> list[str]:
         """Return a line for each topic with an incompatible peer, once, with the reason; see ``Graph``.
@@ -235,7 +227,8 @@ class DdsGraph:
         with self._lock:
             if self._closed.is_set():
                 return []
-            self._peers.update()
+            if not self._follows:  # else the thread that listens does
+                self._peers.update()
             self._present(self._peers.gid_bytes)
             pairs: list[tuple[str, bool, Any]] = [
                 (topic, False, reader.get_requested_incompatible_qos_status())  # type: ignore[no-untyped-call]
@@ -260,8 +253,8 @@ class DdsGraph:
         notes += self._peers.notes(own, late=late)
         if late and not self._peers.found:
             notes.append(
-                f"no other node was found in domain {self._domain} for {_PATIENCE_S:.0f} s; is ROS_DOMAIN_ID "
-                "the same? If multicast does not reach the others, write --ros-option peers=ADDRESS"
+                f"no other node was found in domain {self._domain} for {_PATIENCE_S:.0f} s; "
+                + dds_domain.missing_hint(os.environ)
             )
         new = [note for note in dict.fromkeys(notes) if note not in self._told]
         self._told.update(new)
@@ -354,12 +347,59 @@ class DdsGraph:
 
     def _listen(self) -> None:
         while not self._closed.is_set():
-            self._waitset.wait(_FOREVER)
-            for ear in tuple(self._ears):
-                for cdr in ear.take():
+            if not self._changed:
+                self._waitset.wait(_FOREVER)
+            leftover = self._follow() if self._follows else []
+            for subscription in tuple(self._subscriptions):
+                leftover += [(subscription, cdr) for cdr in subscription.take(self._offer_of)]
+                for item, cdr in leftover:
                     if self._closed.is_set():
                         return
-                    ear.heard(trimmed(self._types, ear.type_name, cdr))
+                    item.heard(trimmed(self._types, item.type_name, cdr))
+                leftover.clear()
+
+    def _follow(self) -> list[tuple[TopicReaders, bytes]]:
+        """Give subscriptions the readers that their publishers need; return what waited in others."""
+        with self._lock:
+            if self._closed.is_set() or not (self._peers.update() or self._changed):
+                return []
+            self._changed = False
+            leftover = []
+            before = [*self._readers]
+            for item in self._subscriptions:
+                if item.follows:
+                    offers = self._peers.writers[f"rt{item.topic}"].values()
+                    leftover += [(item, cdr) for cdr in item.follow(offers, self._offer_of)]
+            if before != self._readers:
+                self._announce()
+            return leftover
+
+    def _offer_of(self, handle: int) -> tuple[graph.Qos, bool] | None:
+        """Return what a writer offers: discovery shows it before its first sample, perhaps just now."""
+        peers = self._peers
+        if handle not in peers.offers:
+            with self._lock:
+                self._changed |= peers.update()
+        offer = peers.offers.get(handle)
+        return None if offer is None else (offer, handle in peers.alive)
+
+    def _reader(self, topic: str, type_name: str, on: Topic[Any], qos: graph.Qos) -> DataReader[Any]:
+        """Make a reader, and wait for its samples."""
+        reader = self._own(DataReader(self._subscriber, on, reader_qos(qos, self._user_data(type_name))))
+        ready = self._conditions[reader] = self._own(ReadCondition(reader, ANY_STATE))
+        self._readers.append((topic, reader))
+        self._types_of[topic] = type_name
+        self._waitset.attach(ready)
+        return reader
+
+    def _drop(self, topic: str, reader: DataReader[Any]) -> None:
+        """Delete a reader."""
+        ready = self._conditions.pop(reader)
+        self._waitset.detach(ready)
+        self._readers.remove((topic, reader))
+        for entity in (ready, reader):
+            self._entities.remove(entity)
+            entity.__del__()
 
     def _own(self, entity: Owned) -> Owned:
         self._entities.append(entity)

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     Write = Callable[[bytes], int]
     Take = Callable[[], list[bytes]]
+    TakeWithInfo = Callable[[], list[tuple[bytes, Any]]]
 
 _PRIMITIVES: Final = {
     "bool": bool,
@@ -133,6 +134,12 @@ def writer_of(writer: DataWriter[Any]) -> Write:
 
 def taker_of(reader: DataReader[Any]) -> Take:
     """Return what takes the samples that wait, ``_MOST_SAMPLES`` at most: encapsulation, body, padding."""
+    take = info_taker_of(reader)
+    return lambda: [data for data, _ in take()]
+
+
+def info_taker_of(reader: DataReader[Any]) -> TakeWithInfo:
+    """Return what takes samples as ``taker_of`` does, each with its ``SampleInfo``."""
     try:
         from cyclonedds._clayer import ddspy_take  # type: ignore[import-not-found]
 
@@ -142,11 +149,11 @@ def taker_of(reader: DataReader[Any]) -> Take:
     except (ImportError, AttributeError, TypeError):
         return plain_taker_of(reader)
 
-    def take() -> list[bytes]:
+    def take() -> list[tuple[bytes, Any]]:
         samples = ddspy_take(entity, ANY_STATE, _MOST_SAMPLES)
         if isinstance(samples, int):
             raise DDSException(samples, "while taking samples")
-        return [data for data, info in samples if info.valid_data]
+        return [item for item in samples if item[1].valid_data]
 
     return take
 
@@ -167,11 +174,13 @@ def plain_writer_of(writer: DataWriter[Any]) -> Write:
     return write
 
 
-def plain_taker_of(reader: DataReader[Any]) -> Take:
-    """Return ``taker_of``'s like from public parts only."""
+def plain_taker_of(reader: DataReader[Any]) -> TakeWithInfo:
+    """Return ``info_taker_of``'s like from public parts only."""
     of = reader.topic.data_type.__idl__
     return lambda: [
-        of.serialize(sample) for sample in reader.take(_MOST_SAMPLES) if not isinstance(sample, InvalidSample)
+        (of.serialize(sample), sample.sample_info)
+        for sample in reader.take(_MOST_SAMPLES)
+        if not isinstance(sample, InvalidSample)
     ]
 
 

@@ -6,6 +6,7 @@ node list`` shows a participant whose entities are published on ``ros_discovery_
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
@@ -18,7 +19,7 @@ from cyclonedds.builtin import (
     BuiltinTopicDcpsSubscription,
     DcpsEndpoint,
 )
-from cyclonedds.core import DDSException, Entity
+from cyclonedds.core import DDSException, InstanceState
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.qos import Policy, Qos
 
@@ -154,6 +155,9 @@ class Discovered:
 
     Attributes:
         found: the others' endpoints, by identifier.
+        offers: what writers offer, by their handle in Cyclone DDS.
+        alive: the handles of those that are there now.
+        writers: identifiers and offers of the writers that there are now, by topic of DDS.
         entities: the readers that it has made.
     """
 
@@ -163,11 +167,15 @@ class Discovered:
             (True, BuiltinDataReader(participant, BuiltinTopicDcpsPublication)),
             (False, BuiltinDataReader(participant, BuiltinTopicDcpsSubscription)),
         )
-        self.entities: list[Entity] = [reader for _, reader in self._readers]
+        self.entities: list[BuiltinDataReader] = [reader for _, reader in self._readers]
         self.found: dict[UUID, PeerEndpoint] = {}
+        self.offers: dict[int, graph.Qos] = {}
+        self.alive: set[int] = set()
+        self.writers: defaultdict[str, dict[UUID, graph.Qos]] = defaultdict(dict)
 
-    def update(self) -> None:
-        """Take what discovery has told since the last time."""
+    def update(self) -> bool:
+        """Take what discovery has told since the last time; return whether writers came or went."""
+        changed = False
         for writes, reader in self._readers:
             while samples := reader.take(_AT_ONCE):
                 for item in samples:
@@ -179,6 +187,21 @@ class Discovered:
                         self.found[item.key] = PeerEndpoint(
                             item.topic_name, item.type_name, writes, _hash_of(item.qos)
                         )
+                    if writes and isinstance(item, DcpsEndpoint) and item.key in self.found:
+                        changed = True
+                        self._note_writer(item)
+        return changed
+
+    def _note_writer(self, item: DcpsEndpoint) -> None:
+        """Take what is said of a writer: what it offers, that it is gone, or both at once."""
+        info: Any = item.sample_info  # type: ignore[attr-defined]
+        writers = self.writers[self.found[item.key].topic]
+        if item.topic_name:
+            self.offers[info.instance_handle] = writers[item.key] = _offer(item.qos)
+            self.alive.add(info.instance_handle)
+        if info.instance_state != InstanceState.Alive:
+            writers.pop(item.key, None)
+            self.alive.discard(info.instance_handle)
 
     @property
     def gid_bytes(self) -> int | None:
@@ -226,6 +249,16 @@ def _nearest(topic: str, names: Sequence[str]) -> str:
 def user_data(type_hash: str) -> bytes:
     """Return the user data of an endpoint of a type, as ROS writes it from Iron on."""
     return f"{TYPE_HASH}{type_hash};".encode()
+
+
+def _offer(qos: Qos) -> graph.Qos:
+    """Return what a writer offers of reliability and durability."""
+    policies = list(qos)
+    lasting = (Policy.Durability.TransientLocal, Policy.Durability.Transient, Policy.Durability.Persistent)
+    return graph.Qos(
+        reliable=Policy.Reliability.BestEffort not in policies,
+        transient_local=any(item in lasting for item in policies),
+    )
 
 
 def _hash_of(qos: Qos) -> str:

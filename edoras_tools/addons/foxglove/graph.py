@@ -27,7 +27,7 @@ from edoras_tools.model import Endpoint
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from edoras_tools.middleware.graph import Qos
+    from edoras_tools.middleware.graph import Qos, TopicState
     from edoras_tools.ros import TypeStore
 
 _OPTIONS: Final = {"host": "127.0.0.1", "port": "8765", "origins": "", "token": ""}
@@ -125,6 +125,10 @@ class FoxgloveGraph:
             self.server.publish(records)
 
         return publish
+
+    def states(self) -> Mapping[str, TopicState]:
+        """See ``Graph``: there is one way only, and the server counts what it drops."""
+        return {}
 
     def notes(self) -> list[str]:
         """Say once where clients connect to, and which web pages were refused; see ``Graph``."""

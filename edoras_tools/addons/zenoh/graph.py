@@ -6,6 +6,7 @@ import json
 import os
 import re
 import time
+from dataclasses import replace
 from itertools import count
 from threading import Lock, RLock
 from typing import TYPE_CHECKING, Any, Final
@@ -24,6 +25,7 @@ from edoras_tools.addons.zenoh.identity import (
     gid,
 )
 from edoras_tools.errors import ConfigError
+from edoras_tools.middleware.graph import TopicState
 from edoras_tools.middleware.names import check_name, unknown_options
 from edoras_tools.ros.type_hash import type_hash
 from edoras_tools.ros.types.schema import full_name
@@ -192,6 +194,7 @@ class ZenohGraph:
         self._ids = count(1)
         self._listening: list[_Listener] = []
         self._own: set[bytes] = set()
+        self._states: dict[str, Callable[[], TopicState]] = {}
         self._closing = Lock()
         self._closed = False
         self._lonely_at: float | None = time.monotonic() + _LONELY_S
@@ -205,9 +208,16 @@ class ZenohGraph:
         return bool(info.routers_zid() or info.peers_zid())
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, heard: Callable[[bytes], None]) -> None:
-        """Call ``heard(cdr)`` for each message of a topic; see ``Graph``."""
+        """Call ``heard(cdr)`` for each message of a topic; see ``Graph``.
+
+        What follows its publishers asks for all: in Zenoh what offers less is received, too.
+        """
         topic_ = self._topic(topic, type_name)
+        qos = replace(
+            qos, reliable=qos.reliable is not False, transient_local=qos.transient_local is not False
+        )
         listener = _Listener(heard, self._own if qos.transient_local else frozenset())
+        self._states[topic] = lambda: TopicState((qos,), listener.missed)
         key = topic_.key(self._node.domain)
         if qos.transient_local:
             entity: Any = self._declare(
@@ -256,6 +266,7 @@ class ZenohGraph:
             )
         else:
             publisher = self._declare(topic_, self._session.declare_publisher, key, **wire)
+        self._states.setdefault(topic, lambda: TopicState((qos,)))
         source = gid(self._announce(publisher, TokenKind.PUBLISHER, topic_, qos))
         self._own.add(source)
         put, attach, now, numbers = publisher.put, ATTACHMENT.pack, time.time_ns, count(1)
@@ -268,6 +279,10 @@ class ZenohGraph:
                     raise ConfigError(f"{topic}: cannot be published on: {reason(error)}") from error
 
         return publish
+
+    def states(self) -> Mapping[str, TopicState]:
+        """See ``Graph``: numbers that are missing among those that publishers give count as missed."""
+        return {topic: state() for topic, state in self._states.items()}
 
     def notes(self) -> list[str]:
         """Return a note, once, that no peer is there; see ``Graph``."""
@@ -318,19 +333,34 @@ class _Listener:
     Args:
         heard: is given each message.
         ignored: ids of publishers to ignore: the caches of one's own session answer, whatever its locality.
+
+    Attributes:
+        missed: messages that the numbers of their publishers say were lost.
     """
 
     def __init__(self, heard: Callable[[bytes], None], ignored: Collection[bytes]) -> None:
+        self.missed = 0
         self._heard: Callable[[bytes], None] | None = heard
         self._ignored = ignored
         self._speaking = RLock()
+        self._last: dict[bytes, int] = {}
 
     def __call__(self, sample: zenoh.Sample) -> None:
-        if self._ignored and sample.attachment and sample.attachment.to_bytes()[-GID:] in self._ignored:
+        attachment = sample.attachment.to_bytes() if sample.attachment else b""
+        if attachment[-GID:] in self._ignored:
             return
         with self._speaking:
+            if len(attachment) == ATTACHMENT.size:
+                self._count(attachment)
             if self._heard is not None:
                 self._heard(sample.payload.to_bytes())
+
+    def _count(self, attachment: bytes) -> None:
+        number, _, _, source = ATTACHMENT.unpack(attachment)
+        last = self._last.setdefault(source, number - 1)
+        self._last[source] = max(number, last)
+        # One that comes after a later one was counted as missed before.
+        self.missed = max(self.missed + (number - last - 1 if number > last else -1), 0)
 
     def stop(self) -> None:
         """Return when the last one was handed on."""

@@ -10,6 +10,7 @@ from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import arrives_at
 from edoras_tools.middleware import Qos
 from edoras_tools.mission import Bridge, GroundLink, Route, load, read_scalar
+from edoras_tools.mission.bridges import node_of
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.workbench import Settings, Workbench
 from edoras_tools.ros import TypeStore
@@ -112,18 +113,23 @@ class BridgePlan:
         Raises:
             ConfigError: two bridges use one MsgId on one kind of link; a recording cannot distinguish them.
         """
-        mission = load(self.settings.configs, msg_ids=self.settings.options.msg_ids)
+        wishes = self.settings
+        mission = load(wishes.configs, msg_ids=wishes.options.msg_ids, ros_args=wishes.ros_args)
         routes = tuple(route for route in mission.routes if self.types.has(route.type))
         context = Context(replace(mission, routes=routes), self.types, self.settings.options)
         return Workbench(context.mission, self.types, ColumnDecoder(context), Dissector(context))
 
 
 def qos_of(route: Route) -> Qos:
-    """Return the quality of service of a topic: as in the public bridges, but with depth 10 instead of 1."""
-    wish = route.handling
+    """Return the quality of service of a topic.
+
+    What a file leaves out is what each publisher offers, of a topic to cFS; of one from cFS it is reliable
+    and transient local, as in the public bridges. The depth is 10 instead of 1.
+    """
+    wish, usual = route.handling, None if route.to_cfs else True
     return Qos(
-        reliable=wish.reliable is not False,
-        transient_local=not route.to_cfs if wish.transient_local is None else wish.transient_local,
+        reliable=usual if wish.reliable is None else wish.reliable,
+        transient_local=usual if wish.transient_local is None else wish.transient_local,
         depth=wish.depth or _DEPTH,
     )
 
@@ -143,7 +149,7 @@ def plan_bridges(settings: Settings, request: BridgeRequest) -> BridgePlan:
     bridges: list[Bridge] = []
     for path in dict.fromkeys(settings.configs):
         try:
-            mission = load(path, msg_ids=settings.options.msg_ids)
+            mission = load(path, msg_ids=settings.options.msg_ids, ros_args=settings.ros_args)
         except ConfigError as error:
             mistakes += error.mistakes
             continue
@@ -185,10 +191,8 @@ def _names(bridges: Sequence[Bridge]) -> list[str]:
     """Return a unique node name for each bridge."""
     names: list[str] = []
     for bridge in bridges:
-        name = bridge.name.strip("/")
-        # A wildcard, or an empty name, cannot be the name of a node.
-        if not all(part.isidentifier() for part in name.split("/")):
-            name = f"{_kind(bridge)}_bridge"
+        namespace, last = node_of(bridge.name)  # a wildcard cannot be the name of a node
+        name = f"{namespace}/{last or _kind(bridge) + '_bridge'}".removeprefix("/")
         number, free = 2, name
         while free in names:
             free, number = f"{name}_{number}", number + 1

@@ -105,7 +105,7 @@ class Bridges:
     def lost(self) -> int:
         """Messages and datagrams that the bridges themselves lost, including those not recorded."""
         missed = self.recorder.missed if self.recorder else 0
-        links = sum(item.drops + item.to_cfs.overflowed for item in self.stations)
+        links = sum(item.drops + item.to_cfs.overflowed + item.overwritten for item in self.stations)
         return links + self._inbox.overflowed + missed
 
     def stop(self) -> None:

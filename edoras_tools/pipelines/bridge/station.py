@@ -15,6 +15,7 @@ from edoras_tools.io.net.address import ANY_ADDRESS, address_of, host_of, own_ad
 from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer
 from edoras_tools.io.net.forward import Direction, Outlet
 from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound
+from edoras_tools.middleware.graph import TopicState
 from edoras_tools.mission import GroundLink, Route
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.bridge.plan import BridgePlan, BridgeRequest, StationPlan, qos_of, sizes_of
@@ -92,6 +93,7 @@ class Station:
         self._times = np.zeros(SLOTS + SPARE, np.int64)
         self._heard: list[int] = []
         self._count_ns = 0
+        self._states: dict[str, TopicState] = {}
         self._ends: dict[bytes, NDArray[np.void]] = {}
         self.to_cfs, self.from_cfs = Direction("to cFS"), Direction("from cFS")
         self.socket = _bind(plan)
@@ -180,6 +182,7 @@ class Station:
         if now >= self._count_ns:
             self._count_ns = now + _COUNT_NS
             self.count_latencies()
+            self._look()
             machine.link.notes += self._graph.notes()
         notes = machine.link.notes
         while notes:
@@ -187,6 +190,7 @@ class Station:
 
     def leave(self) -> None:
         """Leave the graph: no message is received afterwards."""
+        self._look()
         self._graph.close()
 
     def close(self) -> None:
@@ -194,6 +198,28 @@ class Station:
         self.drops  # noqa: B018  read from the socket before it is closed
         self._outlet.close()
         self.socket.close()
+
+    @property
+    def overwritten(self) -> int:
+        """Messages that were overwritten in the histories of its publishers."""
+        return sum(item.overwritten for item in self._states.values())
+
+    def _look(self) -> None:
+        """Ask how the topics are connected; note what is new, once."""
+        before, self._states = self._states, {**self._states, **self._graph.states()}
+        kinds: dict[str, list[str]] = {}
+        for route in self.machine.routes:
+            new, old = self._states.get(route.topic), before.get(route.topic)
+            if new is None:
+                continue
+            request = qos_of(route)
+            if None in (request.reliable, request.transient_local) and (old is None or old.qos != new.qos):
+                for qos in new.qos:
+                    kinds.setdefault(", ".join(map(str, qos.words().values())), []).append(route.topic)
+            if new[1:] > (0, 0) and (old is None or old[1:] == (0, 0)):
+                self.machine.link.notes.append(f"{route.topic}: messages were overwritten in a history")
+        for kind, topics in kinds.items():
+            self.machine.link.notes.append(f"subscribes as is published ({kind}): {', '.join(topics)}")
 
     def count_latencies(self) -> None:
         """Add the latencies measured so far to the histogram."""
@@ -206,9 +232,16 @@ class Station:
             **self.plan.summary(),
             "listen": str(self.endpoint),
             **self.machine.summary(),
+            "routes": [self._connected(row) for row in self.machine.summary()["routes"]],
             "to_cfs": _summary(self.to_cfs),
             "from_cfs": {**_summary(self.from_cfs), "kernel_drops": self.drops},
         }
+
+    def _connected(self, row: dict[str, Any]) -> dict[str, Any]:
+        """Return a route as JSON with how its topic is connected."""
+        state = self._states.get(row["topic"], TopicState(()))
+        qos = [item.words() for item in state.qos]
+        return {**row, "qos": qos, "missed": state.missed, "overwritten": state.overwritten}
 
     def _topics(self, number: int, inbox: Inbox) -> tuple[list[Route], list[Callable[[bytes], None]]]:
         """Join the topics; return the routes that could be joined, and what publishes on each."""

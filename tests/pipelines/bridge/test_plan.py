@@ -134,12 +134,13 @@ def test_a_limit_of_a_topic_that_is_not_bridged():
         plan(GROUND, limits=["/cmd_vel=3"])
 
 
-def test_quality_of_service_is_the_public_bridges_unless_the_file_says_other(changed):
+def test_quality_of_service_is_that_of_publishers_and_the_public_bridges_unless_the_file_says_other(changed):
     file = changed(
         GROUND, "g.yaml", ("mid: 0x1827", "mid: 0x1827\n      qos: {reliability: best_effort, depth: 3}")
     )
-    assert [qos_of(route) for route in plan(file).stations[0].bridge.routes[::3]] == [
-        Qos(reliable=False, transient_local=False, depth=3),
+    assert [qos_of(route) for route in plan(file).stations[0].bridge.routes[:3]] == [
+        Qos(reliable=False, transient_local=None, depth=3),
+        Qos(reliable=None, transient_local=None, depth=10),
         Qos(reliable=True, transient_local=True, depth=10),
     ]
 

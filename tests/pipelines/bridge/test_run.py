@@ -14,11 +14,11 @@ import pytest
 from places import MISSIONS
 from waiting import HOST, PATIENCE_S, free_ports, until
 
+from edoras_tools.addons.lab.demo.local_graph import open_graph
 from edoras_tools.addons.lab.emulator import Served, Simulation
 from edoras_tools.cfs.profile import Ports, SimProfile
 from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.middleware import Qos
-from edoras_tools.middleware.local import open_graph
 from edoras_tools.model import Peer
 from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
 from edoras_tools.pipelines.bridge.run import Bridges

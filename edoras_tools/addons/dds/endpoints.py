@@ -1,0 +1,257 @@
+"""What a node has of one topic: the readers that follow its publishers, or a writer; and what they lost.
+
+**Readers.** DDS connects a reader only with writers that offer what it asks for, and what asks for less gets
+less: no samples again, none from before. So a subscription without a quality of service of its own has one
+reader for each combination that the writers of its topic offer, and takes from a reader the samples of its
+own kind of writers alone. A reader is made when discovery shows the first of its kind, before a sample of it
+is read; it goes when others have writers and it has none. Until there is a writer, one reader shows others
+that we listen.
+
+**Histories.** No reader of ours overwrites a sample: they wait until a thread takes them. What a publisher
+overwrote before we had it is what Cyclone DDS counts as lost. A writer keeps ``room`` samples until all
+reliable subscribers have acknowledged them, though late ones get only as many as its depth says. What it
+overwrites then is counted here, from the last time that everything was acknowledged; so the count may be too
+high, never too low.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import defaultdict
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+from cyclonedds.core import DDSException
+
+from edoras_tools.addons.dds.domain import UNACKNOWLEDGED_BYTES
+from edoras_tools.addons.dds.messages import info_taker_of, is_little_endian, padded, rewritten, writer_of
+from edoras_tools.errors import WireError
+from edoras_tools.middleware.graph import Qos, TopicState
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.sub import DataReader
+
+    from edoras_tools.addons.dds.messages import TakeWithInfo
+    from edoras_tools.ros import TypeStore
+
+    OfferOf = Callable[[int], tuple[Qos, bool] | None]
+    Readers = Mapping[Qos, tuple[DataReader[Any], TakeWithInfo]]
+
+BLOCKING_MS: Final = 100
+"""How long a write waits for readers that are behind: DDS's own default. ROS waits for ever."""
+_MOST_ROOM: Final = 1000
+_USUAL_BYTES: Final = 50_000
+"""Bytes of a message of a type without a fixed size, at most, for which a standing reader holds up nobody."""
+_PATIENCE_S: Final = 0.02
+_BREAK_S: Final = 0.2
+_ALL: Final = math.inf
+_FIRST_OFFER: Final = Qos(reliable=True, transient_local=False)
+
+
+def offer_to(qos: Qos, offer: Qos) -> Qos:
+    """Return the quality of service to ask of a publisher: what is not said is what it offers."""
+    return replace(
+        qos,
+        reliable=offer.reliable if qos.reliable is None else qos.reliable,
+        transient_local=offer.transient_local if qos.transient_local is None else qos.transient_local,
+    )
+
+
+class TopicReaders:
+    """The readers of a topic.
+
+    Args:
+        topic: of ROS.
+        type_name: of ROS.
+        qos: what is asked for; None in it is what each publisher offers.
+        heard: called with each message.
+        make: makes a reader.
+        drop: deletes one.
+
+    Attributes:
+        readers: by what they ask for.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        type_name: str,
+        qos: Qos,
+        heard: Callable[[bytes], None],
+        make: Callable[[Qos], DataReader[Any]],
+        drop: Callable[[DataReader[Any]], None],
+    ) -> None:
+        self.topic, self.type_name, self.heard = topic, type_name, heard
+        self.follows = None in (qos.reliable, qos.transient_local)
+        self.readers: Readers = {}
+        self._qos, self._make, self._drop = qos, make, drop
+        self._joined: dict[int, int] = {}
+        self._given: dict[int, float] = {}
+        self._lost = 0
+
+    def follow(self, offers: Iterable[Qos], offer_of: OfferOf) -> list[bytes]:
+        """Have a reader for each kind of writers, and no other; return what waited in those that went.
+
+        Args:
+            offers: of all writers that there are.
+            offer_of: see ``take``.
+        """
+        requests = {offer_to(self._qos, offer) for offer in offers}
+        requests = requests or {*self.readers} or {offer_to(self._qos, _FIRST_OFFER)}
+        for qos in requests - self.readers.keys():
+            reader = self._make(qos)
+            self.readers = {**self.readers, qos: (reader, info_taker_of(reader))}
+        leftover: list[bytes] = []
+        for qos in self.readers.keys() - requests:
+            reader, take = self.readers[qos]
+            leftover += [cdr for cdr, info in take() if self._is_first(qos, info, offer_of)]
+            self._lost += _lost(reader)
+            self.readers = {key: item for key, item in self.readers.items() if key != qos}
+            self._drop(reader)
+        return leftover
+
+    def take(self, offer_of: OfferOf) -> Iterator[bytes]:
+        """Yield the messages that wait, each once.
+
+        Args:
+            offer_of: returns what the writer of a handle offers, and whether it is still there.
+        """
+        for qos, (_, take) in self.readers.items():
+            samples = take()
+            if qos.transient_local and qos.depth and len(samples) > qos.depth:
+                samples = self._recent(samples, qos.depth)
+            for cdr, info in samples:
+                if not self.follows or self._is_first(qos, info, offer_of):
+                    yield cdr
+
+    def _is_first(self, qos: Qos, info: Any, offer_of: OfferOf) -> bool:
+        """Tell whether no other reader has given this sample, or will.
+
+        What comes to another reader before that of its kind is connected is taken from there, unless the
+        latter will have it from the history of its writer.
+        """
+        handle, when = int(info.publication_handle), int(info.source_timestamp)
+        offer, alive = offer_of(handle) or (qos, True)
+        kind, latest = offer_to(self._qos, offer), self._given.get(handle, 0)
+        if kind == qos:
+            if latest == _ALL:
+                return True
+            self._given[handle] = _ALL if when > latest else latest
+            return when > latest
+        if latest == _ALL or (kind.transient_local and alive):
+            return False
+        self._given[handle] = max(when, latest)
+        return when > latest
+
+    def state(self) -> TopicState:
+        """Return what its readers ask for, and how many samples never came."""
+        lost = sum(_lost(reader) for reader, _ in self.readers.values())
+        return TopicState(tuple(self.readers), missed=self._lost + lost)
+
+    def _recent(self, samples: list[tuple[bytes, Any]], depth: int) -> list[tuple[bytes, Any]]:
+        """Return samples without those of a writer from before we saw it, but for its last ``depth``."""
+        now, older = time.time_ns(), defaultdict[int, int](int)
+        for _, info in samples:
+            handle = info.publication_handle
+            if info.source_timestamp < self._joined.setdefault(handle, now):
+                older[handle] += 1
+        recent = []
+        for cdr, info in samples:
+            handle = info.publication_handle
+            if info.source_timestamp < self._joined[handle]:
+                older[handle] -= 1
+                if older[handle] >= depth:
+                    continue
+            recent.append((cdr, info))
+        return recent
+
+
+class CountedWriter:
+    """A writer, with the count of what it overwrote.
+
+    Args:
+        topic: of ROS.
+        type_name: of ROS.
+        qos: what it offers.
+        room: samples that it keeps until they are acknowledged; 0 for all.
+        writer: made with these.
+        types: has the type.
+
+    Attributes:
+        overwritten: samples that a reliable subscriber may not have had, at the most.
+    """
+
+    def __init__(
+        self, topic: str, type_name: str, qos: Qos, room: int, writer: DataWriter[Any], types: TypeStore
+    ) -> None:
+        self.topic, self.type_name, self.overwritten = topic, type_name, 0
+        self._qos, self._types, self._writer = qos, types, writer
+        self._room = room if qos.reliable else 0
+        self._write = writer_of(writer)
+        self._sent = self._acknowledged = 0
+        self._again_s = 0.0
+
+    def publish(self, cdr: bytes) -> None:
+        """Publish a message.
+
+        Raises:
+            WireError: it is not valid, or lost because a reliable subscriber has been behind for
+                ``BLOCKING_MS``: that happens only where all samples are kept, or large ones.
+        """
+        if self._room and self._sent - self._acknowledged >= self._room:
+            self._count()
+        refused = DDSException.DDS_RETCODE_BAD_PARAMETER
+        code = self._write(padded(cdr)) if is_little_endian(cdr) else refused
+        if code == refused:
+            code = self._write(padded(rewritten(self._types, self.type_name, cdr)))
+        if code:
+            raise WireError(f"{self.topic}: a message of {self.type_name} is lost: {_loss(code)}")
+        self._sent += 1
+
+    def state(self) -> TopicState:
+        """Return what it offers, and how many samples it overwrote."""
+        return TopicState((self._qos,), overwritten=self.overwritten)
+
+    def _count(self) -> None:
+        """Count that one is overwritten by the next, unless all were acknowledged in a short time."""
+        now = time.monotonic()
+        patience = _PATIENCE_S if now >= self._again_s else 0
+        if acknowledged(self._writer, patience):
+            self._acknowledged = self._sent
+            return
+        self.overwritten += 1
+        if patience:
+            self._again_s = now + _BREAK_S
+
+
+def acknowledged(writer: DataWriter[Any], patience_s: float = 0) -> bool:
+    """Tell whether reliable subscribers acknowledge all that was written, in a time."""
+    try:
+        return bool(writer.wait_for_acks(round(patience_s * 1e9)))
+    except AttributeError:  # cyclonedds 11.0.1 asks the wrong class whether its time is over
+        return False
+
+
+def room_of(qos: Qos, size: int | None) -> int:
+    """Return how many samples a writer keeps until they are acknowledged.
+
+    Args:
+        size: bytes of a message; None where they vary.
+    """
+    fitting = UNACKNOWLEDGED_BYTES // (size or _USUAL_BYTES)
+    return max(qos.depth, min(_MOST_ROOM, fitting)) if qos.depth else 0
+
+
+def _loss(code: int) -> str:
+    """Return why a write failed, in words."""
+    if code == DDSException.DDS_RETCODE_TIMEOUT:
+        return f"a reliable subscriber did not keep up for {BLOCKING_MS} ms"
+    return str(DDSException(code, "while writing"))
+
+
+def _lost(reader: DataReader[Any]) -> int:
+    return int(reader.get_sample_lost_status().total_count)  # type: ignore[no-untyped-call]
