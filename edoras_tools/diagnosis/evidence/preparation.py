@@ -6,10 +6,6 @@
    without a packet.
 3. A datagram that was captured twice is counted once, also if that was in front of a proxy and behind it, or
    on both sides of an address translation.
-4. If frames are cut, a missing packet time is taken from the same packet on another link. SBN puts 11 bytes
-   in front of a packet, so that a cut frame shows less of it than one of Telemetry Output, which forwards
-   what arrives over SBN. A packet on both links has one MsgId, one sequence count and one time. Without the
-   time, two cFS, or two boots of one cFS, cannot be distinguished.
 """
 
 from __future__ import annotations
@@ -27,8 +23,7 @@ from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, fol
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value, numbered
-from edoras_tools.wire.msg_id import VERSION_1
+from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -82,66 +77,89 @@ def prepare(recorder: Recorder, proxied: Mapping[RouteWay, Proxied]) -> Prepared
         proxied: what a proxy did on purpose.
     """
     rows, payloads, disordered = in_time_order(recorder)
-    flows, count = recorder.conversations.judge(), len(rows)
-    kind = _kinds(rows, flows, recorder.endpoints)
+    flows, endpoints = recorder.conversations.judge(), recorder.endpoints
+    kind = _kinds(rows, flows, endpoints)
     if not _counted(rows, payloads, kind):
         # CI did not count them: whatever the ports say, they did not reach it.
         kind[kind == _PLACE[ConversationKind.STRANGER]] = _PLACE[ConversationKind.FOREIGN]
     foreign = kind == _PLACE[ConversationKind.FOREIGN]
-    kept = np.flatnonzero(~foreign)
-    table = rows.take(kept) if len(kept) < count else rows
-    names = one_name(table, recorder.endpoints)
+    left = _Left(rows, np.arange(len(rows)))
+    left.keep(~foreign)
+    names = one_name(left.rows, endpoints)
     if (names != np.arange(len(names))).any():
-        table = followed(replace(table, source=names[table.source], destination=names[table.destination]))
-    passed = find_relayed(table, recorder.endpoints)
-    lost = tuple(loss for item in passed for loss in item.losses(table))
+        ends = {name: names[getattr(left.rows, name)] for name in ("source", "destination")}
+        left.rows = followed(replace(left.rows, **ends))
+    passed = find_relayed(left.rows, endpoints)
+    lost = tuple(loss for item in passed for loss in item.losses(left.rows))
     if passed:
-        source, behind = table.source.copy(), np.ones(len(table), bool)
+        source, behind = left.rows.source.copy(), np.ones(len(left.rows), bool)
         for item in passed:
-            source[item.behind] = item.sources(table)
+            source[item.behind] = item.sources(left.rows)
             behind[item.before] = False
-        kept, table = kept[behind], followed(replace(table, source=source).take(np.flatnonzero(behind)))
-    way = table.way()
-    relayed = before_proxy(table, proxied)
-    if relayed.any():
-        behind = np.flatnonzero(~relayed)
-        kept, table, way = kept[behind], table.take(behind), way[behind]
-    copies = find_copies(table.time_ns, table.identification, way, table.tap, table.bytes_print)
-    copy, duplicate, perhaps = copies.copy, copies.duplicate, copies.duplicate[:0]
-    if duplicate.any():
-        ingest = payloads.ingest
-        sources = names[rows.source[ingest["row"]]]
-        who = who_doubled(table, copies, ingest, sources, recorder.endpoints)
-        if any(item.doubled for item in proxied.values()):
-            who[duplicate & (who == 0)] = BY_NETWORK  # a proxy says that it sent some again
-        perhaps = duplicate & (who == 0)
-        copy, duplicate = copy | perhaps | (who == BY_CAPTURE), who == BY_NETWORK
-    doubled = table.take(np.flatnonzero(perhaps))
-    if copy.any():
-        once = np.flatnonzero(~copy)
-        kept, table, duplicate = kept[once], table.take(once), duplicate[once]
-    stranger = kind[kept] == _PLACE[ConversationKind.STRANGER]
-    if stranger.any():
-        table = _emptied(table, stranger)
-    if len(kept) < count or stranger.any():
-        payloads = payloads.over(np.where(stranger, -1, kept), count)
+        left.rows = replace(left.rows, source=source)
+        left.keep(behind)
+        left.rows = followed(left.rows)
+    relayed = before_proxy(left.rows, proxied)
+    left.keep(~relayed)
+    sources = names[rows.source[payloads.ingest["row"]]]
+    copy, duplicate, perhaps = _doubled(left.rows, payloads, sources, endpoints, proxied)
+    doubled = left.rows.take(np.flatnonzero(perhaps))
+    left.keep(~copy)
+    stranger = kind[left.places] == _PLACE[ConversationKind.STRANGER]
+    if len(left.places) < len(rows) or stranger.any():
+        payloads = payloads.over(np.where(stranger, -1, left.places), len(rows))
     return Prepared(
-        rows=with_cut_times(table),
+        rows=_emptied(left.rows, stranger) if stranger.any() else left.rows,
         payloads=payloads,
         flows=flows,
         foreign=int(foreign.sum()),
         copies=int(copy.sum()) - len(doubled),
         relayed=int(relayed.sum()),
         passed=lost,
-        duplicates=np.flatnonzero(duplicate),
+        duplicates=np.flatnonzero(duplicate[~copy]),
         doubled=doubled,
         disordered=disordered,
         translated={
-            recorder.endpoints[index].address: recorder.endpoints[name].address
+            endpoints[index].address: endpoints[name].address
             for index, name in enumerate(names.tolist())
             if index != name
         },
     )
+
+
+@dataclass(slots=True)
+class _Left:
+    """The rows that are left, and the place of each among all."""
+
+    rows: Rows
+    places: Places
+
+    def keep(self, some: Mask) -> None:
+        """Keep some of them."""
+        if not some.all():
+            self.rows, self.places = self.rows.take(some), self.places[some]
+
+
+def _doubled(
+    rows: Rows,
+    payloads: Payloads,
+    sources: NDArray[np.int32],
+    endpoints: Sequence[Endpoint],
+    proxied: Mapping[RouteWay, Proxied],
+) -> tuple[Mask, Mask, Mask]:
+    """Tell which rows are not to be counted, which the network doubled, and of which nothing tells.
+
+    Args:
+        sources: who sent each count of CI, as an index of ``endpoints``.
+    """
+    copies = find_copies(rows.time_ns, rows.identification, rows.way(), rows.tap, rows.bytes_print)
+    if not copies.duplicate.any():
+        return copies.copy, copies.duplicate, copies.duplicate
+    who = who_doubled(rows, copies, payloads.ingest, sources, endpoints)
+    if any(item.doubled for item in proxied.values()):
+        who[copies.duplicate & (who == 0)] = BY_NETWORK  # a proxy says that it sent some again
+    perhaps = copies.duplicate & (who == 0)
+    return copies.copy | perhaps | (who == BY_CAPTURE), who == BY_NETWORK, perhaps
 
 
 def in_time_order(recorder: Recorder) -> tuple[Rows, Payloads, int]:
@@ -238,35 +256,6 @@ def _emptied(rows: Rows, chosen: Mask) -> Rows:
 
 HANDED_ON_NS: Final = 2 * SECOND
 """Telemetry Output hands on what came over SBN within so long."""
-
-
-def with_cut_times(rows: Rows) -> Rows:
-    """Return rows in which packets on SBN have the times that Telemetry Output shows of the same packets."""
-    bare = rows.has(Finding.CAPTURE_CUT) & (rows.mission_time_ns <= 0) & rows.counted
-    bare &= ~VERSION_1.is_command(rows.known_id)
-    network = np.flatnonzero(bare & among(rows.link, lambda link: link.peers))
-    output = np.flatnonzero(
-        among(rows.link, lambda link: link.only_from_cfs) & rows.counted & (rows.mission_time_ns > 0)
-    )
-    if not len(network) or not len(output):
-        return rows
-    from_ = handed_on(rows, network, output)
-    there = from_ >= 0
-    into, table = network[from_[there]], rows.mission_time_ns[output[there]]
-    least, most = np.full(len(rows), np.iinfo(np.int64).max), np.zeros(len(rows), np.int64)
-    np.minimum.at(least, into, table)
-    np.maximum.at(most, into, table)
-    into = np.unique(into)
-    sure = least[into] == most[into]
-    # Two cFS that were started together give one count at one time: then it tells nothing.
-    for _, own in by_value(rows.sbn_sender(into)):
-        if 2 * sure[own].sum() < len(own):
-            sure[own] = False
-    if not sure.any():
-        return rows
-    times = rows.mission_time_ns.copy()
-    times[into[sure]] = least[into[sure]]
-    return followed(replace(rows, mission_time_ns=times))
 
 
 def handed_on(rows: Rows, network: Places, output: Places) -> Places:
