@@ -63,7 +63,6 @@ _APP_STATES: Final = {
     executive_services.RESTART_APP: "restarting",
     executive_services.RELOAD_APP: "restarting",
 }
-_COMMAND_EVENTS: Final = (telemetry_output.ADDED, telemetry_output.REMOVED, telemetry_output.ALL_REMOVED)
 
 
 def system_at(instances: Instances, endpoint: int, time_ns: int) -> int:
@@ -207,13 +206,6 @@ class SoftwareChanges:
                 yield change(_OUTPUT, "enabled", enabled["address"])
             elif telemetry_output.SUPPRESSED.phrase in event.message:
                 yield change(_OUTPUT, "suppressed")
-            for text in _COMMAND_EVENTS:
-                if event.event_id == text.event_id and (read := text.pattern.search(event.message)):
-                    found = read.groupdict()
-                    number = int(found["msg_id"], 16) if "msg_id" in found else _ALL_ENTRIES.msg_id
-                    entry = StateOwner("entry", "", number)
-                    limit = int(found["limit"]) if "limit" in found else None
-                    yield change(entry, "unsubscribed" if limit is None else "subscribed", limit)
 
     def _boots(self) -> Iterator[Change]:
         items, systems = self._instances.items, self._instances.systems
