@@ -214,20 +214,16 @@ class Diagnosis:
 
     def as_json(self) -> dict[str, Any]:
         """Return the diagnosis in the shape of ``doctor --json``."""
+        figures = "lost", "superseded", "unaccounted", "uncertain"
         return {
-            "datagrams": self.datagrams,
-            "start_ns": self.start_ns,
-            "end_ns": self.end_ns,
+            **{name: getattr(self, name) for name in ("datagrams", "start_ns", "end_ns")},
             "capture_drops": self.capture.drops,
             "outages": [outage.as_json() for outage in self.capture.outages],
             "examined": self.datagrams,
             "not_examined": self.left_out,
             "choice": self.choice.text if self.choice else None,
             "not_shown": self.not_shown,
-            "lost": self.lost,
-            "superseded": self.superseded,
-            "unaccounted": self.unaccounted,
-            "uncertain": self.uncertain,
+            **{name: getattr(self, name) for name in figures},
             "estimated": None,
             "messages_lost": self.messages_lost,
             "messages_uncertain": self.messages_uncertain,

@@ -18,7 +18,7 @@ Rules:
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, get_args
 
@@ -202,14 +202,10 @@ class LedgerEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class Row(LedgerTraffic):
     """What became of the messages of one traffic at one hop: a sum of entries.
 
     Attributes:
-        route: index of the configured route, or ``NO_ROUTE``.
-        link: label of the link on which the messages are seen.
-        msg_id: cFE MsgId; None where it is not known which.
-        instance: the cFS, as people are told of it; None where unknown.
         hop: place.
         came: arrivals that went in.
         out: arrivals that came out.
@@ -225,20 +221,15 @@ class Row:
         counted: figure to where it was counted.
         name: cFE's name for the packet, if it has one.
         onward: label of the link and MsgId of each packet as which it came out of the application.
-        topic: topic, where no route is configured for it.
         late: of those that came out, how many much later than others.
         out_of_order: of those, how many behind one that went in later.
         copies: at most so many of what was lost on its way are copies; told in its first row.
         sure_copies: at least so many.
     """
 
-    route: int
-    link: str
-    msg_id: int | None
-    instance: str | None
-    hop: str
-    came: int
-    out: int
+    hop: str = ""
+    came: int = 0
+    out: int = 0
     duplicated: int = 0
     lost: Mapping[str, int] = field(default_factory=dict)
     superseded: int = 0
@@ -251,7 +242,6 @@ class Row:
     counted: Mapping[str, str] = field(default_factory=dict)
     name: str = ""
     onward: tuple[tuple[str, int], ...] = ()
-    topic: str = ""
     late: int = 0
     out_of_order: int = 0
     copies: int = 0
@@ -342,16 +332,12 @@ class _Hop:
             else:
                 sums[entry.ending] += entry.number
         return Row(
-            traffic.route,
-            traffic.link,
-            traffic.msg_id,
-            traffic.instance,
-            self.name,
-            self.out + self.ended - self.duplicated,
-            self.out,
-            self.duplicated,
-            dict(lost.most_common()),
-            topic=traffic.topic,
+            **asdict(traffic),
+            hop=self.name,
+            came=self.out + self.ended - self.duplicated,
+            out=self.out,
+            duplicated=self.duplicated,
+            lost=dict(lost.most_common()),
             **sums,
             **self.about,
         )

@@ -10,7 +10,7 @@ from edoras_tools.addons.rtps.writers import SampleFollower
 from edoras_tools.diagnosis.ledger import Row
 from edoras_tools.diagnosis.missing import Missing
 from edoras_tools.diagnosis.verdict import Severity, Verdict, verdict
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.model import NO_MSG_ID
 
 if TYPE_CHECKING:
     from edoras_tools.addons.rtps.writers import TopicWriter
@@ -60,13 +60,11 @@ def _row(item: TopicWriter, drops: int | None) -> Row:
     # Where the capture itself lost frames, what did not come may be among them.
     lost["before_capture"] = 0 if drops else unseen
     return Row(
-        NO_ROUTE,
-        RTPS.label,
-        None,
-        guid_text(writer.guid),
-        SAMPLE_HOP,
-        writer.written,
-        writer.captured - fates["lost_behind"],
+        link=RTPS.label,
+        instance=guid_text(writer.guid),
+        hop=SAMPLE_HOP,
+        came=writer.written,
+        out=writer.captured - fates["lost_behind"],
         lost={cause: number for cause, number in lost.items() if number},
         waiting=fates["waiting"],
         not_captured=fates["not_captured"] + (unseen if drops else 0),

@@ -47,6 +47,10 @@ if TYPE_CHECKING:
 
 _EARLY_NS: Final = MILLISECOND
 """Clocks of two records are aligned so well at the best."""
+_FIGURES: Final = (
+    *("first", "second", "same", "lost", "extra", "doubled", "altered", "late", "out_of_order"),
+    "neither",
+)
 _FEW: Final = 0.01
 """A smaller part of the packets is the same by chance."""
 
@@ -103,16 +107,7 @@ class Difference:
             "topic": self.topic,
             "name": message_name(self.msg_id) or None if packets else None,
             "direction": "second to first" if self.back else "first to second",
-            "first": self.first,
-            "second": self.second,
-            "same": self.same,
-            "lost": self.lost,
-            "extra": self.extra,
-            "doubled": self.doubled,
-            "altered": self.altered,
-            "late": self.late,
-            "out_of_order": self.out_of_order,
-            "neither": self.neither,
+            **{name: getattr(self, name) for name in _FIGURES},
             "latency": self.latency.as_json() if self.latency else None,
         }
 
