@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 _NOTES: Final = 4
 _LOST: Final = {
-    "missed": "overwritten in their publisher's history before they came, or by the network",
-    "overwritten": "overwritten in the bridge's history before a subscriber acknowledged them, at most",
+    "missed": "by their publisher's history or the network, before they came",
+    "overwritten": "at most, overwritten here before a subscriber acknowledged them",
 }
 
 

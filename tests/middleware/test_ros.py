@@ -9,7 +9,9 @@ import site
 import socket
 import subprocess
 import sys
-from contextlib import contextmanager
+import threading
+import time
+from contextlib import ExitStack, contextmanager
 from random import Random
 
 import pytest
@@ -17,12 +19,16 @@ from effort import LONG
 from namespace import ip
 from places import ROOT, SUPPORT
 from ros_round_trip import topics
-from ros_wheels import APART, HOME, INSTALLED, python
-from waiting import PATIENCE_S, until
+from ros_wheels import APART, HOME, INSTALLED, Talk, python
+from waiting import PATIENCE_S, free_ports, until
 
+from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
+from edoras_tools.pipelines.bridge.run import Bridges
+from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.arbitrary import arbitrary
 from edoras_tools.ros.type_hash import type_hash
+from edoras_tools.wire import cfe, envelope
 
 GRAPHS = ("dds", "rclpy")
 HASHES = {"jazzy": 132, "kilted": 131}
@@ -215,3 +221,134 @@ def test_type_hashes_are_those_of_the_distribution(name):
         assert type_hash(store, item) == hashes[item]
         compared += 1
     assert compared >= HASHES[name]
+
+
+STRING = "std_msgs/msg/String"
+TOPICS, EACH, PER_SECOND = 50, 160, 2000
+MISSION = """/robot_1/bridge:
+  ros__parameters:
+    communication: {bridge_port: %d, fsw_port: %d, fsw_ip: 127.0.0.1, telemetry_ip: 127.0.0.1}
+    command: [%s]
+    telemetry: [%s]
+"""
+
+
+def mission(folder, ports):
+    """Write a mission of 50 topics each way, relative to the node's namespace; return its path."""
+    ways = {"c": ("in", 0x1800), "t": ("out", 0x0800)}
+    keys = [", ".join(f"{way}{number}" for number in range(TOPICS)) for way in ways]
+    lines = [
+        f"    {way}{number}: {{type: {STRING}, topic: {name}{number}, mid: {first + 1 + number}}}\n"
+        for way, (name, first) in ways.items()
+        for number in range(TOPICS)
+    ]
+    path = folder / "m.yaml"
+    path.write_text(MISSION % (*ports, *keys) + "".join(lines))
+    return path
+
+
+@contextmanager
+def busy(count=2):
+    """Keep processors busy."""
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", APART)
+def test_8000_messages_each_way_on_50_topics_beside_busy_loops(name, tmp_path, monkeypatch):
+    """None is lost, or it is counted where."""
+    monkeypatch.setenv(RANGE, "LOCALHOST")
+    ports = free_ports(2)
+    request = BridgeRequest(enable=False)
+    plan = plan_bridges(Settings((mission(tmp_path, ports),), distro=name), request)
+    numbers = {"from": 0, "to": EACH}
+    inward, outward = ([f"/robot_1/{way}{number}" for number in range(TOPICS)] for way in ("in", "out"))
+    with Talk(name) as talk, ExitStack() as stack:
+        ci = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        ci.bind(("127.0.0.1", ports[1]))
+        bridges = Bridges(plan, request, ros="dds", domain=14)
+        stack.callback(bridges.close)
+        thread = threading.Thread(target=bridges.run)
+        thread.start()
+        stack.callback(thread.join)
+        stack.callback(bridges.stop)
+        for topic in inward:
+            talk.tell(speak=topic)
+        for topic in outward:
+            talk.tell(hear=topic, depth=EACH)
+
+        def matched():
+            told = talk.tell(ask=True)
+            return all(told["subscriptions"].values()) and all(told["publishers"].values())
+
+        until(matched)
+        until(lambda: all(len(item.matched_sub) for _, item in bridges.stations[0]._graph._writers))
+        cdrs = [TypeStore(name).encode(STRING, {"data": str(item)}) for item in range(EACH)]
+        with busy():
+            talk.begin(say=inward, rate=PER_SECOND, **numbers)
+            began, count = time.monotonic(), 0
+            for cdr in cdrs:
+                for number in range(TOPICS):
+                    packet = cfe.emit_telemetry(0x0801 + number, envelope.DEFAULT.emit(cdr))
+                    ci.sendto(packet, ("127.0.0.1", ports[0]))
+                    count += 1
+                    time.sleep(max(began + count / PER_SECOND - time.monotonic(), 0))
+            talk.answer()
+
+            def settled():
+                told = talk.tell(ask=True)
+                rows = {row["topic"]: row for row in bridges.summary()["bridges"][0]["routes"]}
+                came = sum(rows[topic]["in"] + rows[topic]["missed"] for topic in inward)
+                heard = sum(len(told["heard"].get(topic, [])) for topic in outward)
+                sent = sum(rows[topic]["out"] for topic in outward)
+                drops = bridges.stations[0].drops
+                lost = sum(rows[topic]["overwritten"] for topic in outward) + sum(told["lost"].values())
+                figures = {"came": came, "heard": heard, "sent": sent, "drops": drops, "lost": lost}
+                figures["missed"] = sum(rows[topic]["missed"] for topic in inward)
+                complete = came == TOPICS * EACH and sent + drops == TOPICS * EACH and heard + lost >= sent
+                return complete and figures
+
+            figures = until(
+                settled, lambda: str((settled(), bridges.summary(), talk.tell(ask=True)["lost"]))[:4000]
+            )
+    print(name, figures)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", APART)
+def test_rclpy_follows_what_publishes(name):
+    environ = os.environ | {RANGE: "LOCALHOST", "ROS_DOMAIN_ID": "14"}
+    environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), *site.getsitepackages()])
+    with Talk(name) as talk:
+        command = [python(name), SUPPORT / "ros_follow.py", name, "/in"]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        process = subprocess.Popen(command, env=environ, text=True, **pipes)
+        number = 0
+        try:
+            for reliable in (True, False):
+                for lasting in (True, False):
+                    talk.tell(speak="/in", reliable=reliable, transient_local=lasting)
+
+                    def followed(expected=(reliable, lasting)):
+                        nonlocal number
+                        talk.tell(say=["/in"], **{"from": number, "to": number + 1})
+                        number += 1
+                        process.stdin.write("\n")
+                        process.stdin.flush()
+                        state = json.loads(process.stdout.readline())
+                        return state["asked"] == [*expected] and state["heard"][-1:] >= [number - 9]
+
+                    until(followed)
+                    talk.tell(hush="/in")
+            process.stdin.write("\n")
+            process.stdin.flush()
+            heard = json.loads(process.stdout.readline())["heard"]
+            assert heard == sorted({*heard})
+        finally:
+            process.communicate(timeout=PATIENCE_S)

@@ -23,7 +23,8 @@ WAY = {
 
 def route(topic, direction="to_cfs", **values):
     usual = {"topic": topic, "type": "a/msg/B", "msg_id": "0x1829", "direction": direction, "max_rate": None,
-             "in": 2500, "out": 2500, "held": 0, "waiting": 0, "refused": {}}  # fmt: skip
+             "in": 2500, "out": 2500, "held": 0, "waiting": 0, "refused": {},
+             "missed": 0, "overwritten": 0}  # fmt: skip
     return usual | values
 
 
@@ -39,8 +40,8 @@ def summary():
                 "to_cfs": WAY | {"failed": 2, "reason": "Network is unreachable", "overflowed": 4},
                 "from_cfs": WAY | {"kernel_drops": 5},
                 "routes": [
-                    route("/robot/pose", max_rate=30.0, out=300, held=2200),
-                    route("/robot/cmd_vel", "from_cfs", refused={"no CDR": 7}, out=0),
+                    route("/robot/pose", max_rate=30.0, out=300, held=2200, missed=1),
+                    route("/robot/cmd_vel", "from_cfs", refused={"no CDR": 7}, out=0, overwritten=9),
                 ],
             }
         ],
@@ -57,7 +58,7 @@ def text(renderable, width):
 @pytest.mark.parametrize("width", [60, 80, 200])
 def test_the_table_keeps_its_first_columns_and_its_width(summary, width):
     shown = text(view.outcome(summary, width), width)
-    table = [line for line in shown.splitlines() if "/robot" in line and "refused" not in line]
+    table = [line for line in shown.splitlines() if "/robot" in line and ": " not in line]
     assert len(table) == 2
     assert all(len(line) <= width for line in shown.splitlines())
     if width == 200:
@@ -68,7 +69,9 @@ def test_the_table_keeps_its_first_columns_and_its_width(summary, width):
 
 def test_what_was_lost_or_refused_is_told_a_line_each(summary):
     assert view.losses(summary) == [
+        "flight: /robot/pose: 1 message lost: by their publisher's history or the network, before they came",
         "flight: /robot/cmd_vel: 7 messages refused: no CDR",
+        "flight: /robot/cmd_vel: 9 messages lost: at most, overwritten here before a subscriber acknowledged them",
         "flight: 3 datagrams refused: peer 66:9",
         "flight: 1 datagram too short for a packet",
         "flight: 2 datagrams not sent: Network is unreachable",

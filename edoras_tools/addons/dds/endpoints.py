@@ -92,6 +92,7 @@ class TopicReaders:
         self._joined: dict[int, int] = {}
         self._given: dict[int, float] = {}
         self._lost = 0
+        self._known = not self.follows
 
     def follow(self, offers: Iterable[Qos], offer_of: OfferOf) -> list[bytes]:
         """Have a reader for each kind of writers, and no other; return what waited in those that went.
@@ -101,6 +102,7 @@ class TopicReaders:
             offer_of: see ``take``.
         """
         requests = {offer_to(self._qos, offer) for offer in offers}
+        self._known = self._known or bool(requests)
         requests = requests or {*self.readers} or {offer_to(self._qos, _FIRST_OFFER)}
         for qos in requests - self.readers.keys():
             reader = self._make(qos)
@@ -148,9 +150,9 @@ class TopicReaders:
         return when > latest
 
     def state(self) -> TopicState:
-        """Return what its readers ask for, and how many samples never came."""
+        """Return what its readers ask for, once there is who publishes, and how many samples never came."""
         lost = sum(_lost(reader) for reader, _ in self.readers.values())
-        return TopicState(tuple(self.readers), missed=self._lost + lost)
+        return TopicState(tuple(self.readers) if self._known else (), missed=self._lost + lost)
 
     def _recent(self, samples: list[tuple[bytes, Any]], depth: int) -> list[tuple[bytes, Any]]:
         """Return samples without those of a writer from before we saw it, but for its last ``depth``."""

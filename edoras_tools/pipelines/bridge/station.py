@@ -215,11 +215,13 @@ class Station:
             request = qos_of(route)
             if None in (request.reliable, request.transient_local) and (old is None or old.qos != new.qos):
                 for qos in new.qos:
-                    kinds.setdefault(", ".join(map(str, qos.words().values())), []).append(route.topic)
+                    kinds.setdefault(
+                        "{reliability}, {durability}, depth {depth}".format(**qos.words()), []
+                    ).append(route.topic)
             if new[1:] > (0, 0) and (old is None or old[1:] == (0, 0)):
                 self.machine.link.notes.append(f"{route.topic}: messages were overwritten in a history")
         for kind, topics in kinds.items():
-            self.machine.link.notes.append(f"subscribes as is published ({kind}): {', '.join(topics)}")
+            self.machine.link.notes.append(f"automatic quality of service {kind}: {', '.join(topics)}")
 
     def count_latencies(self) -> None:
         """Add the latencies measured so far to the histogram."""

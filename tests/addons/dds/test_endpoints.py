@@ -108,7 +108,8 @@ def test_of_each_kind_of_publisher_what_may_be_heard_is(name, monkeypatch, until
         assert followed == {f"/in/{word(kind)}/automatic": (Qos(*kind),) for kind in KINDS}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.long
+@pytest.mark.parametrize("name", APART)
 def test_what_publishes_changes_and_is_followed(name, monkeypatch, until):
     with both(name, monkeypatch) as (talk, graph):
         heard, topic = [], "/in"
@@ -146,7 +147,8 @@ def test_what_publishes_changes_and_is_followed(name, monkeypatch, until):
         assert [item for item in heard if item != 10_000] == sorted({*heard} - {10_000})
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.long
+@pytest.mark.parametrize("name", APART)
 def test_what_a_history_of_ours_overwrites_is_counted(name, monkeypatch, until):
     """A subscriber stands still while more is published than is kept for it."""
     with both(name, monkeypatch) as (talk, graph):

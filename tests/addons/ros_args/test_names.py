@@ -3,7 +3,6 @@
 from random import Random
 
 import pytest
-from effort import LONG
 from ros_wheels import APART, asked
 
 from edoras_tools.addons.ros_args.arguments import RosArguments
@@ -84,7 +83,8 @@ def test_names_are_those_of_the_table(words, namespace, node, topics):
     assert ours(words.split(), namespace, topics) == expected
 
 
-@pytest.mark.parametrize("name", APART if LONG else APART[-1:])
+@pytest.mark.long
+@pytest.mark.parametrize("name", APART)
 def test_rclpy_resolves_every_case_of_the_table(name):
     cases = [(namespace, words.split(), list(topics)) for words, namespace, _, topics in CASES]
     for (words, _, node, topics), names in zip(

@@ -160,6 +160,21 @@ def test_a_message_goes_out_under_its_key_with_its_attachment(judge, graphs, jaz
     assert {item.source_gid for item in attachments} == {gid(token)}
 
 
+def test_what_is_missing_between_the_numbers_of_a_publisher_is_counted(judge, graphs, jazzy, until):
+    heard = []
+    graph = graphs(jazzy, judge.port)
+    graph.subscribe("/text", STRING, Qos(None, None), heard.append)
+    until(lambda: any("/MS/" in item for item in judge.tokens()))
+    assert graph.states()["/text"].qos == (Qos(transient_local=True),)
+    # Two publishers: of the first 4 and 5 are missing, 7 comes late; the second is not heard from its first.
+    numbers = [(b"a", 2), (b"a", 3), (b"b", 9), (b"a", 6), (b"a", 8), (b"a", 7), (b"b", 10), (b"a", 9)]
+    for source, number in numbers:
+        attachment = Attachment(number, 0, source * 16).emit()
+        judge.order("put", f"0/text/{STRING_KEY}", source, attachment)
+    until(lambda: len(heard) == len(numbers))
+    assert graph.states()["/text"].missed == 2
+
+
 @pytest.mark.each(3)
 @pytest.mark.parametrize("attachment", [Attachment(1, 2, bytes(16)).emit(), b"", b"odd"])
 @pytest.mark.parametrize("durable", [False, True])
@@ -220,10 +235,11 @@ def test_late_subscribers_get_the_last_messages(judge, graphs, jazzy, until):
     assert [bytes.fromhex(item["late"]) for item in judge.of("late")] == [b"2", b"3", b"4"]
 
 
-def test_a_late_subscription_gets_the_last_messages(judge, graphs, jazzy, until):
+@pytest.mark.parametrize("lasting", [True, None])
+def test_a_late_subscription_gets_the_last_messages(judge, graphs, jazzy, until, lasting):
     judge.order("keep", f"0/map/{STRING_KEY}")
     heard = []
-    graphs(jazzy, judge.port).subscribe("/map", STRING, Qos(transient_local=True), heard.append)
+    graphs(jazzy, judge.port).subscribe("/map", STRING, Qos(transient_local=lasting), heard.append)
     until(lambda: len(heard) == 3)
     assert heard == [b"2", b"3", b"4"]
 

@@ -19,6 +19,7 @@ from edoras_tools.addons.lab.emulator import Served, Simulation
 from edoras_tools.cfs.profile import Ports, SimProfile
 from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.middleware import Qos
+from edoras_tools.middleware.graph import TopicState
 from edoras_tools.model import Peer
 from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
 from edoras_tools.pipelines.bridge.run import Bridges
@@ -440,3 +441,23 @@ def test_bridges_behind_one_server_share_it(room, monkeypatch):
     bridges.run(duration_ns=MILLISECOND)
     bridges.close()
     assert (len(bridges.stations), opened) == (2, ["conversion_node"])
+
+
+def test_quality_of_service_is_said_once_and_what_a_history_lost_is_counted(room, monkeypatch):
+    """A sensor publishes best effort, and is heard; a middleware says what it lost."""
+    room.socket("1234")
+    bridges = room.bridges(room.file("rover_ground"))
+    publish = room.node.advertise("/cmd_vel", "geometry_msgs/msg/Twist", Qos(reliable=False))
+    until(lambda: publish(CDR) or routes(bridges)["/cmd_vel"]["in"])
+    note = "conversion_node: automatic quality of service best_effort, volatile, depth 10: /cmd_vel"
+    until(lambda: note in bridges.notes)
+    row = routes(bridges)["/cmd_vel"]
+    assert row["qos"] == [{"reliability": "best_effort", "durability": "volatile", "depth": 10}]
+    assert (row["missed"], row["overwritten"], bridges.lost) == (0, 0, 0)
+    states = {"/cmd_vel": TopicState((Qos(),), missed=3), "/telemetry_pose": TopicState((), overwritten=2)}
+    monkeypatch.setattr(bridges.stations[0]._graph, "states", lambda: states)
+    bridges.end()
+    rows = routes(bridges)
+    assert (rows["/cmd_vel"]["missed"], rows["/telemetry_pose"]["overwritten"]) == (3, 2)
+    assert bridges.summary()["lost"] == 2
+    assert bridges.notes.count(note) == 1
