@@ -40,12 +40,13 @@ class TopicState(NamedTuple):
 
     Attributes:
         qos: in force; of a subscription that follows its publishers one for each kind of them.
-        missed: messages that a publisher's history or the network lost before they came here.
+        missed: messages that a publisher's history or the network lost before they came here; None where the
+            middleware does not tell.
         overwritten: messages overwritten in a history of ours, at the most.
     """
 
     qos: tuple[Qos, ...]
-    missed: int = 0
+    missed: int | None = 0
     overwritten: int = 0
 
 
@@ -72,6 +73,9 @@ class Graph(Protocol):
 
     def states(self) -> Mapping[str, TopicState]:
         """Return the state of each topic by name; those without are as they were asked for."""
+
+    def dropped(self) -> int:
+        """Return the datagrams that the kernel dropped before the middleware read them, where it is known."""
 
     def notes(self) -> list[str]:
         """Return new notes for the user: incompatible peers, where to connect to."""

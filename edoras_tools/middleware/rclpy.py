@@ -112,6 +112,10 @@ class RclpyGraph:
         """See ``Graph``: what rclpy's event ``message_lost`` counts is missed."""
         return {item.topic: TopicState((item.asked,), item.missed) for item in self._listeners}
 
+    def dropped(self) -> int:
+        """See ``Graph``: not known."""
+        return 0
+
     def notes(self) -> list[str]:
         """See ``Graph``: ROS 2 itself logs incompatible peers."""
         return []

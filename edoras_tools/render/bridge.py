@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _NOTES: Final = 4
 _LOST: Final = {
     "missed": "by their publisher's history or the network, before they came",
-    "overwritten": "at most, overwritten here before a subscriber acknowledged them",
+    "overwritten": "at most, overwritten here before a subscriber had them",
 }
 
 
@@ -84,6 +84,11 @@ def losses(summary: Mapping[str, Any]) -> list[str]:
             lines.append(f"{name}: {plural(count, 'datagram')} refused: {reason}")
         if item["unreadable"]:
             lines.append(f"{name}: {plural(item['unreadable'], 'datagram')} too short for a packet")
+        if item["graph_drops"]:
+            count = plural(item["graph_drops"], "datagram")
+            lines.append(
+                f"{name}: {count} of ROS 2 dropped: the receive buffer was full; some may have come again"
+            )
         ways = item["to_cfs"], item["from_cfs"]
         if ways[0]["failed"]:
             count = plural(ways[0]["failed"], "datagram")

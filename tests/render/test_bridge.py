@@ -36,7 +36,7 @@ def summary():
             {
                 "name": "flight", "kind": "flight", "listen": "0.0.0.0:2236", "target": "10.0.0.1:2234",
                 "peer": "66:1", "connected": False, "losses": {"disconnect": 1, "timeout": 1},
-                "refused": {"peer 66:9": 3}, "others": 0, "unreadable": 1,
+                "refused": {"peer 66:9": 3}, "others": 0, "unreadable": 1, "graph_drops": 11,
                 "to_cfs": WAY | {"failed": 2, "reason": "Network is unreachable", "overflowed": 4},
                 "from_cfs": WAY | {"kernel_drops": 5},
                 "routes": [
@@ -71,9 +71,10 @@ def test_what_was_lost_or_refused_is_told_a_line_each(summary):
     assert view.losses(summary) == [
         "flight: /robot/pose: 1 message lost: by their publisher's history or the network, before they came",
         "flight: /robot/cmd_vel: 7 messages refused: no CDR",
-        "flight: /robot/cmd_vel: 9 messages lost: at most, overwritten here before a subscriber acknowledged them",
+        "flight: /robot/cmd_vel: 9 messages lost: at most, overwritten here before a subscriber had them",
         "flight: 3 datagrams refused: peer 66:9",
         "flight: 1 datagram too short for a packet",
+        "flight: 11 datagrams of ROS 2 dropped: the receive buffer was full; some may have come again",
         "flight: 2 datagrams not sent: Network is unreachable",
         "flight: 4 datagrams lost: the socket took no more",
         "flight: 5 datagrams lost before the bridge read them: the receive buffer was full",

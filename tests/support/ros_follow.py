@@ -1,8 +1,10 @@
-"""A subscription of our graph over rclpy that follows its publishers, run by the Python that has the wheels.
+"""A subscription of a graph of ours that follows its publishers.
 
-    python ros_follow.py DISTRIBUTION TOPIC
+    python ros_follow.py GRAPH DISTRIBUTION TOPIC
 
-For each line on its standard input it prints as JSON what it asks for and the numbers heard so far.
+For each line on its standard input it prints as JSON what it asks for, the numbers heard so far, how many
+are missed, and what the kernel dropped. The Python that has the wheels runs it for ``rclpy``, else the tests'
+own.
 """
 
 import json
@@ -16,15 +18,19 @@ STRING = "std_msgs/msg/String"
 
 
 def main():
-    distro, topic = sys.argv[1:]
+    ros, distro, topic = sys.argv[1:]
     types, heard = TypeStore(distro), []
-    graph = open_graph("rclpy", types, "follows", domain=usual_domain())
+    graph = open_graph(ros, types, "follows", domain=usual_domain())
     graph.subscribe(
         topic, STRING, Qos(None, None), lambda cdr: heard.append(int(types.decode(STRING, cdr)["data"]))
     )
     for _ in sys.stdin:
-        (qos,) = graph.states()[topic].qos
-        print(json.dumps({"asked": [qos.reliable, qos.transient_local], "heard": heard}), flush=True)
+        state = graph.states()[topic]
+        asked = [[qos.reliable, qos.transient_local] for qos in state.qos]
+        print(
+            json.dumps({"asked": asked, "heard": heard, "missed": state.missed, "dropped": graph.dropped()}),
+            flush=True,
+        )
     graph.close()
 
 

@@ -24,6 +24,7 @@ import tempfile
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from socket import SO_RCVBUF, SOCK_DGRAM, SOL_SOCKET, socket
 from threading import Lock
 from typing import TYPE_CHECKING, Final
 from xml.sax.saxutils import quoteattr
@@ -58,10 +59,16 @@ _FAST_DDS_3: Final = "1.15"
 """The vendor id of eProsima; Cyclone DDS then matches its types by name, as rmw_fastrtps itself does."""
 _PREFIX: Final = re.compile(r"^\d+\.\d+ \[\d*\]\s+\S+:\s*")
 """What Cyclone DDS puts before a line: time, domain and thread."""
+_TABLES: Final = ("/proc/thread-self/net/udp", "/proc/thread-self/net/udp6")
+_DESCRIPTORS: Final = "/proc/self/fd"
+_SOCKET: Final = re.compile(r"socket:\[(\d+)\]")
+_SO_RCVBUFFORCE: Final = 33
+_RECEIVE_BYTES: Final = 8 << 20
 _CHOICE: Final = re.compile(r"<(Interfaces|NetworkInterfaceAddress)\b.*?</\1\s*>", re.DOTALL | re.IGNORECASE)
 _FILE: Final = "file://"
 UNACKNOWLEDGED_BYTES: Final = 8 << 20
 """Where a writer begins to wait for its readers, of whatever history; Cyclone DDS's own value is 500 kB."""
+_BUFFER: Final = f'<SocketReceiveBufferSize max="{_RECEIVE_BYTES} B"/>'
 _COMPATIBLE: Final = f"<IgnoreTypeInformation>{_FAST_DDS_3}</IgnoreTypeInformation>"
 
 
@@ -69,6 +76,7 @@ _COMPATIBLE: Final = f"<IgnoreTypeInformation>{_FAST_DDS_3}</IgnoreTypeInformati
 class _Held:
     domain: Domain | None
     config: str
+    inodes: frozenset[int]
     holders: int = 0
 
 
@@ -82,7 +90,9 @@ def compatible() -> str:
     Fast DDS learns that an endpoint is gone only where its key's hash is sent, too.
     """
     marks = f"<Watermarks><WhcHigh>{UNACKNOWLEDGED_BYTES} B</WhcHigh></Watermarks>"
-    return _domain(Compatibility=_COMPATIBLE, Internal=f"{marks}<GenerateKeyhash>true</GenerateKeyhash>")
+    return _domain(
+        Compatibility=_COMPATIBLE, Internal=f"{marks}{_BUFFER}<GenerateKeyhash>true</GenerateKeyhash>"
+    )
 
 
 def discovery(environ: Mapping[str, str]) -> str:
@@ -155,7 +165,12 @@ def hold(number: int, config: str) -> None:
     with _lock:
         domain = _domains.get(number)
         if domain is None:
-            domain = _domains[number] = _Held(_create(number, config), config)
+            before = _sockets()
+            opened = _create(number, config)
+            inodes = _sockets()
+            domain = _domains[number] = _Held(opened, config, frozenset(inodes.keys() - before.keys()))
+            for inode in domain.inodes:
+                _widen(inodes[inode])
         elif domain.config != config:
             raise ConfigError(f"dds: domain {number} is open in this process with other options")
         domain.holders += 1
@@ -201,6 +216,36 @@ def missing_hint(environ: Mapping[str, str]) -> str:
         "machine, through lo: write --ros-option interface=lo, or unset it there; if OFF, unset it there. "
         "If multicast does not reach the others, write --ros-option peers=ADDRESS"
     )
+
+
+def dropped(number: int) -> int:
+    """Return how many datagrams the kernel dropped because a socket of a domain was full, so far."""
+    with _lock:
+        domain = _domains.get(number)
+    rows: list[list[str]] = []
+    for table in _TABLES if domain else ():
+        with suppress(OSError):
+            rows += map(str.split, Path(table).read_text(encoding="ascii").splitlines()[1:])
+    return sum(int(row[-1]) for row in rows if domain and int(row[9]) in domain.inodes)
+
+
+def _sockets() -> dict[int, int]:
+    """Return the sockets of this process: inode to descriptor; none where the system does not tell."""
+    sockets = {}
+    with suppress(OSError):
+        for path in Path(_DESCRIPTORS).iterdir():
+            with suppress(OSError):
+                if match := _SOCKET.fullmatch(str(path.readlink())):
+                    sockets[int(match[1])] = int(path.name)
+    return sockets
+
+
+def _widen(descriptor: int) -> None:
+    """Give a socket a larger receive buffer, beyond the system's limit where this process may do that."""
+    with suppress(OSError), socket(fileno=os.dup(descriptor)) as opened:
+        if opened.type == SOCK_DGRAM and opened.getsockopt(SOL_SOCKET, SO_RCVBUF) < _RECEIVE_BYTES:
+            with suppress(OSError):
+                opened.setsockopt(SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BYTES)
 
 
 def _create(number: int, config: str) -> Domain | None:

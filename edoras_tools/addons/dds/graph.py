@@ -218,6 +218,10 @@ class DdsGraph:
         """Tell whether reliable subscribers have acknowledged everything that was published."""
         return all(acknowledged(writer) for _, writer in self._writers)
 
+    def dropped(self) -> int:
+        """See ``Graph``: of all nodes of this domain in this process."""
+        return dds_domain.dropped(self._domain)
+
     def notes(self) -> list[str]:
         """Return a line for each topic with an incompatible peer, once, with the reason; see ``Graph``.
 

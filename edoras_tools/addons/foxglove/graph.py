@@ -130,6 +130,10 @@ class FoxgloveGraph:
         """See ``Graph``: there is one way only, and the server counts what it drops."""
         return {}
 
+    def dropped(self) -> int:
+        """See ``Graph``: not known."""
+        return 0
+
     def notes(self) -> list[str]:
         """Say once where clients connect to, and which web pages were refused; see ``Graph``."""
         return [self._notes.pop(0) for _ in range(len(self._notes))]

@@ -284,6 +284,10 @@ class ZenohGraph:
         """See ``Graph``: numbers that are missing among those that publishers give count as missed."""
         return {topic: state() for topic, state in self._states.items()}
 
+    def dropped(self) -> int:
+        """See ``Graph``: not known."""
+        return 0
+
     def notes(self) -> list[str]:
         """Return a note, once, that no peer is there; see ``Graph``."""
         if self._lonely_at is None or time.monotonic() < self._lonely_at:

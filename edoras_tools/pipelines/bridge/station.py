@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.middleware import Graph
+    from edoras_tools.middleware import Graph, Qos
     from edoras_tools.pipelines.bridge.inbox import GraphMessage, Inbox
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.sessions.bridge.bridge import LinkSession
@@ -94,6 +95,7 @@ class Station:
         self._heard: list[int] = []
         self._count_ns = 0
         self._states: dict[str, TopicState] = {}
+        self._dropped = 0
         self._ends: dict[bytes, NDArray[np.void]] = {}
         self.to_cfs, self.from_cfs = Direction("to cFS"), Direction("from cFS")
         self.socket = _bind(plan)
@@ -207,20 +209,23 @@ class Station:
     def _look(self) -> None:
         """Ask how the topics are connected; note what is new, once."""
         before, self._states = self._states, {**self._states, **self._graph.states()}
-        kinds: dict[str, list[str]] = {}
+        drops, self._dropped = self._dropped, max(self._graph.dropped(), self._dropped)
+        if self._dropped and not drops:
+            self.machine.link.notes.append(
+                "the sockets of ROS 2 were full: messages that publishers no longer keep are lost"
+            )
+        kinds: defaultdict[Qos, list[str]] = defaultdict(list)
+        nothing = TopicState(())
         for route in self.machine.routes:
-            new, old = self._states.get(route.topic), before.get(route.topic)
-            if new is None:
-                continue
+            new, old = (states.get(route.topic, nothing) for states in (self._states, before))
             request = qos_of(route)
-            if None in (request.reliable, request.transient_local) and (old is None or old.qos != new.qos):
+            if None in (request.reliable, request.transient_local) and old.qos != new.qos:
                 for qos in new.qos:
-                    kinds.setdefault(
-                        "{reliability}, {durability}, depth {depth}".format(**qos.words()), []
-                    ).append(route.topic)
-            if new[1:] > (0, 0) and (old is None or old[1:] == (0, 0)):
+                    kinds[qos].append(route.topic)
+            if any(new[1:]) and not any(old[1:]):
                 self.machine.link.notes.append(f"{route.topic}: messages were overwritten in a history")
-        for kind, topics in kinds.items():
+        for qos, topics in kinds.items():
+            kind = "{reliability}, {durability}, depth {depth}".format(**qos.words())
             self.machine.link.notes.append(f"automatic quality of service {kind}: {', '.join(topics)}")
 
     def count_latencies(self) -> None:
@@ -235,6 +240,7 @@ class Station:
             "listen": str(self.endpoint),
             **self.machine.summary(),
             "routes": [self._connected(row) for row in self.machine.summary()["routes"]],
+            "graph_drops": self._dropped,
             "to_cfs": _summary(self.to_cfs),
             "from_cfs": {**_summary(self.from_cfs), "kernel_drops": self.drops},
         }

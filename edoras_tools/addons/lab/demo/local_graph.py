@@ -132,6 +132,10 @@ class LocalGraph:
                 if topic.publishers
             }
 
+    def dropped(self) -> int:
+        """See ``Graph``: not known."""
+        return 0
+
     def notes(self) -> list[str]:
         """See ``Graph``: there is nothing to tell."""
         return []
