@@ -96,7 +96,7 @@ def send_at(port: int, rate: int, seconds: float, burst: int) -> None:
                 time.sleep(ahead / 1e9)
             stamps[:] = np.frombuffer(time.time_ns().to_bytes(8, "little"), np.uint8)
             counts[:] = (sent + rising & 0x3FFF | 0xC000).astype(">u2").view(np.uint8).reshape(-1, 2)
-            sent += buffer.send(opened, burst, None).done
+            sent += buffer.send(opened, burst, None).accepted
             due += step_ns
     print(json.dumps({"sent": sent, "seconds": (time.monotonic_ns() - began) / 1e9}))
 

@@ -230,11 +230,11 @@ def _glance(batch: PacketBatch, conversation: Integers, identification: NDArray[
 
 def _perhaps_again(number: Prints, time_ns: Integers) -> bool:
     """Tell whether two datagrams within 20 ms may be equal, by the numbers that equal ones share."""
-    window = (
-        time_ns - time_ns.min(initial=_NEVER_NS)
-    ) // _WITHIN_NS  # two within 20 ms: of one, or side by side
+    window = time_ns // _WITHIN_NS  # two within 20 ms are in one, or in two side by side
+    window -= window.min(initial=_NEVER_NS)
     most = (1 << _WINDOW_BITS) - 1
-    ranked = np.sort(number << np.uint64(_WINDOW_BITS) | np.minimum(window, most).astype(np.uint64))
+    key = number * MIX & ~np.uint64(most) | np.minimum(window, most).astype(np.uint64)
+    ranked = np.sort(key)
     return bool((ranked[1:] - ranked[:-1] <= 1).any())
 
 
