@@ -166,7 +166,7 @@ class Crew:
             values["report"] = hook.pytest_report_from_serializable(config=self.session.config, data=data)
         elif name == "pytest_runtest_logfinish":
             self.unfinished.remove(values["nodeid"])
-            worker.items = [item for item in worker.items if item.nodeid != values["nodeid"]]
+            del worker.items[0]  # they end in their order
         getattr(hook, name)(**values)
 
     def bury(self, worker):
