@@ -33,6 +33,8 @@ CI_LAB and TO_LAB are names of cFS 7.
 """
 SCHEDULERS: Final = frozenset({"SCH_LAB_APP", "SCH_LAB", "SCH"})
 """Applications that ask for all housekeeping, and take no topic."""
+TICK_MSG_ID: Final = 0x1811
+"""What wakes them once a second."""
 USUAL_STACK_BYTES: Final = 65536
 USUAL_PRIORITY: Final = 50
 RESTART_TYPES: Final = frozenset({1, 2})

@@ -32,6 +32,7 @@ from edoras_tools.diagnosis.evidence.loss_reports import (
 from edoras_tools.diagnosis.evidence.peers import Network
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied
+from edoras_tools.diagnosis.evidence.table import followed
 from edoras_tools.diagnosis.evidence.timeline.changes import SoftwareChanges, capture_changes, network_changes
 from edoras_tools.diagnosis.evidence.timeline.table import Timeline
 from edoras_tools.diagnosis.evidence.unreachable import Unreachable, find_unreachable
@@ -188,7 +189,8 @@ class Case:
         self.prepared = prepare(recorder, self.proxied)
         payloads = self.prepared.payloads
         rows, self.jumps, self.instances = steadied(self.prepared.rows, payloads.events, recorder.endpoints)
-        payloads = payloads.timed(rows.time_ns) if self.jumps else payloads
+        if self.jumps:  # what seemed to begin anew went on
+            rows, payloads = followed(rows), payloads.timed(rows.time_ns)
         if (np.diff(rows.time_ns) < 0).any():  # a few ms out of order, beside a clock that was set
             order = np.argsort(rows.time_ns, kind="stable")
             rows, payloads = rows.take(order), payloads.over(order, len(rows))
@@ -531,15 +533,16 @@ class Case:
     def shown_hz(self, stream: Stream, assumed_hz: float) -> float:
         """Return the highest rate, Hz, at which a stream lost nothing for ten seconds; 0 if it is not higher.
 
-        Where it is, the constants are others than the assumed ones.
+        Where it is, the constants are others than the assumed ones; not if it lost some at no higher rate.
         """
         lost = [(item.start_ns, item.end_ns) for item in self.losses_of(stream)]
-        clean = [
-            span.offered_hz
-            for span in stream.spans
-            if span.end_ns - span.start_ns >= _CLEAN_NS
-            and not any(span.start_ns <= end_ns and start_ns <= span.end_ns for start_ns, end_ns in lost)
-        ]
+        rates: tuple[list[float], list[float]] = [], []
+        for span in stream.spans:
+            lossy = any(span.start_ns <= end_ns and start_ns <= span.end_ns for start_ns, end_ns in lost)
+            if lossy or span.end_ns - span.start_ns >= _CLEAN_NS:
+                rates[lossy].append(span.offered_hz)
+        most = min(rates[True], default=np.inf) / _HIGHER
+        clean = [rate for rate in rates[False] if rate < most]
         return max((rate for rate in clean if rate > _HIGHER * assumed_hz), default=0.0)
 
     @cached_property

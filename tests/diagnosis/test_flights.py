@@ -40,9 +40,22 @@ FLIGHTS = {
     "refused_and_over_limits": (499, {"limit": 299, "bad_command": 200}),
     "ci_counters_reset": (421, {"socket": 239, "limit": 182}),
     "started_late": (126, {"stopped": 125, "limit": 1}),
+    "bursts_of_two_robots": (50, {"limit": 50}),
+    "stood_still_when_idle": (13, {"limit": 13}),
+    "uplink_alone": (122, {"limit": 106, "port_closed": 16}),
+    "ci_restarted_at_the_start": (178, {"restart": 31, "restart_failed": 144, "stopped": 2, "limit": 1}),
+    "clock_set_in_overload": (79, {"limit": 67, "sbn_peer_restart": 12}),
+    "scheduler_restarted": (155, {"limit": 155}),
+    "entry_removed_and_added": (163, {"restart_failed": 75, "stopped": 40, "limit": 48}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
-RANGES = {"application_restarted": 124, "subscribed_late": 20, "both_bridges_off": 80}
+RANGES = {
+    "application_restarted": 124,
+    "subscribed_late": 20,
+    "both_bridges_off": 80,
+    "restarted_without_events": 156,
+    "relay_of_peers": 46,
+}
 
 
 def examined(name):
@@ -76,6 +89,7 @@ def first_screen(found):
         "queues_of_ten",
         "refused_*",
     ),
+    *("stood_still_when_idle", "uplink_alone", "ci_restarted_*", "entry_*"),
 )
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_the_doctor_says_how_many_were_lost_and_why(name):
@@ -91,7 +105,7 @@ def test_what_nothing_counts_is_a_narrow_range(name, lost):
     found = examined(name)
     proven = found.lost + found.unaccounted
     assert proven <= lost <= proven + found.uncertain
-    assert found.uncertain <= max(3, 0.2 * lost)
+    assert found.uncertain <= max(3, 0.25 * lost)
 
 
 def test_frames_that_the_capture_lost_in_bursts_are_no_loss():
@@ -156,3 +170,37 @@ def test_what_a_stream_lost_behind_its_last_message_is_told_by_its_msg_id():
     assert rows[0x828, "EDORAS_APP_PIPE"] == 18
     rows = {(row.msg_id, row.hop): row.all_lost for row in examined("bursts").balance}
     assert (rows[0x829, "TO_LAB_TLM_PIPE"], rows[0x82D, "TO_LAB_TLM_PIPE"]) == (88, 72)
+
+
+# MsgId to what is proven lost of it at most, by cause: the rest may be of several.
+MOST = {
+    "bursts_of_two_robots": {0x1827: {"limit": 8}, 0x1828: {"limit": 2}},
+    "queues_of_six": {0x829: {"overflow": 110}},
+    "killed_and_back_at_once": {
+        0x1827: {"down": 19, "limit": 43},
+        0x1829: {"port_closed": 19, "disabled": 29},
+    },
+    "killed_with_full_queues": {0x1827: {"down": 17, "overflow": 2}},
+    "ci_and_sbn_restarted": {0x182C: {"restart": 16, "stopped": 13}, 0x82D: {"limit": 41}},
+    "restarted_without_events": {0x1828: {"stopped": 11, "limit": 1}, 0x182A: {"stopped": 16}},
+}
+
+
+@pytest.mark.quick("bursts_of_*", "killed_and_*")
+@pytest.mark.parametrize("name", MOST)
+def test_nothing_is_proven_of_a_msg_id_beyond_what_was_lost_of_it(name):
+    found = examined(name)
+    for msg_id, most in MOST[name].items():
+        lost = sum((Counter(row.lost) for row in found.balance if row.msg_id == msg_id), Counter())
+        assert lost == Counter(lost) & Counter(most), (hex(msg_id), lost)
+    assert all(row.adds_up for row in found.balance)
+
+
+def test_stalls_of_a_cfs_that_sends_little_are_named():
+    found = examined("stood_still_when_idle")
+    assert len([item for item in found.verdicts if item.rule == "cfs_stalled"]) == 3
+    assert "TO keeps 4 of this MsgId" in first_screen(found)
+
+
+def test_a_rate_that_lost_some_here_is_not_called_clean():
+    assert "got through here" not in first_screen(examined("hole_in_overload"))

@@ -246,7 +246,7 @@ class _Learner:
             times = case.rows.time_ns[hop.out.rows[hop.out_rows[order]]]
             missing = np.maximum(np.append(np.diff(hop.in_rows[order]) - 1, 0), 0)
             limited = any(loss.kind == "limit" for loss in case.losses_of(hop.into))
-            if limited or full_rounds(times, missing, period_ns, fewer=2):
+            if limited or full_rounds(times, missing, period_ns):
                 limit = _kept(times, missing, period_ns // 4)
                 if limit is not None:
                     yield _limit("app_msg_limit", limit, f" of 0x{hop.into.msg_id:04x}")

@@ -43,7 +43,7 @@ from edoras_tools.diagnosis.matching.streams import Span, full_rounds
 from edoras_tools.links.table import among
 from edoras_tools.model import Finding
 from edoras_tools.sessions.sequence import MODULUS
-from edoras_tools.units import MILLISECOND
+from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -399,8 +399,8 @@ class Telemetry:
         if not kinds and part.owner not in self._counts and stream.link.only_from_cfs and not via:
             own = slice(span.first, span.last + 1)
             period_ns = queues.telemetry_pipe(case.profile).round_ns
-            if most := full_rounds(stream.time_ns[own], gaps[own], period_ns):
-                part.evidence.append(f"they are missing behind rounds of {most} alone, and none is larger")
+            if least := full_rounds(stream.time_ns[own], gaps[own], period_ns):
+                part.evidence.append(f"they are missing behind full rounds alone, of {least} or more")
                 kinds.append((True, "limit"))
         return tuple(kind for _, kind in sorted(kinds, key=lambda item: item[0]))
 
@@ -424,8 +424,10 @@ class Telemetry:
                 most = min(most, int((hop.absent & (went_in > went_in[hop.arrived].max())).sum()))
         if most > 0:
             made_ns = int(case.instances.made_ns[stream.rows[-1]])
-            span, of = (made_ns, made_ns + TAIL_NS), (part.owner,)
-            self.claims.append(Claim(key, *span, most, part.kinds, of, Rank.POSSIBLE, id(stream)))
+            # So many were published by then, if they went on as before.
+            until_ns = made_ns + LEAD_NS + int(most * SECOND / max(part.span.offered_hz, 1))
+            of = (part.owner,)
+            self.claims.append(Claim(key, made_ns, until_ns, most, part.kinds, of, Rank.POSSIBLE, id(stream)))
 
     def _ends(self, part: Part) -> bool:
         """Tell whether a stream ends with a part, or with one round behind it that lacks none."""

@@ -7,6 +7,7 @@ traffic is given to none of them.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final
@@ -194,6 +195,7 @@ class Rival:
         kind: kind of count.
         start_ns: capture time from which on it may have been counted.
         end_ns: capture time until which it may.
+        most: so many of it at most, each second anew.
     """
 
     flow: int
@@ -201,6 +203,7 @@ class Rival:
     kind: PipeKind
     start_ns: int
     end_ns: int
+    most: int = 1 << 32
 
 
 @dataclass(slots=True)
@@ -225,38 +228,22 @@ class Shared:
 
 
 def settle_known(
-    counts: Mapping[int, Counts], claims: Sequence[Claim], gaps: list[Claim], rivals: Sequence[Rival]
+    counts: Mapping[int, Counts], claims: Sequence[Claim], rivals: Sequence[Rival]
 ) -> list[Shared]:
     """Give counts to what surely is missing, then to what may be; see ``settle_possible``.
 
     Args:
-        gaps: those of the claims that are of telemetry.
         rivals: traffic that is not in the capture.
     """
     for ranks, slack_ns in (
         ((Rank.PRESSED, Rank.ABSENT, Rank.CLOSED), _APART_NS),
-        ((Rank.PRESSED, Rank.ABSENT, Rank.CLOSED, Rank.OWN_PACKETS), _APART_NS),
+        ((Rank.PRESSED, Rank.ABSENT, Rank.CLOSED, Rank.OWN_PACKETS), 0),
         ((Rank.QUIET, Rank.INTO_STOP), 0),
     ):
         sure = [claim for claim in claims if claim.rank in ranks]
         settle(counts, sure)
-        _move(counts, [claim for claim in gaps if claim.rank in ranks])
         settle(counts, sure, slack_ns)
     return settle_possible(counts, claims, rivals)
-
-
-def _move(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
-    """Give what a full pipe counted and nothing explains in exchange for counts that may be others'."""
-    for instance, own in counts.items():
-        table = _Table(instance, "overflow", own, claims, 0)
-        for second in np.flatnonzero(table.left).tolist():
-            every = [(claims[at], place) for at in table.within(second) for place in claims[at].taken]
-            for claim, place in (item for item in every if "limit" in item[1]):
-                number = min(claim.taken[place], int(table.left[second]))
-                claim.give(place, -number)
-                claim.give((instance, "overflow", second), number)
-                table.left[second] -= number
-                counts[place[0]].left["limit"][place[2]] += number
 
 
 def hand_on(
@@ -339,6 +326,7 @@ def settle_possible(
                     if flows and has_rest:
                         settle_rest(counts, claims)
                         has_rest = False
+                    table.give_surplus(second, held, rivals, span)
                     number = table.give(second, held, reserve=bool(flows))
                     if flows and number:
                         key = table.instance, table.kind, flows
@@ -398,6 +386,8 @@ class _Table:
         high = np.array([claims[at].high_ns for at in self.asking], np.int64)
         self._first = np.maximum(own.seconds(low - slack_ns), 0)
         self._last = np.minimum(own.seconds(high + slack_ns), len(own.times) - 2)
+        # What was lost before the first sample or behind the last is in no count here.
+        self._last[(high <= own.times[0]) | (low >= own.times[-1])] = -1
         self._place = {at: place for place, at in enumerate(self.asking)}
 
     def prefers(self, at: int, rank: int, place: int) -> bool:
@@ -419,16 +409,32 @@ class _Table:
             held: claims that may take them.
             span: when the second begins and ends, ns.
         """
-        unseen = {
-            rival.flow
+        unseen = {rival.flow for rival in self._unseen(rivals, span)}
+        flows = frozenset(self._claims[at].flow for at in held) | unseen
+        is_all = not unseen and int(self.left[second]) >= sum(self._claims[at].open for at in held)
+        return frozenset() if is_all or len(flows) == 1 else flows
+
+    def _unseen(self, rivals: Sequence[Rival], span: Sequence[int]) -> list[Rival]:
+        return [
+            rival
             for rival in rivals
             if (rival.instance, rival.kind) == (self.instance, self.kind)
             and rival.start_ns <= span[1]
             and span[0] <= rival.end_ns
-        }
-        flows = frozenset(self._claims[at].flow for at in held) | unseen
-        is_all = not unseen and int(self.left[second]) >= sum(self._claims[at].open for at in held)
-        return frozenset() if is_all or len(flows) == 1 else flows
+        ]
+
+    def give_surplus(
+        self, second: int, held: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
+    ) -> None:
+        """Give each traffic the counts of a second that all others together cannot have; see ``sharers``."""
+        unseen = sum(rival.most for rival in self._unseen(rivals, span))
+        open_ = Counter[int]()
+        for at in held:
+            open_[self._claims[at].flow] += self._claims[at].open
+        beyond = int(self.left[second]) - open_.total() - unseen
+        for flow, own in open_.items():
+            if (most := min(own, beyond + own)) > 0:
+                self.give(second, [at for at in held if self._claims[at].flow == flow], most=most)
 
     def serve(self, asking: Sequence[int]) -> None:
         """Give counts to claims: to all whose time holds a count, by how much of each is open."""
@@ -441,12 +447,12 @@ class _Table:
             held = [at for at in held if self._last[self._place[at]] >= second and self._claims[at].open]
             self.give(second, held)
 
-    def give(self, second: int, held: Sequence[int], *, reserve: bool = False) -> int:
-        """Give the counts of a second to some claims, or reserve them for these; return how many."""
+    def give(self, second: int, held: Sequence[int], *, reserve: bool = False, most: int = 1 << 32) -> int:
+        """Give so many counts of a second at most to claims, or reserve them for these; return how many."""
         turn = second % max(1, len(held))  # what does not divide goes to another one each time
         held = [*held[turn:], *held[:turn]]
-        before, most = int(self.left[second]), [self._claims[at].open for at in held]
-        for at, share in zip(held, shares(before, most, most), strict=True):
+        before, opened = int(self.left[second]), [self._claims[at].open for at in held]
+        for at, share in zip(held, shares(min(before, most), opened, opened), strict=True):
             if share and reserve:
                 self._claims[at].reserved += share
             elif share:
@@ -521,9 +527,8 @@ def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[i
         total = sum(weights[at] for at in free)
         exact = [left * weights[at] / total for at in free]
         parts = [min(int(value), most[at] - out[at]) for value, at in zip(exact, free, strict=True)]
-        if not any(parts):
-            best = max(zip(free, exact, strict=True), key=lambda each: each[1] % 1)[0]
-            parts = [int(at == best) for at in free]
+        if not any(parts):  # what does not divide: one each, as far as it goes
+            parts = (np.argsort(np.argsort(-np.array(exact), kind="stable")) < left).astype(int).tolist()
         for at, part in zip(free, parts, strict=True):
             out[at] += part
         left = number - sum(out)

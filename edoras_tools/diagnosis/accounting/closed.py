@@ -317,6 +317,9 @@ _CLOSED: Final[Mapping[str, tuple[int, LossKind, str]]] = {
 _LEAST_ROUNDS: Final = 5
 _LEAST_UNANSWERED: Final = 5
 """So many messages of which none is passed on show that a command that stops an application did."""
+_USUAL_STEPS: Final = 20
+_SILENT_STEPS: Final = 3
+"""What passes nothing on for so many of its longest steps did not run."""
 _FASTER: Final = 1.25
 """Messages that come faster than rounds by this give way to newer ones."""
 
@@ -374,10 +377,14 @@ def _falls_silent(case: Case, app: str, span: StateSpan) -> bool:
         return False
     start_ns, end_ns = span.start_lo + WAITS_NS, span.end_lo
     for hop in case.hops:
-        sent = np.diff(np.searchsorted(hop.into.time_ns, (start_ns, end_ns)))[0]
-        times = start_ns - _STOPS_NS - WAITS_NS, start_ns, end_ns
-        before, meanwhile = np.diff(np.searchsorted(hop.out.time_ns, times)).tolist()
-        if sent >= _LEAST_UNANSWERED and before and not meanwhile:
+        left_ns = hop.out.time_ns
+        at = int(np.searchsorted(left_ns, start_ns))
+        back_ns = min([end_ns, *left_ns[at : at + 1].tolist()])
+        sent = np.diff(np.searchsorted(hop.into.time_ns, (start_ns, back_ns)))[0]
+        before_ns = left_ns[max(0, at - _USUAL_STEPS) : at]
+        longest_ns = np.diff(before_ns).max(initial=0)
+        recent = len(before_ns) > 0 and before_ns[-1] > start_ns - _STOPS_NS - WAITS_NS
+        if sent >= _LEAST_UNANSWERED and recent and back_ns - before_ns[-1] > _SILENT_STEPS * longest_ns:
             return True
     return False
 
@@ -406,7 +413,9 @@ class Stops:
         for fate in self._fates:
             if fate.seen:
                 for item in gone:
-                    self._mark(fate, item)
+                    # Where nobody wakes an application, its pipe loses some, or it keeps the newest.
+                    if fate.keeps_newest or item.app not in executive_services.SCHEDULERS:
+                        self._mark(fate, item)
                 self._mark_closed(fate)
                 self._mark_unsent(fate)
                 continue

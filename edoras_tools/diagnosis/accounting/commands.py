@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import queues, sbn, telemetry_output
+from edoras_tools.cfs import command_ingest, queues, sbn, telemetry_output
 from edoras_tools.diagnosis.accounting.claims import (
     Rank,
     settle_doubted,
@@ -41,6 +41,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     Fate,
     Loss,
     follow,
+    regroup,
 )
 from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Leftover, Pipes
 from edoras_tools.diagnosis.matching.streams import bursts, full_rounds
@@ -109,16 +110,14 @@ class Commands:
         self._refuse([item for item in case.refused if not item.by_type])
         stops = Stops(case, fates)
         for fate in fates:
-            if fate.stream.link.peers:
-                self._down(fate)
-        for fate in fates:
+            self._not_taken(fate)
             self._pass_on(fate)
             pipes.claim(fate)
         hold_back(case, telemetry.claims)
         counts, claims = case.loss_counts, [*telemetry.claims, *pipes.claims]
         leftover = Leftover(case, self.fates, pipes)
         leftover.take_named()
-        shared = settle_known(counts, claims, telemetry.claims, leftover.rivals())
+        shared = settle_known(counts, claims, leftover.rivals())
         settle_first(counts, claims, may_be_missed(case, claims))
         tails = {claim.flow: sum(claim.taken.values()) for claim in claims if claim.rank == Rank.POSSIBLE}
         pipes.tell()
@@ -137,7 +136,7 @@ class Commands:
         telemetry.tell()
         self._name([item for item in case.refused if item.by_type])
         doubt(case, telemetry, fates)
-        leftover.tell(telemetry.losses)
+        leftover.tell()
         self.uncaptured = leftover.uncaptured
         self.refused_of: dict[int, list[tuple[Verdict, int, Among]]] = {}
         for item in case.refused:
@@ -174,6 +173,37 @@ class Commands:
                 text = f"{plural(len(chosen), 'message')} over SBN while it was not running"
                 self._lose(fate, "down", chosen, text)
 
+    def _not_taken(self, fate: Fate) -> None:
+        """Tell lost what came while nobody was there to take it, or to a closed port."""
+        case, stream = self._case, fate.stream
+        if stream.link.peers:
+            self._down(fate)
+        elif fate.seen and stream.link.only_to_cfs:
+            self._uncounted(fate)
+        if fate.seen or all(stream.receiver != item.endpoint for item in case.ingests):
+            closed = np.flatnonzero(fate.open & case.unreachable.closed[stream.rows])
+            if (silent := case.unheard.get(id(stream))) is not None:
+                closed = np.setdiff1d(closed, silent.unheard)
+            self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
+        regroup(case, fate)
+
+    def _uncounted(self, fate: Fate) -> None:
+        """Tell lost what was sent while CI did not run, where no count is from before."""
+        case, times = self._case, fate.stream.time_ns
+        first_ns = [item.first_ns for item in case.ingests if item.endpoint == fate.stream.receiver]
+        own = [item for item in case.outages if case.into_system(fate.stream, item.system)]
+        for item in (item for item in own if item.app in command_ingest.NAMES):
+            end_ns = case.end_ns if item.end_ns is None else item.end_ns
+            if any(when < min(item.ended_ns, end_ns - WAITS_NS) for when in first_ns):
+                continue
+            # What came out again was read: it did not run where nothing does for the longest time.
+            read = times[fate.arrived & (times > item.start_ns) & (times < end_ns)]
+            bounds = np.concatenate(([item.start_ns], read, [end_ns]))
+            hole = int(np.diff(bounds).argmax())
+            inside = fate.open & ~fate.newer & (times > bounds[hole]) & (times < bounds[hole + 1])
+            kind: LossKind = "restart" if item.restarted else "ci_stopped"
+            self._lose(fate, kind, np.flatnonzero(inside), item.witness)
+
     def _over_limit(self, fate: Fate) -> None:
         """Tell lost what an application's pipe did not take, where no counter is but full rounds show it."""
         case, hops = self._case, fate.hops
@@ -182,15 +212,21 @@ class Commands:
         order = np.argsort(hops[0].out_rows)
         came, into = hops[0].out_rows[order], hops[0].in_rows[order]
         missing = np.append(np.diff(into) - 1, 0)
-        most = full_rounds(hops[0].out.time_ns[came], missing, case.profile.ci_wake_ns, fewer=2)
-        if not most or (missing < 0).any():
+        least = full_rounds(hops[0].out.time_ns[came], missing, case.profile.ci_wake_ns)
+        if not least or (missing < 0).any() or self._fills_socket(fate):
             return
         counted_ns = [own.times[-1] for at, own in case.loss_counts.items() if case.goes_to(fate.stream, at)]
         inside = fate.open & (fate.stream.time_ns > max(counted_ns, default=0))
         inside[: into[0]] = inside[into[-1] :] = False
         if fate.claim(lacking := np.flatnonzero(inside)):
-            text = f"they did not come out behind full rounds alone, of {most} at most"
+            text = f"they did not come out behind full rounds alone, of {least} or more"
             self.losses.append(fate.loss("limit", lacking, [text], hop=APP))
+
+    def _fills_socket(self, fate: Fate) -> bool:
+        """Tell whether more of a stream waits for CI than its socket holds: that loses some, too."""
+        times, socket = fate.stream.time_ns, queues.ci_socket(self._case.profile)
+        ahead = np.arange(len(times)) - (times - times[0]) * (socket.reads / socket.round_ns)
+        return bool((ahead - np.minimum.accumulate(ahead)).max() > socket.depth)
 
     def _relayed(self, fates: Sequence[Fate]) -> None:
         """Tell lost what went into a relay and did not come out of it: its other side is in the capture."""
@@ -373,14 +409,8 @@ class Commands:
             tails: id of a stream to what counters have of it behind its last message.
             shared: counts that several kinds of traffic share.
         """
-        counting = {item.endpoint for item in self._case.ingests}
         left = [item.number for item in shared]
         for fate in fates:
-            if fate.seen or fate.stream.receiver not in counting:
-                closed = np.flatnonzero(fate.open & self._case.unreachable.closed[fate.stream.rows])
-                if (silent := self._case.unheard.get(id(fate.stream))) is not None:
-                    closed = np.setdiff1d(closed, silent.unheard)
-                self._lose(fate, PORT_CLOSED, closed, "ICMP errors: port unreachable")
             own = [at for at, item in enumerate(shared) if id(fate.stream) in item.flows]
             fate.ends["shared"] = sum(shared[at].number for at in own)
             if fate.seen:

@@ -106,7 +106,6 @@ class Ingest:
         losses: what was lost before it.
         waiting: datagrams that were sent before ``last_ns`` and may be waiting in its socket then.
         unread: of those, the ones that were sent before its last count was made.
-        more: of ``waiting``, as many may have been lost with the last of ``losses``: counts do not tell.
         not_captured: datagrams that it counted and the capture does not show.
         unsure: datagrams that may have been lost beside ``losses``: the capture begins amid datagrams, and
             its first count does not tell which of those just sent it has.
@@ -126,7 +125,6 @@ class Ingest:
     losses: list[Before] = field(default_factory=list)
     waiting: int = 0
     unread: int = 0
-    more: int = 0
     not_captured: int = 0
     unsure: int = 0
     older_until_ns: int = 0
@@ -270,6 +268,9 @@ class _Counted:
         sent = [hop.into.time_ns[hop.arrived] for hop in hops]
         self._arrived = np.sort(np.concatenate(sent)) if sent else None
         """When commands to it were sent that came out of cFS again, in order; None where nothing shows it."""
+        self._all_out = all(hop.out.link.last_hop for hop in hops)
+        """Whether all that is read comes out: what is rewritten for others may give way."""
+        self._read_ns = _read_by(hops)
         self._first_out = min((_first_read(hop) for hop in hops if hop.first is not None), default=(0, 0))
         """Until when CI surely had not read the first of those, and when it had been sent."""
 
@@ -279,7 +280,7 @@ class _Counted:
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
         sent = np.searchsorted(self._sent_ns, self._seen, "right")
         starts = [at for at in range(1, len(own)) if _anew(own[at - 1], own[at])]
-        lost = before = last = idle_ns = room = 0
+        lost = before = last = idle_ns = 0
         crowded = False
         for first, end in pairwise([0, *starts, len(own)]):
             part = slice(first, end)
@@ -292,8 +293,7 @@ class _Counted:
                 begin: tuple[Cause, int] = ("socket" if crowded else "network", idle_ns)
                 most_read = before + self._most_read(own[last:first], own[first].made_ns) - own[first].count
                 low[0] = -_MODULUS  # it may have left something then
-                before, least = min(_fewer(low, high) - lost, most_read), before + own[first - 1].count
-                room += max(0, before - least)
+                before = min(_fewer(low, high) - lost, most_read)
             elif first:
                 begin, lost, before = self._restarted(account, last, first, lost, before)
             else:
@@ -314,9 +314,7 @@ class _Counted:
             # What was sent before the capture began may wait, and is not lost here.
             high = high - before if first else np.minimum(high - before, sent[part])
             run = _Run(self._seen[part], low - before, high, drained, busy, 2 * most, unread)
-            already = account.losses[-1:]
             lost = _follow(account, run, lost, begin)
-            account.more = account.losses[-1].more + room if account.losses[-1:] != already else 0
             if not first and before and unread is None and account.losses and not busy[1:2].any():
                 account.unsure = max(0, before - self._surely_sent(int(emptied_ns[0])) + own[0].count)
             account.waiting = max(0, int(run.high[-1]) - lost)
@@ -425,7 +423,10 @@ class _Counted:
         busy = read > _BUSY * self._most * np.maximum(1.0, steps / wake_ns)
         # Fewer than one wake-up can read: it was empty after the last. Else after an earlier one, or never.
         oldest = np.minimum(seen - self._profile.to_wake_ns, self._made[part]) - wake_ns - _SLACK_NS
-        return oldest - np.where(read < self._most, 0, steps), busy
+        oldest -= np.where(read < self._most, 0, steps)
+        out_ns, sent_ns = self._read_ns
+        last = np.searchsorted(out_ns, self._made[part] - _SLACK_NS) - 1
+        return np.maximum(oldest, sent_ns[last]), busy
 
     def _reset(self, before: _Sample, after: _Sample) -> bool:
         """Tell whether it was told to set its counters to 0 between two samples of one boot."""
@@ -480,7 +481,11 @@ class _Counted:
         inside = arrived[(arrived > begin_ns) & (arrived < first.seen_ns)]
         bounds = np.concatenate(([begin_ns], inside, [first.seen_ns]))
         hole = int(np.diff(bounds).argmax())
-        return int(bounds[hole]) if hole else min(ended_ns, int(bounds[1]))
+        if not self._all_out:
+            return max(ended_ns, int(bounds[hole]))
+        # A command to restart was read, too, though nothing comes out of it.
+        restarts = self._restarts_ns(int(bounds[hole]), first.seen_ns)[:1]
+        return max([int(bounds[hole]), *restarts]) if hole else min(ended_ns, int(bounds[1]))
 
     def _most_read(self, own: Sequence[_Sample], until_ns: int) -> int:
         """Return how many a CI can have read until a time: what it counted, and its best rate."""
@@ -491,6 +496,25 @@ class _Counted:
             for sooner, later in pairwise(own)
         ]
         return own[-1].count + ceil(seconds * max(rates)) + 2 * self._most
+
+
+def _read_by(hops: Sequence[Hop]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return when messages came out that occur once, and until when all had been read that were sent before.
+
+    CI takes one after the other; a network that puts one before another shows nothing of that.
+    """
+    out, sent = [np.full(1, np.iinfo(np.int64).min)], [np.zeros(1, np.int64)]
+    for hop in hops:
+        sole = hop.sole[hop.out_rows]
+        out_ns = hop.out.time_ns[hop.out_rows[sole]]
+        order = np.argsort(out_ns, kind="stable")
+        sent_ns = hop.into.time_ns[hop.in_rows[sole]][order]
+        if (np.diff(sent_ns) >= 0).all():
+            out.append(out_ns[order])
+            sent.append(sent_ns)
+    every, until = np.concatenate(out), np.concatenate(sent)
+    order = np.argsort(every, kind="stable")
+    return every[order], np.maximum.accumulate(until[order])
 
 
 def _first_read(hop: Hop) -> tuple[int, int]:
@@ -612,7 +636,6 @@ class BeforeCi:
 
     def __init__(self, case: Case, fates: Sequence[Fate], losses: list[Loss]) -> None:
         self._case, self._fates, self.losses = case, fates, losses
-        self._more: dict[int, int] = {}
 
     def share(self, account: Ingest) -> None:
         """Share out all that was lost before a CI, or may have been where the capture begins amid it."""
@@ -642,10 +665,14 @@ class BeforeCi:
         seen = [fate for fate in fates if fate.seen]
         evidence = _evidence(account, before)
         if before.cause in _OUTAGES:
-            missing = sum(int((fate.open & self._within(fate, before)).sum()) for fate in seen)
-            if more := max(0, min(before.more, missing - before.lost)):
+            closed = self._case.unreachable.closed
+            refused = [fate.open & closed[fate.stream.rows] & self._within(fate, before) for fate in fates]
+            left = max(left, sum(int(own.sum()) for own in refused))
+            # Of what an application keeps the newest of, others than lost ones did not come out.
+            all_out = [fate for fate in seen if not fate.keeps_newest]
+            missing = sum(int((fate.open & self._within(fate, before)).sum()) for fate in all_out)
+            if more := max(0, min(before.lost + before.more, missing) - left):
                 left += more
-                self._more[id(before)] = more
                 evidence.append(f"{more:,} more did not come out, and its counts leave room for them")
         if before.said:
             for fate in fates:  # nor will it come
@@ -750,7 +777,7 @@ class BeforeCi:
 
         CI reads in order: what was sent before one that came out does not wait.
         """
-        number = account.waiting - self._more_before_ci(account)
+        number = account.waiting
         rows, fates = self._case.rows, self._to(account)
         free, read_ns = np.ones(len(rows), bool), -1
         for fate in fates:
@@ -771,19 +798,6 @@ class BeforeCi:
             fate.ends["crowded"] += beyond
             fate.open &= ~chosen
             fate.waits &= ~chosen
-
-    def _more_before_ci(self, account: Ingest) -> int:
-        """Tell lost, in CI's last span of loss, what did not come out and its counts leave room for."""
-        if not account.more:
-            return 0
-        last = [item for item in account.losses if item.cause != "ci_stopped"][-1]
-        if last.cause in _OUTAGES:
-            return self._more.get(id(last), 0)
-        seen = [fate for fate in self._to(account) if fate.seen]
-        evidence = ["they did not come out, later ones did, and CI's counts leave room for them"]
-        # What is lost first may have been before the first count.
-        since_ns = last.since_ns if len(account.losses) > 1 else 0
-        return self._spread(seen, last, since_ns, account.more, evidence)
 
 
 def _evidence(account: Ingest, before: Before) -> list[str]:

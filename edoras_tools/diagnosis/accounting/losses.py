@@ -126,6 +126,8 @@ READY_NS: Final = 5 * SECOND
 """An application that was started may take so long until it does its work."""
 WAITS_NS: Final = SECOND
 """What was sent so short before the end may still come out."""
+_BURST_NS: Final = 50 * MILLISECOND
+"""What is sent within so long is taken together."""
 
 
 End = Literal[
@@ -299,6 +301,12 @@ def follow(case: Case, stream: Stream) -> Fate:
     )
 
 
+def regroup(case: Case, fate: Fate) -> None:
+    """Mark what may have given way as well, once it is told what was lost before it could be taken."""
+    rows = np.flatnonzero(fate.open | fate.arrived)
+    fate.newer[rows] |= _newer(case, fate.hops, fate.open[rows], fate.stream.time_ns[rows])
+
+
 def _newer(
     case: Case, hops: list[Hop], absent: NDArray[np.bool_], times: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
@@ -315,7 +323,7 @@ def _newer(
     rows, behind = np.flatnonzero(absent)[behind < len(came)], behind[behind < len(came)]
     first = np.where(behind > 0, came[behind - 1] + 1, 0)
     next_ns = times[came[behind]]
-    out[rows] = next_ns - times[first] <= 2 * WAITS_NS
+    out[rows] = (next_ns - times[first] <= 2 * WAITS_NS) | (next_ns - times[rows] <= _BURST_NS)
     left_ns = np.sort(np.concatenate([hop.out.time_ns for hop in hops]))
     for system, owner in case.timeline.subjects:
         sleeps = owner.kind == "app" and owner.name in executive_services.SCHEDULERS

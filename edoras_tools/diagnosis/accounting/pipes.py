@@ -7,12 +7,14 @@ name, else to what is sent faster than a pipe takes; what is left is lost, and n
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping  # noqa: TC003  _TICKS is annotated with it
 from dataclasses import dataclass
+from math import ceil
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import queues, telemetry_output
+from edoras_tools.cfs import command_ingest, executive_services, queues, telemetry_output
 from edoras_tools.cfs.software_bus import STOPS_AFTER
 from edoras_tools.diagnosis.accounting.claims import (
     BEFORE,
@@ -47,10 +49,11 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
+    from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind, ReportedLoss
     from edoras_tools.diagnosis.matching.streams import Span, Stream
@@ -59,6 +62,12 @@ if TYPE_CHECKING:
 
 LATE_NS: Final = 2 * SECOND
 """A count is seen within so long of what it counts."""
+_TICKS: Final[Mapping[str, int]] = {
+    **dict.fromkeys(executive_services.SCHEDULERS, executive_services.TICK_MSG_ID),
+    **dict.fromkeys(command_ingest.NAMES, command_ingest.REQUEST_MSG_ID),
+    **dict.fromkeys(telemetry_output.NAMES, telemetry_output.REQUEST_MSG_ID),
+}
+"""Applications of cFS to the MsgId of what each gets once a second."""
 _RANKS: Final = (
     Rank.ABSENT,
     Rank.POSSIBLE + 1,
@@ -237,24 +246,12 @@ class Pipes:
                 evidence.append(f"cFS stops this event after {STOPS_AFTER}; the counter goes on")
         else:
             evidence.append("no event names it: suppressed, filtered, or lost itself")
-        of, start_ns, end_ns = self._sent_to(stream, cut, instance)
-        loss = Loss(kind, hop, number, start_ns, end_ns, confidence, instance, stream.msg_id, stream, cut, of)
-        loss.evidence, loss.sender, loss.among = evidence, sender, Among(stream, among)
+        loss = Loss(
+            kind, hop, number, cut.start_ns, cut.end_ns, confidence, instance, stream.msg_id, stream, cut
+        )
+        loss.of, loss.evidence, loss.sender, loss.among = cut.count, evidence, sender, Among(stream, among)
         self._same[key] = loss
         self.losses.append(loss)
-
-    def _sent_to(self, stream: Stream, cut: Span, instance: int) -> tuple[int, int, int]:
-        """Return how many of a span were sent in the life of one cFS, and from when to when."""
-        items, systems = self._case.instances.items, self._case.instances.systems
-        item, system = items[instance], systems[instance]
-        own = [other.offset_ns for other, its in zip(items, systems, strict=True) if its == system]
-        times = stream.time_ns[cut.first : cut.last + 1]
-        boot_ns = item.boot_ns(self._case.profile)
-        inside = times[(times > (boot_ns if item.offset_ns > min(own) else 0))]
-        inside = inside[inside <= item.last_ns] if item.offset_ns < max(own) else inside
-        if not len(inside):
-            return cut.count, cut.start_ns, cut.end_ns
-        return len(inside), max(cut.start_ns, int(inside[0])), min(cut.end_ns, int(inside[-1]))
 
     def _named(
         self, stream: Stream, kind: PipeKind, instance: int
@@ -407,6 +404,8 @@ class Leftover:
         """
         names = {id(item): (item.link.label, item.msg_id, self._pipe(item)) for item in self._case.streams}
         names |= {id(item): ("", item.msg_id, item.pipe) for item in self._case.reported_losses}
+        for lost, _ in self._ticked():
+            names[id(lost)] = "", self._case.of_known(_TICKS[lost.app]), f"pipe of {lost.app}"
         for item in shared:
             self._together(item, {names[flow] for flow in item.flows})
         for instance, counts in self._counts.items():
@@ -468,52 +467,26 @@ class Leftover:
             is_stopped = events[item.instance, kind] >= STOPS_AFTER - 2
             end_ns = NEVER if is_stopped else said.last_ns + TAIL_NS
             found.append(Rival(id(item), item.instance, kind, said.first_ns - TAIL_NS, end_ns))
+        for outage, end_ns in self._ticked():  # its pipe gets more while nobody reads it
+            most = ceil((end_ns - outage.start_ns) / SECOND) - self._case.profile.app_msg_limit
+            own = [at for at in self._counts if self._case.instances.systems[at] == outage.system]
+            found += [Rival(id(outage), at, "limit", outage.start_ns, end_ns, most) for at in own if most > 0]
         return found
 
-    def tell(self, gaps: Sequence[Loss]) -> None:
-        """Make losses of what nothing explains.
+    def _ticked(self) -> Iterator[tuple[Outage, int]]:
+        """Yield the times in which one that gets something once a second did not run, and when each ended."""
+        for item in self._case.outages:
+            if item.app in _TICKS:
+                yield item, self._case.end_ns if item.end_ns is None else item.end_ns
 
-        Args:
-            gaps: losses behind cFS; another cFS may have counted those of which nothing tells where.
-        """
-        unplaced = [(loss, [loss.lost]) for loss in gaps if loss.kind == "unknown"]
+    def tell(self) -> None:
+        """Make losses of what nothing explains."""
         for instance, counts in self._counts.items():
             for kind, left in counts.left.items():
-                if left.any():
+                if number := int(left.sum()):
                     span = counts.span(np.flatnonzero(left))
-                    number = int(left.sum())
-                    if number := number - self._elsewhere(unplaced, instance, kind, number, span):
-                        text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
-                        self._losses.append(
-                            Loss("unknown", BUS, number, *span, "low", instance, evidence=[text])
-                        )
-
-    def _elsewhere(
-        self,
-        unplaced: Sequence[tuple[Loss, list[int]]],
-        instance: int,
-        kind: PipeKind,
-        number: int,
-        span: tuple[int, int],
-    ) -> int:
-        """Return how many are missing behind another cFS at that time, which are told there.
-
-        What one cFS loses on the way to another leaves a gap behind that one: one loss, not two.
-
-        Args:
-            unplaced: such gaps, and how many of each are left; they become fewer.
-        """
-        placed = 0
-        for gap, left in unplaced:
-            apart = gap.start_ns - LEAD_NS > span[1] or gap.end_ns + TAIL_NS < span[0]
-            if share := 0 if apart or gap.instance == instance else min(left[0], number - placed):
-                left[0] -= share
-                placed += share
-                gap.evidence.append(
-                    f"0x803 of {self._case.label(instance)}: {COUNTER_NAMES[kind]} +{share:,} that nothing "
-                    "else explains, which may be these"
-                )
-        return placed
+                    text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
+                    self._losses.append(Loss("unknown", BUS, number, *span, "low", instance, evidence=[text]))
 
     def _leftover(self, instance: int, counts: Counts, kind: PipeKind) -> None:
         candidates, left = self._candidates(instance, kind), counts.left[kind]

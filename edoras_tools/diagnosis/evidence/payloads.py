@@ -257,8 +257,11 @@ class Payloads:
                 fits = (have == size) & ((columns.findings[rows] & np.uint32(Finding.CAPTURE_CUT)) == 0)
             rows = rows[(columns.packet_offset[rows] >= 0) & fits]
             payload = gather(batch.data, columns.packet_offset[rows] + columns.header_length[rows], size)
-            counters = [layout.column(name, payload) for name in names]
-            samples.add(base + rows, batch.time_ns[rows], *counters)
+            own: Any = slice(None)
+            if layout is cfe.SOFTWARE_BUS_HOUSEKEEPING:  # what was overwritten has not the 0 that aligns them
+                own = layout.column("spare", payload) == 0
+            counters = [layout.column(name, payload)[own] for name in names]
+            samples.add((base + rows)[own], batch.time_ns[rows][own], *counters)
         self.events += islice(events_in(batch, columns, base), max(0, _MOST - len(self.events)))
         listed = (columns.sbn_msg_type == sbn.MsgType.SUB) | (columns.sbn_msg_type == sbn.MsgType.UNSUB)
         listed &= (columns.findings & np.uint32(Finding.CAPTURE_CUT)) == 0

@@ -31,7 +31,8 @@ them twice.
 
 11. If nearly all that one conversation brings came before to the address of its sender, or to one that never
     says anything, and at least eight did, it is behind a relay. It is kept, with the senders of what is in
-    front of that, which is left out.
+    front of that, which is left out. A relay may be at one address with those whose datagrams it takes: then
+    what they are sent has to pass it, too.
 12. What went into the relay and did not come out is lost there; what came out again is a copy.
 """
 
@@ -389,35 +390,46 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint]) -> list[RelayedWay]:
         endpoints: what their ``source`` and ``destination`` index.
     """
     host = number_hosts(endpoints)
-    source, destination = (host[end] for end in (rows.source, rows.destination))
-    if not len(rows) or len(np.unique(source)) < 2:
+    if not len(rows) or len(np.unique(host[rows.source])) < 2:
         return []
     leaving: dict[int, list[NDArray[np.intp]]] = {}
-    for _, behind in by_value(source.astype(np.int64) << 32 | rows.destination):
-        leaving.setdefault(int(source[behind[0]]), []).append(behind)
-    found = []
+    for _, behind in by_value(rows.source.astype(np.int64) << 32 | rows.destination):
+        leaving.setdefault(int(host[rows.source[behind[0]]]), []).append(behind)
+    every = [item for own in leaving.values() for item in own] if len(leaving) <= _MOST_HOSTS else []
+    relayed = []
     for relay, before in by_value(rows.destination):
-        at = int(destination[before[0]])
-        if len(before) < _LEAST_DATAGRAMS or (source[before] == at).any():
+        senders, at = set(rows.source[before].tolist()), int(host[relay])
+        if len(before) < _LEAST_DATAGRAMS:
             continue
-        behinds = leaving.get(at)
-        # An address that says nothing may be of a relay that sends from another one.
-        if behinds is None and len(leaving) <= _MOST_HOSTS:
-            others = leaving.keys() - set(source[before].tolist())
-            every = (item for host in leaving if host in others for item in leaving[host])
-            behinds = [item for item in every if int(destination[item[0]]) in leaving]
-        found += [
+        # One at which nobody speaks, or its senders do, may be of a relay that sends from another address.
+        apart = at not in leaving or at in host[list(senders)]
+        relayed += [
             item
-            for behind in behinds or ()
-            if rows.link[behind[0]] == rows.link[before[0]] and int(destination[behind[0]]) != at
-            if (item := _relayed(rows, endpoints[relay], before, behind)) is not None
+            for behind in (every if apart else leaving[at])
+            if rows.link[behind[0]] == rows.link[before[0]]
+            and not senders & {int(rows.source[behind[0]]), int(rows.destination[behind[0]])}
+            and int(host[rows.destination[behind[0]]]) != at
+            and int(host[rows.destination[behind[0]]]) in leaving
+            and (item := _relayed(rows, endpoints[relay], before, behind)) is not None
         ]
     # Within the slack of two clocks each side may be behind the other: the later one is.
-    by_first = {(int(item.before[0]), int(item.behind[0])): item for item in found}
+    both = _both_ways(rows, host, relayed)
+    by_first = {(int(item.before[0]), int(item.behind[0])): item for item in both}
     return [
         item
         for (before, behind), item in by_first.items()
         if (behind, before) not in by_first or item.delay_ns(rows) > by_first[behind, before].delay_ns(rows)
+    ]
+
+
+def _both_ways(rows: Rows, host: NDArray[np.int32], relayed: list[RelayedWay]) -> list[RelayedWay]:
+    """Return those that are relays: at one address with its senders it passes on what they are sent, too."""
+    ends = [(int(rows.destination[item.before[0]]), int(rows.source[item.behind[0]])) for item in relayed]
+    later = {pair for item, pair in zip(relayed, ends, strict=True) if item.delay_ns(rows) > 0}
+    return [
+        item
+        for item, pair in zip(relayed, ends, strict=True)
+        if host[pair[0]] != host[rows.source[item.before[0]]] or {pair, pair[::-1]} <= later
     ]
 
 

@@ -72,7 +72,7 @@ def stalls(
             start_ns, end_ns = times[at : at + 2].tolist()
             if _switched_off(timeline, system, start_ns, end_ns):
                 continue
-            if _published_nothing(instances, own, start_ns, end_ns):
+            if _published_nothing(instances, own, (start_ns, end_ns), usual_ns):
                 seconds = (end_ns - start_ns) / SECOND
                 text = (
                     f"nothing came of it for {seconds:.1f} s, no count is missing, and it went on as before"
@@ -91,14 +91,17 @@ def _switched_off(timeline: Timeline, system: int, start_ns: int, end_ns: int) -
     return any(span.overlaps(start_ns, end_ns) for span in (*spans, *away))
 
 
-def _published_nothing(instances: Instances, streams: Sequence[Stream], start_ns: int, end_ns: int) -> bool:
+def _published_nothing(
+    instances: Instances, streams: Sequence[Stream], pause: tuple[int, int], round_ns: int
+) -> bool:
     """Tell whether several steady streams were due, few of them lack any, and none was made meanwhile.
 
-    What was made just before waits in the pipe of Telemetry Output, and comes out when all goes on.
+    What was made in the last round before waits in Telemetry Output's pipe, and comes out when all goes on.
     """
+    start_ns, end_ns = pause
     pause_ns = end_ns - start_ns
     edge_ns = max(SECOND // 4, pause_ns // _EDGE)
-    first_ns, last_ns = start_ns + edge_ns, end_ns - edge_ns
+    first_ns, last_ns = start_ns + max(edge_ns, round_ns), end_ns - edge_ns
     due = lacking = 0
     for stream in streams:
         times = stream.time_ns

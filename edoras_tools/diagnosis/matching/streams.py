@@ -354,6 +354,7 @@ _SILENT: Final = 10
 _LEAST_HZ: Final = 4.0
 _LEAST_FULL: Final = 3
 _LEAST_ROUNDS: Final = 5
+_BY_CHANCE: Final = 0.001
 """So many full rounds show a limit."""
 _BURST_NS: Final = 60_000_000
 _FEW: Final = 4
@@ -476,6 +477,8 @@ def comb(times: NDArray[np.int64]) -> Comb:
 def full_where_lacking(times: NDArray[np.int64], missing: NDArray[np.int64], most: int) -> bool:
     """Tell whether rounds behind which messages are missing are full: else fewer came, and more may wait.
 
+    None is larger then, but for what came while it was sent.
+
     Args:
         times: i64 (n,), ns, of at least one message.
         missing: (n,), how many are missing behind each.
@@ -483,13 +486,12 @@ def full_where_lacking(times: NDArray[np.int64], missing: NDArray[np.int64], mos
     """
     begins, sizes = bursts(times, _BURST_NS)
     lacking = np.flatnonzero(np.add.reduceat(missing, begins))
-    return len(lacking) >= _LEAST_FULL and bool(np.median(sizes[lacking]) >= most)
+    is_most = sizes.max() <= most + max(1, most // 4)
+    return bool(is_most and len(lacking) >= _LEAST_FULL and np.median(sizes[lacking]) >= most)
 
 
-def full_rounds(
-    times: NDArray[np.int64], missing: NDArray[np.int64], period_ns: int, *, fewer: int = 0
-) -> int:
-    """Return how many a full round has, where all that is missing is missing behind such; else 0.
+def full_rounds(times: NDArray[np.int64], missing: NDArray[np.int64], period_ns: int) -> int:
+    """Return how many of a round came before any was missing, where that is no chance; else 0.
 
     So a limit shows without its counter: a network, or the capture, would lack some of other rounds, too.
 
@@ -497,12 +499,13 @@ def full_rounds(
         times: i64 (n,), ns, when messages came.
         missing: (n,), how many are missing behind each.
         period_ns: of the rounds.
-        fewer: a full round may have so many fewer than the largest: one that is read while it comes in.
     """
     begins, sizes = bursts(times, period_ns // 4)
     if len(begins) < _LEAST_ROUNDS or abs(np.median(np.diff(times[begins])) - period_ns) > period_ns // 10:
         return 0
     rank = np.arange(1, len(times) + 1) - np.repeat(begins, sizes)
-    behind = missing[rank >= sizes.max() - fewer]
-    shown = np.count_nonzero(behind) >= _LEAST_ROUNDS and int(behind.sum()) == int(missing.sum())
-    return int(sizes.max()) if shown else 0
+    behind = rank[missing > 0]
+    if len(behind) < _LEAST_ROUNDS:
+        return 0
+    least = int(behind.min())
+    return least if float((rank >= least).mean()) ** len(behind) < _BY_CHANCE else 0
