@@ -49,6 +49,8 @@ ELSEWHERE = {
     "addons/proxy/*": "addons/proxy/test_run.py",
     "addons/racs2/*": "addons/racs2/test_link.py",
     "addons/report/*": "cli/test_doctor.py",
+    "addons/ros_verbs/rclpy_node.py": "addons/ros_verbs/test_ros.py",
+    "addons/ros_verbs/cli/*": "addons/ros_verbs/cli/test_topics.py",
     "addons/rtps/*": "addons/rtps/test_reader.py",
     "addons/codegen/*": "addons/codegen/test_library.py",
     "addons/trace/*": "addons/trace/test_cli.py",

@@ -244,11 +244,26 @@ ADDONS: Final = (
         },
         adds={"parts": {"trace": "texts:packet_ladder"}},
     ),
+    Addon(
+        "ros_verbs",
+        commands={
+            "topic": ListedCommand("Look", "List topics, or say more of one.", "cli.topics:topic", "host"),
+            "echo": ListedCommand("Look", "Print the messages of a topic.", "cli.topics:echo", "host"),
+            "bw": ListedCommand("Look", "Show the bytes a second of a topic.", "cli.topics:bw", "host"),
+            "delay": ListedCommand("Look", "Show how old messages are.", "cli.topics:delay", "host"),
+            "observe": ListedCommand("Record", "Count what ROS 2 nodes exchange.", "cli.observe:observe"),
+            "play": ListedCommand("Send", "Publish a recording's messages in ROS 2.", "cli.play:play"),
+        },
+        adds={"parts": {"graph_hz": "cli.topics:graph_hz"}},
+    ),
     Addon("tui", adds={"parts": {"panes": "cli"}}, extra="tui"),
     Addon("zenoh", adds={"middleware": {"zenoh": ":ZENOH"}}, extra="zenoh"),
     Addon(
         "dds",
-        adds={"middleware": {"dds": ":DDS"}, "parts": {"dds_graph": "graph:open_graph"}},
+        adds={
+            "middleware": {"dds": ":DDS"},
+            "parts": {"dds_graph": "graph:open_graph", "dds_observer": "observer:dds_observer"},
+        },
         extra="dds",
     ),
     Addon(

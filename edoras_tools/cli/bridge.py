@@ -62,6 +62,12 @@ class RosOptions(NamedTuple):
     ] = None
     domain: options.RosDomain = None
     ros_options: options.RosOption = None
+
+
+@headed("ROS 2")
+class NodeOptions(NamedTuple):
+    """What a node of ROS 2 is told."""
+
     ros_args: Annotated[
         list[str] | None,
         Option(
@@ -99,6 +105,7 @@ def bridge(
     *,
     kind: Annotated[BridgeKind | None, Argument(metavar="[KIND]", help="Only ground or flight.")] = None,
     graph: RosOptions,
+    node: NodeOptions,
     packets: PacketOptions,
     outputs: RelayOutputOptions,
     running: RunOptions,
@@ -125,8 +132,8 @@ def bridge(
         enable=packets.enable,
     )
     settings = decoding.settings()
-    if graph.ros_args:
-        settings = doors.part("ros_args_settings")(settings, graph.ros_args)
+    if node.ros_args:
+        settings = doors.part("ros_args_settings")(settings, node.ros_args)
     domain = usual_domain() if graph.domain is None else graph.domain
     given = _options(way, graph.ros_options, outputs)
     if decoding.merged().distro is None and not running.dry_run:

@@ -30,7 +30,7 @@ _SETTINGS = {"help_option_names": ["-h", "--help"]}
 _USAGE: Final[Any] = typer.BadParameter.__mro__[1]
 """Click's base class of usage errors; some versions of typer contain their own copy of click."""
 
-_VALUE_LEFT_OUT: Final = {"--sync": "--sync=1s"}
+_VALUE_LEFT_OUT: Final = {"--sync": "--sync=1s", "--clock": "--clock=40"}
 """Options that may stand without their value, which click can and Typer does not pass on (``flag_value``)."""
 
 _NO_MEMORY: Final = (

@@ -33,6 +33,7 @@ from edoras_tools.diagnosis.ledger import (
 from edoras_tools.links.ci import CI
 from edoras_tools.links.robot import ROBOT
 from edoras_tools.links.sbn import SBN
+from edoras_tools.links.to import TO
 from edoras_tools.model import NO_ROUTE
 
 if TYPE_CHECKING:
@@ -204,6 +205,7 @@ def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:
 
 
 PUBLISHER: Final = "publisher to ground bridge"
+SUBSCRIBER: Final = "ground bridge to subscriber"
 TO_ROBOT: Final = "application to robot"
 PEER_TO_ROBOT: Final = "SBN peer to robot"
 _ROBOT, _SBN = (link.label for link in (ROBOT, SBN))
@@ -220,11 +222,13 @@ class BridgeCount(NamedTuple):
         came: messages of its sender's side, while both were recorded.
         lost: of those, how many the other side lacks.
         bag: its path.
+        missed: of those that came, how many the bag's recorder says that it missed.
     """
 
     came: int
     lost: int
     bag: str
+    missed: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,7 +308,7 @@ def chains(
     topics: Mapping[int, str],
     bridges: Mapping[tuple[str, int], BridgeCount] | None = None,
 ) -> list[Chain]:
-    """Return the chain of each command that came to Command Ingest.
+    """Return the chain of each command that came to Command Ingest, and of telemetry that bags have.
 
     Those of cFS itself have none; with a mission, only its own commands have one, else those that the
     software bus did not refuse altogether.
@@ -324,6 +328,11 @@ def chains(
             continue
         hops = tuple(_hops(own, whole, bridges or {}))
         found.append(Chain(topics.get(route), msg_id, instance, hops))
+    for key, told in (bridges or {}).items():
+        own = [row for row in whole if key[0] == TO.label and (row.link, row.msg_id) == key]
+        if own:
+            hops = (*map(_of_row, own), _bridge(SUBSCRIBER, told))
+            found.append(Chain(topics.get(own[0].route), key[1], own[0].instance, hops))
     return found
 
 
@@ -361,7 +370,8 @@ def _bridge(
 ) -> ChainHop:
     if told is None:
         return ChainHop(hop, came, None, out, counted=_GIVE_BAG)
-    return ChainHop(hop, told.came, told.lost, told.came - told.lost, counted=f"in {told.bag}")
+    out, rest = told.came - told.lost - told.missed, {"not_captured": told.missed}
+    return ChainHop(hop, told.came, told.lost, out, rest=rest, counted=f"in {told.bag}")
 
 
 def _of_row(row: Row) -> ChainHop:

@@ -77,6 +77,9 @@ class Graph(Protocol):
     def dropped(self) -> int:
         """Return the datagrams that the kernel dropped before the middleware read them, where it is known."""
 
+    def subscribers(self, topic: str) -> int | None:
+        """Return how many subscriptions of others a topic has that is published on here; None: not known."""
+
     def notes(self) -> list[str]:
         """Return new notes for the user: incompatible peers, where to connect to."""
 

@@ -52,6 +52,7 @@ class RclpyGraph:
         self._closed = False
         self._echoes: defaultdict[str, list[_Echoes]] = defaultdict(list)
         self._listeners: list[_Listener] = []
+        self._publishers: dict[str, Any] = {}
         self._context = import_module("rclpy.context").Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)
         try:
@@ -87,16 +88,18 @@ class RclpyGraph:
             if None in (qos.reliable, qos.transient_local):
                 self._node.create_timer(_FOLLOW_S, listener.follow)
         except Exception as error:  # rclpy raises RuntimeError, ValueError and classes of its own
-            raise ConfigError(f"{topic}: refused by rclpy: {_line(error)}") from error
+            raise ConfigError(f"{topic}: refused by rclpy: {rclpy_line(error)}") from error
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> Callable[[bytes], None]:
         """Return what publishes one message of a topic; see ``Graph``. Once closed, it does nothing."""
         kind = self._type(topic, type_name)
         listening = self._echoes[topic]
         try:
-            publisher = self._node.create_publisher(kind, topic, _profile(qos))
+            publisher = self._node.create_publisher(kind, topic, qos_profile(qos))
         except Exception as error:  # as in subscribe
-            raise ConfigError(f"{topic}: refused by rclpy: {_line(error)}") from error
+            raise ConfigError(f"{topic}: refused by rclpy: {rclpy_line(error)}") from error
+
+        self._publishers[topic] = publisher
 
         def publish(cdr: bytes) -> None:
             with self._closing:
@@ -115,6 +118,10 @@ class RclpyGraph:
     def dropped(self) -> int:
         """See ``Graph``: not known."""
         return 0
+
+    def subscribers(self, topic: str) -> int:
+        """See ``Graph``."""
+        return int(self._publishers[topic].get_subscription_count())
 
     def notes(self) -> list[str]:
         """See ``Graph``: ROS 2 itself logs incompatible peers."""
@@ -149,7 +156,7 @@ class RclpyGraph:
             return getattr(import_module(f"{package}.{kind}"), name)
         except (AttributeError, ImportError) as error:
             raise ConfigError(
-                f"{topic}: this ROS 2 has no {full_name(type_name)}: {_line(error)}; "
+                f"{topic}: this ROS 2 has no {full_name(type_name)}: {rclpy_line(error)}; "
                 "source the workspace that has it, or install its package"
             ) from error
 
@@ -201,7 +208,7 @@ class _Listener:
     def _made(self) -> Any:
         depth = self.asked.depth
         deep = depth if self.asked.transient_local or not depth else max(depth, _LEAST_WAITING)
-        profile = _profile(replace(self.asked, depth=deep))
+        profile = qos_profile(replace(self.asked, depth=deep))
         lost_before = self.missed
 
         def lost(status: Any) -> None:
@@ -276,10 +283,11 @@ def open_graph(
     except ConfigError:
         raise
     except Exception as error:  # as in subscribe
-        raise ConfigError(f"rclpy: no node {node!r} in domain {domain}: {_line(error)}") from error
+        raise ConfigError(f"rclpy: no node {node!r} in domain {domain}: {rclpy_line(error)}") from error
 
 
-def _profile(qos: Qos) -> Any:
+def qos_profile(qos: Qos) -> Any:
+    """Return a quality of service as rclpy has it."""
     names = import_module("rclpy.qos")
     reliability, durability = names.ReliabilityPolicy, names.DurabilityPolicy
     history = names.HistoryPolicy
@@ -291,5 +299,6 @@ def _profile(qos: Qos) -> Any:
     )
 
 
-def _line(error: Exception) -> str:
+def rclpy_line(error: Exception) -> str:
+    """Return what an error of rclpy says, in one line."""
     return (str(error).strip() or type(error).__name__).partition("\n")[0]

@@ -17,6 +17,7 @@ from edoras_tools.errors import ConfigError, NoDatagramsError
 from edoras_tools.io.formats.merge import merge_sources
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.source import MessageSource, NumberedTopics
+from edoras_tools.io.topics.recorded import QOS_METADATA
 from edoras_tools.mission import Handling, Mission, RecordedTopic, Route
 from edoras_tools.model import NO_MSG_ID, OTHER
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Source
 
-_QOS: Final = "offered_qos_profiles"
 _LATCHED: Final = re.compile(r"durability: *(1|transient_local)\b")
 """By number or by name, as rosbag2 writes it."""
 
@@ -131,7 +131,7 @@ def message_bench(topics: Sequence[RecordedTopic], settings: Settings) -> Workbe
             NO_MSG_ID,
             OTHER,
             "telemetry",
-            handling=Handling(transient_local=bool(_LATCHED.search(topic.metadata.get(_QOS, "")))),
+            handling=Handling(transient_local=bool(_LATCHED.search(topic.metadata.get(QOS_METADATA, "")))),
         )
         for topic in topics
     )

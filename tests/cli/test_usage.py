@@ -15,9 +15,11 @@ from places import ROOT
 from edoras_tools.cli import main, usage
 from edoras_tools.cli.options import OLD_NAMES
 
-ENTRIES, NAMES = 467, 125
+ENTRIES, NAMES = 551, 144
 PACKAGE = ROOT / "edoras_tools"
 LINES, COLUMNS = 40, 80
+LISTED = 46
+"""The first screen has a line for each command."""
 
 
 def tree(command, context):
@@ -59,7 +61,7 @@ def options(path):
 @pytest.mark.parametrize("path", TREE)
 def test_a_screen(path, shown):
     lines = shown(path)
-    assert len(lines) <= LINES
+    assert len(lines) <= (LISTED if path == "edoras" else LINES)
     assert max(map(len, lines)) <= COLUMNS
 
 

@@ -185,7 +185,7 @@ class Discovered:
                         and item.participant_key != self._own
                     ):
                         self.found[item.key] = PeerEndpoint(
-                            item.topic_name, item.type_name, writes, _hash_of(item.qos)
+                            item.topic_name, item.type_name, writes, hash_of(item.qos)
                         )
                     if writes and isinstance(item, DcpsEndpoint) and item.key in self.found:
                         changed = True
@@ -261,7 +261,8 @@ def _offer(qos: Qos) -> graph.Qos:
     )
 
 
-def _hash_of(qos: Qos) -> str:
+def hash_of(qos: Qos) -> str:
+    """Return the type hash in the user data of an endpoint; empty where there is none."""
     data: bytes = next((item.data for item in qos if isinstance(item, Policy.Userdata)), b"")
     for pair in data.decode("ascii", "replace").strip("\0").split(";"):
         if pair.startswith(TYPE_HASH):

@@ -134,6 +134,10 @@ class FoxgloveGraph:
         """See ``Graph``: not known."""
         return 0
 
+    def subscribers(self, topic: str) -> None:
+        """See ``Graph``: it is not known."""
+        del topic
+
     def notes(self) -> list[str]:
         """Say once where clients connect to, and which web pages were refused; see ``Graph``."""
         return [self._notes.pop(0) for _ in range(len(self._notes))]

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from typer import Argument, Exit, Option
 
+from edoras_tools import doors
 from edoras_tools.cli import options, recordings
+from edoras_tools.cli.bridge import RosOptions
 from edoras_tools.cli.declare import grouped
 from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import FileOptions, InputOptions, LiveOptions, open_input
 from edoras_tools.cli.output import file_progress, print_json, print_view
-from edoras_tools.errors import ConfigError
+from edoras_tools.errors import ConfigError, NoDatagramsError
 from edoras_tools.io.formats.table import READ_PACKED
 from edoras_tools.io.outputs import check_new
 
@@ -188,6 +190,17 @@ class _Printer:
         sys.stdout.flush()
 
 
+class RateOptions(NamedTuple):
+    """Live traffic, or a ROS 2 graph."""
+
+    interface: Annotated[
+        str | None, Option("--interface", "-i", metavar="IFACE", help="Capture here, and print each second.")
+    ] = None
+    listen: Annotated[list[str] | None, Option(hidden=True)] = None
+    duration: options.Duration = None
+    graph: RosOptions = RosOptions()
+
+
 @grouped
 def hz(
     *,
@@ -196,10 +209,7 @@ def hz(
         Argument(metavar="[FILE]... [TOPIC]", help=f"{READ_PACKED}; a topic or MsgId, else every topic."),
     ] = None,
     topic: Annotated[str | None, Option(hidden=True)] = None,
-    interface: Annotated[
-        str | None, Option("--interface", "-i", metavar="IFACE", help="Capture here, and print each second.")
-    ] = None,
-    listen: Annotated[list[str] | None, Option(hidden=True)] = None,
+    live: RateOptions,
     window: Annotated[
         int | None, Option("--window", "-w", parser=options.count, help="Messages; default 10,000.")
     ] = None,
@@ -209,26 +219,35 @@ def hz(
     """Show the rate of a topic, hop by hop.
 
     At the publisher, behind CI or the pipe, and where it comes out; live once a second, as ros2 topic hz.
+    Of a graph (--ros) or a recording of ROS messages: the rates of topics, in its output.
     """
     from edoras_tools.addons.trace.rounds import USUAL_WINDOW
     from edoras_tools.addons.trace.texts import rate_lines
     from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
     from edoras_tools.pipelines.doctor.doctor import Pace, examine
 
-    words = list(arguments or ())
+    words, (interface, listen, duration, graph) = list(arguments or ()), live
+    is_live = bool(interface or listen)
+    options.check_duration(duration, [Path(item) for item in words if Path(item).exists()])
+    if graph.ros:
+        doors.part("graph_hz")(words, graph, duration, window, decoding, json=printing.json)
+        return
     if topic is None and words and not (words[-1] == "-" or Path(words[-1]).exists()):
         topic = words.pop()
     inputs = InputOptions(FileOptions([Path(item) for item in words]), LiveOptions(interface, listen))
-    is_live = bool(interface or listen)
     if not is_live and not words:
         raise ConfigError(f"name an input that exists: edoras hz FILE {topic or '/cmd_vel'}, or -i IFACE")
     quiet = printing.quiet or printing.json or is_live
     with file_progress(words, quiet=quiet) as bar:
-        source, bench = open_input(inputs, decoding.settings(constants=True), aligned=True, progress=bar)
+        try:
+            source, bench = open_input(inputs, decoding.settings(constants=True), aligned=True, progress=bar)
+        except NoDatagramsError:
+            doors.part("graph_hz")(arguments or (), graph, None, window, decoding, json=printing.json)
+            return
         request = TraceRequest(topic=topic, window=window or USUAL_WINDOW)
         tracing = Tracing(bench.columns.context, request)
         watcher = _Printer(tracing) if is_live and not printing.json else None
-        pace = Pace(monotonic_ns, _EVERY_NS if is_live else 0, watcher=watcher)
+        pace = Pace(monotonic_ns, _EVERY_NS if is_live else 0, duration or 0, watcher)
         findings = examine(source, bench, pace=pace, progress=bar, examination=tracing)
     if not is_live:
         no_datagrams(source)

@@ -288,6 +288,10 @@ class ZenohGraph:
         """See ``Graph``: not known."""
         return 0
 
+    def subscribers(self, topic: str) -> None:
+        """See ``Graph``: it is not known."""
+        del topic
+
     def notes(self) -> list[str]:
         """Return a note, once, that no peer is there; see ``Graph``."""
         if self._lonely_at is None or time.monotonic() < self._lonely_at:

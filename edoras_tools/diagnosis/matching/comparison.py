@@ -75,6 +75,7 @@ class Difference:
         out_of_order: of the same, those that came behind one that was sent later.
         neither: missing by sequence count in both.
         latency: from one to the other, half the shortest way there and back taken as 0.
+        missed: not on the receiver's side, and not lost: the recorder there counted that it missed them.
     """
 
     link: Link
@@ -92,6 +93,7 @@ class Difference:
     out_of_order: int
     neither: int
     latency: Latency | None
+    missed: int = 0
 
     def turned(self, topic: str | None, *, back: bool) -> Difference:
         """Return it with its topic; with ``back`` its sender's side is the second."""
@@ -109,7 +111,13 @@ class Difference:
             "direction": "second to first" if self.back else "first to second",
             **{name: getattr(self, name) for name in _FIGURES},
             "latency": self.latency.as_json() if self.latency else None,
+            "missed": self.missed,
         }
+
+    def without(self, missed: int) -> Difference:
+        """Return it where the recorder of the second side says that it missed so many messages."""
+        missed = 0 if self.back else min(missed, self.lost)
+        return replace(self, lost=self.lost - missed, missed=missed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,11 +342,13 @@ def _difference(
 ) -> Difference:
     """Count one MsgId, from the sender's side to the receiver's; equal ones are not timed."""
     ours, theirs = sent[segment.into], came[segment.out]
-    # What one capture did not live to see is not lost.
+    # What one capture did not live to see is not lost; it lived to see what is between two that it has.
     longest = max(int(segment.took_ns.max(initial=0)), 0)
     missing = np.setdiff1d(sent, ours)
     left = near.rows.time_ns[missing]
-    missing = missing[far.during(left) & far.during(left + longest) & ~near.again(missing, ours)]
+    seen = far.during(left) & far.during(left + longest)
+    seen |= np.isin(missing, sent[slice(*np.searchsorted(sent, ours[[0, -1]]))]) if len(ours) else False
+    missing = missing[seen & ~near.again(missing, ours)]
     extra = np.setdiff1d(came, theirs)
     extra = extra[near.during(far.rows.time_ns[extra])]
     again = far.again(extra, theirs) | _echoed(near.rows, far.rows, sent, came, extra)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, RecordedTopic
     from edoras_tools.model import Columns, InterfaceOutage, PacketBatch
     from edoras_tools.ros import TypeStore
+
+QOS_METADATA: Final = "offered_qos_profiles"
+"""Metadata of a topic: the quality of service of its publishers, as rosbag2 writes it."""
 
 
 class RecordedStreams:

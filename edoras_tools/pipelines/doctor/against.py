@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -12,7 +13,7 @@ from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.table import Recorder, Rows
 from edoras_tools.diagnosis.matching.comparison import CaptureComparison, compare_captures, compare_messages
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import CaptureError, ConfigError, WireError
 from edoras_tools.io.formats.rosbag2.reader import RecordedBlock, Rosbag, open_rosbag
 from edoras_tools.model import NO_MSG_ID, OTHER
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
@@ -81,6 +82,8 @@ def read_capture(
 
 _ENCAPSULATION: Final = 4
 _ALIKE: Final = 0.5
+_OBSERVED: Final = "edoras_msgs/msg/GraphEndpoints"
+_EVENTS: Final = "rosbag2_interfaces/msg/MessagesLostEvent"
 
 
 class BagComparison(NamedTuple):
@@ -148,10 +151,35 @@ def against_capture(
         ways = {key: route.to_cfs for key, route in zip(keys, routes, strict=True)}
         compared = compare_messages(sent, heard, dict(zip(keys, topics_there, strict=True)), ways)
         left_out = int((~typed).sum()) + int((routed & ~message).sum())
+        missed = missed_by(bag, bench.types)
+        compared = replace(
+            compared, routes=[item.without(missed.get(item.topic or "", 0)) for item in compared.routes]
+        )
         item = BagComparison(path, compared, left_out)
         _has_something_in_common(item, source.info.name)
         comparisons.append(item._replace(comparison=compared.limited(choice)) if choice else item)
     return comparisons
+
+
+def missed_by(bag: Rosbag, types: TypeStore) -> dict[str, int]:
+    """Return how many messages of each topic a bag's recorder says that it missed.
+
+    ``edoras observe`` says it on a topic of its own; rosbag2 in events, each of what came since the last one.
+    """
+    missed: dict[str, int] = {}
+    latest: Sequence[Mapping[str, Any]] = ()
+    topics = {topic: kind for topic, kind in bag.topics().items() if kind in {_OBSERVED, _EVENTS}}
+    for message in bag.messages(topics):
+        with suppress(WireError):
+            values = types.decode(message.type, message.cdr)
+            latest = values.get("endpoints", latest)
+            for item in values.get("messages_lost_statistics", ()):
+                number = item["messages_lost_in_transport"] + item["messages_lost_in_recorder"]
+                missed[item["topic_name"]] = missed.get(item["topic_name"], 0) + number
+    for topic in {item["topic"] for item in latest}:  # what its middleware lost is among the missing numbers
+        own = [item for item in latest if item["topic"] == topic]
+        missed[topic] = max(sum(item[name] for item in own) for name in ("missed", "lost"))
+    return missed
 
 
 def bridge_counts(comparisons: Iterable[BagComparison]) -> dict[tuple[str, int], BridgeCount]:
@@ -159,7 +187,8 @@ def bridge_counts(comparisons: Iterable[BagComparison]) -> dict[tuple[str, int],
     counts: dict[tuple[str, int], BridgeCount] = {}
     for item in comparisons:
         for route in item.comparison.routes:
-            count = BridgeCount(route.same + route.lost, route.lost, str(item.bag))
+            came = route.same + route.lost + route.missed
+            count = BridgeCount(came, route.lost, str(item.bag), route.missed)
             counts.setdefault((route.link.label, route.msg_id), count)
     return counts
 

@@ -97,4 +97,4 @@ def test_user_data_of_any_form_is_read(monkeypatch):
         (b"", ""),
         (b"enclave=/;", ""),
     ]:
-        assert module._hash_of([SimpleNamespace(data=data)]) == told
+        assert module.hash_of([SimpleNamespace(data=data)]) == told

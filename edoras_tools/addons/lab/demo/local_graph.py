@@ -136,6 +136,10 @@ class LocalGraph:
         """See ``Graph``: not known."""
         return 0
 
+    def subscribers(self, topic: str) -> int:
+        """See ``Graph``."""
+        return sum(item.node is not self for item in self._domain.topics[topic].subscriptions)
+
     def notes(self) -> list[str]:
         """See ``Graph``: there is nothing to tell."""
         return []

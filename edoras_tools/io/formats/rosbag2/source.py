@@ -164,7 +164,7 @@ class MessageSource(SourceDefaults):
         for file, numbers in self._files:
             try:
                 for messages in _in_parts(map(unpacked, file.messages())):
-                    batch = _batch(messages, numbers, number)
+                    batch = message_batch(messages, numbers, number)
                     number += len(batch)
                     self.statistics.datagrams += len(batch)
                     self.statistics.bytes += int(batch.length.sum())
@@ -190,7 +190,13 @@ def _in_parts(every: Iterable[SelectedMessages]) -> Iterator[SelectedMessages]:
             yield messages.take(slice(first, first + _MOST_ROWS))
 
 
-def _batch(messages: SelectedMessages, numbers: Mapping[int, int], first: int) -> PacketBatch:
+def message_batch(messages: SelectedMessages, numbers: Mapping[int, int], first: int) -> PacketBatch:
+    """Return messages as rows of a batch.
+
+    Args:
+        numbers: of the topics, by channel.
+        first: number of the first message.
+    """
     count = len(messages.log_time)
     recorded = np.zeros(count, RECORDED)
     channels, places = np.unique(messages.channel_id, return_inverse=True)

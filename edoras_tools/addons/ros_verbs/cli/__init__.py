@@ -1,0 +1,1 @@
+"""The commands: one file for those that ``ros2 topic`` has, one for each other."""

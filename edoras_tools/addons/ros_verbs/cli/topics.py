@@ -1,0 +1,289 @@
+"""``edoras echo``, ``bw``, ``delay``, ``topic``, and ``hz`` of a graph: as ``ros2 topic`` has them."""
+
+from __future__ import annotations
+
+import sys
+from time import monotonic_ns
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+from typer import Argument, Option
+
+from edoras_tools.addons.ros_verbs.cli.inputs import QosOptions, SourceOptions, Words
+from edoras_tools.cli import options
+from edoras_tools.cli.bridge import RosOptions
+from edoras_tools.cli.declare import grouped
+from edoras_tools.cli.main import command_group
+from edoras_tools.cli.output import print_json
+from edoras_tools.errors import ConfigError, WireError
+from edoras_tools.io.formats.table import READ_PACKED
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from edoras_tools.addons.ros_verbs.echo import EchoFormat
+    from edoras_tools.addons.ros_verbs.figures import Kind
+    from edoras_tools.addons.ros_verbs.messages import MessageBlock
+    from edoras_tools.pipelines.workbench import Workbench
+
+_READ = f"{READ_PACKED}; without one, the ROS 2 graph."
+Arguments = Annotated[list[str] | None, Argument(metavar="[FILE]... TOPIC", help=_READ)]
+Listing = Annotated[list[str] | None, Argument(metavar="[FILE]...", help=_READ)]
+Window = Annotated[int | None, Option("--window", "-w", parser=options.count, help="Messages.")]
+Verbose = Annotated[bool, Option("--verbose", "-v", help="Publishers and subscriptions, too.")]
+_EVERY_NS = 1_000_000_000
+
+
+class TextOptions(NamedTuple):
+    """How much of a message is printed, and how."""
+
+    field: Annotated[str | None, Option(help="Only this part, e.g. pose.position.")] = None
+    csv: Annotated[bool, Option("--csv", help="Values alone, with commas.")] = False
+    full_length: Annotated[bool, Option("--full-length", "-f", help="Long values whole.")] = False
+    truncate_length: Annotated[
+        int | None, Option("--truncate-length", "-l", parser=options.count, help="Cut them here; 128.")
+    ] = None
+    no_arr: Annotated[bool, Option("--no-arr", help="Name arrays, without values.")] = False
+    no_str: Annotated[bool, Option("--no-str", help="Give the length of strings alone.")] = False
+    flow_style: Annotated[bool, Option("--flow-style", help="YAML in one line.")] = False
+    raw: Annotated[bool, Option("--raw", help="The bytes, as Python writes them.")] = False
+    message_info: Annotated[
+        bool, Option("--include-message-info", help="Also times, and the publisher's number.")
+    ] = False
+
+    def form(self) -> EchoFormat:
+        """Return these options in the form that prints."""
+        from edoras_tools.addons.ros_verbs.echo import USUAL_LENGTH, EchoFormat
+
+        length = 0 if self.full_length else self.truncate_length or USUAL_LENGTH
+        return EchoFormat(self.field or "", length, self.no_arr, self.no_str, self.flow_style, self.csv)
+
+
+@grouped
+def echo(
+    *,
+    arguments: Arguments = None,
+    source: SourceOptions,
+    qos: QosOptions,
+    texts: TextOptions,
+    where: Annotated[str | None, Option(parser=options.where, help="Only what passes this filter.")] = None,
+    once: Annotated[bool, Option("--once", help="Print one message and end.")] = False,
+    no_lost_messages: Annotated[bool, Option("--no-lost-messages", help="Do not tell of losses.")] = False,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Print the messages of a topic.
+
+    Of a graph, a link, a capture or a recording, as ros2 topic echo does.
+    """
+    from edoras_tools.addons.ros_verbs.messages import read_topics
+
+    words, form, before = Words.of(arguments), texts.form(), 0
+    topic = words.topic("echo")
+    opened, bench = source.open(words, decoding, qos)
+    for blocks in read_topics(opened, bench, (topic,), where or "", source.duration or 0):
+        lost = getattr(opened, "lost", {}).get(topic, 0)
+        if lost > before and not no_lost_messages:
+            change, before = lost - before, lost
+            sys.stdout.write(
+                f"A message was lost!!!\n\ttotal count change:{change}\n\ttotal count: {lost}---\n"
+            )
+        for block in blocks:
+            for index in range(1 if once else len(block.time_ns)):
+                sys.stdout.write(_message(block, index, texts, form, bench))
+        sys.stdout.flush()
+        if once and blocks:
+            return
+
+
+def _message(block: MessageBlock, index: int, texts: TextOptions, form: EchoFormat, bench: Workbench) -> str:
+    """Return one message as text, with what separates it from the next one."""
+    cdr, before, end = block.cdr(index), "", "" if texts.csv else "---\n"
+    if texts.message_info:
+        info: dict[str, int | None] = {
+            "source_timestamp": int(block.published_ns[index]),
+            "received_timestamp": int(block.time_ns[index]),
+            "publication_sequence_number": int(block.sequence[index]) or None,
+            "reception_sequence_number": None,
+        }
+        values = {name: "null" if value is None else value for name, value in sorted(info.items())}
+        before = "".join(f"{name}: {value}\n" for name, value in values.items()) + end
+        before = ",".join(map(str, info.values())) + "," if texts.csv else before
+    try:
+        text = f"{cdr!r}\n" if texts.raw else form.text(bench.types, block.type, cdr)
+    except WireError as error:
+        text = f"{block.topic}: not a valid {block.type}: {error}\n"
+    return f"{before}{text}{end}"
+
+
+def _measure(
+    kind: Kind,
+    arguments: Sequence[str] | None,
+    source: SourceOptions,
+    window: int | None,
+    decoding: options.DecodingOptions,
+    *,
+    json: bool,
+) -> None:
+    """Measure topics, print the figures once a second and at the end, or at the end as JSON."""
+    from edoras_tools.addons.ros_verbs.figures import USUAL_WINDOWS, TopicFigures, rate_table
+    from edoras_tools.addons.ros_verbs.messages import read_topics
+
+    words = Words.of(arguments)
+    if kind != "hz" or not words.topics:
+        words.topic(kind)
+    figures = {topic: TopicFigures(kind, topic, window or USUAL_WINDOWS[kind]) for topic in words.topics}
+    opened, bench = source.open(words, decoding)
+    due = monotonic_ns() + _EVERY_NS
+
+    def show() -> None:
+        first, *others = figures.values()
+        text = rate_table([first, *others]).rstrip("\n") if others else first.text()
+        sys.stdout.write(f"{text}\n" if text else "")
+        sys.stdout.flush()
+
+    for blocks in read_topics(opened, bench, words.topics, duration_ns=source.duration or 0):
+        for block in blocks:
+            figures[block.topic].add(block, bench.types)
+        if opened.live and not json and monotonic_ns() >= due:
+            due += _EVERY_NS
+            show()
+    if json:
+        print_json({"source": opened.info.name, "topics": [item.as_json() for item in figures.values()]})
+    elif not opened.live:
+        show()
+
+
+@grouped
+def bw(
+    *,
+    arguments: Arguments = None,
+    source: SourceOptions,
+    window: Window = None,
+    json: options.Json = False,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Show the bytes a second of a topic.
+
+    Of a graph, a link, a capture or a recording, as ros2 topic bw does.
+    """
+    _measure("bw", arguments, source, window, decoding, json=json)
+
+
+@grouped
+def delay(
+    *,
+    arguments: Arguments = None,
+    source: SourceOptions,
+    window: Window = None,
+    json: options.Json = False,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Show how old messages are.
+
+    By their headers. Of a graph, a link, a capture or a recording, as ros2 topic delay does.
+    """
+    _measure("delay", arguments, source, window, decoding, json=json)
+
+
+def graph_hz(
+    arguments: Sequence[str],
+    graph: RosOptions,
+    duration: int | None,
+    window: int | None,
+    decoding: options.DecodingOptions,
+    *,
+    json: bool,
+) -> None:
+    """Show the rates of topics of a graph or a recording, for ``edoras hz``."""
+    source = SourceOptions(duration=duration, graph=graph)
+    _measure("hz", arguments, source, window, decoding, json=json)
+
+
+topic = command_group("topic", "List topics, or say more of one.")
+
+
+@topic.command("list")
+@grouped
+def list_topics(
+    *,
+    arguments: Listing = None,
+    source: SourceOptions,
+    show_types: Annotated[bool, Option("--show-types", "-t", help="Their types, too.")] = False,
+    count_topics: Annotated[bool, Option("--count-topics", help="Only how many there are.")] = False,
+    hidden: Annotated[bool, Option("--include-hidden-topics", help="Also /_topics.")] = False,
+    verbose: Verbose = False,
+    json: options.Json = False,
+    decoding: options.DecodingOptions,
+) -> None:
+    """List topics, as ros2 topic list does."""
+    words = Words.of(arguments)
+    topics = [item for item in _topics(words, source, decoding) if hidden or "/_" not in item["topic"]]
+    if json:
+        _print_topics(words, topics)
+    elif count_topics:
+        sys.stdout.write(f"{len(topics)}\n")
+    elif not verbose:
+        lines = (f"{item['topic']} [{item['type']}]" if show_types else item["topic"] for item in topics)
+        sys.stdout.write("".join(f"{line}\n" for line in lines))
+    for name in ("publishers", "subscriptions") if verbose and not json else ():
+        noun = {"publishers": ("Published", "publisher"), "subscriptions": ("Subscribed", "subscriber")}[name]
+        sys.stdout.write(f"{noun[0]} topics:\n")
+        for item in topics:
+            if many := item[name]:
+                plural = "s" if many > 1 else ""
+                sys.stdout.write(f" * {item['topic']} [{item['type']}] {many} {noun[1]}{plural}\n")
+        sys.stdout.write("\n")
+
+
+@topic.command("info")
+@grouped
+def info(
+    *,
+    arguments: Arguments = None,
+    source: SourceOptions,
+    verbose: Verbose = False,
+    json: options.Json = False,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Show type, publishers and subscriptions of a topic, as ros2 topic info does."""
+    words = Words.of(arguments)
+    name = words.topic("topic info")
+    found = next((item for item in _topics(words, source, decoding) if item["topic"] == name), None)
+    if found is None:
+        raise ConfigError(f"unknown topic {name!r}; edoras topic list shows all")
+    if json:
+        _print_topics(words, [found])
+        return
+    end = "\n\n" if verbose else "\n"
+    sys.stdout.write(f"Type: {found['type']}{end}")
+    for noun, key in (("Publisher", "publishers"), ("Subscription", "subscriptions")):
+        sys.stdout.write(f"{noun} count: {'unknown' if found[key] is None else found[key]}{end}")
+        for text in found["details"][key] if verbose else ():
+            sys.stdout.write(f"{text}{end}")
+
+
+def _print_topics(words: Words, topics: Sequence[dict[str, Any]]) -> None:
+    rows = [{name: value for name, value in item.items() if name != "details"} for item in topics]
+    print_json({"source": ", ".join(map(str, words.files)) or None, "topics": rows})
+
+
+def _topics(words: Words, source: SourceOptions, decoding: options.DecodingOptions) -> list[dict[str, Any]]:
+    """Return the topics of what is meant, with what is known of publishers and subscriptions."""
+    from edoras_tools.addons.ros_verbs.endpoints import policies_text, recorded_policies
+    from edoras_tools.addons.ros_verbs.source import topics_of_graph
+
+    if source.reads_graph(words):
+        return topics_of_graph(source.request(()), decoding.settings())
+    from edoras_tools.addons.ros_verbs.messages import topics_in
+
+    rows = []
+    for item, profiles, is_published in topics_in(*source.open(words, decoding), source.duration or 0):
+        offers = [
+            f"Endpoint type: PUBLISHER\n{policies_text(offer)}" for offer in recorded_policies(profiles)
+        ]
+        row = {
+            "topic": item.name,
+            "type": item.type,
+            "publishers": len(offers) or (1 if is_published else None),
+        }
+        rows.append({**row, "subscriptions": None, "details": {"publishers": offers, "subscriptions": ()}})
+    return rows

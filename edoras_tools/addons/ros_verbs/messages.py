@@ -1,0 +1,163 @@
+"""The ROS messages of any source, by topic: as a recording of it would hold them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from edoras_tools.errors import RouteError
+from edoras_tools.io.topics.recorded import QOS_METADATA, RecordedStreams
+from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, lay_out
+from edoras_tools.io.topics.streams import OWN_TOPICS, Streams, Topic
+from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.pipelines.selection import Selection
+from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.window import gather
+from edoras_tools.words import did_you_mean, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.io import Source
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.ros import TypeStore
+
+OWN_NAMES: Final = frozenset(item.name for item in OWN_TOPICS)
+"""Topics that say something of a capture, and are no topics of a graph."""
+
+
+class MessageBlock(NamedTuple):
+    """Messages of one topic in columns, arrays one element a message.
+
+    Attributes:
+        topic: which.
+        type: ROS name.
+        time_ns: i64, when each was received or captured, ns since 1970.
+        published_ns: i64, when it was published, as far as its source tells; else as ``time_ns``.
+        sequence: u32, its publisher's number, 0 where there is none.
+        data: u8, what ``offset`` points into.
+        offset: i64, first byte of each, encapsulation included.
+        length: i64, bytes of each.
+    """
+
+    topic: str
+    type: str
+    time_ns: NDArray[np.int64]
+    published_ns: NDArray[np.int64]
+    sequence: NDArray[np.uint32]
+    data: NDArray[np.uint8]
+    offset: NDArray[np.int64]
+    length: NDArray[np.int64]
+
+    def cdr(self, index: int) -> bytes:
+        """Return one message."""
+        start = int(self.offset[index])
+        return self.data[start : start + int(self.length[index])].tobytes()
+
+    def stamps(self, types: TypeStore) -> NDArray[np.int64] | None:
+        """Return the time in each message's header, ns since 1970; None where the type begins with none."""
+        fields = types.fields(self.type) if types.has(self.type) else ()
+        if not fields or fields[0].type != "std_msgs/msg/Header":
+            return None
+        parts = gather(self.data, self.offset + 4, 8).copy().view("<u4")  # behind the encapsulation
+        big = self.data[self.offset + 1] % 2 == 0
+        seconds, rest = np.where(big[:, None], parts.byteswap(), parts).astype(np.int64).T
+        stamps: NDArray[np.int64] = seconds * SECOND + rest
+        return stamps
+
+
+class TopicReader:
+    """Takes what was read of a source, batch by batch, and gives the messages on its topics.
+
+    Attributes:
+        topics: those that the source is known to have so far, by their channel.
+    """
+
+    def __init__(self, bench: Workbench) -> None:
+        mission, context = bench.mission, bench.columns.context
+        self._recorded = RecordedStreams(mission, bench.types) if mission.recorded else None
+        if self._recorded is None:
+            more = {"structs": context.structs, "add": self._add}
+            self._streams = Streams(mission, bench.types, datagrams=False, **more)  # type: ignore[arg-type]
+            self._streams.endpoints = context.endpoints
+        topics = self._recorded.topics if self._recorded else self._streams.topics
+        self.topics: dict[int, Topic] = dict(enumerate(topics))
+
+    def blocks(self, rows: ColumnRows, topics: Sequence[str] = ()) -> Iterator[MessageBlock]:
+        """Yield the messages of a batch; only those of some topics, if these are named."""
+        if not len(rows):
+            return
+        batch, columns = rows.alone()
+        if self._recorded is not None:
+            messages = self._recorded.prepared_messages(batch)
+        else:
+            messages = self._streams.messages(batch, columns, statistics=False)
+        records = lay_out(messages, len(batch))
+        data = np.frombuffer(records.data, np.uint8)
+        for channel in np.unique(records.channel_id).tolist():
+            topic = self.topics[channel]
+            if topics and topic.name not in topics:
+                continue
+            own = np.flatnonzero(records.channel_id == channel)
+            start, time_ns = records.start[own], records.log_time[own].astype(np.int64)
+            heads = gather(data, start - RECORD_BYTES, RECORD_BYTES).copy().view(np.dtype(RECORD))[:, 0]
+            published, length = heads["publish_time"].astype(np.int64), records.end[own] - start
+            sequence = heads["sequence"]
+            yield MessageBlock(topic.name, topic.type, time_ns, published, sequence, data, start, length)
+
+    def check(self, topics: Sequence[str]) -> None:
+        """Check, at the end, that all of some topics were there.
+
+        Raises:
+            RouteError: one was not.
+        """
+        names = [item.name for item in self.topics.values()]
+        for topic in topics:
+            if topic not in names:
+                existing = [name for name in names if name not in OWN_NAMES] or names
+                hint = did_you_mean(topic, names, 1) or f"there are {listed(sorted(existing), 12)}"
+                raise RouteError(f"no topic is called {topic!r}; {hint}")
+
+    def _add(self, topic: Topic) -> int:
+        self.topics[len(self.topics)] = topic
+        return len(self.topics) - 1
+
+
+def read_topics(
+    source: Source, bench: Workbench, topics: Sequence[str], where: str = "", duration_ns: int = 0
+) -> Iterator[list[MessageBlock]]:
+    """Yield the messages of some topics as they come, a list for each batch; the source is closed.
+
+    Args:
+        where: only those that pass this filter.
+        duration_ns: of a live source; 0: to its end.
+
+    Raises:
+        RouteError: a topic is not in the source.
+    """
+    reader = TopicReader(bench)
+    with reading(source, bench, Selection(where=where), Limits(duration_ns=duration_ns)) as loop:
+        for rows in loop:
+            yield list(reader.blocks(rows, topics))
+    reader.check(topics)
+
+
+def topics_in(source: Source, bench: Workbench, duration_ns: int = 0) -> list[tuple[Topic, str, bool]]:
+    """Return the topics of a file or a link; the source is closed.
+
+    Returns:
+        Each with its publishers' quality of service as rosbag2 writes it, and whether a message came.
+    """
+    reader, published = TopicReader(bench), set[str]()
+    with reading(source, bench, limits=Limits(duration_ns=duration_ns)) as loop:
+        for rows in loop:
+            published |= {block.topic for block in reader.blocks(rows)}
+    return [
+        (topic, topic.metadata.get(QOS_METADATA, ""), topic.name in published)
+        for topic in sorted(reader.topics.values(), key=lambda item: item.name)
+        if topic.name in published or topic.name not in OWN_NAMES
+    ]
