@@ -15,7 +15,7 @@ from places import ROOT
 from edoras_tools.cli import main, usage
 from edoras_tools.cli.options import OLD_NAMES
 
-ENTRIES, NAMES = 551, 144
+ENTRIES, NAMES = 552, 145
 PACKAGE = ROOT / "edoras_tools"
 LINES, COLUMNS = 40, 80
 LISTED = 46

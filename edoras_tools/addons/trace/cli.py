@@ -221,29 +221,44 @@ def hz(
     At the publisher, behind CI or the pipe, and where it comes out; live once a second, as ros2 topic hz.
     Of a graph (--ros) or a recording of ROS messages: the rates of topics, in its output.
     """
-    from edoras_tools.addons.trace.rounds import USUAL_WINDOW
-    from edoras_tools.addons.trace.texts import rate_lines
-    from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
-    from edoras_tools.pipelines.doctor.doctor import Pace, examine
-
-    words, (interface, listen, duration, graph) = list(arguments or ()), live
-    is_live = bool(interface or listen)
-    options.check_duration(duration, [Path(item) for item in words if Path(item).exists()])
-    if graph.ros:
-        doors.part("graph_hz")(words, graph, duration, window, decoding, json=printing.json)
+    words = list(arguments or ())
+    options.check_duration(live.duration, [Path(item) for item in words if Path(item).exists()])
+    if live.graph.ros:
+        doors.part("graph_hz")(words, live.graph, live.duration, window, decoding, json=printing.json)
         return
     if topic is None and words and not (words[-1] == "-" or Path(words[-1]).exists()):
         topic = words.pop()
-    inputs = InputOptions(FileOptions([Path(item) for item in words]), LiveOptions(interface, listen))
+    try:
+        _hop_rates(words, topic, live, window, printing, decoding)
+    except NoDatagramsError:
+        doors.part("graph_hz")(arguments or (), live.graph, None, window, decoding, json=printing.json)
+
+
+def _hop_rates(
+    words: list[str],
+    topic: str | None,
+    live: RateOptions,
+    window: int | None,
+    printing: options.PrintOptions,
+    decoding: options.DecodingOptions,
+) -> None:
+    """Print the rates of a topic, or of all, at each hop.
+
+    Raises:
+        NoDatagramsError: the input is a recording of ROS messages.
+    """
+    from edoras_tools.addons.trace.rounds import USUAL_WINDOW
+    from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
+    from edoras_tools.pipelines.doctor.doctor import Pace, examine
+
+    interface, listen, duration, _ = live
+    is_live = bool(interface or listen)
     if not is_live and not words:
         raise ConfigError(f"name an input that exists: edoras hz FILE {topic or '/cmd_vel'}, or -i IFACE")
+    inputs = InputOptions(FileOptions([Path(item) for item in words]), LiveOptions(interface, listen))
     quiet = printing.quiet or printing.json or is_live
     with file_progress(words, quiet=quiet) as bar:
-        try:
-            source, bench = open_input(inputs, decoding.settings(constants=True), aligned=True, progress=bar)
-        except NoDatagramsError:
-            doors.part("graph_hz")(arguments or (), graph, None, window, decoding, json=printing.json)
-            return
+        source, bench = open_input(inputs, decoding.settings(constants=True), aligned=True, progress=bar)
         request = TraceRequest(topic=topic, window=window or USUAL_WINDOW)
         tracing = Tracing(bench.columns.context, request)
         watcher = _Printer(tracing) if is_live and not printing.json else None
@@ -252,13 +267,20 @@ def hz(
     if not is_live:
         no_datagrams(source)
     tracing.check()
-    if printing.json:
-        print_json({"source": source.info.name, "topics": [item.as_json() for item in tracing.rates]})
-    else:
-        for rates in tracing.rates:
-            lines = rate_lines(rates)
-            sys.stdout.write("\n".join([*(lines if topic else lines[:1]), ""]))
+    _print_rates(tracing, source.info.name, printing, is_whole=topic is not None)
     for warning in findings.diagnosis.capture.warnings:
         tell(warning)
     if findings.failure is not None:
         raise findings.failure
+
+
+def _print_rates(tracing: Tracing, name: str, printing: options.PrintOptions, *, is_whole: bool) -> None:
+    """Print the rates of a file, or those at the end; of one topic in full, else a line of each."""
+    from edoras_tools.addons.trace.texts import rate_lines
+
+    if printing.json:
+        print_json({"source": name, "topics": [item.as_json() for item in tracing.rates]})
+        return
+    for rates in tracing.rates:
+        lines = rate_lines(rates)
+        sys.stdout.write("\n".join([*(lines if is_whole else lines[:1]), ""]))

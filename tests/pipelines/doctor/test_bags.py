@@ -158,7 +158,13 @@ def test_the_chain_of_each_command_has_what_each_bridge_lost(recorded):
     counts = bridge_counts(compared(folder, "ground.mcap", "robot"))
     source = open_file(folder / "wire.pcap")
     found = examine(source, Settings(MISSIONS).workbench(source.info)).diagnosis
-    ways = chains(found.balance, found.topics, counts)
+    every = chains(found.balance, found.topics, counts)
+    ways = [item for item in every if item.hops[0].hop == PUBLISHER]
+    back = {item.topic: item.hops[-1] for item in every if item not in ways}
+    assert {(hop.hop, topic, hop.lost) for topic, hop in back.items()} == {
+        ("ground bridge to subscriber", topic, lost[topic]) for topic in back
+    }
+    assert len(back) == 2
     assert {item.topic for item in ways} == {"/robot_1/ground/cmd_vel", "/robot_2/ground/cmd_vel"}
     for chain in ways:
         publisher, *inside, robot = chain.hops
