@@ -40,6 +40,7 @@ WRITERS = {
     "proxy -o": ("old.mcap", ["proxy", "ci", "--target", f"{HOST}:9", "--listen", f"{HOST}:0"]),
     "bridge -o": ("old.mcap", ["bridge", "-c", ROVER, "--ros", "local"]),
     "live -o": ("old.mcap", ["live", "--listen", f"{HOST}:0", "--ws-port", "0"]),
+    "observe -o": ("old.mcap", ["observe", "--ros", "dds", "/cmd_vel"]),
     "demo -o": ("old.mcap", ["demo", "rover", "--duration", "50ms"]),
     "recover -o": ("old.mcap", ["recover", "cut.mcap"]),
     **{
@@ -244,8 +245,8 @@ def test_a_second_run_changes_no_byte_of_a_first(call, folder, writer):
     assert {path: (path.stat().st_mtime_ns, data) for path, data in contents(folder).items()} == before
 
 
-OPENED_FIRST = [name for name in WRITERS if name.split()[0] not in {"recover", "sweep", "bridge"}]
-"""Bridges take ports that another program may have; a sweep runs first."""
+OPENED_FIRST = [name for name in WRITERS if name.split()[0] not in {"recover", "sweep", "bridge", "observe"}]
+"""Bridges and observers take ports that another program may have; a sweep runs first."""
 
 
 @pytest.mark.each(3)

@@ -156,8 +156,19 @@ def test_there_are_no_more_options_than_that():
     assert len(names) <= NAMES
 
 
-OF_OTHERS = {"--cap-add", "--card"}
-"""Of docker, and a variable of CSS."""
+OF_OTHERS = {
+    *("--cap-add", "--card"),
+    *(
+        "--remap",
+        "--param",
+        "--params-file",
+        "--log-level",
+        "--log-config-file",
+        "--log-file-name",
+        "--enclave",
+    ),
+}
+"""Of docker, a variable of CSS, and of rcl behind ``--ros-args``."""
 
 
 def test_messages_name_options_that_help_lists():

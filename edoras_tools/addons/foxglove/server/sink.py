@@ -293,12 +293,12 @@ class FoxgloveSink(ServedSink):
         definitions = {
             **self._streams.definitions,
             **{item.type: types.definition(item.type) for item in (DIAGNOSTICS, FAULTS, TRANSFORMS)},
-            **{item.type: self._streams.structs.text(item.type) for item in self._streams.structs.all},
+            **{item.type: self._streams.structs.text(item.type) or "" for item in self._streams.structs.all},
         }
         self.server = FoxgloveServer(
             f"edoras: {info.name}",
             topics,
-            lambda name: definitions.get(name) or types.definition(name),
+            lambda name: definitions[name] if name in definitions else types.definition(name),
             options,
         )
         self._streams.offer()

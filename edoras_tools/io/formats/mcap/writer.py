@@ -222,7 +222,9 @@ class McapSink(Sink):
     def _add_topic(self, topic: Topic) -> int:
         """Create a topic that not every recording has; return its channel."""
         self._chunks.flush()  # so that it does not depend on the workers where in the file it is
-        text = self._streams.structs.text(topic.type) or self._types.definition(topic.type)
+        text = self._streams.structs.text(topic.type)
+        if text is None:  # an empty text is that of an empty message
+            text = self._types.definition(topic.type)
         file = self.files[-1]
         return file.add_channel(topic.name, file.add_schema(topic.type, text), topic.metadata)
 
