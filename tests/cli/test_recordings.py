@@ -90,6 +90,7 @@ KEPT = {
 READS = {
     *(
         "FILE",
+        "FILE...",
         "[FILE]...",
         "[FILE]... [TOPIC]",
         "GOOD",
