@@ -114,7 +114,6 @@ _WRITES = re.compile(r"\.write_(text|bytes)\(|open\([^()]*[\"']([wax]b?[+]?|r[+]
 def test_nobody_writes_files_in_another_way():
     """What writes a file does it here, or opens it by ``opener``; a help page's formatter writes no file."""
     others = {
-        "ros/types/standard.py": "makes a file of this package, by hand",
         "cli/main.py": "the null device",
         "addons/wireshark/extcap.py": "a pipe of Wireshark's",
         "addons/debug_info/dwarf.py": "in a temporary folder of its own",
