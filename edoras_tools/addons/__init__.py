@@ -111,7 +111,13 @@ ADDONS: Final = (
                 before="check",
             ),
         },
-        adds={"parts": {"expected_run": "expected:unlike"}},
+        adds={
+            "parts": {
+                "expected_run": "expected:unlike",
+                "against": "cli.against:against",
+                "bags": "cli.against:bags",
+            }
+        },
     ),
     Addon(
         "report",

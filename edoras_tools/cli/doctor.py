@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import sys
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -19,13 +18,11 @@ from edoras_tools.cli.endings import LOST, no_datagrams, tell
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.options import share
 from edoras_tools.cli.output import file_progress, print_csv, print_json, print_view
-from edoras_tools.errors import CaptureError, ConfigError
+from edoras_tools.errors import ConfigError
 from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
-    from edoras_tools.diagnosis.balance import Chain
     from edoras_tools.diagnosis.examination import Diagnosis
-    from edoras_tools.pipelines.doctor.against import BagComparison
     from edoras_tools.pipelines.doctor.scope import Scope
     from edoras_tools.pipelines.workbench import Settings
 
@@ -95,9 +92,9 @@ def doctor(
     elif task.list_lost is not None:
         _list_lost(settings, scope, given, task.list_lost, printing, jobs or 0)
     elif task.bag:
-        _compare_bags(settings, scope, given, task.bag, printing, verbose=verbose)
+        doors.part("bags")(settings, scope, given, task.bag, printing, verbose=verbose)
     elif task.against is not None:
-        _compare(settings, scope, given.paths, task.against, printing)
+        doors.part("against")(settings, scope, given.paths, task.against, printing)
     else:
         found = _examine(settings, scope, given, duration or 0, printing, jobs or 0, verbose=verbose)
         reasons = [] if task.max_loss is None else found.beyond(task.max_loss, strict=task.strict)
@@ -159,7 +156,7 @@ def _examine(
     if json:
         print_json(findings.summary())
     elif source.statistics.datagrams:
-        _print(findings.diagnosis, source.info.name, quiet=quiet, verbose=verbose)
+        print_diagnosis(findings.diagnosis, source.info.name, quiet=quiet, verbose=verbose)
     for warning in (*bench.mission.warnings, *findings.diagnosis.capture.warnings):
         tell(warning)
     if findings.failure is not None:
@@ -169,7 +166,7 @@ def _examine(
     return findings.diagnosis
 
 
-def _print(found: Diagnosis, name: str, *, quiet: bool, verbose: bool) -> None:
+def print_diagnosis(found: Diagnosis, name: str, *, quiet: bool, verbose: bool) -> None:
     """Print a line, a screen, or all."""
     from edoras_tools.diagnosis.summary import summarize
     from edoras_tools.render.doctor.doctor import diagnosis, screen
@@ -245,94 +242,3 @@ def _predict(settings: Settings, scope: Scope, *, json: bool) -> None:
     from edoras_tools.render.doctor.doctor import budgets as view
 
     print_view(lambda width: view(budgets, width))
-
-
-def _compare(
-    settings: Settings, scope: Scope, files: list[Path], against: Path, printing: options.PrintOptions
-) -> None:
-    from edoras_tools.pipelines.doctor.against import diff
-    from edoras_tools.pipelines.workbench import open_files
-
-    if not files:
-        raise ConfigError("--against needs two captures: edoras doctor FIRST --against SECOND")
-    first = open_files(files)
-    quiet = printing.quiet or printing.json
-    with file_progress([first.info.name], quiet=quiet) as bar:
-        found = diff(first, open_files([against]), settings.workbench(first.info), scope, bar)
-    if printing.json:
-        print_json(found.as_json())
-    elif found.common:
-        from edoras_tools.render.doctor.doctor import comparison_table
-
-        print_view(lambda width: comparison_table(found, width))
-    if not found.common:
-        names = ", ".join(map(str, files))
-        raise CaptureError(
-            f"{names} and {against}: no datagram in common; name two captures of the same traffic"
-        )
-    if found.lost:
-        raise Exit(LOST)
-
-
-def _compare_bags(
-    settings: Settings,
-    scope: Scope,
-    given: InputOptions,
-    bags: list[Path],
-    printing: options.PrintOptions,
-    *,
-    verbose: bool,
-) -> None:
-    from edoras_tools.diagnosis.balance import chains
-    from edoras_tools.pipelines.doctor.against import against_bag, against_capture, bridge_counts
-    from edoras_tools.pipelines.doctor.doctor import Pace, examine
-
-    files, judged = given.paths, None
-    if not files and len(bags) < 2:
-        raise ConfigError("--bag needs a capture, or a second bag: edoras doctor CAPTURE --bag BAG")
-    if files:
-        quiet = printing.quiet or printing.json
-        with file_progress(files, quiet=quiet) as bar:
-            source, bench = open_input(given, settings, aligned=True, progress=bar)
-            found = against_capture(source, bags, bench, scope, bar)
-            if all(path.is_file() or path.is_dir() for path in files):  # a pipe is read only once
-                source, bench = open_input(given, settings, aligned=True, progress=bar)
-                judged = examine(source, bench, scope=scope, pace=Pace(monotonic_ns), progress=bar)
-    elif scope.selection or scope.period:
-        raise ConfigError("--start, --end and what selects packets have no effect on bags alone")
-    else:
-        found = against_bag(bags[0], bags[1:], settings.workbench().types)
-    lost = sum(item.comparison.lost for item in found)
-    ways: list[Chain] = []
-    if judged:
-        ways = chains(judged.diagnosis.balance, judged.diagnosis.topics, bridge_counts(found))
-        if not printing.json:
-            _print(judged.diagnosis, source.info.name, quiet=printing.quiet, verbose=verbose)
-    if printing.json:
-        print_json(
-            {
-                "lost": lost,
-                "bags": [item.as_json() for item in found],
-                "chains": [item.as_json() for item in ways],
-                "diagnosis": judged.summary() if judged else None,
-            }
-        )
-    else:
-        _print_bags(found, ways, ", ".join(map(str, files or bags[:1])))
-    for warning in judged.warnings if judged else ():
-        tell(warning)
-    if lost or (judged and judged.diagnosis.bad):
-        raise Exit(LOST)
-
-
-def _print_bags(found: list[BagComparison], ways: list[Chain], first: str) -> None:
-    from edoras_tools.render.doctor.balance import chain_table
-    from edoras_tools.render.doctor.doctor import comparison_table
-
-    for item in found:
-        print_view(f"first: {first}, second: {item.bag}")
-        print_view(partial(comparison_table, item.comparison))
-        if item.left_out:
-            tell(f"{item.bag}: {item.left_out:,} messages do not fit their type and are not compared")
-    if ways:
-        print_view(lambda width: chain_table(ways, width))

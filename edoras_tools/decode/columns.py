@@ -14,6 +14,7 @@ import numpy as np
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.links import beginning, link_columns
 from edoras_tools.decode.recorded import recorded_columns
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.decode.variants import Variants
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, UNKNOWABLE, Columns, Finding, PacketBatch
 from edoras_tools.structs.payloads import payloads
@@ -46,6 +47,7 @@ _BYTES: Final = np.array(
 )
 """Header bytes of a command and of telemetry, and where that header starts, by ``Columns.headers``."""
 _BLANK: Final = {
+    "spacecraft": FIRST_SPACECRAFT,
     "sbn_msg_type": -1,
     "packet_offset": -1,
     "msg_id": NO_MSG_ID,
@@ -68,6 +70,7 @@ _PACKET_COLUMNS: Final = (
 )
 _TYPES: Final = {
     "link": "u1",
+    "spacecraft": "u1",
     "sbn_msg_type": "i2",
     "processor_id": "u4",
     "spacecraft_id": "u4",
@@ -137,7 +140,9 @@ class ColumnDecoder:
         read = _Pass(self.context, part, _blank(len(part), leave_out=_PACKET_COLUMNS))
         read.out["link"] = link if part is batch else link[rows]
         read.out["findings"] = part.capture_findings.copy()
-        return Begun(link, read.begin(), read.out, part)
+        start = read.begin()
+        read.out["spacecraft"] = self.context.spacecraft.column(part, read.out["link"], start)
+        return Begun(link, start, read.out, part)
 
     def finish(self, batch: PacketBatch, detected: Begun) -> Columns:
         """Read the rest; a batch that another process began needs what was ``detected`` there by then."""

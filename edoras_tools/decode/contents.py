@@ -75,7 +75,10 @@ class Contents(Generic[Content]):
         """Return what is said of each row."""
         ids, routes = (len(set(column.tolist())) for column in (rows.column("msg_id"), rows.routes()))
         few = len(rows) < _FEW * max(4, min(ids, routes + _STRUCTS))
-        contents = [None] * len(rows) if few else self._of_columns(rows)
+        contents: list[Content | None] = [None] * len(rows)
+        for places, own in () if few else rows.by_spacecraft():
+            for place, content in zip(places.tolist(), self._of_columns(own), strict=True):
+                contents[place] = content
         return [
             self._dissected(rows, place) if content is None else content
             for place, content in zip(rows.indices().tolist(), contents, strict=True)
@@ -89,7 +92,8 @@ class Contents(Generic[Content]):
         start = int(batch.offset[place])
         payload = batch.data[start : start + int(batch.length[place])].tobytes()
         bound = rows.context.structs.of_port(batch.destination_port[place])
-        key = int(columns.link[place]), int(columns.findings[place]), int(bound), payload
+        kind = int(columns.link[place]) << 8 | int(columns.spacecraft[place])
+        key = kind, int(columns.findings[place]), int(bound), payload
         content = self._kept.get(key)
         if content is None:
             if len(self._kept) >= _MOST_KEPT:

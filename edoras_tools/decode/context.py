@@ -10,6 +10,7 @@ import numpy as np
 
 from edoras_tools.cfs import names
 from edoras_tools.decode.builds import Builds, CommandTable
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, Spacecraft
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import table
 from edoras_tools.links.sbn import BRIDGE_PORT
@@ -146,6 +147,7 @@ class Context:
         peers: grows as datagrams are decoded, in order.
         endpoints: as they announce themselves; grows as well.
         look_ahead: reads the whole input for what is announced in it; None where that cannot be done.
+        spacecraft: those that datagrams are of; grows as well.
         by_magic: the links that are recognised on any port.
         links: every link there is.
         frames: the CCSDS transfer frames that come to a port, by port.
@@ -193,9 +195,9 @@ class Context:
         self.headers = self.options.headers or cfe.STANDARD
         self.msg_ids = self.options.msg_ids
         big_endian = self.mission.software.big_endian
-        self.structs = (structs or shipped_structs(self.msg_ids, big_endian=big_endian)).unclaimed(
-            route.msg_id for route in self.mission.routes
-        )
+        structs = structs or shipped_structs(self.msg_ids, big_endian=big_endian)
+        structs = structs.under(self.mission.prefix(FIRST_SPACECRAFT))
+        self.structs = structs.unclaimed(route.msg_id for route in self.mission.routes)
         self.peers = Peers()
         self.endpoints = Endpoints()
         self.look_ahead: Callable[[], Endpoints] | None = None
@@ -214,6 +216,8 @@ class Context:
             self.header_bytes[link] = link.header_bytes
             self.against[:, link] = link.to_cfs != link.from_cfs and [link.to_cfs, link.from_cfs]
         self._settle_bridges()
+        self.spacecraft = Spacecraft(self.mission, self.links, self.bridge_ports)
+        self._views: dict[int, Context] = {}
         self._settle_routes()
         self.notes: list[str] = []
         self.unnamed = 0
@@ -265,6 +269,14 @@ class Context:
         self.unrouted = [EnvelopeFormat.of_name(usual) if usual else DEFAULT] * 2
         envelopes = [route.envelope or self.options.envelope or str(DEFAULT) for route in self.mission.routes]
         self.envelopes = [None if text == "auto" else EnvelopeFormat.of_name(text) for text in envelopes]
+
+    def of(self, spacecraft: int) -> Context:
+        """Return this as it is for a spacecraft: topics have its name in front."""
+        if self.mission.prefix(spacecraft) == self.mission.prefix(FIRST_SPACECRAFT):
+            return self
+        if spacecraft not in self._views:
+            self._views[spacecraft] = _View(self, spacecraft)
+        return self._views[spacecraft]
 
     def in_order(self, layout: Layout) -> Layout:
         """Return the table of a payload in the byte order of the flight computer."""
@@ -385,3 +397,17 @@ class Context:
             if len(links) == 1 and links[0].port_decides:
                 self.decided[index] = links[0]
             self.by_sender[index] = next((link for link in links if link.sender_port), OTHER)
+
+
+class _View(Context):
+    """A context for a spacecraft behind the first: all but the names of topics is that of the whole."""
+
+    def __init__(self, whole: Context, number: int) -> None:
+        self._whole = whole
+        self.mission = whole.mission.of(number)
+        self.structs = whole.structs.under(whole.mission.prefix(number))
+
+    def __getattr__(self, name: str) -> Any:
+        if name[:2] == "__" or name == "_whole":  # asked before there is one, as by ``copy``
+            raise AttributeError(name)
+        return getattr(self._whole, name)

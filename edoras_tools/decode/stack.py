@@ -57,7 +57,8 @@ class Dissector:
         if datagram.topic != NO_ROUTE:
             return dissect_recorded(datagram, self.context, detail=self.detail)
         link = link_of(datagram, self.context)
-        work = _Dissection(self.context, datagram, link, detail=self.detail)
+        context = self.context.of(self.context.spacecraft.of(datagram, link))
+        work = _Dissection(context, datagram, link, detail=self.detail)
         stop: EdorasError | None = None
         if link is not OTHER:
             try:

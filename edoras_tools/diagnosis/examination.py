@@ -10,6 +10,7 @@ from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from edoras_tools.decode.conversations import Conversations, Flow, Unnamed, unnamed
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.accounts import accounts
 from edoras_tools.diagnosis.balance import Chain, Headline, WaySum, chains, headlines, not_counted, sent, ways
 from edoras_tools.diagnosis.case import Capture, Case
@@ -22,7 +23,9 @@ from edoras_tools.diagnosis.rules.capture import too_many
 from edoras_tools.diagnosis.rules.silence import note_silences
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, QUOTING_RULE, WHOLE, Choice, Severity, Verdict
 from edoras_tools.links.table import LinkStates
+from edoras_tools.mission import Mission
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, PacketBatch
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -61,6 +64,8 @@ class Diagnosis:
         choice: what is shown of it; None for all.
         whole: the diagnosis of which this shows a part, or None.
         missing: every message that was lost, in order of time, if they were asked for; else empty.
+        parts: where there are several spacecraft, the diagnosis of each by itself, by its number.
+        mission: names these.
     """
 
     verdicts: tuple[Verdict, ...]
@@ -79,6 +84,8 @@ class Diagnosis:
     choice: Choice | None = None
     whole: Diagnosis | None = None
     missing: tuple[Missing, ...] = ()
+    parts: Mapping[int, Diagnosis] = field(default_factory=dict)
+    mission: Mission = field(default_factory=Mission)
 
     @property
     def zero_ns(self) -> int:
@@ -188,6 +195,9 @@ class Diagnosis:
                 if item.rule in CAPTURE_RULES or choice.takes(item.link, item.msg_id, item.topic or "")
             )
 
+        if self.parts:
+            parts = {number: part.limited(choice.of(number)) for number, part in self.parts.items()}
+            return replace(side_by_side(parts, self.mission), choice=choice, whole=self)
         return replace(
             self,
             verdicts=shown(self.verdicts),
@@ -347,14 +357,34 @@ class Examination:
         self._evidence: LinkStates[LinkEvidence] = LinkStates(lambda link: link.evidence(context))
         self._before: list[Callable[[], Diagnosis]] = []
         self._scattered = False
+        self._others: dict[int, Examination] = {}
+        """Of spacecraft behind the first: each is examined by itself."""
+        self._whole = self
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch and its columns."""
+        for item in self._evidence.of(columns):
+            item.add(batch, columns)
+        if (columns.spacecraft != FIRST_SPACECRAFT).any():
+            for number, rows in by_value(columns.spacecraft):
+                if number != FIRST_SPACECRAFT:
+                    self.of(number).take(batch.take(rows), columns.take(rows))
+            own = columns.spacecraft == FIRST_SPACECRAFT
+            batch, columns = batch.take(own), columns.take(own)
+        self.take(batch, columns)
+
+    def of(self, number: int) -> Examination:
+        """Return the examination of a spacecraft behind the first."""
+        if number not in self._others:
+            other = self._others[number] = Examination(self.context.of(number), self.profile)
+            other._whole = self
+        return self._others[number]
+
+    def take(self, batch: PacketBatch, columns: Columns) -> None:
+        """Take what is of one spacecraft."""
         if len(self._recorder) >= CHAPTER and not self._goes_on():
             self.separate()
         self._recorder.add(batch, columns)
-        for item in self._evidence.of(columns):
-            item.add(batch, columns)
 
     def _goes_on(self) -> bool:
         """Tell whether a chapter that is full has to take more: what belongs together is not in it yet."""
@@ -365,6 +395,8 @@ class Examination:
 
     def separate(self) -> None:
         """Judge what was taken by itself: nothing of what follows is matched with it."""
+        for other in self._others.values():
+            other.separate()
         if not len(self._recorder):
             return
         # A chapter has what was done up to its end; the last has the rest.
@@ -385,10 +417,10 @@ class Examination:
         """Judge all that was taken."""
         capture = capture or Capture()
         zero_ns = self._zero_ns() if capture.zero_ns is None else capture.zero_ns
-        own = self._evidence.by_link
-        whole = replace(capture, zero_ns=zero_ns, evidence=own)
-        followed = sum(item.datagrams for item in own.values())
-        apart = sum(item.made for item in own.values()) + sum(
+        evidence = self._evidence.by_link
+        whole = replace(capture, zero_ns=zero_ns, evidence=evidence)
+        followed = sum(item.datagrams for item in evidence.values())
+        apart = sum(item.made for item in evidence.values()) + sum(
             item.pieces for item in capture.unwrappers.values()
         )
         last = self._judged(whole, self.faults, last=True)()
@@ -398,7 +430,11 @@ class Examination:
         if self._scattered:
             told = too_many(found.start_ns, found.end_ns, MOST_SCATTERED * CHAPTER)
             found = replace(found, verdicts=(told, *found.verdicts))
-        return found
+        if not self._others:
+            return found
+        rest = replace(whole, zero_ns=found.zero_ns, evidence={}, unwrappers={}, host=(), lacking=(), cut=0)
+        others = {number: other.diagnose(rest) for number, other in sorted(self._others.items())}
+        return side_by_side({FIRST_SPACECRAFT: found, **others}, self.context.mission)
 
     def _zero_ns(self) -> int | None:
         return self._before[0]().zero_ns if self._before else self.zero_ns
@@ -419,7 +455,7 @@ class Examination:
         chapter = Chapter(capture, faults, recorder.conversations.flows, recorder.left_out)
         if self._apart is not None:
             return self._apart.judge(chapter)
-        found = self.judged(recorder, chapter)
+        found = self._whole.judged(recorder, chapter)
         found = found if last else replace(found, case=None)
         return lambda: found
 
@@ -515,6 +551,61 @@ def _joined(parts: list[Diagnosis], capture: Capture) -> Diagnosis:
         unnamed=last.unnamed,
         topics=last.topics,
         missing=tuple(sorted(chain(*(part.missing for part in parts)), key=attrgetter("time_ns"))),
+    )
+
+
+def side_by_side(parts: Mapping[int, Diagnosis], mission: Mission) -> Diagnosis:
+    """Put the diagnoses of spacecraft side by side: each row and verdict says of which it is."""
+    own = [_of_one(number, part, mission) for number, part in parts.items()]
+
+    joined: dict[str, Any] = {
+        name: tuple(chain.from_iterable(getattr(part, name) for part in own))
+        for name in ("verdicts", "habits", "balance", "unnamed", "routes", "peers", "missing")
+    }
+    joined |= {name: list(joined[name]) for name in ("routes", "peers")}
+    joined |= {name: sum(getattr(part, name) for part in own) for name in ("datagrams", "left_out")}
+    joined["verdicts"] = _sorted(joined["verdicts"])
+    joined["missing"] = tuple(sorted(joined["missing"], key=attrgetter("time_ns")))
+    return replace(
+        own[0],
+        **joined,
+        start_ns=min(part.start_ns for part in own),
+        end_ns=max(part.end_ns for part in own),
+        topics=dict(chain.from_iterable(part.topics.items() for part in own)),
+        parts=parts,
+        mission=mission,
+    )
+
+
+def _of_one(number: int, part: Diagnosis, mission: Mission) -> Diagnosis:
+    """Return the diagnosis of a spacecraft with its name in what it says; its routes are numbered apart."""
+    name, first = mission.called(number), (number - 1) * len(part.topics)
+
+    def said(verdicts: Iterable[Verdict]) -> tuple[Verdict, ...]:
+        kept = (item for item in verdicts if number == FIRST_SPACECRAFT or item.rule not in CAPTURE_RULES)
+        return tuple(
+            item
+            if item.rule in CAPTURE_RULES
+            else replace(item, reason=f"{name}: {item.reason}", spacecraft=number)
+            for item in kept
+        )
+
+    return replace(
+        part,
+        verdicts=said(part.verdicts),
+        habits=said(part.habits),
+        balance=tuple(
+            replace(
+                row,
+                route=row.route if row.route == NO_ROUTE else row.route + first,
+                instance=f"{name}, {row.instance}" if row.instance else name,
+                spacecraft=number,
+            )
+            for row in part.balance
+        ),
+        topics={index + first: topic for index, topic in part.topics.items()},
+        routes=[{**row, "spacecraft": number} for row in part.routes],
+        peers=[{**row, "spacecraft": number} for row in part.peers],
     )
 
 

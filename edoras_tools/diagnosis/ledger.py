@@ -225,6 +225,7 @@ class Row(LedgerTraffic):
         out_of_order: of those, how many behind one that went in later.
         copies: at most so many of what was lost on its way are copies; told in its first row.
         sure_copies: at least so many.
+        spacecraft: its number, where there are several.
     """
 
     hop: str = ""
@@ -246,6 +247,7 @@ class Row(LedgerTraffic):
     out_of_order: int = 0
     copies: int = 0
     sure_copies: int = 0
+    spacecraft: int | None = None
 
     @property
     def all_lost(self) -> int:
@@ -277,6 +279,7 @@ class Row(LedgerTraffic):
             "link": self.link or None,
             "msg_id": None if self.msg_id is None else f"0x{self.msg_id:04x}",
             "instance": self.instance,
+            **({"spacecraft": self.spacecraft} if self.spacecraft else {}),
             "hop": self.hop,
             "in": self.came,
             "duplicated": self.duplicated,

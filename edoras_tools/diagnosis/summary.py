@@ -128,18 +128,34 @@ class DoctorSummary:
 
 def summarize(found: Diagnosis) -> DoctorSummary:
     """Return what a person reads first of a diagnosis."""
+    problems = list(chain.from_iterable(_problems(found)))
+    if found.parts:
+        own = {found.mission.called(number): _problems(part) for number, part in found.parts.items()}
+        first, losses, rest = (
+            [
+                replace(item, text=f"{name}: {item.text}")
+                for name, kinds in own.items()
+                for item in kinds[kind]
+            ]
+            for kind in range(3)
+        )
+        problems = [*first, *sorted(losses, key=lambda item: -(item.lost or 0)), *rest]
+    notes = sum(item.severity < Severity.WARNING for item in found.verdicts)
+    headline, fine = _headline(found, problems), "" if found.without_evidence else _fine(found)
+    if fine and not (problems or found.uncertain):
+        headline, fine = f"{headline.removesuffix('.')}: {fine[0].lower()}{fine[1:]}", ""
+    return DoctorSummary(headline, tuple(problems), fine, notes)
+
+
+def _problems(found: Diagnosis) -> tuple[list[Problem], list[Problem], list[Problem]]:
+    """Return what is wrong with the capture itself, what was lost, and all else."""
     losses, used = _losses(found)
     others = [item for item in found.verdicts if id(item) not in used and item.severity >= Severity.WARNING]
     apart = [_apart(members) for members in alike(group_verdicts(others))]
     first = [
         item for item in apart if item.severity is Severity.ERROR and item.verdicts[0].rule in CAPTURE_RULES
     ]
-    problems = [*first, *losses, *(item for item in apart if item not in first)]
-    notes = sum(item.severity < Severity.WARNING for item in found.verdicts)
-    headline, fine = _headline(found, problems), "" if found.without_evidence else _fine(found)
-    if fine and not (problems or found.uncertain):
-        headline, fine = f"{headline.removesuffix('.')}: {fine[0].lower()}{fine[1:]}", ""
-    return DoctorSummary(headline, tuple(problems), fine, notes)
+    return first, losses, [item for item in apart if item not in first]
 
 
 def _apart(groups: Sequence[Sequence[Verdict]]) -> Problem:

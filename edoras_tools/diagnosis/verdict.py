@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable  # noqa: TC003  for readers of the signature
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypedDict
+
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -80,6 +82,7 @@ class Verdict:
         by_type: it follows from the types of a mission alone, which may be wrong: ``lost`` are then only
             those of which counts and datagrams show that they did not arrive.
         advice: what to change at the queue that lost them, where the queue model tells.
+        spacecraft: its number, where there are several.
     """
 
     severity: Severity
@@ -98,6 +101,7 @@ class Verdict:
     cause: str = ""
     by_type: bool = False
     advice: Advice | None = None
+    spacecraft: int | None = None
 
     @property
     def start_ns(self) -> int:
@@ -122,6 +126,7 @@ class Verdict:
             "msg_id": None if self.msg_id is None else f"0x{self.msg_id:04x}",
             "evidence": list(self.evidence),
             "estimated": None,
+            **({"spacecraft": self.spacecraft} if self.spacecraft else {}),
         }
 
 
@@ -213,7 +218,9 @@ class Takes(Protocol):
     Samples of DDS have a topic and no MsgId.
     """
 
-    def __call__(self, link: str | None, msg_id: int | None, topic: str = "", /) -> bool:
+    def __call__(
+        self, link: str | None, msg_id: int | None, topic: str = "", /, spacecraft: int = FIRST_SPACECRAFT
+    ) -> bool:
         """See the class."""
 
 
@@ -228,3 +235,7 @@ class Choice:
 
     text: str
     takes: Takes
+
+    def of(self, spacecraft: int) -> Choice:
+        """Return what is shown of one spacecraft."""
+        return replace(self, takes=partial(self.takes, spacecraft=spacecraft))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ipaddress
 import os
+import re
 import shlex
+from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path, PurePath
 from types import MappingProxyType
@@ -25,7 +28,7 @@ from edoras_tools.mission.bridges import (
 from edoras_tools.mission.fields import Fields, suggestion
 from edoras_tools.mission.model import FlightSoftware, FramedPort, Mission
 from edoras_tools.mission.parameters import NodeParameters, read_nodes
-from edoras_tools.mission.report import Mistakes
+from edoras_tools.mission.report import Mistakes, printable
 from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.mission.tree import LARGEST_FILE, yaml_text
 from edoras_tools.wire.cfe import HIGHEST_MSG_ID
@@ -154,6 +157,7 @@ class _Loading:
         self._pdus: list[int] = []
         self._topics: list[StoredTopic] = []
         self._software: FlightSoftware | None = None
+        self._spacecraft: dict[str, str] = {}
 
     def add(self, name: str, content: bytes | str, *, of_folder: bool) -> None:
         """Read a file.
@@ -178,12 +182,15 @@ class _Loading:
         framing = [node for node in nodes if FRAMES_GROUP in node.groups]
         for node in framing:
             self._framed += read_framed_ports(node, report, self._ports)
+        addressed = [node for node in nodes if SPACECRAFT_GROUP in node.groups]
+        for node in addressed:
+            read_spacecraft(node, report, self._spacecraft)
         software = [node for node in nodes if CFS_GROUP in node.groups]
         for node in software:
             if self._software is not None:
                 report.mistake(node.line_of(CFS_GROUP), CFS_GROUP, "another one; a mission has one cFS")
             self._software = read_flight_software(node, report, self._msg_ids)
-        others = framing or software or any(map(is_transfer, nodes))
+        others = framing or addressed or software or any(map(is_transfer, nodes))
         if nodes and not (bridges or others or report.mistakes):
             problem = "no node here is a bridge; it needs communication, command and telemetry"
             (report.warn if of_folder else report.mistake)(nodes[0].line, nodes[0].name, problem)
@@ -204,7 +211,7 @@ class _Loading:
         mistakes = _in_order(report.mistakes for report in self._reports)
         if mistakes:
             raise ConfigError(*mistakes)
-        return Mission(
+        mission = Mission(
             tuple(self._routes),
             tuple(self._links),
             MappingProxyType(self.files),
@@ -216,6 +223,8 @@ class _Loading:
             tuple(dict.fromkeys(self._topics)),
             software=self._software or FlightSoftware(),
         )
+        spacecraft = tuple((name, address) for address, name in self._spacecraft.items())
+        return replace(mission, spacecraft=spacecraft).of(1)
 
     def _nodes(self, text: str | None, report: Mistakes) -> list[NodeParameters]:
         nodes = [] if text is None else read_nodes(text, report)
@@ -317,6 +326,33 @@ def _framed_port(fields: Fields, name: str) -> FramedPort | None:
         )
         return None
     return FramedPort(name, port, form, link_of_label(link), fields.report.file, fields.node.lines[group])
+
+
+SPACECRAFT_GROUP: Final = "spacecraft"
+"""The group with a name for each spacecraft, and its address."""
+_CRAFT_NAME: Final = re.compile("[A-Za-z][A-Za-z0-9_]*")
+
+
+def read_spacecraft(node: NodeParameters, report: Mistakes, owners: dict[str, str]) -> None:
+    """Read the spacecraft of a node; mistakes go to ``report``.
+
+    Args:
+        owners: the name of each address, over all files; this call adds to it.
+    """
+    fields = Fields(node, report)
+    for name in node.children(SPACECRAFT_GROUP):
+        place, needed = f"{SPACECRAFT_GROUP}.{name}", "an IP address is needed, as 10.0.0.2"
+        if not _CRAFT_NAME.fullmatch(name) or name in owners.values():
+            fields.mistake(place, "a name of its own is needed, of letters, digits and _, as rover_a")
+        text = fields.text(place, needed) or ""
+        try:
+            address = str(ipaddress.ip_address(text))
+        except ValueError:
+            if text:
+                fields.mistake(place, f'"{printable(text)}" is none; {needed}')
+            continue
+        if owners.setdefault(address, name) != name:
+            fields.mistake(place, f"{address} is the address of {owners[address]} already")
 
 
 CFS_GROUP: Final = "cfs"

@@ -291,6 +291,9 @@ class Mission:
         pdu_msg_ids: of packets that hold a CFDP PDU each, as those of cFS's CF app.
         stored_topics: topics whose messages travel as files.
         software: what they say of the flight software itself.
+        spacecraft: name and address of each that has a name; their numbers are 1, 2 and so on. Where
+            several have one, topics of ``routes`` begin with the first one's.
+        number: of the spacecraft whose topics ``routes`` have.
         recorded: not of files: the topics of a recording without datagrams, one for each of ``routes``.
     """
 
@@ -305,6 +308,32 @@ class Mission:
     stored_topics: tuple[StoredTopic, ...] = ()
     recorded: tuple[RecordedTopic, ...] = ()
     software: FlightSoftware = field(default_factory=FlightSoftware)
+    spacecraft: tuple[tuple[str, str], ...] = ()
+    number: int = 1
+
+    def prefix(self, spacecraft: int) -> str:
+        """Return what the topics of a spacecraft begin with: nothing those of the first, or ``/sc_NAME``."""
+        plain = spacecraft == 1 and len(self.spacecraft) < 2
+        return "" if plain else f"/sc_{self.called(spacecraft).rpartition(' ')[2]}"
+
+    def number_of(self, name: str) -> int:
+        """Return the number of the spacecraft whose topics have a name in front; 0 where none can."""
+        names = [own for own, _ in self.spacecraft]
+        if name in names:
+            return names.index(name) + 1
+        return int(name) if name.isdecimal() and int(name) > max(len(names), 1) else 0
+
+    def called(self, spacecraft: int) -> str:
+        """Return how people call a spacecraft."""
+        own = self.spacecraft[spacecraft - 1 : spacecraft]
+        return f"spacecraft {own[0][0] if own else spacecraft}"
+
+    def of(self, spacecraft: int) -> Mission:
+        """Return the mission with the topics of a spacecraft."""
+        before, own = self.prefix(self.number), self.prefix(spacecraft)
+        topics = (own + route.topic.removeprefix(before) for route in self.routes)
+        routes = (replace(route, topic=topic) for route, topic in zip(self.routes, topics, strict=True))
+        return replace(self, routes=tuple(routes), number=spacecraft)
 
     def numbered(self, msg_ids: MsgIds) -> Mission:
         """Return the same mission with the MsgIds that its packets have in another version."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, split_topic
 from edoras_tools.errors import RouteError
 from edoras_tools.io.topics.rows import APART
 from edoras_tools.links import table
@@ -186,6 +187,23 @@ def find_packets(pattern: str, context: Context) -> PacketKinds:
     if kinds_found or announced or (context.awaits_samples and pattern[:1] == "/"):
         return replace(kinds_found, samples=(samples,))
     raise _no_packet(pattern, context)
+
+
+def packets_of(pattern: str, context: Context, spacecraft: int) -> PacketKinds:
+    """Return what a name stands for of one spacecraft; nothing where it names another one's topic.
+
+    Raises:
+        RouteError: it stands for nothing at all.
+    """
+    name = split_topic(pattern)[0]
+    own = context.mission.number_of(name) if name else spacecraft
+    try:
+        found = find_packets(pattern, context.of(own or spacecraft))
+    except RouteError:
+        if spacecraft == FIRST_SPACECRAFT:
+            raise
+        return PacketKinds()
+    return found if own == spacecraft else PacketKinds()
 
 
 def _no_packet(pattern: str, context: Context) -> RouteError:

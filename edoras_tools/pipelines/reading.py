@@ -341,7 +341,8 @@ class Independence:
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch; they come in order."""
         fragments = (columns.findings & np.uint32(Finding.FRAGMENT)).any()
-        self._apart = self._apart and batch.streams is None and not fragments
+        several = self._context.spacecraft.several
+        self._apart = self._apart and batch.streams is None and not (fragments or several)
         if self._apart and (doubt := links_in_doubt(batch, columns, self._context)).any():
             self._suspects.add(batch, columns, doubt[columns.link])
         if self._apart and self._repeats and self._sequences and not self._repeats.possible:

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Final, overload
 
 import numpy as np
 
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.older import UTC
-from edoras_tools.pipelines.names import PacketKinds, find_packets
+from edoras_tools.pipelines.names import PacketKinds, packets_of
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.io import Choice
     from edoras_tools.mission import Mission
@@ -168,6 +170,8 @@ class Selection:
     _filter: Where | None = field(default=None, repr=False, compare=False)
     _packets: Sequence[PacketKinds] = field(default=(), repr=False, compare=False)
     _ready: bool = field(default=False, repr=False, compare=False)
+    _of: dict[int, Sequence[PacketKinds]] = field(default_factory=dict, repr=False, compare=False)
+    _context: Context | None = field(default=None, repr=False, compare=False)
 
     def __bool__(self) -> bool:
         return bool(self.links or self.msg_ids or self.topics or self.notable or self.where)
@@ -192,26 +196,41 @@ class Selection:
                 "--link and --msg-id select datagrams, and the recording has only messages: use --topic, "
                 "--where, --start and --end"
             )
-        groups = [[hex(item) if isinstance(item, int) else item for item in self.msg_ids], self.topics]
-        packets = [
-            PacketKinds.any(find_packets(name, context) for name in names) for names in groups if names
-        ]
-        if self.announced:
-            packets = [item.with_announcements() for item in packets]
-        selection = replace(self, _packets=packets, _ready=True)
+        packets = self._named(context, FIRST_SPACECRAFT)
+        selection = replace(
+            self, _packets=packets, _ready=True, _of={FIRST_SPACECRAFT: packets}, _context=context
+        )
         if not self.where:
             return selection
         from edoras_tools.decode.filters.filter import Where
 
         return replace(selection, _filter=Where(self.where, context))
 
+    def _named(self, context: Context, spacecraft: int) -> Sequence[PacketKinds]:
+        """Return what the names stand for of a spacecraft: each has its own topics."""
+        groups = [[hex(item) if isinstance(item, int) else item for item in self.msg_ids], self.topics]
+        packets = [
+            PacketKinds.any(packets_of(name, context, spacecraft) for name in names)
+            for names in groups
+            if names
+        ]
+        return [item.with_announcements() for item in packets] if self.announced else packets
+
+    def packets_of(self, spacecraft: int) -> Sequence[PacketKinds]:
+        """Return the packets of a spacecraft that are named, of what :meth:`over` returned."""
+        if spacecraft not in self._of and self._context is not None:
+            self._of[spacecraft] = self._named(self._context, spacecraft)
+        return self._of.get(spacecraft, ())
+
     def mask(self, batch: PacketBatch, columns: Columns) -> NDArray[np.bool_]:
         """Return which rows are selected, without regard to the filter."""
         mask = np.ones(len(columns), bool)
         if self.links:
             mask &= np.isin(columns.link, [int(link) for link in self.links])
-        for packets in self._packets:
-            mask &= packets.mask(batch, columns)
+        for number in np.flatnonzero(np.bincount(columns.spacecraft)).tolist() if self._packets else ():
+            others = columns.spacecraft != number
+            for packets in self.packets_of(number):
+                mask &= others | packets.mask(batch, columns)
         if self.notable:
             mask &= (columns.findings & np.uint32(self.notable)) != 0
         return mask
@@ -237,19 +256,27 @@ class Selection:
         """Return the routes that are named, of what :meth:`over` returns; None where none is."""
         return frozenset.intersection(*(item.routes for item in self._packets)) if self._packets else None
 
-    def about(self, link: str | None, msg_id: int | None, mission: Mission, samples: str = "") -> bool:
+    def about(
+        self,
+        link: str | None,
+        msg_id: int | None,
+        mission: Mission,
+        samples: str = "",
+        spacecraft: int = FIRST_SPACECRAFT,
+    ) -> bool:
         """Return whether a link's label and a MsgId are selected, without regard to the filter.
 
         Args:
             link: None if it is not about a single link.
             msg_id: None if it is not about a single MsgId.
             samples: the topic, if it is about samples of DDS, which have no MsgId.
+            spacecraft: its number.
         """
         if self.links and link not in {item.label for item in self.links}:
             return False
         if samples:
             return all(packets.has_sample_topic(samples) for packets in self._packets)
-        return all(msg_id in packets.msg_ids(mission) for packets in self._packets)
+        return all(msg_id in packets.msg_ids(mission) for packets in self.packets_of(spacecraft))
 
     def overlaps(self, packets: PacketKinds, mission: Mission) -> bool:
         """Return whether some packets can be among the selected ones, without regard to the filter."""

@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.decode.spacecraft import Survey
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.mission import Mission, load, loads
@@ -55,9 +56,13 @@ class Workbench:
         context = Context(mission, self.types, options, structs)
         return _bench(mission, self.types, context)
 
-    def fresh(self) -> Workbench:
-        """Return the same for another source: nothing is read again, and nothing decoded yet is known."""
-        return self.with_mission(self.mission)
+    def fresh(self, paths: Sequence[Path] = ()) -> Workbench:
+        """Return the same for another source: nothing is read again, and nothing decoded yet is known.
+
+        Args:
+            paths: of the source, as ``Settings.workbench`` has it.
+        """
+        return _let_look(self.with_mission(self.mission), paths)
 
     def with_mission(self, mission: Mission) -> Workbench:
         """Return one with another mission, for another source."""
@@ -127,9 +132,7 @@ class Settings:
             files = dict(zip(names or carried, (data for _, data in contents), strict=True))
             mission = replace(mission, files={**mission.files, **files})
         context = Context(mission, types, options, structs)
-        if paths and all(path.is_file() or path.is_dir() for path in paths):
-            context.look_ahead = partial(_announced_in, paths)
-        return _bench(mission, types, context)
+        return _let_look(_bench(mission, types, context), paths)
 
 
 def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:
@@ -138,6 +141,33 @@ def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:
     )
     unwrappers = {link: item for link, item in asked if item is not None}
     return Workbench(mission, types, ColumnDecoder(context), Dissector(context), unwrappers)
+
+
+def _let_look(bench: Workbench, paths: Sequence[Path]) -> Workbench:
+    """Let decoders look ahead in files, where these can be read twice."""
+    if paths and all(path.is_file() or path.is_dir() for path in paths):
+        context = bench.columns.context
+        context.look_ahead = partial(_announced_in, paths)
+        context.spacecraft.survey = partial(_spacecraft_in, paths, bench)
+    return bench
+
+
+def _spacecraft_in(paths: Sequence[Path], bench: Workbench) -> dict[int, int]:
+    """Return the number of each address of cFS in captures; of as much as can be read of them."""
+    survey, own = Survey(bench.columns.context.spacecraft), bench.fresh()
+    own.columns.settle()
+    own.columns.context.spacecraft.settled = True
+    with suppress(CaptureError), closing(open_files(paths)) as source:
+        source.follow(own.columns.context.framings)
+        batches = source.batches()
+        for unwrapper in own.unwrappers.values():
+            batches = map(unwrapper.take, batches)
+        for batch in batches:
+            if len(batch):
+                begun = own.columns.begin(batch)
+                assert begun.part is not None, "begun here"
+                survey.add(begun.part, begun.out, begun.start, own.columns.context.msg_ids)
+    return survey.numbers()
 
 
 def _announced_in(paths: Sequence[Path]) -> Endpoints:

@@ -36,7 +36,6 @@ from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
-from zlib import crc32
 
 import numpy as np
 
@@ -497,7 +496,8 @@ class SequenceCounts:
             the rows; bool, where those of another begin.
         """
         if self._ordered is None or self._ordered[0] is not batch:
-            keys = columns.processor_id, columns.link, (columns.msg_id + 1).astype(np.uint32)
+            msg_id = (columns.msg_id + 1).astype(np.uint32)
+            keys = columns.processor_id, columns.link, msg_id, columns.spacecraft
             order = order_by(*keys)
             self._ordered = batch, order, changes(order, *keys)
         return self._ordered[1:]
@@ -626,6 +626,7 @@ def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _
     fresh = changes(
         rows,
         columns.link,
+        columns.spacecraft,
         columns.msg_id,
         columns.processor_id,
         columns.spacecraft_id,
@@ -642,6 +643,7 @@ def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _
     source = _endpoints(batch, batch.source_address, batch.source_port, first)
     receiver = _endpoints(batch, batch.destination_address, batch.destination_port, first)
     route = columns.link[first].astype(np.uint64) << 32 | columns.msg_id[first].astype(np.uint64)
+    route += (columns.spacecraft[first].astype(np.uint64) - 1) << 40
     sender = np.where(identity, identity, source).astype(np.uint64)
     keys = fingerprint.stirred(route + sender * fingerprint.MIX)
     keys = fingerprint.stirred(keys + receiver * (identity != 0))
@@ -658,12 +660,7 @@ def _endpoints(
     batch: PacketBatch, address: NDArray[np.uint32], port: NDArray[np.uint16], rows: NDArray[np.int64]
 ) -> NDArray[np.uint64]:
     """Return a number for an endpoint of each row, the same in every batch."""
-    number = address[rows].astype(np.uint64)
-    if batch.ipv6:
-        wide = batch.ip_version[rows] == 6
-        table = np.array([crc32(item) | 1 << 32 for item in batch.ipv6], np.uint64)
-        number[wide] = table[number[wide]]
-    return np.asarray(number << 16 | port[rows], np.uint64)
+    return np.asarray(batch.fixed(address)[rows] << np.uint64(16) | port[rows], np.uint64)
 
 
 def _prints(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from copy import copy
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import ConfigError
@@ -58,12 +59,19 @@ class Bindings:
         for key in sorted(self._owners, key=lambda key: key.function_code is None):
             self.keys.setdefault(key.msg_id, []).append(key)
         self._bound: dict[Key, Bound] = {}
+        self._prefix = ""
         self._definitions: dict[str, Definition] = {}
         self._texts: dict[str, str] = {}
         self._names: dict[tuple[int, str, bool], str] = {}
         self._used: set[str] = set()
         if any(layout.origin != SHIPPED for layout in layouts):
             _ = self.all  # so that mistakes are found
+
+    def under(self, prefix: str) -> Bindings:
+        """Return these with topics that begin with something; the definitions are the same."""
+        other = copy(self)
+        other._prefix, other._bound = prefix, {}  # noqa: SLF001  of its own kind
+        return other
 
     @property
     def all(self) -> tuple[Bound, ...]:
@@ -107,7 +115,7 @@ class Bindings:
             return bound
         name = struct.name.removesuffix("_t")
         topic = f"/cfs/{name}/{key}".replace(":", "_") if self._often[name] > 1 else f"/cfs/{name}"
-        return Bound(key, layout, struct, topic, type_name)
+        return Bound(key, layout, struct, self._prefix + topic, type_name)
 
     def define(self, layout: StructLayout, struct: Struct, *, whole: bool) -> str:
         """Make the definition of a struct's message, and of all that it uses; return its type in full."""

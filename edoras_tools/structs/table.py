@@ -40,6 +40,7 @@ class Structs:
 
     Attributes:
         msg_ids: as given.
+        prefix: what their topics begin with.
         has: bool, by MsgId or ``UDP_KEY`` and port, what one is bound to; False for ``NO_MSG_ID``.
 
     Raises:
@@ -53,7 +54,7 @@ class Structs:
         *,
         big_endian: bool = False,
     ) -> None:
-        self.msg_ids, self.big_endian = msg_ids, big_endian
+        self.msg_ids, self.big_endian, self.prefix = msg_ids, big_endian, ""
         self._layouts = layouts
         self._whole = self
         entries = sum(len(layout.entries or ()) for layout in layouts or ())
@@ -161,6 +162,15 @@ class Structs:
         rest.has = self.has.copy()
         rest.has[claimed] = False
         return rest
+
+    def under(self, prefix: str) -> Structs:
+        """Return these with topics that begin with something."""
+        if prefix == self.prefix:
+            return self
+        other = copy(self)
+        other.prefix, other._whole = prefix, other  # noqa: SLF001  of its own kind
+        other.__dict__["_own_bindings"] = self._bindings.under(prefix)
+        return other
 
     def of_port(self, port: Any) -> Any:
         """Return the key of datagrams that are sent to a port of the robot link, or to each of many."""

@@ -101,7 +101,9 @@ def agree(batch, context):
         assert shown[index] == line_of(decoded)
         row = {"schema": 1} | as_json(decoded)
         assert texts[index] == json.dumps(row, ensure_ascii=False, separators=(",", ":"))
-        assert row_of_columns(batch, columns, index) == row_of_stack(decoded), (index, decoded.stop)
+        spacecraft = {"spacecraft": context.spacecraft.of(decoded.datagram, decoded.link)}
+        expected = row_of_stack(decoded) | spacecraft
+        assert row_of_columns(batch, columns, index) == expected, (index, decoded.stop)
         route = int(columns.route[index])
         if route >= 0:
             assert context.mission.routes[route].link == decoded.link

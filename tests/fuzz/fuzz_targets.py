@@ -24,6 +24,7 @@ from schema import check, published
 
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.report.page import page
+from edoras_tools.addons.runs.comparison import compare_captures
 from edoras_tools.addons.runs.differences import (
     DifferenceLimits,
     RunSummary,
@@ -36,7 +37,6 @@ from edoras_tools.decode.lines import line_of
 from edoras_tools.diagnosis.evidence.clocks.alignment import align
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.diagnosis.examination import Examination
-from edoras_tools.diagnosis.matching.comparison import compare_captures
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.errors import CaptureError, ConfigError, FieldError, WireError

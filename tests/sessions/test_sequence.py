@@ -24,6 +24,10 @@ class Batch(SimpleNamespace):
     def __len__(self):
         return len(self.length)
 
+    @staticmethod
+    def fixed(address):
+        return address.astype(np.uint64)
+
 
 def batch_of(packets):
     """Return batch and columns of packets: count, body, boot in s or None, sender, and more."""
@@ -54,6 +58,7 @@ def batch_of(packets):
         msg_id=np.array([packet.get("msg_id", 0x827) for packet in packets], np.int32),
         findings=np.array([packet.get("unset", 0) * Finding.SEQUENCE_UNSET for packet in packets], np.uint32),
         link=np.full(size, 2, np.uint8),
+        spacecraft=np.ones(size, np.uint8),
         sequence_count=column["count"],
         processor_id=column["processor"],
         spacecraft_id=column["processor"],

@@ -52,6 +52,7 @@ def _batch(rows):
     )
     columns = Columns(
         link=column("u1", (row.link for row in rows)),
+        spacecraft=np.ones(count, dtype=np.uint8),
         sbn_msg_type=column("i2", (row.sbn_msg_type for row in rows)),
         processor_id=column("u4", (row.processor_id for row in rows)),
         spacecraft_id=np.zeros(count, dtype=np.uint32),

@@ -109,6 +109,7 @@ def made_up():
         present = random.random(count) < 0.8
         columns = Columns(
             link=random.integers(0, 4, count).astype(np.uint8),
+            spacecraft=np.ones(count, np.uint8),
             sbn_msg_type=np.full(count, -1, dtype=np.int16),
             processor_id=random.integers(0, 3, count).astype(np.uint32),
             spacecraft_id=np.full(count, 66, dtype=np.uint32),

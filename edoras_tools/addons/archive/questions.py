@@ -113,7 +113,10 @@ def _fits(row: Mapping[str, Any], patterns: tuple[str, ...]) -> bool:
 _MOST_ROUTES: Final = 12
 _MOST_DELAYED: Final = 6
 _MOST_WORST: Final = 20
-_ROUTE: Final = "coalesce({0}.topic, {0}.name, {0}.msg_id, 'of unknown MsgId')"
+_ROUTE: Final = (
+    "coalesce({0}.topic, if({0}.spacecraft > 1, 'sc_' || {0}.spacecraft || ' ', '') "
+    "|| coalesce({0}.name, {0}.msg_id), 'of unknown MsgId')"
+)
 _CHOSEN: Final = """
 CREATE OR REPLACE TEMP VIEW chosen AS SELECT * FROM captures WHERE datagrams > 0 AND {}
 """

@@ -89,6 +89,7 @@ _ROUTE: Final = (
     ("msg_id", "text", "e.g. `0x0827`"),
     ("topic", "text", "configured topic"),
     ("name", "text", "cFE's name of the packet"),
+    ("spacecraft", "int", "its number, where there are several"),
 )
 _SENDERS: Final = (
     ("sender", "text", "address and port"),

@@ -53,7 +53,7 @@ may take many seconds, and the next update asks for all of them."""
 READ_WHOLE, READ_IN_PART, NOT_READ, CHANGING = "whole", "cut", "unreadable", "changing"
 """States of a capture."""
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
-_ROUTE: Final = ("link", "msg_id", "topic", "name")
+_ROUTE: Final = ("link", "msg_id", "topic", "name", "spacecraft")
 _SENDERS: Final = (*_ROUTE, "sender", "receiver", "instance")
 _GONE: Final = ("superseded", "waiting", "not_captured", "unaccounted")
 
@@ -220,7 +220,7 @@ def _read(path: Path, url: str, group: _Group) -> IndexRows:
     source = open_file(path, url)
     own = source.info.attachments or source.info.definitions or source.info.read_with
     try:
-        bench = group.task.settings.workbench(source.info) if own else group.bench.fresh()
+        bench = group.task.settings.workbench(source.info, [path]) if own else group.bench.fresh([path])
     except EdorasError:
         source.close()
         raise
@@ -311,7 +311,7 @@ def _those(table: IndexTable, row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _latencies(row: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
-    whose = {name: row[name] for name in _SENDERS}
+    whose = {name: row.get(name) for name in _SENDERS}
     for part in ("delay", "to_robot"):
         if row[part]:
             yield {**whose, "part": part, **row[part]}
@@ -332,13 +332,13 @@ def _outcomes(findings: Findings) -> list[dict[str, Any]]:
         figures = {name: sum(getattr(row, name) for row in members) for name in _GONE}
         lost = sum(row.all_lost for row in members)
         outcomes.append(
-            {**{name: row_json[name] for name in _ROUTE}, "sent": sent(members), "lost": lost, **figures}
+            {**{name: row_json.get(name) for name in _ROUTE}, "sent": sent(members), "lost": lost, **figures}
         )
     return outcomes
 
 
-def _key(row: Row) -> tuple[int, str, int]:
-    return row.route, row.link, -1 if row.msg_id is None else row.msg_id
+def _key(row: Row) -> tuple[int, int, str, int]:
+    return row.spacecraft or 0, row.route, row.link, -1 if row.msg_id is None else row.msg_id
 
 
 def _event(item: EventRecord) -> dict[str, Any]:

@@ -124,7 +124,8 @@ class _Study(Examination):
         """Judge a chapter, and learn from its case."""
         diagnosis = super().judged(recorder, chapter)
         case = diagnosis.case
-        if case is not None and len(case.rows):
+        # The file is of one cFS: of several spacecraft that of the first.
+        if case is not None and len(case.rows) and recorder.context is self.context:
             self._chapters.append(shown_constants(case))
             for key, rate in clean_rates(case).items():
                 self.rates[key] = max(rate, self.rates.get(key, 0.0))

@@ -8,13 +8,17 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from edoras_tools.render import units
+from edoras_tools.render.capture.info import link_text, msg_id_text, route_text
+from edoras_tools.render.doctor.doctor import latency_text
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.table import Column, build, plain
+from edoras_tools.render.terminal.table import Column, build, figure, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from edoras_tools.addons.runs.comparison import CaptureComparison
 
 
 def check_view(report: Mapping[str, Any]) -> RenderableType:
@@ -110,3 +114,42 @@ def _side(label: str, side: Mapping[str, Any]) -> Text:
         palette.DIM,
     )
     return line
+
+
+_DIFF: Final = (
+    Column("Link", link_text, justify="left"),
+    Column("MsgId", msg_id_text, justify="left"),
+    Column("Topic", route_text, justify="left", elastic=True),
+    Column("Way", lambda row: Text("←" if row["direction"] == "second to first" else "→")),
+    Column("First", lambda row: Text(units.count(row["first"]))),
+    Column("Second", lambda row: Text(units.count(row["second"]))),
+    Column("Same", lambda row: Text(units.count(row["same"]))),
+    Column("Lost", figure("lost", Level.ERROR.style)),
+    Column("Extra", lambda row: Text(units.count(row["extra"])), rank=1),
+    Column("Doubled", lambda row: Text(units.count(row["doubled"])), rank=1),
+    Column("Altered", lambda row: Text(units.count(row["altered"])), rank=1),
+    Column("Late", lambda row: Text(units.count(row["late"])), rank=1),
+    Column("In neither", lambda row: Text(units.count(row["neither"])), rank=1),
+    Column("p50", lambda row: latency_text(row["latency"], "p50_ms"), rank=2),
+    Column("p99", lambda row: latency_text(row["latency"], "p99_ms"), rank=2),
+    Column("max", lambda row: latency_text(row["latency"], "max_ms"), rank=3),
+)
+
+
+def comparison_table(comparison: CaptureComparison, width: int) -> RenderableType:
+    """Return the table that compares one capture with another."""
+    rows = comparison.as_json()["routes"]
+    drift = f" at the start, and drift by {comparison.drift * 1e6:+.1f} ppm" if comparison.drift else ""
+    offset = (
+        f"clocks differ by {units.milliseconds(comparison.offset_ns / 1e6)}{drift}; latencies are beyond that"
+    )
+    lost, neither, extra = (sum(row[name] for row in rows) for name in ("lost", "neither", "extra"))
+    end = f"Lost between the two: {plural(lost, 'message')}." if lost else "Nothing lost between the two."
+    style = Level.ERROR.style if lost else "green"
+    if neither:
+        end += f" {neither:,} are missing in both by sequence count: lost before either point."
+    if extra:
+        end += f" {extra:,} are on the receiver's side alone: not recorded by the other, or sent by others."
+    return Group(
+        Text(offset, palette.DIM), build(_DIFF, rows, width, apart=lambda row: row["link"]), Text(end, style)
+    )

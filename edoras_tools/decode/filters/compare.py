@@ -14,6 +14,7 @@ import numpy as np
 
 from edoras_tools.decode.filters.rows import Series, ValueKind
 from edoras_tools.decode.filters.syntax import Comparison, Value, ValueRange
+from edoras_tools.decode.spacecraft import split_topic
 from edoras_tools.older import UTC
 
 if TYPE_CHECKING:
@@ -248,7 +249,8 @@ def _text_equal(field: FilterField, symbol: str, value: Value) -> Test:
             else _lifted(lambda item: item != expected)
         )
     word, alike = value.text, field.alike or operator.eq
-    if field.choices and not any(alike(text, word) for text in field.choices):
+    words = {word, split_topic(word)[1]}
+    if field.choices and not any(alike(text, item) for text in field.choices for item in words):
         near = get_close_matches(word, field.choices, 3, 0.5) or field.choices[:5]
         raise Misfit(f"{field.name} is never {word!r}; there are {', '.join(near)}", value)
     if symbol == "==":

@@ -12,6 +12,7 @@ from edoras_tools.decode.filters.field import BYTES_COST, COLUMN_COST, MESSAGE_C
 from edoras_tools.decode.filters.layers import layer_fields
 from edoras_tools.decode.filters.messages import MessageFieldFinder, samples_of, structs_of
 from edoras_tools.decode.filters.rows import INDEX_DTYPE, Series, ValueKind
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Finding
 from edoras_tools.ros.types.schema import full_name
 from edoras_tools.structs.payloads import payloads
@@ -204,6 +205,15 @@ def _packet_fields(context: Context) -> Iterator[FilterField]:
         names={int(link): link.label for link in (OTHER, *context.links)},
         doc="which of the links it belongs to",
     )
+    yield FilterField(
+        "spacecraft",
+        ValueKind.NUMBER,
+        lambda _, decoded: context.spacecraft.of(decoded.datagram, decoded.link),
+        lambda rows: Series(len(rows), rows.column("spacecraft")),
+        limits=(1, 255),
+        names={number: name for number, (name, _) in enumerate(context.mission.spacecraft, 1)},
+        doc="which spacecraft it is of: 1, 2 and so on, in order of first sight",
+    )
     for side in ("source", "destination"):
         yield _endpoint(side, side)
         for name in (f"{side}.address", "address"):
@@ -363,6 +373,10 @@ def _distinct(rows: ColumnRows, key: Any, text: Any) -> Series:
 def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> FilterField:
     texts: list[str] = [*routed, *(getattr(bound, name) for bound in context.structs.all)]
 
+    def of_spacecraft(text: str, number: int) -> str:
+        first, own = (context.mission.prefix(item) for item in (FIRST_SPACECRAFT, number))
+        return text if own == first or name != "topic" else own + text.removeprefix(first)
+
     def pick(_: PacketRows, decoded: Decoded) -> str | list[str] | None:
         if decoded.datagram.topic != NO_ROUTE:
             return texts[decoded.datagram.topic]
@@ -378,7 +392,7 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
         if route == NO_ROUTE:
             value: str | None = getattr(decoded.message, name, None)
             return value
-        return texts[route]
+        return of_spacecraft(texts[route], context.spacecraft.of(decoded.datagram, decoded.link))
 
     def read(rows: ColumnRows) -> Series:
         routes = rows.routes()
@@ -396,9 +410,12 @@ def _route(context: Context, name: str, routed: Sequence[str], alike: Any) -> Fi
             owner.append(np.searchsorted(rows.indices(), item.row[item.valid]))
             values.append(np.full(len(owner[-1]), len(table)))
             table.append(getattr(item, name))
-        owners = np.concatenate(owner)
-        order = np.argsort(owners, kind="stable")
-        return Series(len(rows), np.concatenate(values)[order], owners[order], table=table)
+        owners, which = np.concatenate(owner), np.concatenate(values)
+        order, number = np.argsort(owners, kind="stable"), rows.column("spacecraft")[owners]
+        if context.spacecraft.several and len(number):
+            which += (number.astype(INDEX_DTYPE) - FIRST_SPACECRAFT) * len(table)
+            table = [of_spacecraft(text, 1 + more) for more in range(number.max()) for text in table]
+        return Series(len(rows), which[order], owners[order], table=table)
 
     return FilterField(
         name,

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.decode.stack import Dissector
 from edoras_tools.model import NO_ROUTE, Columns, Decoded, PacketBatch
+from edoras_tools.wire.arrays.order import by_value
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
     from typing_extensions import Self
@@ -206,6 +208,13 @@ class ColumnRows(PacketRows):
         """Return some of the rows, given by index."""
         selection = rows if isinstance(self.selection, slice) else self.selection[rows]
         return type(self)(self.context, self.begin_ns, self.batch, self.columns, selection)
+
+    def by_spacecraft(self) -> Iterator[tuple[NDArray[np.intp], Self]]:
+        """Yield the rows of each spacecraft, with the context as it is for it, and where they are here."""
+        for number, places in by_value(self.column("spacecraft")):
+            own = self if number == FIRST_SPACECRAFT and len(places) == len(self) else self.take(places)
+            own.context = self.context.of(number)
+            yield places, own
 
     def once(self, key: object, make: Callable[[], Any]) -> Any:
         """Return what was made under a key, and make it the first time."""

@@ -66,9 +66,9 @@ class RecordedStreams:
         times = batch.time_ns, recorded["publish_ns"]
         return whole_messages(np.arange(len(batch)), heads, channels, recorded["sequence"], *times, rest)
 
-    def latched(self, time_ns: int) -> Messages:
+    def latched(self, time_ns: int) -> list[Messages]:
         """Return the last message of each latched topic again, for a new file; all belong to row 0."""
-        return self._latched.again(self._ids, time_ns)
+        return [self._latched.again(self._ids, time_ns)]
 
     def finish(self) -> Messages:
         """Return no message: a recording that is copied gets no statistics."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.io.topics.cfe import stamp
 from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, no_messages, whole_messages
 from edoras_tools.links import table
@@ -33,10 +34,10 @@ _GROUP = np.dtype(
         ("largest", "i8"),
     ]
 )
-"""The counters of one flow, a MsgId on a link, in one second."""
+"""The counters of one flow, a MsgId on a link of a spacecraft, in one second."""
 
 _MSG_ID_BITS = 17
-"""A flow is a number: the link, then this many bits of MsgId + 1, so that no MsgId is 0."""
+"""A flow is a number: spacecraft, link (8 bits), then this many bits of MsgId + 1, so that no MsgId is 0."""
 
 _MSG_ID_MASK = (1 << _MSG_ID_BITS) - 1
 
@@ -80,7 +81,8 @@ class LinkStatistics:
         structs: Structs | None = None,
     ) -> None:
         self._structs = structs
-        self._topics = {(int(route.link), route.msg_id): route.topic.encode() for route in mission.routes}
+        self._mission = mission
+        self._topics = {(int(route.link), route.msg_id): route.topic for route in mission.routes}
         self._statistics = statistics
         self._sequences = sequences or SequenceCounts()
         self._origin = -1
@@ -125,7 +127,8 @@ class LinkStatistics:
         groups = np.zeros(len(starts), dtype=_GROUP)
         first = order[starts]
         groups["second"] = second[first]
-        groups["flow"] = columns.link[first].astype(np.int64) << _MSG_ID_BITS | (columns.msg_id[first] + 1)
+        link = (columns.spacecraft[first].astype(np.int64) - FIRST_SPACECRAFT) << 8 | columns.link[first]
+        groups["flow"] = link << _MSG_ID_BITS | (columns.msg_id[first] + 1)
         groups["count"] = np.diff(np.append(starts, len(order)))
         groups["bytes"] = np.add.reduceat(length, starts, dtype=np.int64)
         groups["largest"] = np.maximum.reduceat(length, starts)
@@ -152,7 +155,7 @@ class LinkStatistics:
         for name in ("bytes", "count", "largest"):
             heads[name] = groups[name]
         heads["gaps"] = np.maximum(groups["gaps"], 0)
-        heads["link"] = groups["flow"] >> _MSG_ID_BITS
+        heads["link"] = groups["flow"] >> _MSG_ID_BITS & 0xFF
         heads["msg_id"] = (groups["flow"] & _MSG_ID_MASK) - 1
         heads["topic_length"] = length[which]
         pool = np.frombuffer(b"".join(names) or b"\0", dtype=np.uint8)
@@ -161,14 +164,19 @@ class LinkStatistics:
 
     def _name(self, flow: int) -> bytes:
         """Return the topic of a route or a struct, or ``LINK/MSG_ID``, NUL-terminated like CDR strings."""
-        link, msg_id = table.link(flow >> _MSG_ID_BITS), (flow & _MSG_ID_MASK) - 1
+        code, msg_id = flow >> _MSG_ID_BITS & 0xFF, (flow & _MSG_ID_MASK) - 1
         own = self._structs.own(msg_id) if self._structs and msg_id >= 0 else ()
-        other = own[0].topic if len(own) == 1 else self._named(flow) if msg_id >= 0 else link.label
-        return self._topics.get((int(link), msg_id), other.encode()) + b"\0"
+        plain = self._named(flow & (1 << _MSG_ID_BITS + 8) - 1)
+        other = own[0].topic if len(own) == 1 else plain if msg_id >= 0 else table.link(code).label
+        topic, first = self._topics.get((code, msg_id), other), self._mission.prefix(1)
+        if number := flow >> _MSG_ID_BITS + 8:
+            topic = f"{self._mission.prefix(number + 1)}/{topic.removeprefix(first).removeprefix('/')}"
+        return topic.encode() + b"\0"
 
-    @staticmethod
-    def _named(flow: int) -> str:
-        return f"{table.link(flow >> _MSG_ID_BITS).label}/{(flow & _MSG_ID_MASK) - 1:#06x}"
+    def _named(self, flow: int) -> str:
+        craft = self._mission.prefix((flow >> _MSG_ID_BITS + 8) + 1)
+        name = f"{table.link(flow >> _MSG_ID_BITS & 0xFF).label}/{(flow & _MSG_ID_MASK) - 1:#06x}"
+        return f"{craft}/{name}".removeprefix("/")
 
 
 def _merge(groups: NDArray[np.void]) -> NDArray[np.void]:

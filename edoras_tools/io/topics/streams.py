@@ -5,13 +5,14 @@ Mission time becomes UTC by the clock of the capture.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.io.topics.cfe import (
     FAULTS_TOPIC,
     FAULTS_TYPE,
@@ -29,7 +30,7 @@ from edoras_tools.links import table
 from edoras_tools.links.resets import RESETS
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.payloads import payloads
-from edoras_tools.wire.arrays.order import order_by
+from edoras_tools.wire.arrays.order import by_value, order_by
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
 
 if TYPE_CHECKING:
@@ -208,6 +209,8 @@ OWN_TOPICS: Final = (
     Topic(STATISTICS_TOPIC, "edoras_msgs/msg/LinkStatistics"),
 )
 """The topics of this package; those of the mission's routes follow."""
+_OF_EACH: Final = OWN_TOPICS[1:3]
+"""Those that each spacecraft has."""
 TRANSFORMS: Final = Topic(TF_TOPIC, TF_TYPE)
 """Poses as coordinate frames; only on request."""
 FAULTS: Final = Topic(FAULTS_TOPIC, FAULTS_TYPE)
@@ -245,6 +248,7 @@ class Streams:
 
     Attributes:
         topics: those of this package, then one for each route.
+        added: channel ids of the topics that were added, by name.
         definitions: complete ``ros2msg`` texts by type, of all these topics.
         structs: those without a route.
         clock: maps mission time to UTC.
@@ -275,9 +279,12 @@ class Streams:
         self._add = add
         self._transforms = Transforms(mission, types) if transforms and add else None
         self.types, self.mission = types, mission
-        own = OWN_TOPICS if datagrams else OWN_TOPICS[1:]
+        own: tuple[Topic, ...] = OWN_TOPICS if datagrams else OWN_TOPICS[1:]
+        own = own if mission.number == FIRST_SPACECRAFT else _OF_EACH
+        prefix = mission.prefix(mission.number)
+        self._own_names = [topic.name for topic in own]
         self.topics = (
-            *own,
+            *(replace(topic, name=prefix + topic.name) if topic in _OF_EACH else topic for topic in own),
             *(
                 Topic(
                     route.topic,
@@ -298,18 +305,18 @@ class Streams:
         self._latched = LatchedTopics(mission)
         self._own_topics: table.LinkStates[OwnTopics] = table.LinkStates(lambda link: link.topics(self))
         self._statistics = LinkStatistics(mission, statistics, sequences, self.structs)
-        self._own = len(own)
+        self._others: dict[int, Streams] = {}
+        """The topics of spacecraft behind the first."""
         self.number(range(len(self.topics)))
 
     def number(self, ids: Sequence[int]) -> None:
         """Set the channel ids of messages, one per topic; until then each topic's index is used."""
-        own = dict(zip((topic.name for topic in self.topics[: self._own]), ids, strict=False))
+        own = dict(zip(self._own_names, ids, strict=False))
         self._datagrams = DatagramWriter(own[DATAGRAMS_TOPIC]) if DATAGRAMS_TOPIC in own else None
-        self._events, self._software_bus, self._statistics_id = (
-            own[name] for name in (EVENTS_TOPIC, _SOFTWARE_BUS, STATISTICS_TOPIC)
-        )
-        self._routes = np.array(ids[self._own :], dtype=np.uint16)
-        self._added: dict[str, int] = {}
+        self._events, self._software_bus = own[EVENTS_TOPIC], own[_SOFTWARE_BUS]
+        self._statistics_id = own.get(STATISTICS_TOPIC, 0)
+        self._routes = np.array(ids[len(own) :], dtype=np.uint16)
+        self.added: dict[str, int] = {}
         self._new = self.structs
         """Those of which a topic is not added."""
 
@@ -350,11 +357,53 @@ class Streams:
             statistics: see ``messages``.
             transforms: see ``messages``.
         """
-        if published is None:
-            published = self.clock.publish_times(batch.time_ns, columns)
         messages = [self._statistics.messages(batch, columns, self._statistics_id)] if statistics else []
         for topics in self._own_topics.of(columns) if self._add else ():
             messages += topics.messages(batch, columns)
+        if not self._several(columns):
+            published = self.prepare_part(batch, columns, published, transforms=transforms)
+            return PreparedBatch(published, messages, self.added)
+        whole = np.zeros(len(batch), np.int64)
+        for number, rows in by_value(columns.spacecraft):
+            streams = self._of(number, self._place)
+            streams.added = self.added
+            times = None if published is None else published[rows]
+            whole[rows] = streams.prepare_part(
+                batch.take(rows), columns.take(rows), times, transforms=transforms
+            )
+        return PreparedBatch(whole, messages, self.added)
+
+    def _several(self, columns: Columns) -> bool:
+        """Tell whether rows are of a spacecraft behind the first, and its topics can be added."""
+        return self._add is not None and bool((columns.spacecraft != FIRST_SPACECRAFT).any())
+
+    def _of(self, number: int, channel: Callable[[Topic], int]) -> Streams:
+        """Return the topics of a spacecraft; ``channel`` says which ones those behind the first have."""
+        if number == FIRST_SPACECRAFT:
+            return self
+        if number not in self._others:
+            self._others[number] = Streams(
+                self.mission.of(number),
+                self.types,
+                structs=self.structs.under(self.mission.prefix(number)),
+                add=self._add,
+                transforms=self._transforms is not None,
+            )
+        other = self._others[number]
+        other.number([channel(topic) for topic in other.topics])
+        return other
+
+    def prepare_part(
+        self,
+        batch: PacketBatch,
+        columns: Columns,
+        published: NDArray[np.int64] | None,
+        *,
+        transforms: bool,
+    ) -> NDArray[np.int64]:
+        """Take note of a batch of one spacecraft; return its publish times."""
+        if published is None:
+            published = self.clock.publish_times(batch.time_ns, columns)
         if self._latched.routes:
             rows = np.flatnonzero(np.isin(columns.route, self._latched.routes))
             own_rows, own = batch.take(rows), columns.take(rows)
@@ -365,7 +414,7 @@ class Streams:
             self._place_structs(batch, columns)
             if self._transforms and transforms and self._transforms.are_in(columns):
                 self._place(TRANSFORMS)
-        return PreparedBatch(published, messages, self._added)
+        return published
 
     def prepared_messages(
         self,
@@ -385,12 +434,25 @@ class Streams:
             datagrams: see ``messages``.
             transforms: see ``messages``.
         """
-        published, added = prepared.published, prepared.added
         columns = self._trimmed(batch, columns)
         streams = [*prepared.statistics]
         if self._datagrams and datagrams:
-            streams.append(self._datagrams.messages(batch, columns, published))
-        streams += [
+            streams.append(self._datagrams.messages(batch, columns, prepared.published))
+        if not self._several(columns):
+            return streams + self.part_messages(batch, columns, prepared, transforms=transforms)
+        for number, rows in by_value(columns.spacecraft):
+            other = self._of(number, lambda topic: prepared.added[topic.name])
+            part = replace(prepared, published=prepared.published[rows])
+            own = other.part_messages(batch.take(rows), columns.take(rows), part, transforms=transforms)
+            streams += [replace(item, rows=rows[item.rows]) for item in own]
+        return streams
+
+    def part_messages(
+        self, batch: PacketBatch, columns: Columns, prepared: PreparedBatch, *, transforms: bool
+    ) -> list[Messages]:
+        """Return the messages of one spacecraft's datagrams."""
+        published, added = prepared.published, prepared.added
+        streams = [
             ros_messages(batch, columns, self._routes, published),
             event_messages(batch, columns, self._events, published, big_endian=self.structs.big_endian),
             software_bus_messages(
@@ -410,9 +472,10 @@ class Streams:
     def _trimmed(self, batch: PacketBatch, columns: Columns) -> Columns:
         return without_trailing(batch, columns, self.types, self.mission.routes)
 
-    def latched(self, time_ns: int) -> Messages:
+    def latched(self, time_ns: int) -> list[Messages]:
         """Return the last message of each latched topic again, for a new file; all belong to row 0."""
-        return self._latched.again(self._routes, time_ns)
+        others = (self._of(number, self._place).latched(time_ns) for number in self._others)
+        return [self._latched.again(self._routes, time_ns), *chain.from_iterable(others)]
 
     def outages(self, news: Sequence[InterfaceOutage]) -> Messages:
         """Return an event for each time that an interface went away or returned, each in its own row."""
@@ -426,7 +489,7 @@ class Streams:
                 self._place(Topic(bound.topic, bound.type, bound.metadata))
         keys = np.flatnonzero(np.bincount(samples.key)).tolist()
         self._new = self._new.unclaimed(
-            key for key in keys if all(item.topic in self._added for item in self._new.bound_to(key))
+            key for key in keys if all(item.topic in self.added for item in self._new.bound_to(key))
         )
 
     @property
@@ -459,10 +522,10 @@ class Streams:
 
     def _place(self, topic: Topic) -> int:
         """Return the channel of a topic that is added at first use."""
-        if topic.name not in self._added:
+        if topic.name not in self.added:
             assert self._add is not None, "called only if topics can be added"
-            self._added[topic.name] = self._add(topic)
-        return self._added[topic.name]
+            self.added[topic.name] = self._add(topic)
+        return self.added[topic.name]
 
     def finish(self) -> Messages:
         """Return the messages of the current second of statistics; all belong to row 0."""

@@ -190,8 +190,9 @@ class Conversation:
         if msg_id == NO_MSG_ID:
             return MSG_TYPE_NAMES.get(kind, f"type 0x{kind:02x}") if kind >= 0 else "unreadable"
         route, code = int(rows.routes()[row]), int(columns.function_code[index])
-        standard = self._context.msg_ids.standard(msg_id)
-        name = self._context.mission.routes[route].topic if route != NO_ROUTE else self._context.name(msg_id)
+        context = self._context.of(int(columns.spacecraft[index]))
+        standard = context.msg_ids.standard(msg_id)
+        name = context.mission.routes[route].topic if route != NO_ROUTE else context.name(msg_id)
         words = [f"0x{msg_id:04x}", name, command_name(standard, code) if code >= 0 else ""]
         return " ".join(["APP"] * (kind == MsgType.APP) + [word for word in words if word])
 

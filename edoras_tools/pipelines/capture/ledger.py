@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.cfs.names import message_name
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.links import table
 from edoras_tools.links.table import LinkStates
 from edoras_tools.mission import loads
@@ -59,7 +60,7 @@ def _bits(findings: int) -> tuple[tuple[np.uint32, str], ...]:
 
 @dataclass(slots=True)
 class Account:
-    """The counts of one stream: one MsgId (or SBN message type) of one processor on one link.
+    """The counts of one stream: a MsgId (or SBN message type) of a processor of a spacecraft on a link.
 
     Times are ns. ``interval_squares`` is in ns squared, exact, so that it does not depend on the batches.
     ``kind`` is the link's own message type, -1 for none.
@@ -73,6 +74,7 @@ class Account:
     processor_id: int
     msg_id: int
     kind: int
+    spacecraft: int
     route: int
     count: int = 0
     first_ns: int = 0
@@ -125,9 +127,9 @@ class Account:
         return self.count - 1 - self.pauses, self.last_ns - self.first_ns - self.paused_ns
 
     @property
-    def key(self) -> tuple[int, int, int, int]:
+    def key(self) -> tuple[int, ...]:
         """What no other account has, in the order of rows."""
-        return int(self.link), self.msg_id, self.processor_id, self.kind
+        return self.spacecraft, int(self.link), self.msg_id, self.processor_id, self.kind
 
     def as_json(self) -> list[Any]:
         """Return plain values, from which ``of_json`` makes an account that says the same."""
@@ -146,15 +148,19 @@ class Account:
         stream = SequenceStream(missing=gaps, repeated=duplicates, late=reordered, moved=True)
         if {*map(type, (link, *plain, gaps, duplicates, reordered, *findings.values()))} != {int}:
             raise ValueError("a count is a whole number")
-        return cls(table.link(link), **numbers, sequences=[stream], findings=findings)
+        return cls(
+            table.link(link), **numbers, spacecraft=FIRST_SPACECRAFT, sequences=[stream], findings=findings
+        )
 
 
+_UNSAID: Final = {"link", "spacecraft", "sequences", "findings", "codes", "pauses", "paused_ns", "pausing"}
 _PLAIN: Final = [
     item.name
     for item in fields(Account)
-    if item.name not in {"link", "sequences", "findings", "codes", "pauses", "paused_ns", "pausing"}
+    if item.name
+    not in {"link", "spacecraft", "sequences", "findings", "codes", "pauses", "paused_ns", "pausing"}
 ]
-"""The numbers of an account."""
+"""The numbers of an account; of a recording that says them there is one spacecraft."""
 _TOTALS: Final = "datagrams", "start_ns", "end_ns", "behind", "behind_ns"
 
 
@@ -218,6 +224,7 @@ class Ledger:
         followers: what links count of themselves.
         sequences: their sequence counts.
         listed: routes that have a row also without a message.
+        several: whether a spacecraft behind the first was met.
         taken_out: of the datagrams, packets that were taken out of transfer frames.
         behind: datagrams whose time is before that of the previous one.
         behind_ns: maximum by which the time runs back.
@@ -237,11 +244,12 @@ class Ledger:
         )
         self._counted: dict[Link, int] = {}
         """How many of a follower's sequence counts belong to accounts."""
-        self.accounts: dict[tuple[int, int, int, int], Account] = {}
+        self.accounts: dict[tuple[int, ...], Account] = {}
         self.sequences = sequences or SequenceCounts()
         self._types = site.types if site is not None else None
         self._unfit = _UnfitMessages()
         self.listed: Sequence[int] = ()
+        self.several = len(mission.spacecraft) > 1
         self._known = 0
         """How many of its streams belong to accounts."""
         self.datagrams = 0
@@ -271,7 +279,8 @@ class Ledger:
         for name, value in zip(_TOTALS, totals, strict=True):
             setattr(self, name, value)
         self.accounts = {
-            (int(item.link), item.processor_id, item.msg_id, item.kind): item for item in accounts
+            (int(item.link), item.processor_id, item.msg_id, item.kind, item.spacecraft): item
+            for item in accounts
         }
         return True
 
@@ -308,15 +317,17 @@ class Ledger:
         # Of one link and MsgId only what has none is of several kinds.
         if not (named := columns.msg_id[order] != NO_MSG_ID).all():
             unnamed = order[~named]
-            kinds = columns.processor_id, columns.link.astype(np.uint32) << 9 | (own + 1).astype(np.uint16)
+            kind = columns.link.astype(np.uint32) << 9 | (own + 1).astype(np.uint16)
+            kinds = columns.processor_id, kind, columns.spacecraft
             unnamed = unnamed[order_by(*(item[unnamed] for item in kinds))]
             order = np.concatenate((unnamed, order[named]))
             fresh = np.concatenate((changes(unnamed, *kinds), fresh[named]))
         starts = np.flatnonzero(fresh)
         first = order[starts]
-        keys = (item[first].tolist() for item in (columns.link, columns.processor_id, columns.msg_id, own))
+        parts = columns.link, columns.processor_id, columns.msg_id, own, columns.spacecraft
+        keys = (item[first].tolist() for item in parts)
         accounts = [
-            self.accounts.get(key) or self._account(columns, key[-1], row)
+            self.accounts.get(key) or self._account(columns, key[-2], row)
             for key, row in zip(zip(*keys, strict=True), first.tolist(), strict=True)
         ]
         self._count(accounts, batch, columns, order, starts)
@@ -337,7 +348,8 @@ class Ledger:
         """Count the commands whose function code says which struct of a layout they hold."""
         for msg_id in self._structs.shared if self._structs else ():
             rows = np.flatnonzero(columns.msg_id == msg_id)
-            keys = np.stack([columns.link[rows], columns.processor_id[rows], columns.function_code[rows]])
+            parts = columns.spacecraft, columns.link, columns.processor_id, columns.function_code
+            keys = np.stack([part[rows] for part in parts])
             _, first, counts = np.unique(keys, axis=1, return_index=True, return_counts=True)
             for row, count in zip(rows[first].tolist(), counts.tolist(), strict=True):
                 self._account(columns, -1, row).codes[int(columns.function_code[row])] += count
@@ -404,7 +416,7 @@ class Ledger:
         if self.mission.recorded or self._types is None:
             return []
         return [
-            self._unfit.line(item.route, self.mission.routes[item.route], item.count, self._types)
+            self._unfit.line(item.route, self._mission_of(item).routes[item.route], item.count, self._types)
             for _, item in sorted(self.accounts.items())
             if item.route >= 0 and sum(item.findings.get(each.label, 0) for each in _UNFIT) >= item.count > 0
         ]
@@ -415,8 +427,10 @@ class Ledger:
             int(columns.processor_id[row]),
             int(columns.msg_id[row]),
             kind,
+            int(columns.spacecraft[row]),
         )
         if key not in self.accounts:
+            self.several = self.several or key[-1] != FIRST_SPACECRAFT
             self.accounts[key] = Account(table.link(key[0]), *key[1:], int(columns.route[row]))
         return self.accounts[key]
 
@@ -465,27 +479,38 @@ class Ledger:
         """Return a row for every stream, in the shape of ``info --json``: configured topics first."""
         accounts = sorted(
             self.accounts.values(),
-            key=lambda item: (item.route < 0 and len(self._own(item)) != 1, item.link == OTHER, *item.key),
+            key=lambda item: (
+                item.spacecraft,
+                item.route < 0 and len(self._own(item)) != 1,
+                item.link == OTHER,
+                *item.key,
+            ),
         )
         rows = [self._row(account) for account in accounts]
         observed = {account.route for account in accounts}
         silent = [
-            Account(OTHER, 0, NO_MSG_ID, place, place, bytes_min=0)
+            Account(OTHER, 0, NO_MSG_ID, place, FIRST_SPACECRAFT, place, bytes_min=0)
             for place in self.listed
             if place not in observed
         ]
         return rows + [self._row(account) for account in silent]
 
+    def _mission_of(self, account: Account) -> Mission:
+        """Return the mission with the topics of an account's spacecraft."""
+        return self.mission.of(account.spacecraft) if self.several else self.mission
+
     def _own(self, account: Account) -> Mapping[str, Bound]:
         """Return the structs of a layout that packets without a route hold, by their topic."""
         if account.route >= 0 or account.msg_id == NO_MSG_ID or self._structs is None:
             return {}
-        own = {item.topic: item for item in self._structs.own(account.msg_id)}
+        structs = self._structs.under(self.mission.prefix(account.spacecraft))
+        own = {item.topic: item for item in structs.own(account.msg_id)}
         seen = {topic: item for topic, item in own.items() if item.key.function_code in account.codes}
         return seen or own
 
     def _row(self, account: Account) -> dict[str, Any]:
-        route: Route | Bound | None = self.mission.routes[account.route] if account.route >= 0 else None
+        mission = self._mission_of(account)
+        route: Route | Bound | None = mission.routes[account.route] if account.route >= 0 else None
         recorded = bool(self.mission.recorded)
         own = self._own(account)
         if route is None and len(own) == 1:
@@ -499,6 +524,7 @@ class Ledger:
             "type": (route.type or None) if route else None,
             "name": name or None,
             "link": None if recorded else account.link.label,
+            **({"spacecraft": account.spacecraft} if self.several else {}),
             "processor_id": account.processor_id or None,
             "msg_id": f"0x{account.msg_id:04x}" if account.msg_id != NO_MSG_ID else None,
             "count": account.count,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.verdict import Choice
 from edoras_tools.links import table
 from edoras_tools.pipelines.selection import Period, Selection
@@ -49,7 +50,7 @@ class Chosen:
         self._selection = selection.over(bench)
         self._mission: Mission = bench.mission
         self._endpoints = bench.columns.context.endpoints
-        self._seen: set[tuple[str, int]] = set()
+        self._seen: set[tuple[int, str, int]] = set()
         self._sampling = [link for link in table.links() if link.samples]
         self._writers: set[tuple[LinkProtocol, bytes]] = set()
 
@@ -57,8 +58,11 @@ class Chosen:
         """Add a batch; with a filter, routes are shown that have a packet which passes it."""
         if self._selection.where:
             rows = self.rows(batch, columns)
-            key = columns.link[rows].astype(np.int64) << 32 | columns.msg_id[rows]
-            self._seen |= {(table.link(item >> 32).label, item & 0xFFFF) for item in np.unique(key).tolist()}
+            key = np.stack([columns.spacecraft, columns.link, columns.msg_id & 0xFFFF])[:, rows]
+            self._seen |= {
+                (number, table.link(link).label, msg_id)
+                for number, link, msg_id in np.unique(key, axis=1).T.tolist()
+            }
             for link in self._sampling:
                 own = rows[columns.link[rows] == link]
                 self._writers |= {(link, guid) for guid in link.sample_reader().writers(batch, own)}
@@ -71,9 +75,11 @@ class Chosen:
         """Return what is shown; None for all."""
         return Choice(str(self._selection), self._takes) if self._selection else None
 
-    def _takes(self, link: str | None, msg_id: int | None, topic: str = "", /) -> bool:
+    def _takes(
+        self, link: str | None, msg_id: int | None, topic: str = "", /, spacecraft: int = FIRST_SPACECRAFT
+    ) -> bool:
         of_samples = topic if link in {item.label for item in self._sampling} else ""
-        if not self._selection.about(link, msg_id, self._mission, of_samples):
+        if not self._selection.about(link, msg_id, self._mission, of_samples, spacecraft):
             return False
         if not self._selection.where:
             return True
@@ -81,4 +87,7 @@ class Chosen:
             return any(
                 topic == item.sample_reader().topic_of(guid, self._endpoints) for item, guid in self._writers
             )
-        return any(msg_id == observed and link in {None, label} for label, observed in self._seen)
+        return any(
+            (number, msg_id) == (spacecraft, own) and link in {None, label}
+            for number, label, own in self._seen
+        )

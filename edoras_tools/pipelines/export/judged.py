@@ -82,7 +82,7 @@ def judged_blocks(
         return open_files(paths) if len(paths) == 1 else open_aligned(paths, settings, progress)[0]
 
     source = opened()
-    bench = settings.workbench(source.info)
+    bench = settings.workbench(source.info, paths)
     examination = Examination(bench.columns.context)
     examination.listing = LOST_TOPIC in topics
     diagnosis = examine(source, bench, scope=scope, progress=progress, examination=examination).diagnosis

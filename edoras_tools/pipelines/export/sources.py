@@ -291,13 +291,16 @@ class CaptureTopics(TopicSource):
         self, requested: Collection[str], make: Maker, progress: Progress | None = None, jobs: int = 1
     ) -> Iterator[Made]:
         """Yield what is made of the messages of some topics."""
-        routed = {item.topic for item in self._bench.mission.routes}
-        claimed = [place for place, item in enumerate(self._bench.mission.routes) if item.topic in requested]
+        routed: set[str] = set()
         statistics = STATISTICS_TOPIC in requested
         scope, source, streams = self._scope, self._source, self._streams
 
         def arguments(batch: PacketBatch, columns: Columns) -> tuple[Any, ...]:
-            self.left_out += int(np.isin(columns.route, claimed).sum())
+            for number, rows in by_value(columns.spacecraft):
+                topics = [item.topic for item in self._bench.mission.of(number).routes]
+                routed.update(topics)
+                claimed = [place for place, topic in enumerate(topics) if topic in requested]
+                self.left_out += int(np.isin(columns.route[rows], claimed).sum())
             published = source.published(batch.number)
             prepared = streams.prepare(batch, columns, published, statistics=statistics)
             selection = {*requested, *self._new} if self.wants_new else requested
@@ -495,7 +498,7 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
     """
     if len(paths) > 1 and any(map(is_cfe_file, paths)) and "-" not in map(str, paths):
         source, notes = open_aligned(paths, settings)
-        bench = settings.workbench(source.info)
+        bench = settings.workbench(source.info, paths)
         bench.columns.context.notes += notes
     else:
         source, bench = open_inputs(paths, settings)
@@ -513,7 +516,7 @@ def open_topics(paths: Sequence[Path], settings: Settings, scope: Scope | None =
             return len(topics)
 
         again = open_files(paths)
-        bench = settings.workbench(again.info)
+        bench = settings.workbench(again.info, paths)
         structs = bench.columns.context.structs
         streams = Streams(bench.mission, bench.types, again.statistics, structs=structs, add=add)
         streams.endpoints = bench.columns.context.endpoints

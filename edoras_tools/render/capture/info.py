@@ -221,6 +221,7 @@ _COLUMNS: Final = (
 )
 
 
+SPACECRAFT: Final = Column("Spacecraft", lambda row: plain(row["spacecraft"]), rank=1)
 _MOST_ROUTES: Final = 500
 """Lines of the table of routes; rich takes some ms for each."""
 _OF_TOPICS: Final = [
@@ -230,7 +231,9 @@ _OF_TOPICS: Final = [
 
 def routes(rows: Sequence[Mapping[str, Any]], width: int) -> Table:
     """Return the table of routes, with the columns that ``width`` has room for; topics have fewer."""
-    columns = _COLUMNS if any(row.get("link") for row in rows) else _OF_TOPICS
+    columns = [*(_COLUMNS if any(row.get("link") for row in rows) else _OF_TOPICS)]
+    if any("spacecraft" in row for row in rows):
+        columns.append(SPACECRAFT)
     return build(columns, rows, width, apart=lambda row: "topic" if row.get("topic") else row.get("link"))
 
 

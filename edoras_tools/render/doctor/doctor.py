@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.accounting.budget import Budget
     from edoras_tools.diagnosis.examination import Diagnosis
-    from edoras_tools.diagnosis.matching.comparison import CaptureComparison
     from edoras_tools.diagnosis.summary import Problem
 
 _STYLES: Final = {
@@ -248,7 +247,8 @@ def _spans(result: Diagnosis, group: Sequence[Verdict]) -> Table:
     return table
 
 
-def _ms(value: Mapping[str, Any] | None, key: str) -> Text:
+def latency_text(value: Mapping[str, Any] | None, key: str) -> Text:
+    """Return a figure of a latency, in ms; nothing where there is none."""
     return Text(units.milliseconds(value[key]) if value else "")
 
 
@@ -284,9 +284,9 @@ _COLUMNS: Final = (
     Column("Lost", figure("lost", Level.ERROR.style)),
     Column("Rate", lambda row: Text(units.rate(row["rate_hz"] or None)), rank=1),
     Column("Clean to", lambda row: Text(clean_to(row), palette.DIM), rank=1),
-    Column("Delay p50", lambda row: _ms(_latency(row), "p50_ms"), rank=2),
-    Column("p99", lambda row: _ms(_latency(row), "p99_ms"), rank=2),
-    Column("max", lambda row: _ms(_latency(row), "max_ms"), rank=3),
+    Column("Delay p50", lambda row: latency_text(_latency(row), "p50_ms"), rank=2),
+    Column("p99", lambda row: latency_text(_latency(row), "p99_ms"), rank=2),
+    Column("max", lambda row: latency_text(_latency(row), "max_ms"), rank=3),
     Column(
         "In rounds of", lambda row: Text(units.milliseconds(row["comb_ms"]) if row["comb_ms"] else ""), rank=3
     ),
@@ -390,42 +390,3 @@ def budgets(routes: Sequence[Budget], width: int) -> RenderableType:
         for trap in item.traps
     ]
     return Group(*parts)
-
-
-_DIFF: Final = (
-    Column("Link", link_text, justify="left"),
-    Column("MsgId", msg_id_text, justify="left"),
-    Column("Topic", route_text, justify="left", elastic=True),
-    Column("Way", lambda row: Text("←" if row["direction"] == "second to first" else "→")),
-    Column("First", lambda row: Text(units.count(row["first"]))),
-    Column("Second", lambda row: Text(units.count(row["second"]))),
-    Column("Same", lambda row: Text(units.count(row["same"]))),
-    Column("Lost", figure("lost", Level.ERROR.style)),
-    Column("Extra", lambda row: Text(units.count(row["extra"])), rank=1),
-    Column("Doubled", lambda row: Text(units.count(row["doubled"])), rank=1),
-    Column("Altered", lambda row: Text(units.count(row["altered"])), rank=1),
-    Column("Late", lambda row: Text(units.count(row["late"])), rank=1),
-    Column("In neither", lambda row: Text(units.count(row["neither"])), rank=1),
-    Column("p50", lambda row: _ms(row["latency"], "p50_ms"), rank=2),
-    Column("p99", lambda row: _ms(row["latency"], "p99_ms"), rank=2),
-    Column("max", lambda row: _ms(row["latency"], "max_ms"), rank=3),
-)
-
-
-def comparison_table(comparison: CaptureComparison, width: int) -> RenderableType:
-    """Return the table that compares one capture with another."""
-    rows = comparison.as_json()["routes"]
-    drift = f" at the start, and drift by {comparison.drift * 1e6:+.1f} ppm" if comparison.drift else ""
-    offset = (
-        f"clocks differ by {units.milliseconds(comparison.offset_ns / 1e6)}{drift}; latencies are beyond that"
-    )
-    lost, neither, extra = (sum(row[name] for row in rows) for name in ("lost", "neither", "extra"))
-    end = f"Lost between the two: {plural(lost, 'message')}." if lost else "Nothing lost between the two."
-    style = Level.ERROR.style if lost else "green"
-    if neither:
-        end += f" {neither:,} are missing in both by sequence count: lost before either point."
-    if extra:
-        end += f" {extra:,} are on the receiver's side alone: not recorded by the other, or sent by others."
-    return Group(
-        Text(offset, palette.DIM), build(_DIFF, rows, width, apart=lambda row: row["link"]), Text(end, style)
-    )

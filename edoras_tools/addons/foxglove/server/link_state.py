@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.cfs.names import message_name
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, split_topic
 from edoras_tools.decode.summary import short_values
 from edoras_tools.errors import EdorasError
 from edoras_tools.io.topics.rows import Messages, lay_out
@@ -50,8 +51,8 @@ class LinkState:
     def __init__(self, mission: Mission, types: TypeStore, statistics: SourceStatistics | None) -> None:
         self._mission, self._types, self._statistics = mission, types, statistics
         self._lock = threading.Lock()
-        self._routes: dict[tuple[int, int], dict[str, Any]] = {}
-        self._last: dict[tuple[int, int], _LastPacket] = {}
+        self._routes: dict[tuple[int, ...], dict[str, Any]] = {}
+        self._last: dict[tuple[int, ...], _LastPacket] = {}
         self._events: dict[tuple[Any, ...], dict[str, Any]] = {}
         self._time_ns, self._heard = 0, -1.0
 
@@ -126,9 +127,10 @@ class LinkState:
             return None
 
     @staticmethod
-    def _last_packets(batch: PacketBatch, columns: Columns) -> dict[tuple[int, int], _LastPacket]:
+    def _last_packets(batch: PacketBatch, columns: Columns) -> dict[tuple[int, ...], _LastPacket]:
         """Return the last packet of each route in a batch."""
-        keys = (columns.link.astype(np.int64) << _BITS) | (columns.msg_id.astype(np.int64) + 1)
+        code = columns.spacecraft.astype(np.int64) << 8 | columns.link
+        keys = code << _BITS | (columns.msg_id.astype(np.int64) + 1)
         _, behind = np.unique(keys[::-1], return_index=True)
         packets = {}
         for row in (len(keys) - 1 - behind[:_MOST_ROUTES]).tolist():
@@ -136,7 +138,7 @@ class LinkState:
             cdr = b""
             if route >= 0 and columns.cdr_length[row] > 0:
                 cdr = batch.data[start : start + int(columns.cdr_length[row])].tobytes()
-            key = int(columns.link[row]), int(columns.msg_id[row])
+            key = tuple(int(item[row]) for item in (columns.spacecraft, columns.link, columns.msg_id))
             packets[key] = _LastPacket(int(batch.time_ns[row]), cdr, route)
         return packets
 
@@ -160,12 +162,13 @@ class LinkState:
 
     def _count(self, counts: Messages, statuses: Mapping[str, Mapping[str, Any]]) -> None:
         for place, head in enumerate(counts.heads(slice(0, len(counts)))):
-            key = int(head["link"]), int(head["msg_id"])
-            if key not in self._routes and len(self._routes) >= _MOST_ROUTES:
-                key = -1, NO_MSG_ID
             start = int(counts.offset[place])
             topic = bytes(counts.data[start : start + int(counts.length[place])]).rstrip(b"\0").decode()
-            row = self._routes.setdefault(key, _route(*key, topic))
+            spacecraft = self._mission.number_of(split_topic(topic)[0]) or FIRST_SPACECRAFT
+            key = spacecraft, int(head["link"]), int(head["msg_id"])
+            if key not in self._routes and len(self._routes) >= _MOST_ROUTES:
+                key = FIRST_SPACECRAFT, -1, NO_MSG_ID
+            row = self._routes.setdefault(key, _route(*key[1:], topic))
             for name in _SUMS:
                 row[name] += int(head[name])
             row["rate_hz"], row["bytes_per_s"] = float(head["rate_hz"]), int(head["bytes"])

@@ -14,6 +14,7 @@ import numpy as np
 from edoras_tools.addons.foxglove.server.link_state import LinkState
 from edoras_tools.addons.foxglove.server.live_diagnosis import LiveDiagnosis
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io import Sink
 from edoras_tools.io.topics.cfe import fault_messages
@@ -72,10 +73,11 @@ class Diagnostics:
         levels: Mapping[Finding, int],
         statistics: SourceStatistics | None = None,
     ) -> None:
-        self._topics = {(route.link, route.msg_id): route.topic for route in mission.routes}
+        self._mission = mission
+        self._routes = {(int(route.link), route.msg_id): place for place, route in enumerate(mission.routes)}
         self._types, self._name, self._levels, self._statistics = types, name, levels, statistics
         self._drops = (statistics.kernel_drops or 0) if statistics else 0
-        self._counts: dict[tuple[int, int], NDArray[np.int64]] = {}
+        self._counts: dict[tuple[int, int, int], NDArray[np.int64]] = {}
         self._until = 0
         self.latest: dict[str, dict[str, Any]] = {}
         self.judgement: Mapping[str, Any] | None = None
@@ -92,7 +94,8 @@ class Diagnostics:
 
     def _add(self, batch: PacketBatch, columns: Columns) -> None:
         findings = columns.findings | batch.capture_findings
-        key = (columns.link.astype(np.int64) << _BITS) | (columns.msg_id.astype(np.int64) + 1)
+        code = columns.spacecraft.astype(np.int64) << 8 | columns.link
+        key = code << _BITS | (columns.msg_id.astype(np.int64) + 1)
         keys, which = np.unique(key, return_inverse=True)
         bits = np.unpackbits(
             np.ascontiguousarray(findings).astype("<u4").view(np.uint8).reshape(-1, 4),
@@ -101,9 +104,9 @@ class Diagnostics:
         )
         for place, value in enumerate(keys.tolist()):
             rows = which == place
-            owner = (value >> _BITS, (value & ((1 << _BITS) - 1)) - 1)
+            owner = (value >> _BITS + 8, value >> _BITS & 0xFF, (value & ((1 << _BITS) - 1)) - 1)
             if owner not in self._counts and len(self._counts) >= _MOST:
-                owner = (int(OTHER), NO_MSG_ID)
+                owner = (FIRST_SPACECRAFT, int(OTHER), NO_MSG_ID)
             counts = self._counts.setdefault(owner, np.zeros(_BITS + 1, np.int64))
             counts[:_BITS] += bits[rows].sum(axis=0, dtype=np.int64)
             counts[_BITS] += int(rows.sum())
@@ -124,14 +127,17 @@ class Diagnostics:
         body = self._types.encode(DIAGNOSTICS.type, values)[ENCAPSULATION.size :]
         return bodies_of([body], [time_ns], channel_id, np.array([row]))
 
-    def _status(self, link: int, msg_id: int, counts: NDArray[np.int64]) -> dict[str, Any]:
+    def _status(self, spacecraft: int, link: int, msg_id: int, counts: NDArray[np.int64]) -> dict[str, Any]:
         label = table.link(link).label
         bits = np.flatnonzero(counts[:_BITS]).tolist()
         findings = {Finding(1 << bit): int(counts[bit]) for bit in bits}
         level = max((self._levels.get(finding, WARN) for finding in findings), default=OK)
         worst = [item.labels[0] for item in findings if self._levels.get(item, WARN) == level]
-        topic = self._topics.get((table.link(link), msg_id), "")
+        place = self._routes.get((link, msg_id))
         name = f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else "no MsgId"
+        topic = "" if spacecraft == FIRST_SPACECRAFT else f"{self._mission.prefix(spacecraft)}/{label}/{name}"
+        if place is not None:
+            topic = self._mission.of(spacecraft).routes[place].topic
         return {
             "level": level,
             "name": f"{label}: {topic or name}",
@@ -324,7 +330,9 @@ class FoxgloveSink(ServedSink):
         if self.server.has_subscribers(self._places[DIAGNOSTICS.name]):
             self._diagnostics.judgement = self._doctor.ask()
         streams.append(self._diagnostics.messages(batch, columns, self._places[DIAGNOSTICS.name]))
-        counts, events = (own[self._places[name]] for name in (STATISTICS_TOPIC, EVENTS_TOPIC))
+        counts = own[self._places[STATISTICS_TOPIC]]
+        logs = (place for name, place in self._places.items() if name.endswith(EVENTS_TOPIC))
+        events = [item for place in logs for item in own.get(place, ())]
         self._link.add(batch, columns, counts[-1], events, self._diagnostics.latest)
         if self.server.clients:
             self.server.publish(lay_out(streams, len(batch)))

@@ -41,7 +41,8 @@ def rate_figure(
         seconds = (block.batch.time_ns[rows] - begin_ns) / 1e9
         ends += [float(seconds.min()), float(seconds.max())]
         msg_id = block.columns.msg_id[rows].astype(np.int64)
-        keys = block.columns.link[rows].astype(np.int64) << _MSG_ID_BITS | (msg_id + 1)
+        code = block.columns.spacecraft[rows].astype(np.int64) << 8 | block.columns.link[rows]
+        keys = code << _MSG_ID_BITS | (msg_id + 1)
         streams, places = np.unique(keys, return_inverse=True)
         for place, key in enumerate(streams.tolist()):
             counts.setdefault(key, RateCounts()).add(seconds[places == place])
@@ -63,9 +64,10 @@ def rate_figure(
 
 def _name(key: int, context: Context) -> str:
     """Return the link and the topic, or the name of the MsgId."""
-    link, msg_id = table.link(key >> _MSG_ID_BITS), (key & (1 << _MSG_ID_BITS) - 1) - 1
-    if msg_id == NO_MSG_ID:
-        return link.label
-    route = int(context.routes_on(link)[msg_id])
-    name = context.name(msg_id) or f"0x{msg_id:04x}"
-    return f"{link.label} {context.mission.routes[route].topic if route != NO_ROUTE else name}"
+    code, msg_id = key >> _MSG_ID_BITS, (key & (1 << _MSG_ID_BITS) - 1) - 1
+    link, own = table.link(code & 0xFF), context.of(code >> 8)
+    name = context.name(msg_id) or f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else ""
+    route = int(context.routes_on(link)[msg_id]) if name else NO_ROUTE
+    if route != NO_ROUTE:
+        return f"{link.label} {own.mission.routes[route].topic}"
+    return f"{own.mission.prefix(code >> 8)[1:]} {link.label} {name}".strip()

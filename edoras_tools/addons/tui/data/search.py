@@ -11,6 +11,7 @@ from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.syntax import Presence, WhereError, parse_filter
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Finding
+from edoras_tools.wire.arrays.order import by_value
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:
@@ -117,8 +118,10 @@ def _rows_named(block: PacketBlock, word: str, context: Context) -> NDArray[np.b
         hit |= (columns.findings & np.uint32(bits)) != 0
     kinds = [kind for kind, name in MSG_TYPE_NAMES.items() if word in name.lower()]
     hit |= np.isin(columns.sbn_msg_type, kinds)
-    msg_ids = [item for item in np.unique(columns.msg_id).tolist() if item != NO_MSG_ID]
-    hit |= np.isin(columns.msg_id, [item for item in msg_ids if word in _name(item, context)])
+    for number, rows in by_value(columns.spacecraft):
+        own = columns.msg_id[rows]
+        msg_ids = [item for item in np.unique(own).tolist() if item != NO_MSG_ID]
+        hit[rows] |= np.isin(own, [item for item in msg_ids if word in _name(item, context.of(number))])
     return hit
 
 

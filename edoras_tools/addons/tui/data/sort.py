@@ -89,17 +89,18 @@ def _values(rows: ColumnRows, several: Sequence[FilterField]) -> tuple[NDArray[A
 
 def _names(rows: ColumnRows, _: Sequence[FilterField]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """Return what the list shows as topic: that of the route, else the name of the MsgId."""
-    routes = rows.context.mission.routes
-    pairs = np.stack((rows.routes().astype(np.int64), rows.column("msg_id").astype(np.int64)))
+    own = {number: rows.context.of(number) for number in np.unique(rows.column("spacecraft")).tolist()}
+    columns = rows.routes(), rows.column("msg_id"), rows.column("spacecraft")
+    pairs = np.stack([column.astype(np.int64) for column in columns])
     pairs_found, places = np.unique(pairs, axis=1, return_inverse=True)
     names = np.array(
         [
             ""
             if msg_id == NO_MSG_ID
-            else routes[route].topic
+            else own[number].mission.routes[route].topic
             if route != NO_ROUTE
             else rows.context.name(msg_id)
-            for route, msg_id in pairs_found.T.tolist()
+            for route, msg_id, number in pairs_found.T.tolist()
         ],
         str,
     )[places]

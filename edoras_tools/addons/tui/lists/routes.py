@@ -12,7 +12,7 @@ from textual.strip import Strip
 
 from edoras_tools.addons.tui.lists.lines import Lines
 from edoras_tools.render import units
-from edoras_tools.render.capture.info import departures, link_text, msg_id_text, route_text
+from edoras_tools.render.capture.info import SPACECRAFT, departures, link_text, msg_id_text, route_text
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import Rates
 from edoras_tools.render.terminal.table import Column, build, figure, plain
@@ -130,6 +130,8 @@ class Routes(Lines):
             words.append(f"sbn.msg_type == {row['name'].removeprefix('SBN_')}")
         if row["processor_id"]:
             words.append(f"processor_id == {row['processor_id']}")
+        if "spacecraft" in row:
+            words.append(f"spacecraft == {row['spacecraft']}")
         return " and ".join(words)
 
     def header(self) -> Text:
@@ -154,7 +156,7 @@ class Routes(Lines):
         mark = "▲" if self._reverse else "▼"
         columns = [
             replace(item, title=f"{item.title} {mark}", rank=0) if item.title == self._sorted else item
-            for item in self._columns
+            for item in (*self._columns, *[SPACECRAFT] * any("spacecraft" in row for row in self._rows))
         ]
         table = build(columns, self._rows, width)
         options = console.options.update(width=width, height=None)
@@ -164,4 +166,5 @@ class Routes(Lines):
 
 
 def _key(row: Mapping[str, Any]) -> object:
-    return row["link"], row["processor_id"], row["msg_id"], row["name"], row["topic"]
+    names = "link", "spacecraft", "processor_id", "msg_id", "name", "topic"
+    return tuple(row.get(name) for name in names)

@@ -230,8 +230,8 @@ class McapSink(Sink):
 
     def _append(self, batch: PacketBatch, columns: Columns) -> None:
         self._attach(int(batch.time_ns[0]))
-        if not self._count and len(latched := self._streams.latched(int(batch.time_ns[0]))):
-            self._chunks.append([latched], 1)
+        if not self._count and any(map(len, latched := self._streams.latched(int(batch.time_ns[0])))):
+            self._chunks.append(latched, 1)
         prepared = self._streams.prepare(batch, columns)
         self._links.update(np.flatnonzero(np.bincount(columns.link)).tolist())
         if self._options.apart is not None:

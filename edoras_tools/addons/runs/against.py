@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.addons.runs.comparison import CaptureComparison, compare_captures, compare_messages
 from edoras_tools.diagnosis.balance import BridgeCount
 from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.diagnosis.evidence.preparation import prepare
 from edoras_tools.diagnosis.evidence.table import Recorder, Rows
-from edoras_tools.diagnosis.matching.comparison import CaptureComparison, compare_captures, compare_messages
 from edoras_tools.errors import CaptureError, ConfigError, WireError
 from edoras_tools.io.formats.rosbag2.reader import RecordedBlock, Rosbag, open_rosbag
 from edoras_tools.model import NO_MSG_ID, OTHER

@@ -7,9 +7,9 @@ import pytest
 from places import ROOT
 
 from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.runs.comparison import compare_captures
 from edoras_tools.decode import ColumnDecoder, Context, Options
 from edoras_tools.diagnosis.evidence.table import Recorder
-from edoras_tools.diagnosis.matching.comparison import compare_captures
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.build import frames_of
 from edoras_tools.io.frames.linklayer import Demux

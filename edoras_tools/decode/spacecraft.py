@@ -1,0 +1,307 @@
+"""Which spacecraft each datagram is of: one is the cFS at an address, which is one end of its links.
+
+1. On a link towards cFS that end is the receiver, away from it the sender; of SBN the one that is no bridge.
+   What has no such end, or two, is of the spacecraft that sends it, else of the one that gets it.
+2. Another address is another spacecraft where it sends packets of the same MsgIds that are no copies.
+3. One cFS seen at two addresses (the same packets) is one; so are processors of one spacecraft on SBN.
+4. Of a file all of it decides, read once more when a second address comes; of a stream what came before.
+5. Numbers are in order of first sight, after those that a mission file names.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from zlib import crc32
+
+import numpy as np
+
+from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays import fingerprint
+from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.msg_id import MSG_ID_BYTES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.links.protocol import LinkProtocol
+    from edoras_tools.mission import Mission
+    from edoras_tools.model import Datagram, Link, PacketBatch
+    from edoras_tools.wire.msg_id import MsgIds
+
+FIRST_SPACECRAFT: Final = 1
+_MOST: Final = 255
+_RECEIVER, _SENDER, _PEER = 1, 2, 3
+"""Which end of a link cFS is; of peers the ports decide."""
+_HEAD: Final = 24
+"""First bytes of a packet, count and time among them: copies have the same."""
+_COPIED_NS: Final = SECOND
+"""A copy comes after its packet at the latest by then."""
+_IDENTITY: Final = "spacecraft_id", "processor_id"
+
+
+class Spacecraft:
+    """The spacecraft of a source, by number; they are found as its batches come.
+
+    Args:
+        mission: names some of them.
+        bridge_ports: bool (65536,), ports of flight bridges.
+
+    Attributes:
+        survey: reads the whole input once more, for the number of each address; None where it cannot be.
+        several: whether there is more than one.
+        settled: whether no further one is looked for.
+        numbers: the number of each address so far, as ``PacketBatch.fixed`` has it.
+    """
+
+    def __init__(
+        self, mission: Mission, links: Iterable[LinkProtocol], bridge_ports: NDArray[np.bool_]
+    ) -> None:
+        self.survey: Callable[[], dict[int, int]] | None = None
+        self.several = len(mission.spacecraft) > 1
+        self._bridge_ports = bridge_ports
+        self._side = np.zeros(256, np.uint8)
+        for link in links:
+            if link.packets and link.to_cfs != link.from_cfs:
+                self._side[link] = _RECEIVER if link.to_cfs else _SENDER
+            elif link.peers:
+                self._side[link] = _PEER
+        self._by_mission = {
+            _fixed(address): number
+            for number, (_, address) in enumerate(mission.spacecraft, FIRST_SPACECRAFT)
+        }
+        self.numbers = dict(self._by_mission)
+        self.settled = False
+        self._roles: set[tuple[int, int]] = set()
+        """Of a stream: each address at which cFS was seen, as receiver or sender."""
+        self._recent: list[tuple[int, NDArray[np.uint64], NDArray[np.uint64]]] = []
+        """Of a stream: the last times, prints and addresses of its batches."""
+
+    def ends(
+        self, batch: PacketBatch, link: NDArray[np.uint8]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint64]]:
+        """Return which end of each datagram cFS is, u8, 0 for neither, and its address."""
+        side = self._side.take(link)
+        peers = np.flatnonzero(side == _PEER)
+        if len(peers):
+            to_bridge, from_bridge = (
+                self._bridge_ports[port[peers]] for port in (batch.destination_port, batch.source_port)
+            )
+            side[peers] = from_bridge * np.uint8(_RECEIVER) + to_bridge * np.uint8(_SENDER)
+            side[peers[to_bridge == from_bridge]] = 0
+        address = np.where(side == _RECEIVER, batch.destination_address, batch.source_address)
+        return side, batch.fixed(address)
+
+    def column(
+        self, batch: PacketBatch, link: NDArray[np.uint8], start: NDArray[np.int32]
+    ) -> NDArray[np.uint8]:
+        """Return the spacecraft of each datagram, u8.
+
+        Args:
+            link: of each datagram.
+            start: where in each the space packet starts, -1 where none does.
+        """
+        first = np.full(len(batch), FIRST_SPACECRAFT, np.uint8)
+        if self.settled and not self.several:
+            return first
+        side, address = self.ends(batch, link)
+        rows = np.flatnonzero(side)
+        moves: list[tuple[int, int, int]] = []
+        if self.survey is not None:
+            if len(self.numbers) == 1 and (address[rows] == next(iter(self.numbers))).all():
+                return first
+            self._look(address[rows])
+        elif not self.settled and len(rows):
+            prints = packet_prints(batch, rows, start[rows])
+            moves = self._follow(batch, rows, side[rows], address[rows], prints)
+        if not self.several:
+            return first
+        out = self._looked_up(address, FIRST_SPACECRAFT)
+        for row, end, before in moves:
+            out[:row][address[:row] == end] = before
+        rest = np.flatnonzero(side == 0)
+        sender, receiver = (
+            self._looked_up(batch.fixed(end)[rest], 0)
+            for end in (batch.source_address, batch.destination_address)
+        )
+        out[rest] = np.where(sender, sender, np.maximum(receiver, FIRST_SPACECRAFT))
+        return out
+
+    def of(self, datagram: Datagram, link: Link) -> int:
+        """Return the spacecraft of one datagram, by what is known by then."""
+        if not self.several:
+            return FIRST_SPACECRAFT
+        source, destination = (_fixed(end.address) for end in (datagram.source, datagram.destination))
+        side = int(self._side[link])
+        if side == _PEER:
+            to_bridge, from_bridge = (
+                bool(self._bridge_ports[end.port]) for end in (datagram.destination, datagram.source)
+            )
+            side = 0 if to_bridge == from_bridge else _RECEIVER if from_bridge else _SENDER
+        if side:
+            return self.numbers.get(destination if side == _RECEIVER else source, FIRST_SPACECRAFT)
+        return self.numbers.get(source) or self.numbers.get(destination, FIRST_SPACECRAFT)
+
+    def _look(self, addresses: NDArray[np.uint64]) -> None:
+        """Find the spacecraft of a file, once a second address comes."""
+        new = [item for item in dict.fromkeys(addresses.tolist()) if item not in self.numbers]
+        if new and not self.numbers:
+            self.numbers[new.pop(0)] = FIRST_SPACECRAFT
+        if new and self.survey is not None:
+            survey, self.survey = self.survey, None
+            self.numbers, self.settled = survey(), True
+            self._count()
+
+    def _count(self) -> None:
+        self.several = self.several or len({*self.numbers.values()}) > 1
+
+    def _follow(
+        self,
+        batch: PacketBatch,
+        rows: NDArray[np.intp],
+        sides: NDArray[np.uint8],
+        address: NDArray[np.uint64],
+        prints: NDArray[np.uint64],
+    ) -> list[tuple[int, int, int]]:
+        """Take what a stream has of cFS.
+
+        Returns:
+            each address that got another number: the first row that has it, address, and number before.
+        """
+        self._recent = [item for item in self._recent if item[0] >= int(batch.time_ns[0]) - _COPIED_NS]
+        self._recent.append((int(batch.time_ns[-1]), prints, address))
+        moves = []
+        sides = np.where(prints, sides, np.uint8(0))  # without a packet nothing tells whether it is a copy
+        for at in np.sort(np.unique(address << np.uint64(2) | sides, return_index=True)[1]).tolist():
+            end, side = int(address[at]), int(sides[at])
+            before = self.numbers.get(end)
+            if (end, side) in self._roles or not (side or before is None):
+                continue
+            others = {self.numbers[other] for other, own in self._roles if own == side or not side}
+            number = before or FIRST_SPACECRAFT
+            if (sender := self._sender_of(int(prints[at]), end, at)) is not None:
+                # Equal commands may be meant for two; telemetry has a count and a time.
+                number = self.numbers[sender] if side == _SENDER else before or self.numbers[sender]
+            elif number in others and end not in self._by_mission:
+                number = min(max(self.numbers.values()) + 1, _MOST)
+            self._roles.add((end, side))
+            self.numbers[end] = number
+            if before not in {None, number}:
+                moves.append((int(rows[at]), end, before or FIRST_SPACECRAFT))
+        self._count()
+        return moves
+
+    def _sender_of(self, own_print: int, address: int, place: int) -> int | None:
+        """Return the other address that had a packet shortly before, up to a place of the newest batch."""
+        for age, (_, prints, addresses) in enumerate(reversed(self._recent)):
+            alike = (prints == np.uint64(own_print)) & (addresses != np.uint64(address))
+            if own_print and alike[: len(alike) if age else place].any():
+                return int(addresses[alike.argmax()])
+        return None
+
+    def _looked_up(self, address: NDArray[np.uint64], unknown: int) -> NDArray[np.uint8]:
+        addresses = np.array(sorted(self.numbers), np.uint64)
+        numbers = np.array([self.numbers[item] for item in addresses.tolist()], np.uint8)
+        place = np.minimum(np.searchsorted(addresses, address), len(addresses) - 1)
+        return np.where(addresses[place] == address, numbers[place], np.uint8(unknown))
+
+
+class Survey:
+    """What all of an input shows of its spacecraft.
+
+    Args:
+        spacecraft: of a context of the same mission: says which end is cFS, and who has a name.
+    """
+
+    def __init__(self, spacecraft: Spacecraft) -> None:
+        self._spacecraft = spacecraft
+        self._met: dict[int, set[tuple[int, int]]] = {item: set() for item in spacecraft.numbers}
+        """The addresses in order of first sight, each with what its SBN says that it is."""
+        self._parts: list[_Packets] = []
+
+    def add(
+        self,
+        batch: PacketBatch,
+        columns: Mapping[str, NDArray[Any]],
+        start: NDArray[np.int32],
+        msg_ids: MsgIds,
+    ) -> None:
+        """Take a batch.
+
+        Args:
+            columns: what the links say of its datagrams.
+            start: where in each the space packet starts, -1 where none does.
+        """
+        side, address = self._spacecraft.ends(batch, columns["link"])
+        rows = np.flatnonzero(side)
+        peers = rows[(columns["sbn_msg_type"][rows] >= 0) & (side[rows] == _SENDER)]
+        head = gather(batch.data, batch.offset[rows] + np.maximum(start[rows], 0), MSG_ID_BYTES)
+        msg_id = msg_ids.column(head, batch.length[rows] - start[rows])
+        own = (start[rows] >= 0) & (msg_ids.is_command(msg_id) == (side[rows] == _RECEIVER))
+        for item in address[rows[np.sort(np.unique(address[rows], return_index=True)[1])]].tolist():
+            self._met.setdefault(item, set())
+        names = np.stack([address[peers], *(columns[name][peers] for name in _IDENTITY)])
+        for end, craft, processor in np.unique(names, axis=1).T.tolist():
+            self._met[end].add((craft, processor))
+        rows = rows[own]
+        prints = packet_prints(batch, rows, start[rows])
+        self._parts.append(_Packets(side[rows] == _SENDER, address[rows], msg_id[own], prints))
+
+    def numbers(self) -> dict[int, int]:
+        """Return the number of each address."""
+        numbers = dict(self._spacecraft.numbers)
+        if not self._parts:
+            return numbers
+        sent, address, msg_id, prints = map(np.concatenate, zip(*self._parts, strict=True))
+        telemetry = sent if sent.any() else ~sent
+        packets = {end: telemetry & (address == end) for end in self._met}
+
+        def same(end: int, other: int) -> bool | None:
+            """Tell whether two addresses are of one cFS; None where nothing decides it."""
+            mine, theirs = packets[end], packets[other]
+            shared = mine & np.isin(msg_id, msg_id[theirs])
+            if not shared.any():
+                return None
+            if 2 * np.count_nonzero(np.isin(prints[shared], prints[theirs])) >= np.count_nonzero(shared):
+                return True
+            crafts = [{craft for craft, _ in self._met[item]} for item in (end, other)]
+            return bool(crafts[0] & crafts[1]) and self._met[end].isdisjoint(self._met[other])
+
+        for end in self._met:
+            if end in numbers:
+                continue
+            answers = {numbers[other]: same(end, other) for other in self._met if other in numbers}
+            one = [number for number, answer in answers.items() if answer]
+            one += [number for number, answer in answers.items() if answer is None]
+            numbers[end] = one[0] if one else min(max(numbers.values(), default=0) + 1, _MOST)
+        return numbers
+
+
+def split_topic(topic: str) -> tuple[str, str]:
+    """Return what follows ``/sc_`` at the beginning of a topic, if it has that, and the topic without it."""
+    match = re.match(r"/?sc_([^/*?\[]+)(?=/)", topic)
+    return (match[1], topic[match.end() :]) if match else ("", topic)
+
+
+def _fixed(address: str) -> int:
+    """Return an address as ``PacketBatch.fixed`` does."""
+    value = ipaddress.ip_address(address)
+    return int(value) if value.version == 4 else crc32(value.packed) | 1 << 32
+
+
+class _Packets(NamedTuple):
+    """Packets that go the way of their kind: whether cFS sent each, address of cFS, MsgId, print."""
+
+    sent: NDArray[np.bool_]
+    address: NDArray[np.uint64]
+    msg_id: NDArray[np.int32]
+    prints: NDArray[np.uint64]
+
+
+def packet_prints(batch: PacketBatch, rows: NDArray[np.intp], start: NDArray[np.int32]) -> NDArray[np.uint64]:
+    """Return what tells packets apart by their first bytes, u64; 0 where none starts."""
+    length = np.where(start < 0, 0, np.clip(batch.length[rows] - start, 0, _HEAD))
+    return fingerprint.of_bytes(batch.data, batch.offset[rows] + start, length)
