@@ -176,21 +176,7 @@ class _Loading:
         text = _text(content, report)
         nodes = self._nodes(text, report)
         bridges = find_bridges(nodes)
-        for node in nodes:
-            if is_transfer(node):
-                self._add_transfer(node, report)
-        framing = [node for node in nodes if FRAMES_GROUP in node.groups]
-        for node in framing:
-            self._framed += read_framed_ports(node, report, self._ports)
-        addressed = [node for node in nodes if SPACECRAFT_GROUP in node.groups]
-        for node in addressed:
-            read_spacecraft(node, report, self._spacecraft)
-        software = [node for node in nodes if CFS_GROUP in node.groups]
-        for node in software:
-            if self._software is not None:
-                report.mistake(node.line_of(CFS_GROUP), CFS_GROUP, "another one; a mission has one cFS")
-            self._software = read_flight_software(node, report, self._msg_ids)
-        others = framing or addressed or software or any(map(is_transfer, nodes))
+        others = self._add_others(nodes, report)
         if nodes and not (bridges or others or report.mistakes):
             problem = "no node here is a bridge; it needs communication, command and telemetry"
             (report.warn if of_folder else report.mistake)(nodes[0].line, nodes[0].name, problem)
@@ -201,6 +187,22 @@ class _Loading:
                 self._bridges.append(bridge)
                 if bridge.link not in self._links:
                     self._links.append(bridge.link)
+
+    def _add_others(self, nodes: Sequence[NodeParameters], report: Mistakes) -> bool:
+        """Read what is not of bridges; return whether there is any."""
+        for node in nodes:
+            if is_transfer(node):
+                self._add_transfer(node, report)
+            if FRAMES_GROUP in node.groups:
+                self._framed += read_framed_ports(node, report, self._ports)
+            if SPACECRAFT_GROUP in node.groups:
+                read_spacecraft(node, report, self._spacecraft)
+            if CFS_GROUP in node.groups:
+                if self._software is not None:
+                    report.mistake(node.line_of(CFS_GROUP), CFS_GROUP, "another one; a mission has one cFS")
+                self._software = read_flight_software(node, report, self._msg_ids)
+        groups = {FRAMES_GROUP, SPACECRAFT_GROUP, CFS_GROUP}
+        return any(is_transfer(node) or not groups.isdisjoint(node.groups) for node in nodes)
 
     def mission(self) -> Mission:
         """Return the mission.
