@@ -8,7 +8,7 @@ from edoras_tools.addons.ros_verbs.source import GraphRequest, open_source, topi
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
 from edoras_tools.pipelines.capture.record import Target, record
-from edoras_tools.pipelines.doctor.against import missed_by
+from edoras_tools.addons.runs.against import missed_by
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
 
