@@ -76,7 +76,7 @@ class Spacecraft:
         self.numbers = dict(self._by_mission)
         self.settled = False
         self._roles: set[tuple[int, int]] = set()
-        """Of a stream: each address at which cFS was seen, as receiver or sender."""
+        """Of a stream: each address at which cFS was seen, with its role there; see ``_follow``."""
         self._recent: list[tuple[int, NDArray[np.uint64], NDArray[np.uint64]]] = []
         """Of a stream: the last times, prints and addresses of its batches."""
 
@@ -116,7 +116,8 @@ class Spacecraft:
             self._look(address[rows])
         elif not self.settled and len(rows):
             prints = packet_prints(batch, rows, start[rows])
-            moves = self._follow(batch, rows, side[rows], address[rows], prints)
+            role = side[rows].astype(np.uint64) << np.uint64(8) | link[rows]
+            moves = self._follow(batch, rows, role, address[rows], prints)
         if not self.several:
             return first
         out = self._looked_up(address, FIRST_SPACECRAFT)
@@ -162,11 +163,15 @@ class Spacecraft:
         self,
         batch: PacketBatch,
         rows: NDArray[np.intp],
-        sides: NDArray[np.uint8],
+        roles: NDArray[np.uint64],
         address: NDArray[np.uint64],
         prints: NDArray[np.uint64],
     ) -> list[tuple[int, int, int]]:
         """Take what a stream has of cFS.
+
+        Args:
+            roles: of each row: which end cFS is, above the link. A relay of SBN is no rival of what is
+                behind it, which sends telemetry over TO.
 
         Returns:
             each address that got another number: the first row that has it, address, and number before.
@@ -174,20 +179,22 @@ class Spacecraft:
         self._recent = [item for item in self._recent if item[0] >= int(batch.time_ns[0]) - _COPIED_NS]
         self._recent.append((int(batch.time_ns[-1]), prints, address))
         moves = []
-        sides = np.where(prints, sides, np.uint8(0))  # without a packet nothing tells whether it is a copy
-        for at in np.sort(np.unique(address << np.uint64(2) | sides, return_index=True)[1]).tolist():
-            end, side = int(address[at]), int(sides[at])
+        # Without a packet nothing tells whether it is a copy.
+        roles = roles << np.uint64(1) | (prints != 0)
+        for at in np.sort(np.unique(address << np.uint64(11) | roles, return_index=True)[1]).tolist():
+            end, role = int(address[at]), int(roles[at])
             before = self.numbers.get(end)
-            if (end, side) in self._roles or not (side or before is None):
+            if (end, role) in self._roles:
                 continue
-            others = {self.numbers[other] for other, own in self._roles if own == side or not side}
+            others = {self.numbers[other] for other, own in self._roles if own == role}
             number = before or FIRST_SPACECRAFT
             if (sender := self._sender_of(int(prints[at]), end, at)) is not None:
                 # Equal commands may be meant for two; telemetry has a count and a time.
-                number = self.numbers[sender] if side == _SENDER else before or self.numbers[sender]
-            elif number in others and end not in self._by_mission:
+                sends = role >> 9 == _SENDER
+                number = self.numbers[sender] if sends else before or self.numbers[sender]
+            elif number in others and end not in self._by_mission and (role & 1 or before is None):
                 number = min(max(self.numbers.values()) + 1, _MOST)
-            self._roles.add((end, side))
+            self._roles.add((end, role))
             self.numbers[end] = number
             if before not in {None, number}:
                 moves.append((int(rows[at]), end, before or FIRST_SPACECRAFT))
