@@ -20,6 +20,8 @@ from edoras_tools.units import MILLISECOND, SECOND
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from edoras_tools.mission import Mission
     from edoras_tools.ros import TypeStore
 
@@ -41,6 +43,17 @@ class _LastPacket(NamedTuple):
     route: int
 
 
+def route_keys(columns: Columns) -> NDArray[np.int64]:
+    """Return spacecraft, link and MsgId of each row as one number, i64; see ``route_from_key``."""
+    code = columns.spacecraft.astype(np.int64) << 8 | columns.link
+    return code << _BITS | (columns.msg_id.astype(np.int64) + 1)
+
+
+def route_from_key(key: int) -> tuple[int, int, int]:
+    """Return spacecraft, link and MsgId of a number."""
+    return key >> _BITS + 8, key >> _BITS & 0xFF, (key & (1 << _BITS) - 1) - 1
+
+
 class LinkState:
     """Adds up what a sink makes of each batch; any thread may ask for the sum.
 
@@ -51,8 +64,8 @@ class LinkState:
     def __init__(self, mission: Mission, types: TypeStore, statistics: SourceStatistics | None) -> None:
         self._mission, self._types, self._statistics = mission, types, statistics
         self._lock = threading.Lock()
-        self._routes: dict[tuple[int, ...], dict[str, Any]] = {}
-        self._last: dict[tuple[int, ...], _LastPacket] = {}
+        self._routes: dict[tuple[int, int, int], dict[str, Any]] = {}
+        self._last: dict[tuple[int, int, int], _LastPacket] = {}
         self._events: dict[tuple[Any, ...], dict[str, Any]] = {}
         self._time_ns, self._heard = 0, -1.0
 
@@ -127,10 +140,9 @@ class LinkState:
             return None
 
     @staticmethod
-    def _last_packets(batch: PacketBatch, columns: Columns) -> dict[tuple[int, ...], _LastPacket]:
+    def _last_packets(batch: PacketBatch, columns: Columns) -> dict[tuple[int, int, int], _LastPacket]:
         """Return the last packet of each route in a batch."""
-        code = columns.spacecraft.astype(np.int64) << 8 | columns.link
-        keys = code << _BITS | (columns.msg_id.astype(np.int64) + 1)
+        keys = route_keys(columns)
         _, behind = np.unique(keys[::-1], return_index=True)
         packets = {}
         for row in (len(keys) - 1 - behind[:_MOST_ROUTES]).tolist():
@@ -138,8 +150,7 @@ class LinkState:
             cdr = b""
             if route >= 0 and columns.cdr_length[row] > 0:
                 cdr = batch.data[start : start + int(columns.cdr_length[row])].tobytes()
-            key = tuple(int(item[row]) for item in (columns.spacecraft, columns.link, columns.msg_id))
-            packets[key] = _LastPacket(int(batch.time_ns[row]), cdr, route)
+            packets[route_from_key(int(keys[row]))] = _LastPacket(int(batch.time_ns[row]), cdr, route)
         return packets
 
     def _log_entries(self, events: Sequence[Messages], rows: int) -> list[dict[str, Any]]:
@@ -168,7 +179,7 @@ class LinkState:
             key = spacecraft, int(head["link"]), int(head["msg_id"])
             if key not in self._routes and len(self._routes) >= _MOST_ROUTES:
                 key = FIRST_SPACECRAFT, -1, NO_MSG_ID
-            row = self._routes.setdefault(key, _route(*key[1:], topic))
+            row = self._routes.setdefault(key, _route(*key, topic))
             for name in _SUMS:
                 row[name] += int(head[name])
             row["rate_hz"], row["bytes_per_s"] = float(head["rate_hz"]), int(head["bytes"])
@@ -180,8 +191,9 @@ class LinkState:
             row["level"], row["message"] = status.get("level", 0), status.get("message", "")
 
 
-def _route(link: int, msg_id: int, topic: str) -> dict[str, Any]:
+def _route(spacecraft: int, link: int, msg_id: int, topic: str) -> dict[str, Any]:
     return {
+        "spacecraft": spacecraft,
         "link": table.link(link).label if link >= 0 else "",
         "msg_id": f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else None,
         "topic": topic if topic.startswith("/") and link >= 0 else None,

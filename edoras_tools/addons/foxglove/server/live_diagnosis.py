@@ -11,15 +11,17 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.pipelines.capture.flushing import ROW_BYTES, compact, join
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from edoras_tools.diagnosis.balance import WaySum
     from edoras_tools.diagnosis.examination import Diagnosis, Examination
@@ -134,7 +136,6 @@ class LiveDiagnosis:
 def _page_values(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return what the page shows of a diagnosis: figures are sums of the ledger, as in ``doctor --json``."""
     summary = summarize(diagnosis)
-    topics = {(way.hops[0].link, way.hops[0].msg_id): way for way in diagnosis.ways}
     return {
         "until_ns": diagnosis.end_ns,
         "datagrams": diagnosis.datagrams,
@@ -148,15 +149,27 @@ def _page_values(diagnosis: Diagnosis) -> dict[str, Any]:
         "fine": summary.fine,
         "problems": [_problem(item, diagnosis) for item in summary.problems if item.severity > Severity.NOTE],
         "flows": _flows(diagnosis.ways, diagnosis.topics),
-        "routes": [
-            {
-                "link": link,
-                "msg_id": None if msg_id is None else f"0x{msg_id:04x}",
-                **{name: value for name, value in way.as_json(None).items() if isinstance(value, int)},
-            }
-            for (link, msg_id), way in topics.items()
-        ],
+        "routes": _routes(diagnosis.ways),
     }
+
+
+def _routes(ways: Iterable[WaySum]) -> list[dict[str, Any]]:
+    """Return the figures of each route, those of every run of its cFS added up."""
+    routes: dict[tuple[int, str, int | None], Counter[str]] = {}
+    for way in ways:
+        first, values = way.hops[0], way.as_json(None)
+        figures = {name: value for name, value in values.items() if isinstance(value, int)}
+        key = first.spacecraft or FIRST_SPACECRAFT, first.link, first.msg_id
+        routes.setdefault(key, Counter()).update(figures)
+    return [
+        {
+            **figures,
+            "spacecraft": spacecraft,
+            "link": link,
+            "msg_id": None if msg_id is None else f"0x{msg_id:04x}",
+        }
+        for (spacecraft, link, msg_id), figures in routes.items()
+    ]
 
 
 def _problem(problem: Problem, diagnosis: Diagnosis) -> dict[str, Any]:
@@ -173,7 +186,7 @@ def _problem(problem: Problem, diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _flows(ways: Iterable[WaySum], topics: Any) -> list[dict[str, Any]]:
+def _flows(ways: Iterable[WaySum], topics: Mapping[int, str]) -> list[dict[str, Any]]:
     """Return the traffic that goes through the same hops, added up hop by hop: losses first, then uplinks."""
     groups: dict[tuple[str, tuple[str, ...]], list[tuple[Row, ...]]] = {}
     for way in ways:

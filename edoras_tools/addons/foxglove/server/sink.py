@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.addons.foxglove.server.link_state import LinkState
+from edoras_tools.addons.foxglove.server.link_state import LinkState, route_from_key, route_keys
 from edoras_tools.addons.foxglove.server.live_diagnosis import LiveDiagnosis
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
@@ -94,9 +94,7 @@ class Diagnostics:
 
     def _add(self, batch: PacketBatch, columns: Columns) -> None:
         findings = columns.findings | batch.capture_findings
-        code = columns.spacecraft.astype(np.int64) << 8 | columns.link
-        key = code << _BITS | (columns.msg_id.astype(np.int64) + 1)
-        keys, which = np.unique(key, return_inverse=True)
+        keys, which = np.unique(route_keys(columns), return_inverse=True)
         bits = np.unpackbits(
             np.ascontiguousarray(findings).astype("<u4").view(np.uint8).reshape(-1, 4),
             axis=1,
@@ -104,7 +102,7 @@ class Diagnostics:
         )
         for place, value in enumerate(keys.tolist()):
             rows = which == place
-            owner = (value >> _BITS + 8, value >> _BITS & 0xFF, (value & ((1 << _BITS) - 1)) - 1)
+            owner = route_from_key(value)
             if owner not in self._counts and len(self._counts) >= _MOST:
                 owner = (FIRST_SPACECRAFT, int(OTHER), NO_MSG_ID)
             counts = self._counts.setdefault(owner, np.zeros(_BITS + 1, np.int64))

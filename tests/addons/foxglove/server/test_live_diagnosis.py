@@ -9,7 +9,9 @@ import waiting
 from edoras_tools.addons.foxglove.server import live_diagnosis
 from edoras_tools.addons.foxglove.server.live_diagnosis import LiveDiagnosis
 from edoras_tools.decode import Context
+from edoras_tools.diagnosis.balance import WaySum
 from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.diagnosis.ledger import Row
 
 LOST = 92
 
@@ -80,6 +82,7 @@ def test_its_figures_are_those_of_the_doctor(diagnosis, capture, types):
     assert sum(hop["lost"] for each in state["flows"] for hop in each["hops"]) == whole.lost
     (route,) = [each for each in state["routes"] if each["msg_id"] == "0x1827"]
     assert (route["in"], route["out"], route["lost"]) == (600, 508, LOST)
+    assert route["spacecraft"] == 1
 
 
 def test_who_writes_does_not_wait_for_it(diagnosis, capture, types):
@@ -124,3 +127,13 @@ def test_it_judges_only_while_somebody_asks(diagnosis, capture, monkeypatch):
     item.close()
     assert item.ask()["lost"] == LOST, "what it judged stays"
     assert not item._thread.is_alive()
+
+
+def test_runs_of_one_cfs_are_one_route_and_spacecraft_are_two():
+    ways = []
+    for run, number, came, lost in (("1", None, 10, 3), ("2", None, 20, 4), ("1", 2, 30, 5)):
+        where = {"route": 0, "link": "to", "msg_id": 0x827, "instance": run, "hop": "TO"}
+        figures = {"came": came, "out": came - lost, "lost": {"limit": lost}}
+        ways.append(WaySum((Row(**where, **figures, spacecraft=number),)))
+    rows = [(row["spacecraft"], row["in"], row["lost"], row["out"]) for row in live_diagnosis._routes(ways)]
+    assert rows == [(1, 30, 7, 23), (2, 30, 5, 25)]

@@ -26,6 +26,7 @@ from edoras_tools.model import Endpoint
 STRING = "std_msgs/msg/String"
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
 ROW = {
+    "spacecraft": 1,
     "link": "to",
     "msg_id": "0x0827",
     "name": None,
@@ -67,7 +68,18 @@ DOCTOR = {
             "hops": [{**FIGURES, "hop": "TO_LAB_TLM_PIPE", "in": 8_888, "out": 7_654, "lost": 1_234}],
         }
     ],
-    "routes": [{**FIGURES, "link": "to", "msg_id": "0x0827", "in": 8_888, "out": 7_654, "lost": 1_234}],
+    "routes": [
+        {
+            **FIGURES,
+            "spacecraft": number,
+            "link": "to",
+            "msg_id": "0x0827",
+            "in": 8_888,
+            "out": 7_654,
+            "lost": lost,
+        }
+        for number, lost in ((1, 1_234), (2, 4_321))
+    ],
 }
 LINK = {
     "time_ns": 10**18,
@@ -210,6 +222,7 @@ def test_a_browser_shows_it_and_takes_nothing_for_markup(serve):
     assert "\u22121,234" in shown
     assert "up to 7 more may be lost" in shown
     assert '<td class="lost">1,234</td>' in shown
+    assert "4,321" not in shown, "of another spacecraft"
     assert "5 of 5.8" in shown, "8,888 were published, 7,654 came"
     assert "x=1 &lt;i&gt;" in shown
 
