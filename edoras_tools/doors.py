@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from edoras_tools.addons import Addon
 
 KINDS: Final = {
@@ -92,6 +94,23 @@ def imported(place: str) -> Any:
     module, _, name = place.partition(":")
     found = import_module(module)
     return attrgetter(name)(found) if name else found
+
+
+def later(package: str, **homes: str) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a package that imports what it offers when it is asked for.
+
+    Args:
+        package: its name.
+        homes: by the name of a module in it what that module holds, names apart by spaces.
+    """
+    places = {name: f"{package}.{module}:{name}" for module, names in homes.items() for name in names.split()}
+
+    def attribute(name: str) -> Any:
+        if name not in places:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return imported(places[name])
+
+    return attribute
 
 
 def table() -> tuple[Addon, ...]:

@@ -43,6 +43,11 @@ PUT_OFF = {
         "only for recordings from a pipe or packed, and for captures inside zstd data",
     ),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
+    "decode/columns.py": ("edoras_tools.decode.recorded", "10 ms, and only for recorded topics"),
+    "decode/filters/rows.py": (
+        "edoras_tools.decode.stack",
+        "10 ms, and only where packets are read one by one",
+    ),
     "addons/foxglove/server/server.py": (
         "edoras_tools.addons.foxglove.server.client",
         "websockets, an extra: when the first client comes",
@@ -52,24 +57,30 @@ PUT_OFF = {
         "2 ms, and only where there are its datagrams",
     ),
     "addons/rtps/link.py": ("edoras_tools.addons.rtps.wire", "5 ms, and only where there are its datagrams"),
+    "mission/model.py": ("edoras_tools.cfs.profile", "6 ms, and only where constants are asked for"),
     "mission/tree.py": ("yaml", "9 ms, and only where there is a mission file"),
     "pipelines/capture/record.py": (
         "edoras_tools.pipelines.capture.host",
         "4 ms, and only where a link is captured live",
     ),
     "addons/lab/demo/run.py": ("zenoh", "an extra"),
+    "pipelines/capture/ledger.py": (
+        "edoras_tools.mission edoras_tools.ros.fitting",
+        "20 ms, and only where no message is of its type",
+    ),
     "pipelines/selection.py": (
         "edoras_tools.decode.filters.filter",
         "the filter language: only where there is a filter",
     ),
-    "pipelines/workbench.py": ("edoras_tools", "only for several files, or layouts that are given"),
+    "pipelines/workbench.py": ("edoras_tools", "only for several files, missions, layouts or single packets"),
     "render/capture/watch.py": ("edoras_tools.render", "rich, and only where something is drawn"),
+    "ros/store.py": ("edoras_tools.ros.cdr", "10 ms, and only where messages are checked or become columns"),
     "ros/types/library.py": ("rosbags", "15 ms, and only for .idl files"),
     "ros/types/standard.py": ("rosbags", "15 ms, and only to make the table of standard messages anew"),
     "sessions/faults/chance.py": ("hashlib", "20 ms, and only where there are faults"),
     "addons/debug_info/dwarf.py": ("elftools", "an extra"),
     "structs/files.py": ("ruamel", "14 ms, and only for layouts that are files"),
-    "structs/table.py": ("edoras_tools.structs", "20 ms, when the first packet that holds a struct is shown"),
+    "structs/table.py": ("edoras_tools", "20 ms, when the first packet holds a struct"),
     "wire/arrays/crc.py": ("isal zlib", "1 ms, and only where a CRC-32 is made"),
 }
 """Modules outside ``COMMAND_LINES`` that import inside functions: what, and why. ``cli`` has the rule."""

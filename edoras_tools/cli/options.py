@@ -19,7 +19,7 @@ from edoras_tools import doors
 from edoras_tools.cli.declare import headed
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import ROWS
-from edoras_tools.middleware.graph import MOST_DOMAIN
+from edoras_tools.middleware import MOST_DOMAIN
 from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:

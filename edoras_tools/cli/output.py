@@ -14,7 +14,6 @@ from typer import BadParameter, Option
 from edoras_tools import doors
 from edoras_tools.cli.settings import in_effect
 from edoras_tools.errors import EdorasError
-from edoras_tools.render.terminal.text import clean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -96,6 +95,8 @@ def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
 def write_csv(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Print rows below the names of their columns, as ``print_csv`` does; a terminal gets no raw escapes."""
     writer = csv.writer(sys.stdout)
+    from edoras_tools.render.terminal.text import clean
+
     escaped = clean if sys.stdout.isatty() else str
 
     def cell(value: Any) -> Any:

@@ -13,7 +13,6 @@ import numpy as np
 
 from edoras_tools.cfs.limits import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.links import beginning, link_columns
-from edoras_tools.decode.recorded import recorded_columns
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.decode.variants import Variants
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, UNKNOWABLE, Columns, Finding, PacketBatch
@@ -127,6 +126,8 @@ class ColumnDecoder:
         if not len(batch):  # live sources give many
             return self._nothing
         if batch.recorded is not None:
+            from edoras_tools.decode.recorded import recorded_columns
+
             return recorded_columns(batch, _blank(len(batch)), self.context)
         return self.finish(batch, self.begin(batch))
 

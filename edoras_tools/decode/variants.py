@@ -26,7 +26,7 @@ from edoras_tools.links.table import accepted
 from edoras_tools.model import NO_ROUTE, PacketBatch
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_value, distinct_rows
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
 from edoras_tools.wire.msg_id import VERSION_1
@@ -179,7 +179,7 @@ class Variants:
         sample = self._sound(batch, rows[picked], link)
         own = place[np.searchsorted(rows, sample.row)]
         first = self._first(sample, own)
-        touched, members = np.unique(own, return_index=True)
+        touched, members, _ = distinct_rows(own)
         before = [self._kinds_of(value) for value in touched.tolist()]
         np.subtract.at(self._left, place[picked], 1)
         np.subtract.at(self._left, own, _UNSOUND - 1)

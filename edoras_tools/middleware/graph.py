@@ -9,8 +9,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
 _AUTOMATIC: Final = "automatic"
-MOST_DOMAIN: Final = 232
-"""The highest ROS_DOMAIN_ID: DDS has no ports for more (RTPS 9.6.1.1)."""
 
 
 @dataclass(frozen=True, slots=True)

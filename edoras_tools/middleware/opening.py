@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools import doors
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import MOST_DOMAIN, Graph, Middleware
+from edoras_tools.middleware import MOST_DOMAIN
+from edoras_tools.middleware.graph import Graph, Middleware
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -6,7 +6,9 @@ edoras-tools knows, ``framing`` those of transfer frames, ``loading`` joins seve
 every file is reported at once, each with its file, line and key.
 """
 
-from edoras_tools.mission.loading import load, loads
+from typing import TYPE_CHECKING
+
+from edoras_tools.doors import later
 from edoras_tools.mission.model import (
     Bridge,
     FlightLink,
@@ -21,6 +23,9 @@ from edoras_tools.mission.model import (
     TransferLink,
 )
 from edoras_tools.mission.scalars import read_scalar
+
+if TYPE_CHECKING:
+    from edoras_tools.mission.loading import load, loads
 
 __all__ = [
     "Bridge",
@@ -38,3 +43,5 @@ __all__ = [
     "loads",
     "read_scalar",
 ]
+
+__getattr__ = later(__name__, loading="load loads")

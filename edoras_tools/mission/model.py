@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.errors import RouteError
 from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.model import Endpoint, Link
@@ -15,6 +14,7 @@ from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.wire.transfer_frames import FrameFormat
 
 
@@ -273,6 +273,8 @@ class FlightSoftware:
         Raises:
             ConfigError: one cannot have that value.
         """
+        from edoras_tools.cfs.profile import SimProfile
+
         return SimProfile().stating(self.constants, self.limits)
 
 

@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.decode import ColumnDecoder, Context, Dissector
+from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.decode.recorded import JSON_ENCODING
 from edoras_tools.errors import ConfigError, NoDatagramsError
 from edoras_tools.io.formats.merge import merge_sources
@@ -137,7 +137,7 @@ def message_bench(topics: Sequence[RecordedTopic], settings: Settings) -> Workbe
     )
     mission = Mission(routes=routes, recorded=recorded)
     context = Context(mission, types, settings.options, Structs())
-    return Workbench(mission, types, ColumnDecoder(context), Dissector(context))
+    return Workbench(mission, types, ColumnDecoder(context))
 
 
 def definition_of(topic: RecordedTopic) -> str:

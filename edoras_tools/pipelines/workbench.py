@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.decode import ColumnDecoder, Context, Options
 from edoras_tools.decode.spacecraft import Survey
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.mission import Mission, load, loads
+from edoras_tools.mission import Mission
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.structs import Structs, shipped_structs
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from edoras_tools.decode import Dissector
     from edoras_tools.io import Source
     from edoras_tools.links.doors import Unwrapper
     from edoras_tools.links.site import Endpoints
@@ -30,7 +31,7 @@ _LAYOUTS: Final = "structs/"
 """Prefix of the names of layouts in a recording, which also contains the mission files."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Workbench:
     """A mission, its types, and one decoder of each kind over the same context.
 
@@ -38,15 +39,20 @@ class Workbench:
         mission: the routes and links.
         types: the ROS types.
         columns: decodes batches.
-        dissector: decodes single packets, with every field's bytes.
         unwrappers: take packets out of what carries them, by their link.
     """
 
     mission: Mission
     types: TypeStore
     columns: ColumnDecoder
-    dissector: Dissector
     unwrappers: Mapping[Link, Unwrapper] = field(default_factory=dict)
+
+    @cached_property
+    def dissector(self) -> Dissector:
+        """Decodes single packets, with every field's bytes."""
+        from edoras_tools.decode import Dissector
+
+        return Dissector(self.columns.context)
 
     def with_headers(self, headers: Headers) -> Workbench:
         """Return one for packets with the headers of another build, and its MsgIds."""
@@ -107,14 +113,18 @@ class Settings:
         options = self.options.over(info.read_with) if info else self.options
         types = TypeStore(self.distro, self.msg_paths, info.definitions if info else None)
         bridges = {name: data for name, data in attached.items() if not name.startswith(_LAYOUTS)}
-        read = (
-            partial(load, self.configs, ros_args=self.ros_args) if self.configs else partial(loads, bridges)
-        )
-        mission = read(check_type=types.check, msg_ids=options.msg_ids)
+        mission = Mission(msg_ids=options.msg_ids)
+        if self.configs or bridges:
+            from edoras_tools.mission import load, loads
+
+            read = partial(loads, bridges, check_type=types.check)
+            if self.configs:
+                read = partial(load, self.configs, check_type=types.check, ros_args=self.ros_args)
+            mission = read(msg_ids=options.msg_ids)
         if headers := mission.software.headers:
             options = options.saying(headers)
             if options.msg_ids is not mission.msg_ids:
-                mission = read(check_type=types.check, msg_ids=options.msg_ids)
+                mission = read(msg_ids=options.msg_ids)
         if self.constants:
             mission = replace(mission, software=mission.software.stating(self.constants))
         msg_ids = options.msg_ids
@@ -140,7 +150,7 @@ def _bench(mission: Mission, types: TypeStore, context: Context) -> Workbench:
         (link, link.unwrapper(context)) for link in context.links
     )
     unwrappers = {link: item for link, item in asked if item is not None}
-    return Workbench(mission, types, ColumnDecoder(context), Dissector(context), unwrappers)
+    return Workbench(mission, types, ColumnDecoder(context), unwrappers)
 
 
 def _let_look(bench: Workbench, paths: Sequence[Path]) -> Workbench:

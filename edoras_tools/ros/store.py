@@ -6,9 +6,8 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.ros.cdr import columns, reader, validity
+from edoras_tools.ros.cdr import reader
 from edoras_tools.ros.cdr.plan import CdrPlan, Compiler
-from edoras_tools.ros.cdr.validity import extent
 from edoras_tools.ros.cdr.writer import Writer
 from edoras_tools.ros.types.library import Library
 from edoras_tools.ros.types.schema import Definition, MessageField, complete_text, full_name, with_used
@@ -150,6 +149,8 @@ class TypeStore:
         Raises:
             WireError: the message ends before its last field does, or is not CDR.
         """
+        from edoras_tools.ros.cdr.validity import extent
+
         return extent(*self.plan(type_name), cdr)
 
     def valid(
@@ -171,6 +172,8 @@ class TypeStore:
 
         Arguments as ``valid``. How many of them are usual, ``most_trailing`` says.
         """
+        from edoras_tools.ros.cdr import validity
+
         return validity.trailing(self.plan(type_name)[1], data, offset, length)
 
     def most_trailing(self, type_name: str) -> int:
@@ -181,6 +184,8 @@ class TypeStore:
         self, type_name: str, data: NDArray[np.uint8], offset: NDArray[np.int64], length: NDArray[np.int32]
     ) -> MessageColumns:
         """Return many messages as columns, one a field; arguments as ``valid``."""
+        from edoras_tools.ros.cdr import columns
+
         return columns.columns(*self.plan(type_name), data, offset, length)
 
     def plan(self, type_name: str) -> tuple[str, CdrPlan]:

@@ -42,7 +42,7 @@ import numpy as np
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import fingerprint
-from edoras_tools.wire.arrays.order import changes, order_by
+from edoras_tools.wire.arrays.order import changes, distinct_rows, order_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -647,7 +647,7 @@ def _ordered(batch: PacketBatch, columns: Columns, rows: NDArray[np.int64]) -> _
     sender = np.where(identity, identity, source).astype(np.uint64)
     keys = fingerprint.stirred(route + sender * fingerprint.MIX)
     keys = fingerprint.stirred(keys + receiver * (identity != 0))
-    unique, which = np.unique(keys, return_inverse=True)
+    unique, _, which = distinct_rows(keys)
     if len(unique) == len(keys):
         return _Groups(rows, starts, keys)
     group = np.full(len(batch), len(unique), np.min_scalar_type(len(unique)))

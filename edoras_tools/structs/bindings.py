@@ -37,27 +37,27 @@ class Bindings:
         layouts: where several name the same packets, the first applies.
 
     Attributes:
-        keys: of a MsgId's packets, function codes first.
+        keys: of a MsgId's packets, by function code, rising; then the one of all others, by None.
 
     Raises:
         ConfigError: a struct cannot become a message.
     """
 
     def __init__(self, layouts: Sequence[StructLayout]) -> None:
-        owners: dict[Key, StructLayout] = {}
-        for layout in layouts:
-            for key in layout.bindings:
-                if not any(
-                    key.msg_id == other.msg_id and owner is not layout for other, owner in owners.items()
-                ):
-                    owners[key] = layout
+        first: dict[int, StructLayout] = {}
+        owners = {
+            key: layout
+            for layout in layouts
+            for key in layout.bindings
+            if first.setdefault(key.msg_id, layout) is layout
+        }
         self._owners = dict(
             sorted(owners.items(), key=lambda item: (item[0].msg_id, item[0].function_code or 0))
         )
         self._often = Counter(layout.bindings[key].removesuffix("_t") for key, layout in owners.items())
-        self.keys: dict[int, list[Key]] = {}
+        self.keys: dict[int, dict[int | None, Key]] = {}
         for key in sorted(self._owners, key=lambda key: key.function_code is None):
-            self.keys.setdefault(key.msg_id, []).append(key)
+            self.keys.setdefault(key.msg_id, {})[key.function_code] = key
         self._bound: dict[Key, Bound] = {}
         self._prefix = ""
         self._definitions: dict[str, Definition] = {}
@@ -76,11 +76,11 @@ class Bindings:
     @property
     def all(self) -> tuple[Bound, ...]:
         """Every struct that is bound, by MsgId and function code."""
-        return tuple(map(self._bind, self._owners))
+        return tuple(map(self.bound, self._owners))
 
     def of(self, msg_id: int) -> list[Bound]:
         """Return the structs of a MsgId, in the order of ``keys``."""
-        return list(map(self._bind, self.keys[msg_id]))
+        return list(map(self.bound, self.keys[msg_id].values()))
 
     @property
     def definitions(self) -> Mapping[str, Definition]:
@@ -99,7 +99,8 @@ class Bindings:
         known = name in self._definitions
         return complete_text(with_used(name, self._definitions.__getitem__)) if known else None
 
-    def _bind(self, key: Key) -> Bound:
+    def bound(self, key: Key) -> Bound:
+        """Return the struct of one of ``keys``."""
         if key not in self._bound:
             self._bound[key] = self._new(key, self._owners[key])
         return self._bound[key]

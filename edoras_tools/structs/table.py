@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros import TypeStore
-from edoras_tools.ros.types.schema import Definition, complete_text
 from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, commanded, packets
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays.order import by_value, groups
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
@@ -21,11 +19,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.ros import TypeStore
+    from edoras_tools.ros.types.schema import Definition
     from edoras_tools.structs.bindings import Bindings
     from edoras_tools.structs.bound import Bound, Held
     from edoras_tools.structs.entries import LayoutEntryTable
     from edoras_tools.structs.payloads import StructPayloads
-    from edoras_tools.structs.shapes import StructLayout
+    from edoras_tools.structs.shapes import Key, StructLayout
 
 _NONE: Final = 3
 """Keys behind the last: an entry that is not in a dictionary, bytes that are none, and ``NO_MSG_ID``."""
@@ -118,6 +118,9 @@ class Structs:
     @cached_property
     def types(self) -> TypeStore:
         """The types of the messages."""
+        from edoras_tools.ros import TypeStore
+        from edoras_tools.ros.types.schema import complete_text
+
         texts = {
             name: complete_text([item, *(other for other in self.definitions.values() if other is not item)])
             for name, item in list(self.definitions.items())[:1]
@@ -129,15 +132,19 @@ class Structs:
 
         A packet without a payload is a request or a wake-up, unless its function code has its own struct.
         """
-        for item in self.bound_to(msg_id):
-            if (length > 0) if item.key.function_code is None else item.key.function_code == function_code:
-                return item
-        return None
+        keys = self._keys(msg_id)
+        key = keys.get(function_code, keys.get(None))
+        if key is None or (key.function_code is None and length <= 0):
+            return None
+        return self._bindings.bound(key)
 
     def name(self, msg_id: int) -> str:
         """Return the struct of a MsgId; empty if there is none, or several: each packet has its own."""
-        names = [item.name for item in self.bound_to(msg_id)]
-        return names[0] if len(names) == 1 else ""
+        return self.bound_to(msg_id)[0].name if self.is_one(msg_id) else ""
+
+    def is_one(self, msg_id: int) -> bool:
+        """Tell whether all packets of a MsgId hold the same struct."""
+        return len(self._keys(msg_id)) == 1
 
     def own(self, msg_id: int) -> Sequence[Bound]:
         """Return the structs of a MsgId that a layout names, not the built-in ones."""
@@ -194,14 +201,21 @@ class Structs:
             the struct; what should hold it; bool, which of those are as long as it is.
         """
         for value, members in by_value(payloads.key):
-            rest = members
-            for item in self.bound_to(value):
-                code = item.key.function_code
-                mask = payloads.length[rest] > 0 if code is None else payloads.code[rest] == code
-                if mask.any():
-                    part = payloads.take(rest[mask])
-                    yield item, part, item.fits(part.length)
-                    rest = rest[~mask]
+            keys, rest = self._keys(value), members
+            if keys.keys() - {None}:
+                others = [members[:0]]
+                for code, rows in groups(payloads.code, members):
+                    if code in keys:
+                        yield self._part(keys[code], payloads.take(rows))
+                    else:
+                        others.append(rows)
+                rest = np.sort(np.concatenate(others))
+            if None in keys and (full := payloads.length[rest] > 0).any():
+                yield self._part(keys[None], payloads.take(rest[full]))
+
+    def _part(self, key: Key, part: StructPayloads) -> tuple[Bound, StructPayloads, NDArray[np.bool_]]:
+        item = self._bindings.bound(key)
+        return item, part, item.fits(part.length)
 
     def payloads_of(
         self, payloads: StructPayloads, columns: Callable[[str], NDArray[Any]], data: NDArray[np.uint8]
@@ -222,6 +236,9 @@ class Structs:
     def bound_to(self, msg_id: int) -> Sequence[Bound]:
         """Return the structs of a MsgId, in the order in which they are tried."""
         return self._bindings.of(msg_id) if self.has[msg_id] else ()
+
+    def _keys(self, msg_id: int) -> Mapping[int | None, Key]:
+        return self._bindings.keys[msg_id] if self.has[msg_id] else {}
 
 
 @cache

@@ -19,7 +19,7 @@ from edoras_tools.addons.racs2.link import RACS2
 from edoras_tools.addons.racs2.wire import BODY_KINDS
 from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.cfs.arguments import SERVICES
-from edoras_tools.decode import ColumnDecoder, Context, Dissector
+from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.mission import Mission, load
 from edoras_tools.model import OTHER
@@ -323,7 +323,7 @@ def agreed(tshark, judge):
         mission, types = load(configs) if configs else Mission(), TypeStore()
         context = Context(mission, types, structs=Structs([load_layout(item) for item in structs]))
         unwrappers = {FRAMES: Unframer(context.frames)} if context.frames else {}
-        bench, found = Workbench(mission, types, ColumnDecoder(context), Dissector(context), unwrappers), []
+        bench, found = Workbench(mission, types, ColumnDecoder(context), unwrappers), []
         with closing(open_file(path)) as source, reading(source, bench) as loop:
             for rows in loop:
                 found += [bench.dissector.dissect(rows.batch[row]) for row in range(len(rows.batch))]

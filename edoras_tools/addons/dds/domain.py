@@ -33,7 +33,7 @@ from cyclonedds.core import DDSException
 from cyclonedds.domain import Domain
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.middleware.graph import MOST_DOMAIN
+from edoras_tools.middleware import MOST_DOMAIN
 from edoras_tools.middleware.names import unknown_options
 
 if TYPE_CHECKING:

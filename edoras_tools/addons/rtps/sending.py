@@ -21,8 +21,7 @@ from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.io.net.sockets import SendResult
 from edoras_tools.io.net.transmit import SendStatistics
 from edoras_tools.links.sending import LinkSending, SendingSession
-from edoras_tools.middleware import Qos
-from edoras_tools.middleware.graph import MOST_DOMAIN
+from edoras_tools.middleware import MOST_DOMAIN, Qos
 from edoras_tools.middleware.opening import usual_domain
 from edoras_tools.model import Endpoint
 from edoras_tools.sessions.ranges import KnownRanges

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
-from edoras_tools.decode.stack import Dissector
 from edoras_tools.model import NO_ROUTE, Columns, Decoded, PacketBatch
 from edoras_tools.wire.arrays.order import by_value
 
@@ -198,6 +197,8 @@ class ColumnRows(PacketRows):
 
     def packets(self) -> Sequence[Decoded]:
         """Return the packets, dissected one by one."""
+        from edoras_tools.decode.stack import Dissector
+
         dissector = Dissector(self.context, detail=False)
         packets: Sequence[Decoded] = self.once(
             "packets", lambda: [dissector.dissect(self.batch[row]) for row in self.indices().tolist()]

@@ -16,6 +16,7 @@ from edoras_tools.links.table import among
 from edoras_tools.sessions.faults.fault import Fault
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, cfe_file
+from edoras_tools.wire.arrays.order import distinct_rows
 from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at
 
 if TYPE_CHECKING:
@@ -269,7 +270,7 @@ def _log_strings(
     """Write what follows ``level`` in a Log: name, msg, file, function, line, as aligned CDR strings."""
     count = len(payload)
     senders = payload["spacecraft_id"].astype(np.uint64) << np.uint64(32) | payload["processor_id"]
-    distinct, which = np.unique(senders, return_inverse=True)
+    distinct, _, which = distinct_rows(senders)
     functions = [f"{sender >> 32}/{sender & 0xFFFFFFFF}".encode() for sender in distinct.tolist()]
     function_pool = np.frombuffer(b"".join(functions) or b"\0", dtype=np.uint8)
     function_length = np.array([len(text) for text in functions], dtype=np.int64)

@@ -15,7 +15,7 @@ from edoras_tools.links import table
 from edoras_tools.model import Columns, HostCounters, PacketBatch, SocketCounters, SourceStatistics
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import changes
+from edoras_tools.wire.arrays.order import changes, distinct_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -142,7 +142,7 @@ class LinkStatistics:
     ) -> Messages:
         if not len(groups):
             return no_messages(channel_id, _LINK_STATISTICS)
-        flows, which = np.unique(groups["flow"], return_inverse=True)
+        flows, _, which = distinct_rows(groups["flow"])
         names = [self._name(flow) for flow in flows.tolist()]
         for flow, count in zip(flows.tolist(), np.bincount(which, groups["count"]).tolist(), strict=True):
             self._total[flow] += int(count)

@@ -484,13 +484,12 @@ class Streams:
     def _place_structs(self, batch: PacketBatch, columns: Columns) -> None:
         """Add the topics of structs that come for the first time."""
         samples = payloads(self._new, partial(getattr, columns), partial(getattr, batch), batch.data)
+        placed = []
         for bound, _, fits in self._new.split(samples):
             if fits.any():
                 self._place(Topic(bound.topic, bound.type, bound.metadata))
-        keys = np.flatnonzero(np.bincount(samples.key)).tolist()
-        self._new = self._new.unclaimed(
-            key for key in keys if all(item.topic in self.added for item in self._new.bound_to(key))
-        )
+                placed.append(bound.key.msg_id)
+        self._new = self._new.unclaimed(filter(self._new.is_one, placed))
 
     @property
     def flows(self) -> dict[str, int]:

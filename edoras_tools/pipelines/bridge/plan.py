@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from edoras_tools.decode import ColumnDecoder, Context, Dissector
+from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.address import arrives_at
 from edoras_tools.middleware import Qos
@@ -117,7 +117,7 @@ class BridgePlan:
         mission = load(wishes.configs, msg_ids=wishes.options.msg_ids, ros_args=wishes.ros_args)
         routes = tuple(route for route in mission.routes if self.types.has(route.type))
         context = Context(replace(mission, routes=routes), self.types, self.settings.options)
-        return Workbench(context.mission, self.types, ColumnDecoder(context), Dissector(context))
+        return Workbench(context.mission, self.types, ColumnDecoder(context))
 
 
 def qos_of(route: Route) -> Qos:

@@ -16,13 +16,11 @@ from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.links import table
 from edoras_tools.links.table import LinkStates
-from edoras_tools.mission import loads
 from edoras_tools.mission.report import printable
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketBatch, rate_hz
-from edoras_tools.ros.fitting import types_that_fit
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import by_value, changes, order_by
+from edoras_tools.wire.arrays.order import by_value, changes, distinct_rows, order_by
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -189,6 +187,8 @@ class _UnfitMessages:
             place: of the route in ``Mission.routes``.
             count: of its messages.
         """
+        from edoras_tools.ros.fitting import types_that_fit
+
         said = f"0 of {count:,} messages of {route.topic} fit {route.type}"
         samples, known = list(self._samples.get(place, ())), _packaged(route)
         fits = types_that_fit(types, samples, own=known) if samples else []
@@ -203,6 +203,8 @@ class _UnfitMessages:
 
 def _packaged(route: Route) -> dict[str, str]:
     """Return the types that the packaged missions have for a route's MsgId on its link, and their files."""
+    from edoras_tools.mission import loads
+
     folder: Any = files("edoras_tools.samples") / "missions"
     known: dict[str, str] = {}
     for path in sorted(folder.iterdir(), key=lambda item: item.name):
@@ -333,7 +335,7 @@ class Ledger:
         self._count(accounts, batch, columns, order, starts)
         stream = self.sequences.follow(batch, columns).stream
         if len(self.sequences.streams) > self._known:
-            streams, first = np.unique(stream, return_index=True)
+            streams, first, _ = distinct_rows(stream)
             for index, row in zip(streams.tolist(), first.tolist(), strict=True):
                 if index >= self._known:
                     account = self._account(columns, int(own[row]), row)

@@ -16,7 +16,7 @@ from edoras_tools.addons.lab.emulator import Served, Simulation
 from edoras_tools.addons.proxy.plan import ProxyPlan, limit_rule
 from edoras_tools.addons.proxy.run import Proxy
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.decode import ColumnDecoder, Context, Dissector
+from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.net.buffer import SendResult
 from edoras_tools.links.ci import CI
@@ -203,7 +203,7 @@ def test_a_filter_expression_chooses_what_is_struck(ends, arena):
     mission = Mission((Route("/cmd_vel", "geometry_msgs/msg/Twist", 0x1827, CI, "command"),))
     types = TypeStore()
     context = Context(mission, types)
-    bench = Workbench(mission, types, ColumnDecoder(context), Dissector(context))
+    bench = Workbench(mission, types, ColumnDecoder(context))
     target = ends.port()
     client = ends.client(ends.proxy(target, rules=["drop:1,where=linear.x > 1"], where=compiler(bench)))
     for x in range(8):

@@ -10,7 +10,7 @@ from places import ROOT
 from waiting import PATIENCE_S
 
 from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
-from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.decode import ColumnDecoder, Context, Options
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 
@@ -96,7 +96,7 @@ def drive():
         async def whole():
             settings = Settings(MISSIONS, options=options or Options())
             context = Context(known.mission, known.types, settings.options)
-            bench = Workbench(known.mission, known.types, ColumnDecoder(context), Dissector(context))
+            bench = Workbench(known.mission, known.types, ColumnDecoder(context))
             opened = source or open_files([ROOT / f"samples/captures/{capture}.pcap"])
             app = Viewer(opened, bench, ViewOptions(selection or Selection(), settings, **choice))
             async with app.run_test(size=size) as pilot:

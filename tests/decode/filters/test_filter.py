@@ -198,7 +198,7 @@ def test_what_is_cheap_is_asked_first(monkeypatch):
     context, (batch, columns, _) = capture_of("a_rover")
     asked = []
     monkeypatch.setattr(
-        "edoras_tools.decode.filters.rows.Dissector.dissect",
+        "edoras_tools.decode.stack.Dissector.dissect",
         lambda self, datagram, real=Dissector.dissect: asked.append(datagram.number) or real(self, datagram),
     )
     mask = Where("summary contains 'x=' and pose.position.x > 6 and number < 1800", context).mask(

@@ -19,6 +19,7 @@ from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import SourceInfo
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays.order import distinct
 from edoras_tools.wire.arrays.window import read_at
 
 if TYPE_CHECKING:
@@ -396,7 +397,7 @@ class PcapngSource(RecordSource):
         interface = self._interface_of(blocks)
         time_ns = np.empty(len(ticks), dtype=np.int64)
         link_type = np.empty(len(ticks), dtype=np.uint16)
-        for number in np.unique(interface).tolist():
+        for number in distinct(interface).tolist():
             rows = interface == number
             time_ns[rows] = self._interfaces[number].scale.to_ns(ticks[rows])
             link_type[rows] = self._interfaces[number].link_type
