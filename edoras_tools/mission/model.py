@@ -301,7 +301,7 @@ class Mission:
 
     routes: tuple[Route, ...] = ()
     links: tuple[GroundLink | FlightLink | TransferLink, ...] = ()
-    files: Mapping[str, bytes] = field(default_factory=lambda: MappingProxyType({}))
+    files: Mapping[str, bytes] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     bridges: tuple[Bridge, ...] = ()
     msg_ids: MsgIds = VERSION_1

@@ -192,7 +192,7 @@ class _Parts(SourceDefaults):
                 yield batch.take(slice(first, first + self._rows))
 
 
-@pytest.mark.long
+@pytest.mark.quick("b_arm_single")
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 @pytest.mark.parametrize("path", [*CAPTURES, ERRORS], ids=lambda path: path.stem)
 def test_chapters_are_judged_alike_by_any_number_of_processes(monkeypatch, path):
