@@ -87,8 +87,9 @@ def peer(name, types, **variables):
 
         yield environ, seen
     finally:
-        _, complaints = process.communicate(timeout=PATIENCE_S)
-    assert not complaints
+        _, said = process.communicate(timeout=PATIENCE_S)
+    # rcl itself warns that ROS_LOCALHOST_ONLY is deprecated.
+    assert not [line for line in said.splitlines() if "localhost_only" not in line.casefold()]
 
 
 def round_trip(ros, name, types, environ, meanwhile=lambda: None):
@@ -146,8 +147,9 @@ def test_on_this_machine_only_nothing_leaves_it(name, variables):
             watched.bind(("far", 0))
             watched.setblocking(False)
             some = BRIDGED if LONG else BRIDGED[:3]
-            with peer(name, some, **variables) as (environ, _):
-                check(name, some, round_trip("dds", name, some, environ)[0])
+            theirs = variables if name == "jazzy" else {}  # Kilted no longer knows ROS_LOCALHOST_ONLY
+            with peer(name, some, **theirs) as (environ, _):
+                check(name, some, round_trip("dds", name, some, environ | variables)[0])
             with pytest.raises(BlockingIOError):
                 watched.recv(2048)
     finally:
