@@ -59,6 +59,8 @@ ENGINE: Final = (
 """The parts of the engine, in the order in which they need each other."""
 OF_LINKS: Final = ("racs2", "fprime")
 """The parts that a link alone needs, by its label: without the link they are left out."""
+TITLE: Final = "-- EDORAS for Wireshark and tshark"
+"""How the file begins."""
 GUARD: Final = "EDORAS_LUA"
 """The environment variable that names the one digest that may load, where several copies are installed."""
 
@@ -171,7 +173,7 @@ def own_digest(text: str) -> str:
 
 def _head(note: str, mark: str) -> str:
     return f"""\
--- EDORAS for Wireshark and tshark: CCSDS space packets, cFE, SBN, the EDORAS envelope and ROS 2 messages.
+{TITLE}: CCSDS space packets, cFE, SBN, the EDORAS envelope and ROS 2 messages.
 -- Generated from the layouts of edoras-tools; do not edit: edoras wireshark print > edoras.lua
 -- {note}
 -- SPDX-License-Identifier: MIT

@@ -116,6 +116,7 @@ local function badges()
 	return text
 end
 
+-- What the list says of a packet, and the part of it that is its message: what is wrong, and its values.
 local function info()
 	local known, head = W.known, W.kind
 	local text = W.summary and printable(W.summary) or said_of(known)
@@ -129,12 +130,13 @@ local function info()
 		end
 	end
 	if W.findings > 0 then text = badges() .. text end
-	if head then text = text == "" and head or head .. "  " .. text end
 	local missing = analysis[W.key]
 	if missing then
-		text = text .. (type(missing) == "number" and format("  [gap of %d]", missing) or "  [" .. missing .. "]")
+		missing = type(missing) == "number" and format("[gap of %d]", missing) or "[" .. missing .. "]"
+		text = text == "" and missing or text .. "  " .. missing
 	end
-	return text
+	if not head then return text, text end
+	return text == "" and head or head .. "  " .. text, text
 end
 
 local function show_word(node, record, tvb, at, size)
@@ -210,6 +212,7 @@ local function show_facts(node, visible)
 	end
 	if W.time then show_value(node, F.mission_time, W.time, visible) end
 	if W.stop then show_value(node, F.stop, W.stop, visible) end
+	if W.text and W.text ~= "" then show_value(node, F.text, W.text, visible) end
 end
 
 local CDR, SUBSCRIPTIONS, CFDP = L.cdr, L.sbn_sub, Dissector.get("cfdp")
@@ -253,7 +256,8 @@ end
 -- Read what is of a link, and show it; return what the packet list says of it.
 local function dissect_as(link, s, tvb, pinfo, tree, wanted, inner)
 	local visible, number, cut_off = wanted == "all", pinfo.number, reported_len(tvb) > #s
-	begin(s, link.label, pinfo, key_of(number, tvb, inner), has_columns(pinfo, visible, number), cut_off)
+	local listed = has_columns(pinfo, visible, number) or visible or F.text.on
+	begin(s, link.label, pinfo, key_of(number, tvb, inner), listed, cut_off)
 	local room = link.receive_buffer
 	-- cFS takes what the header says: what is cut behind that is no loss.
 	if room and #s > room and not (link.to_cfs and select(7, read.ccsds(s, 1)) + D.limits.length_bias <= room) then
@@ -262,9 +266,11 @@ local function dissect_as(link, s, tvb, pinfo, tree, wanted, inner)
 	local start = (HEADER_READERS[link.label] or read_headers)(s, link)
 	if start then space_packet(start) end
 	if cut_off then forgive() end
+	local line
+	if listed then line, W.text = info() end
 	show_findings(wanted and show(tree, tvb, visible) or tree, visible)
 	if W.pdu and W.pdu < #s then CFDP:call(cut(tvb, W.pdu):tvb(), pinfo, tree) end  -- it fills columns, too
-	return W.listed and info()
+	return line
 end
 
 local told = {}  -- what the list says of the last frame that had messages

@@ -95,6 +95,7 @@ local F = {
 	command = new_field("edoras", "edoras.command", "string", "Command"),
 	mission_time = new_field("edoras", "edoras.mission_time", "double", "Mission time, s since its epoch"),
 	finding = new_field("edoras", "edoras.finding", "string", "Finding"),
+	text = new_field("edoras", "edoras.message", "string", "Message"),
 	stop = new_field("edoras", "edoras.stop", "string", "Decoded no further"),
 	padding = new_field("edoras", "edoras.padding", "bytes", "Padding"),
 	gap = new_field("edoras", "edoras.gap", "uint16", "Packets missing before this one", base.DEC),

@@ -16,7 +16,7 @@ local function begin(s, link, pinfo, key, listed, cut_off)
 	W.layers, W.findings, W.entries, W.spacecraft, W.processor, W.bare = 0, 0, 0, 0, 0, false
 	W.stop, W.kind, W.msg_id, W.code, W.time, W.summary = nil, nil, nil, nil, nil, nil
 	W.route, W.message, W.envelope, W.padding, W.known, W.crc_at = nil, nil, nil, nil, nil, nil
-	W.pdu, W.packets, W.entries_read = nil, nil, nil
+	W.pdu, W.packets, W.entries_read, W.text = nil, nil, nil, nil
 end
 
 -- Note a finding, once; they stay in the order of their bits.
@@ -174,16 +174,19 @@ local function software_bus_network(s)
 	return nil
 end
 
--- Return a header as the steps of a message: its values say what it is.
+-- Return a header as the steps of a message: its numbers say what it is, of an array the first.
 local function steps_of(layout)
 	if not layout.steps then
-		local leaves = {}
-		for index, slot in ipairs(layout.fields) do
-			local code = ({double = "d", float = "f", int32 = "i4", uint32 = "I4"})[slot.kind]
-			leaves[index] = {
+		local leaves, name, codes = {}, nil, {
+			double = "d", float = "f", int8 = "i1", int16 = "i2", int32 = "i4", uint8 = "I1", uint16 = "I2", uint32 = "I4",
+		}
+		for _, slot in ipairs(layout.fields) do
+			local code = not slot.mask and slot.name ~= name and codes[slot.kind]
+			name = slot.name
+			if code then leaves[#leaves + 1] = {
 				name = slot.name, offset = slot.start, size = slot.size, code = code, big = ">" .. code, little = "<" .. code,
 				form = slot.name .. (code:find("[fd]") and "=%.6g" or "=%d"),
-			}
+			} end
 		end
 		layout.steps = {{leaves = leaves, alignment = 1, size = layout.size}}
 	end

@@ -219,12 +219,15 @@ local function own_struct(own, at, code)
 	local size = #W.s - at
 	local layout = L[code and own[code] or size > 0 and own[-1]]
 	if not layout then return end
-	if size < layout.size or size > layout.most then
+	if size < layout.size or size > layout.most or (size - layout.size) % (layout.step or 1) > 0 then
 		if not has("command_length") then note("struct_length") end
 		return
 	end
 	add_layer(layout, at)
-	if W.listed then W.summary = layout.title end
+	if W.listed then
+		local text = short_message(steps_of(layout), W.s, at + 1, at + 1, not layout.little)
+		W.summary = layout.own and layout.title .. "  " .. text or text
+	end
 end
 
 -- Read what lies behind the cFE header: an event, housekeeping, or a route's envelope.

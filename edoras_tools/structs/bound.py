@@ -107,9 +107,9 @@ class Bound:
         return fits
 
     @property
-    def extent(self) -> tuple[int, int]:
-        """The bytes of the shortest payload that fits, and of the longest; 65,535 where nothing ends it."""
-        return self._least, 0xFFFF if self._step else self.size + self.struct.tail
+    def extent(self) -> tuple[int, int, int]:
+        """Bytes of the shortest payload that fits, of the longest (65,535: any), and of a step between."""
+        return self._least, 0xFFFF if self._step else self.size + self.struct.tail, self._step
 
     @property
     def expected(self) -> str:

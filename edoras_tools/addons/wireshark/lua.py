@@ -22,7 +22,7 @@ from edoras_tools.render.severity import EXPLANATIONS, Level
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.cdr.plan import CdrPlan, PrimitiveRun, Repeat, Text
 from edoras_tools.ros.types.schema import PLACEHOLDER, full_name
-from edoras_tools.structs import Structs
+from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.files import load_layout
 
 if TYPE_CHECKING:
@@ -60,7 +60,9 @@ def dissector(settings: Settings) -> tuple[str, list[str]]:
         if why is not None:
             warnings.append(f"{name} is left as bytes: {why}")
     layouts = [load_layout(path) for path in settings.structs]
-    structs = Structs(layouts) if layouts else None
+    msg_ids, software = settings.options.msg_ids, missions[0].software
+    shipped = shipped_structs(msg_ids, big_endian=software.big_endian)
+    structs = Structs([*layouts, *shipped.layouts], msg_ids) if layouts else None
     contexts = [Context(mission, types, settings.options, structs) for mission in missions]
     return generate(replace(_knowledge(contexts, types), note=note)), warnings
 

@@ -10,11 +10,12 @@ import subprocess
 import sys
 import tempfile
 from contextlib import closing, contextmanager
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.wireshark.lua import dissector
-from edoras_tools.dissectors.lua import GUARD, own_digest
+from edoras_tools.dissectors.lua import GUARD, TITLE, own_digest
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcapng.writer import PcapngSink
@@ -22,13 +23,24 @@ from edoras_tools.io.outputs import write_files
 from edoras_tools.pipelines.interrupt import on_interrupt
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from edoras_tools.model import PacketBatch
     from edoras_tools.pipelines.workbench import Settings
 
 SCRIPT: Final = "edoras.lua"
 LAUNCHER: Final = "edoras-extcap"
+PROFILE: Final = "EDORAS"
+_BY_WIRESHARK: Final = "recent"
+"""The file of a profile that Wireshark writes again each time it ends."""
+_NAMES: Final = {
+    "plugins": ("Personal Lua Plugins", "Personal Plugins"),
+    "extcap programs": ("Personal Extcap path", "Extcap path"),
+    "profiles": ("Personal configuration",),
+}
+"""What Wireshark calls its folders, by what is in them."""
+_PROFILE_FILES: Final = files("edoras_tools.addons.wireshark") / "profile"
+_MODULE: Final = "edoras_tools.addons.wireshark.cli.extcap"
 OLDEST: Final = (3, 6)
 """The oldest Wireshark with all Lua functions that the dissector uses."""
 _READS: Final = frozenset({"pcap", "pcapng"})
@@ -75,10 +87,9 @@ def folders() -> dict[str, Path]:
     return {name.strip(): Path(path.strip()) for name, colon, path in pairs if colon and path.strip()}
 
 
-def _own_folder(*names: str, noun: str) -> Path:
-    """Return the first of Wireshark's folders that it has."""
-    by_name = folders()
-    for name in names:
+def _own(by_name: Mapping[str, Path], noun: str) -> Path:
+    """Return the first of Wireshark's folders for something that it has."""
+    for name in _NAMES[noun]:
         if name in by_name:
             return by_name[name]
     raise CaptureError(f"this Wireshark has no folder for {noun}; name one with --to")
@@ -95,8 +106,61 @@ def install(text: str, folder: Path | None = None, *, force: bool = False) -> Pa
         CaptureError: Wireshark is not installed, or the file cannot be written.
         ConfigError: another one is there.
     """
-    folder = folder or _own_folder("Personal Lua Plugins", "Personal Plugins", noun="plugins")
+    folder = folder or _own(folders(), "plugins")
     return _write(folder / SCRIPT, text, force=force)
+
+
+def install_profile() -> tuple[Path, bool]:
+    """Write the profile ``EDORAS``: columns, colours, filter buttons and graphs; one that is there stays.
+
+    Returns:
+        its folder, and whether what is in it is ours.
+
+    Raises:
+        CaptureError: Wireshark is not installed, or a file cannot be written.
+    """
+    folder = _own(folders(), "profiles") / "profiles" / PROFILE
+    if not folder.exists():
+        written = {folder / item.name: item.read_bytes() for item in _PROFILE_FILES.iterdir()}
+        write_files(written, force=False)
+    return folder, _is_ours(folder)
+
+
+def uninstall() -> Iterator[tuple[Path, bool]]:
+    """Remove the dissector, the profile and the capture interfaces from Wireshark's personal folders.
+
+    Yields:
+        each path that is there, and whether it was removed: what is not as it was written is kept.
+
+    Raises:
+        CaptureError: Wireshark is not installed, or a file cannot be removed.
+    """
+    by_name = folders()
+    script, launcher = _own(by_name, "plugins") / SCRIPT, _own(by_name, "extcap programs") / LAUNCHER
+    folder = _own(by_name, "profiles") / "profiles" / PROFILE
+    try:
+        for path, mark in ((script, TITLE), (launcher, _MODULE)):
+            if path.exists():
+                own = mark in path.read_text(encoding="utf-8", errors="replace")
+                if own:
+                    path.unlink()
+                yield path, own
+        if folder.exists():
+            own = _is_ours(folder)
+            if own:
+                shutil.rmtree(folder)
+            yield folder, own
+    except OSError as error:
+        raise CaptureError(f"{error.filename}: cannot be removed: {error.strerror}") from error
+
+
+def _is_ours(folder: Path) -> bool:
+    """Tell whether a profile is as it was written, but for what Wireshark writes itself."""
+    ours, there = (
+        {item.name: item.read_bytes() for item in place.iterdir() if item.is_file()}
+        for place in (_PROFILE_FILES, folder)
+    )
+    return ours | {_BY_WIRESHARK: b""} == there | {_BY_WIRESHARK: b""}
 
 
 def install_extcap(folder: Path | None = None, *, force: bool = False) -> Path:
@@ -110,8 +174,8 @@ def install_extcap(folder: Path | None = None, *, force: bool = False) -> Path:
         CaptureError: Wireshark is not installed, or the file cannot be written.
         ConfigError: another one is there.
     """
-    folder = folder or _own_folder("Personal Extcap path", "Extcap path", noun="extcap programs")
-    text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m edoras_tools.addons.wireshark.cli.extcap "$@"\n'
+    folder = folder or _own(folders(), "extcap programs")
+    text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m {_MODULE} "$@"\n'
     try:
         path = _write(folder / LAUNCHER, text, force=force)
         path.chmod(0o755)

@@ -1,4 +1,4 @@
-"""The structs of a mission's own layouts, as tables that the engine of the dissector adds like headers."""
+"""Structs of own layouts and cFE's housekeeping, as tables that the dissector's engine adds like headers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.structs.shapes import BasicKind
+from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,31 +17,37 @@ if TYPE_CHECKING:
 
 _MOST: Final = 512
 """Values of a struct at the most; the rest is not shown."""
+_IN_THE_ENGINE: Final = (cfe.EVENT_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID)
 _WHOLE: Final = {BasicKind.UINT: "uint", BasicKind.BOOL: "uint", BasicKind.CHAR: "uint", BasicKind.INT: "int"}
 
 
 def engine_structs(structs: Structs) -> dict[str, Any]:
-    """Return what ``engine/packet.lua`` reads of the structs that a layout names.
+    """Return what ``engine/packet.lua`` reads of the structs that a layout names, and of cFE's telemetry.
+
+    Commands, events and the software bus's counters have tables in the engine, if no layout names them.
 
     Returns:
         ``layouts``: a table for each struct in a packet, by name; ``packets``: for each MsgId the ``name`` of
-        its packets, if all have one, and, by function code, -1 for all, the name of the table.
+        its packets, if all have one not one of cFE's, and, by function code, -1 for all, that of the table.
     """
     layouts: dict[str, Any] = {}
     packets: dict[int, dict[Any, Any]] = {}
     for bound in structs.all:
-        if bound.shipped or bound.key.port is not None or bound.layout.entries:
+        code, standard = bound.key.function_code, structs.msg_ids.standard(bound.key.msg_id)
+        if bound.shipped and (code is not None or standard in _IN_THE_ENGINE):
+            continue
+        if bound.key.port is not None or bound.layout.entries:
             continue
         name = f"struct {bound.key}"
         layouts[name] = _layout(bound)
-        packet = packets.setdefault(bound.key.msg_id, {"name": structs.name(bound.key.msg_id) or None})
-        code = bound.key.function_code
+        title = "" if bound.shipped else structs.name(bound.key.msg_id)
+        packet = packets.setdefault(bound.key.msg_id, {"name": title or None})
         packet[-1 if code is None else code] = name
     return {"layouts": layouts, "packets": packets}
 
 
 def _layout(bound: Bound) -> dict[str, Any]:
-    least, most = bound.extent
+    least, most, step = bound.extent
     leaves = bound.plan(least).leaves
     fields = [*islice((item for leaf in leaves for item in _fields(bound, leaf)), _MOST)]
     return {
@@ -49,6 +56,8 @@ def _layout(bound: Bound) -> dict[str, Any]:
         "title": bound.name,
         "size": least,
         "most": most,
+        "step": step or None,
+        "own": not bound.shipped or None,
         "little": bound.layout.byte_order == "little" or None,
         "fields": fields,
     }

@@ -10,6 +10,7 @@ from pathlib import Path
 import here
 import pytest
 from effort import every
+from looking import contrast
 from places import ROOT
 
 from edoras_tools.addons.wireshark import program as wireshark_program
@@ -58,11 +59,50 @@ def test_install_to_a_folder(capfd, tmp_path):
 
 def test_install_where_wireshark_looks(capfd, tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
-    code, out, _ = edoras(capfd, "wireshark", "install")
-    assert code == 0
-    assert Path(out.strip()).is_relative_to(tmp_path)
-    told = subprocess.run(["tshark", "-G", "plugins"], capture_output=True, text=True, check=True).stdout
-    assert "edoras.lua" in told
+    code, out, said = edoras(capfd, "wireshark", "install")
+    assert (code, said) == (0, [])
+    script, profile = map(Path, out.splitlines())
+    assert script.is_relative_to(tmp_path)
+    words = ("tshark", "-C", profile.name, "-r", ROOT / "samples/captures/e_ci_errors.pcap", "-c", "400")
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert "0x0803 SB_HK pipe overflow 0, message limit 8" in done.stdout
+    colours = subprocess.run([*words, "--color"], capture_output=True, text=True, check=True)
+    assert "compile" not in done.stderr + colours.stderr
+    filters = [line.split("@")[2:] for line in (profile / "colorfilters").read_text().splitlines()[1:]]
+    buttons = [
+        [part.replace("\\x22", '"') for part in re.findall(r'"([^"]*)"', line)]
+        for name in ("dfilter_buttons", "io_graphs")
+        for line in (profile / name).read_text().splitlines()[1:]
+    ]
+    every_filter = {item[0] for item in filters} | {item[2] for item in buttons}
+    shown = " or ".join(f"({item})" for item in sorted(every_filter))  # refused if a field is not known
+    assert subprocess.run([*words, "-Y", shown], capture_output=True, text=True, check=True).stdout
+    for _, colours in filters:
+        ground, ink = (
+            [int(part) // 257 for part in item.split(",")] for item in re.findall(r"[\d,]{5,}", colours)
+        )
+        assert contrast(ground, ink) >= 4.5, colours
+    assert len({item[3] for item in buttons[9:]}) == len(buttons[9:]) == 9  # no colour of a graph twice
+
+
+def test_a_profile_of_the_user_is_kept_and_ours_goes(capfd, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    profile = tmp_path / ".config/wireshark/profiles/EDORAS"
+    profile.mkdir(parents=True)
+    (profile / "preferences").write_text("mine")
+    code, out, said = edoras(capfd, "wireshark", "install", "--force")
+    assert (code, len(out.splitlines()), len(said)) == (0, 1, 1)
+    assert "is another profile of that name, or was changed since, and is kept" in said[0]
+    code, out, said = edoras(capfd, "wireshark", "uninstall")
+    assert (code, out.strip().endswith("edoras.lua"), len(said)) == (0, True, 1)
+    assert [path.read_text() for path in profile.iterdir()] == ["mine"]
+    (profile / "preferences").unlink()
+    profile.rmdir()
+    assert wireshark_program.install_profile() == (profile, True)
+    (profile / "recent").write_text("written by Wireshark itself")
+    assert wireshark_program.install_profile() == (profile, True)  # once more: nothing to say
+    assert [*wireshark_program.uninstall()] == [(profile, True)]
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
 @pytest.mark.long

@@ -47,26 +47,9 @@ def test_tshark_shows_the_values_that_we_read(tmp_path, order):
         (cfe.emit_command(0x1890, 3), 1234),
         (cfe.emit_telemetry(0x0890, b"short"), 1235),
     ]
-    here = Endpoint("127.0.0.1", 40000)
-    sent = [
-        WireDatagram(place * 10**9, here, Endpoint("127.0.0.1", port), packet)
-        for place, (packet, port) in enumerate(packets)
-    ]
-    capture = tmp_path / "a.pcap"
-    with capture.open("wb") as file:
-        sink = PcapSink(file, nanosecond=True)
-        sink.write(Demux().demux(frames_of(sent, 1)))
-        sink.close()
-    script = tmp_path / "edoras.lua"
-    script.write_text(dissector(settings)[0])
-    words = ("tshark", "-r", capture, "-X", f"lua_script:{script}", "-T", "json", "--no-duplicate-keys")
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
-    assert "Lua" not in done.stderr
-    frames = [item["_source"]["layers"] for item in json.loads(done.stdout)]
-    bench = settings.workbench()
-    ours = [bench.dissector.dissect(item).message for batch in open_file(capture).batches() for item in batch]
+    frames, ours = listed(tmp_path, settings, packets)
     health = fields(frames[0], "cfs.Health.")
-    values = ours[0].values
+    values = ours[0].message.values
     assert {
         name: int(health[name], 0) for name in ("count", "charge", "on", "mode", "sum", "flag", "serial")
     } == {name: values[name] for name in ("count", "charge", "on", "mode", "sum", "flag", "serial")}
@@ -76,14 +59,85 @@ def test_tshark_shows_the_values_that_we_read(tmp_path, order):
         shown = [float(item) for item in health[f"path.{axis}"]]
         assert shown == pytest.approx([point[axis] for point in values["path"]], rel=1e-5)
     drive = fields(frames[1], "cfs.Drive.")
-    assert int(drive["speed"]) == ours[1].values["speed"]
-    assert float(drive["angle"]) == pytest.approx(ours[1].values["angle"], rel=1e-9)
-    assert (ours[2].topic, "Stop" in frames[2]["edoras"] or "Stop" in str(frames[2])) == (
+    assert int(drive["speed"]) == ours[1].message.values["speed"]
+    assert float(drive["angle"]) == pytest.approx(ours[1].message.values["angle"], rel=1e-9)
+    assert (ours[2].message.topic, "Stop" in frames[2]["edoras"] or "Stop" in str(frames[2])) == (
         "/cfs/Stop/0x1890/3",
         True,
     )
     assert "struct_length" in str(frames[3])
     assert not any("unknown_msg_id" in str(frame) for frame in frames)
+
+
+@pytest.mark.parametrize("big", [0, 1])
+def test_housekeeping_has_the_values_that_we_read(tmp_path, big):
+    mission = tmp_path / "mission.yaml"
+    mission.write_text(f"software:\n  ros__parameters:\n    cfs: {{big_endian: {big}}}\n")
+    settings = Settings([mission])
+    telemetry = [
+        item
+        for item in Structs(None).all
+        if item.key.function_code is None
+        and item.key.port is None
+        and item.key.msg_id not in (0x0803, 0x0808)
+    ]
+    assert len(telemetry) == 9
+    fits = [(item, bytes(33 + place * 7 % 90 for place in range(item.extent[0]))) for item in telemetry]
+    packets = [(cfe.emit_telemetry(item.key.msg_id, body), 1235) for item, body in fits]
+    packets += [(cfe.emit_telemetry(item.key.msg_id, body + bytes(3)), 1235) for item, body in fits]
+    frames, ours = listed(tmp_path, settings, packets)
+    compared = 0
+    for (item, _), frame, packet in zip(fits, frames, ours, strict=False):
+        theirs = fields(frame, f"cfs.{item.name}.")
+        for name, value in flat(packet.message.values):
+            if isinstance(value, str):
+                assert theirs[name] == value, name
+            elif value != []:
+                texts = theirs[name] if isinstance(theirs[name], list) else [theirs[name]]
+                numbers = [int({"True": "1", "False": "0"}.get(text, text), 0) for text in texts]
+                ours_too = value if isinstance(value, list) else [value]
+                if isinstance(ours_too[0], bool):
+                    numbers = [number != 0 for number in numbers]
+                assert numbers == ours_too, name
+            compared += 1
+    assert compared > 150
+    for frame, packet in zip(frames[len(fits) :], ours[len(fits) :], strict=True):
+        assert ("struct_length" in str(frame)) == ("struct_length" in packet.findings.labels)
+    assert sum("struct_length" in str(frame) for frame in frames) >= 7
+
+
+def flat(values, path=""):
+    """Yield name and value of all that is in a message, with dots between the names."""
+    for name, value in values.items():
+        if name == "header":
+            continue
+        if isinstance(value, dict):
+            yield from flat(value, f"{path}{name}.")
+        else:
+            yield f"{path}{name}", value
+
+
+def listed(folder, settings, packets):
+    """Return what tshark shows of packets and their ports, a tree each, and what our decoder says of them."""
+    here = Endpoint("127.0.0.1", 40000)
+    sent = [
+        WireDatagram(place * 10**9, here, Endpoint("127.0.0.1", port), packet)
+        for place, (packet, port) in enumerate(packets)
+    ]
+    capture = folder / "a.pcap"
+    with capture.open("wb") as file:
+        sink = PcapSink(file, nanosecond=True)
+        sink.write(Demux().demux(frames_of(sent, 1)))
+        sink.close()
+    script = folder / "edoras.lua"
+    script.write_text(dissector(settings)[0])
+    words = ("tshark", "-r", capture, "-X", f"lua_script:{script}", "-T", "json", "--no-duplicate-keys")
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert "Lua" not in done.stderr
+    frames = [item["_source"]["layers"] for item in json.loads(done.stdout)]
+    bench = settings.workbench()
+    ours = [bench.dissector.dissect(item) for batch in open_file(capture).batches() for item in batch]
+    return frames, ours
 
 
 def fields(layers, prefix):
@@ -106,5 +160,10 @@ def test_what_is_left_to_others():
         0x0890: {"name": "Health", -1: f"struct {Key(0x0890)}"},
         0x1890: {"name": None, 2: f"struct {Key(0x1890, 2)}", 3: f"struct {Key(0x1890, 3)}"},
     }
-    assert engine_structs(Structs(None)) == {"layouts": {}, "packets": {}}
+    cfe_own = engine_structs(Structs(None))
+    assert {0x0800, 0x0804, 0x0884} < cfe_own["packets"].keys()
+    assert not {0x0803, 0x0808, 0x1806} & cfe_own["packets"].keys()  # these the engine knows by itself
+    assert {name for item in cfe_own["packets"].values() for name in item.values() if name} == {
+        *cfe_own["layouts"]
+    }
     assert "levels" in {item["name"] for item in made["layouts"]["struct 0x0890"]["fields"]}

@@ -33,10 +33,35 @@ def _dissector(decoding: options.DecodingOptions) -> str:
 @wireshark.command(cls=Command)
 @grouped
 def install(*, to: To = None, force: recordings.Force = False, decoding: options.DecodingOptions) -> None:
-    """Copy the dissector to the personal plugin folder, with the missions of -c or the demos' routes."""
+    """Copy the dissector to the personal plugin folder, and a profile with columns, colours and graphs.
+
+    The dissector has the missions of -c, or the demos' routes.
+    """
     from edoras_tools.addons.wireshark import program
 
     sys.stdout.write(f"{program.install(_dissector(decoding), to, force=force)}\n")
+    if to is not None:
+        return
+    folder, ours = program.install_profile()
+    if ours:
+        sys.stdout.write(f"{folder}\n")
+    else:
+        tell(f"{folder} is another profile of that name, or was changed since, and is kept")
+
+
+@wireshark.command(cls=Command)
+def uninstall() -> None:
+    """Remove what install and extcap install wrote; a profile that was changed since is kept."""
+    from edoras_tools.addons.wireshark import program
+
+    items = [*program.uninstall()]
+    for path, removed in items:
+        if removed:
+            sys.stdout.write(f"{path}\n")
+        else:
+            tell(f"{path} is not as it was installed, and is kept; delete it by hand")
+    if not items:
+        tell("nothing is installed")
 
 
 @wireshark.command("print", cls=Command)
