@@ -9,7 +9,6 @@ import shlex
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path, PurePath
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools import doors
@@ -216,7 +215,7 @@ class _Loading:
         mission = Mission(
             tuple(self._routes),
             tuple(self._links),
-            MappingProxyType(self.files),
+            dict(self.files),
             tuple(_in_order(report.warnings for report in self._reports)),
             tuple(self._bridges),
             self._msg_ids,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from edoras_tools.errors import RouteError
@@ -197,7 +196,7 @@ class RecordedTopic:
     encoding: str = "cdr"
     schema_encoding: str = ""
     schema: bytes = b""
-    metadata: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    metadata: Mapping[str, str] = field(default_factory=dict)
     unread: str = ""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import pytest
@@ -295,3 +296,10 @@ def test_types_are_asked_for():
     asked = []
     load(SAMPLES / "rover_ground.yaml", check_type=asked.append)
     assert asked == [TWIST, POSE_STAMPED]
+
+
+def test_a_mission_goes_to_other_processes():
+    """Those that judge parts of a large capture get it, with its files or empty."""
+    for mission in (Mission(), load(MISSIONS / "rover_ground.yaml")):
+        other = pickle.loads(pickle.dumps(mission))
+        assert (other.routes, other.files) == (mission.routes, mission.files)
