@@ -198,6 +198,7 @@ class _WriterApart:
 
     def write(self, page: _Page) -> None:
         self._run("write", pickle.PickleBuffer(pickle.dumps(page, protocol=5)))
+        self.recorded = self.recorded._replace(datagrams=self.recorded.datagrams + page.datagrams.rows)
 
     def close(self, kernel_drops: int) -> None:
         try:
@@ -328,7 +329,7 @@ class RelayRecorder:
 
     @property
     def recorded(self) -> Recorded:
-        """What was recorded; by a second process: known once it has ended."""
+        """What was recorded; by a second process: how many datagrams, and the rest once it has ended."""
         return self._writer.recorded
 
     @property

@@ -74,6 +74,7 @@ def test_a_recording_holds_what_was_sent_and_what_was_done_on_purpose(ends, tmp_
         arrived += arrived_at(target)
     target.sendto(b"answer", next(iter(proxy.clients)).sockets[0].getsockname())
     client.recv(99)
+    until(lambda: proxy.summary()["recorded"] > 100)  # also of a second process, while it writes
     proxy.end()
     arrived += arrived_at(target)
     ports = client.getsockname()[1], target.getsockname()[1]

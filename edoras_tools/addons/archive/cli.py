@@ -252,7 +252,7 @@ def query(
         else:
             from edoras_tools.addons.archive.views import answer_table
 
-            print_view(answer_table(names, rows))
+            print_view(lambda width: answer_table(names, rows, width))
 
 
 @archive.command(cls=_ArchiveCommand)

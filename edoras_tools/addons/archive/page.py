@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from edoras_tools.addons.archive.views import short
 from edoras_tools.older import UTC
 from edoras_tools.render import units
-from edoras_tools.render.pages.charts import Frame, TimeSpan
+from edoras_tools.render.pages.charts import CHART_WIDTH, LEFT, RIGHT, Frame, TimeSpan, svg_box
 from edoras_tools.render.pages.parts import (
     chart_card,
     colour_key,
@@ -33,6 +33,13 @@ _MOST_WORST: Final = 20
 _MOST_ERRORS: Final = 200
 BINS: Final = 60
 """Most bars of a trend."""
+MOST_COLUMNS: Final = 60
+"""Runs of the heat map."""
+_MOST_ROWS: Final = 12
+_STRIP: Final = 40
+_HEAT: Final = (0.0, 0.01, 0.1, 0.5)
+"""Shares up to which a cell of the heat map has a colour; beyond the last one it has the fifth."""
+_HEATS: Final = ("nothing missing", "up to 1 %", "up to 10 %", "up to 50 %", "more")
 _MARKS: Final = 3
 _DAY_S: Final = 86_400
 _ROUND_S: Final = (
@@ -56,6 +63,7 @@ class ArchiveTrends:
         totals: of all captures with datagrams.
         runs: a row for each, the oldest first.
         routes: those with the most losses.
+        shares: what was sent and is missing, a row a route and run, of the latest runs, the oldest first.
         trends: routes of several runs: what was sent and is missing, by bin of the whole time.
         delays: routes with the longest latencies: the 99th percentile of each run.
         rules: errors and warnings, by rule.
@@ -66,6 +74,7 @@ class ArchiveTrends:
     totals: dict[str, Any]
     runs: list[dict[str, Any]]
     routes: list[dict[str, Any]]
+    shares: list[dict[str, Any]]
     trends: list[tuple[dict[str, Any], list[dict[str, Any]]]]
     delays: list[tuple[dict[str, Any], list[dict[str, Any]]]]
     rules: list[dict[str, Any]]
@@ -116,7 +125,16 @@ def archive_page(trends: ArchiveTrends, origin: Made) -> str:
     """Return the HTML page."""
     calendar = _Calendar(trends)
     sections = [
-        section("Runs over time", _runs(trends, calendar)),
+        section(
+            "Runs over time",
+            _runs(trends, calendar),
+            colour_key((("note", "nothing missing"), ("error", "something missing"))),
+        ),
+        section(
+            "Runs and topics",
+            _heat_map(trends),
+            colour_key([(f"heat{place}", text) for place, text in enumerate(_HEATS)]),
+        ),
         section("Trends", _trends(trends, calendar), colour_key((("error", "lost or unaccounted for"),))),
         section("Latency", _delays(trends, calendar)),
         section("Worst routes", [_routes(trends)] if trends.routes else []),
@@ -164,7 +182,7 @@ def _runs(trends: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
     for row in trends.runs:
         counts[min((row["start_ns"] - trends.totals["start_ns"]) // trends.bin_ns, len(counts) - 1)] += 1
     frame = _DateFrame(calendar, max(counts), "runs", "runs over time")
-    frame.bars(counts, [0.0] * len(counts), trends.bin_ns / 1e9, "seen other")
+    frame.bars(counts, [0.0] * len(counts), trends.bin_ns / 1e9, "seen all")
     yield chart_card("Runs", frame.svg(), f"a bar is {_round_time(trends.bin_ns / SECOND)}")
 
 
@@ -183,6 +201,39 @@ def _bins(trends: ArchiveTrends) -> int:
 def _apart(frame: Frame, points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
     """Return the points that can be told apart in the picture, however many there are."""
     return list({(frame.x(x), frame.y(y)): (x, y) for x, y in points}.values())
+
+
+def _heat_map(trends: ArchiveTrends) -> Iterable[str]:
+    """Yield a row a topic of those with the most losses, a cell a run; the key is the section's."""
+    captures = list(dict.fromkeys(row["capture"] for row in trends.shares))
+    cells = {(row["route"], row["link"], row["capture"]): row for row in trends.shares}
+    drawn = {key[:2] for key in cells}
+    routes = [row for row in trends.routes if (row["route"], row["link"]) in drawn][:_MOST_ROWS]
+    if len(captures) < 2 or not routes:
+        return
+    width = (CHART_WIDTH - LEFT - RIGHT) / max(len(captures), 12)
+    inside, texts = [], []
+    for place, route in enumerate(routes):
+        top = 4 + place * _STRIP
+        name = f"{route['route']}, {route['link'].upper()}".rstrip(", ")
+        inside.append(f'<text x="{LEFT}" y="{top + 12}">{escape(name)}</text>')
+        for column, capture in enumerate(captures):
+            if row := cells.get((route["route"], route["link"], capture)):
+                step = sum(row["missing"] / row["sent"] > limit for limit in _HEAT)
+                missing = _percent(row["missing"], row["sent"])
+                title = f"{short(capture)}: {row['missing']:,} of {row['sent']:,} missing, {missing}"
+                inside.append(
+                    f'<rect class="heat{step}" x="{LEFT + column * width:.1f}" y="{top + 17}" height="14" '
+                    f'width="{max(1.0, width - 1):.1f}"><title>{escape(title)}</title></rect>'
+                )
+        texts.append(f"{name}: missing in {route['with_loss']:,} of {route['captures']:,} runs")
+    title = f"Share missing of topics and runs. {'; '.join(texts)}"
+    which = "the latest " if len(captures) == MOST_COLUMNS else ""
+    note = (
+        f"a column a run, the oldest first, {which}{len(captures)} runs; empty where it has none of a topic"
+    )
+    picture = svg_box("".join(inside), 4 + _STRIP * len(routes), title)
+    yield chart_card("Missing of what was sent, topic by topic", picture, note)
 
 
 def _trends(archive: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:

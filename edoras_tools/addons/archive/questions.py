@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.addons.archive.page import BINS, ArchiveTrends, bin_ns
+from edoras_tools.addons.archive.page import BINS, MOST_COLUMNS, ArchiveTrends, bin_ns
 from edoras_tools.errors import CaptureError
 from edoras_tools.pipelines.names import fits_topic
 
@@ -140,6 +140,15 @@ GROUP BY 1, 2 HAVING sum(o.lost + o.unaccounted) > 0
 ORDER BY sum(o.lost + o.unaccounted) DESC, route, link
 LIMIT {_MOST_WORST}
 """
+_SHARES: Final = f"""
+WITH latest AS (
+    SELECT capture, start_ns FROM chosen ORDER BY start_ns DESC, capture DESC LIMIT {MOST_COLUMNS}
+)
+SELECT capture, start_ns, {_ROUTE.format("o")} AS route, coalesce(o.link, '') AS link, sum(o.sent) AS sent,
+       sum(o.lost + o.unaccounted) AS missing
+FROM outcomes o JOIN latest USING (capture)
+GROUP BY ALL HAVING sum(o.sent) > 0 ORDER BY start_ns, capture
+"""
 _TREND: Final = f"""
 SELECT least((c.start_ns - ?) // ?, {BINS - 1})::INT AS bin, sum(o.sent) AS sent,
        sum(o.lost + o.unaccounted) AS missing
@@ -191,6 +200,7 @@ def trends_of(index: Index, span: ArchiveSpan) -> ArchiveTrends:
         totals,
         index.rows(_RUNS),
         routes,
+        index.rows(_SHARES),
         [(row, index.rows(_TREND, [*bins, row["route"], row["link"]])) for row in often[:_MOST_ROUTES]],
         [(row, index.rows(_DELAYS, [row["route"], row["link"], row["part"]])) for row in delayed],
         index.rows(_RULES),

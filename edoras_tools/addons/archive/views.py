@@ -16,6 +16,7 @@ from edoras_tools.render import units
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import Column, build, figure, plain
+from edoras_tools.render.terminal.text import cells
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 
 _LOST: Final = Level.ERROR.style
+_WIDEST: Final = 40
+"""Cells of a column of an answer."""
 _MOST_LINES: Final = 1000
 """Rows of an answer in a table; CSV and JSON have all."""
 
@@ -90,19 +93,37 @@ ROW_TABLES: Final = {"captures": captures_table, "losses": losses_table}
 """By the name of the rows in JSON."""
 
 
-def answer_table(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> RenderableType:
-    """Return the answer to a query as a table; numbers are on the right."""
+def answer_table(names: Sequence[str], rows: Iterable[Sequence[Any]], width: int) -> RenderableType:
+    """Return the answer to a query as a table, numbers on the right; below it, what it has no room for."""
     some = iter(rows)
     first_rows = list(islice(some, _MOST_LINES))
     rest = sum(1 for _ in some)
+    texts = [
+        [plain(_cell(value), palette.DIM if value is None else "") for value in row] for row in first_rows
+    ]
     table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False, header_style=palette.STRONG)
+    hidden = []
     for place, name in enumerate(names):
+        column = [row[place] for row in texts]
+        room = min(_WIDEST, max([cells(name), *(text.cell_len for text in column)]))
+        if place and room > width:
+            hidden.append(name)
+            continue
+        width -= room + 2
         right = any(isinstance(row[place], int | float) for row in first_rows)
+        for text in column:
+            text.truncate(room, overflow="ellipsis")
         table.add_column(Text(name), justify="right" if right else "left", no_wrap=True, overflow="ellipsis")
-    for row in first_rows:
-        table.add_row(*(plain(_cell(value), palette.DIM if value is None else "") for value in row))
-    more = [Text(f"and {plural(rest, 'row')} more: --format csv", palette.DIM)] if rest else []
-    return Group(table, *more)
+    places = [place for place, name in enumerate(names) if name not in hidden]
+    for row in texts:
+        table.add_row(*(row[place] for place in places))
+    lines = [f"and {plural(rest, 'row')} more: --format csv"] * bool(rest)
+    if hidden:
+        columns = plural(len(hidden), "column")
+        lines.append(
+            f"{columns} of {len(names)} not shown: {', '.join(hidden)}; SELECT some, or --format csv"
+        )
+    return Group(table, *(Text(line, palette.DIM) for line in lines))
 
 
 def short(capture: str) -> str:

@@ -7,7 +7,7 @@ from html import escape
 from importlib.resources import files
 from typing import Any, Final
 
-from edoras_tools.render.plot.figure import AXIS, DARK_COLOURS, DASHES, LIGHT_COLOURS, Figure, PlotLine
+from edoras_tools.render.plot.figure import AXIS, DARK_COLOURS, LIGHT_COLOURS, Figure, PlotLine
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.terminal.text import clean
 
@@ -72,10 +72,11 @@ def _data(figure: Figure) -> dict[str, Any]:
 
 def _line(line: PlotLine, figure: Figure) -> dict[str, Any]:
     thinned = line.thinned(_COLUMNS, figure.span)
+    colour, dashes = line.look
     return {
         "label": clean(line.label),
-        "colour": f"var(--c{line.colour % len(LIGHT_COLOURS)})",
-        "dashes": DASHES[line.recording % len(DASHES)],
+        "colour": f"var(--c{colour})",
+        "dashes": dashes,
         "t": [round(value, 6) for value in thinned.seconds.tolist()],
         "v": [float(f"{value:.9g}") for value in thinned.values.tolist()],
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -10,13 +11,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.addons.plot.request import PlotRequest, Quantity
+from edoras_tools.addons.plot.values import Values, numbers
 from edoras_tools.errors import ConfigError, InterruptError
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.export.judged import LOST_TOPIC
 from edoras_tools.pipelines.export.sources import TopicSource, open_topics
 from edoras_tools.pipelines.export.tables import TableForm
-from edoras_tools.pipelines.plot_lines import RateCounts, Values, bar_seconds, numbers
-from edoras_tools.render.plot.figure import EventMark, Figure, Panel, PlotLine
+from edoras_tools.pipelines.plot_lines import RateCounts, bar_seconds
+from edoras_tools.render.plot.figure import GREY, EventMark, Figure, Panel, PlotLine
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
 LARGE: Final = 16 << 20
 """Bytes of a capture from which on an examination takes longer than people wait for a plot."""
 MOST_LINES: Final = 24
+_OF_CFS: Final = re.compile(r"(/sc_\d+)?/cfs/(?!robot_)")
+"""The topics of what cFS itself sends and takes."""
 MOST_MARKS: Final = 500
 """Events of a recording that are drawn."""
 _ERROR: Final = 40
@@ -275,6 +279,7 @@ class _Assembly:
     read: Sequence[_Recording]
     names: Sequence[str]
     scope: Scope
+    colours: dict[str, int] = field(default_factory=dict)
 
     def figure(self, requested: Sequence[Sequence[PlotRequest]]) -> Figure:
         """Return the figure.
@@ -329,7 +334,7 @@ class _Assembly:
         if len(lines) > MOST_LINES:  # only rates and losses; there may be hundreds of topics
             lines = sorted(lines, key=lambda item: -item[1].read)[:MOST_LINES]
             title += f", the {MOST_LINES} largest"
-        return _panel(title, lines, self.names, _unit({item.quantity for item in requests}))
+        return self._named(title, lines, _unit({item.quantity for item in requests}))
 
     def _lines(self, item: PlotRequest, place: int, recording: _Recording) -> Iterator[tuple[str, PlotLine]]:
         for topic, names in recording.topics[item].items():
@@ -358,7 +363,26 @@ class _Assembly:
             for topic, counts in recording.losses.items():
                 if (Quantity.LOSS, topic) not in drawn and counts.total:
                     lines.append((f"{topic} lost", counts.line(place, span, self._width)))
-        return _panel("rates", lines, self.names, _PER_SECOND, beneath=True)
+        return self._named("rates", lines, _PER_SECOND, beneath=True)
+
+    def _named(
+        self, title: str, named_lines: Sequence[tuple[str, PlotLine]], unit: str, *, beneath: bool = False
+    ) -> Panel:
+        """Return a panel; its legend leaves out what all lines share. No colour is twice in the figure."""
+        full = list(dict.fromkeys(name for name, _ in named_lines))
+        topics = {name.partition(".")[0] for name in full}
+        same = f"{topics.pop()}." if len(topics) == 1 and all("." in name for name in full) else ""
+        grey = {name for name in full if unit and _OF_CFS.match(name)}
+        lines = []
+        for name, line in named_lines:
+            words = [name.removeprefix(same)] if len(full) > 1 or len(self.names) == 1 else []
+            words += [self.names[line.recording]] if len(self.names) > 1 else []
+            colour = GREY if name in grey else self.colours.setdefault(name, len(self.colours))
+            lines.append(replace(line, label=" · ".join(words), colour=colour))
+        if len(full) == 1:
+            title = full[0]
+            lines = [replace(line, label=line.label if len(self.names) > 1 else title) for line in lines]
+        return Panel(title, lines, unit, beneath)
 
     def _marks(self, place: int) -> Iterator[EventMark]:
         """Yield the events of a recording; of many close to each other the most severe one."""
@@ -404,26 +428,3 @@ class _Assembly:
 
 def _unit(quantities: set[Quantity]) -> str:
     return "" if Quantity.FIELD in quantities else _PER_SECOND
-
-
-def _panel(
-    title: str,
-    named_lines: Sequence[tuple[str, PlotLine]],
-    names: Sequence[str],
-    unit: str,
-    *,
-    beneath: bool = False,
-) -> Panel:
-    """Return a panel; its legend leaves out what all lines share."""
-    full = list(dict.fromkeys(name for name, _ in named_lines))
-    topics = {name.partition(".")[0] for name in full}
-    same = f"{topics.pop()}." if len(topics) == 1 and all("." in name for name in full) else ""
-    lines = []
-    for name, line in named_lines:
-        words = [name.removeprefix(same)] if len(full) > 1 or len(names) == 1 else []
-        words += [names[line.recording]] if len(names) > 1 else []
-        lines.append(replace(line, label=" · ".join(words), colour=full.index(name)))
-    if len(full) == 1:
-        title = full[0]
-        lines = [replace(line, label=line.label if len(names) > 1 else title) for line in lines]
-    return Panel(title, lines, unit, beneath)

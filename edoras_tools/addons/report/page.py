@@ -36,25 +36,46 @@ if TYPE_CHECKING:
 _MOST_CHARTS: Final = 24
 _MOST_PROBLEMS: Final = 3
 _MOST_VERDICTS: Final = 200
-_COLOURS: Final = ("ci", "CI"), ("to", "TO"), ("sbn", "SBN"), ("error", "lost")
-_LINKS: Final = colour_key(_COLOURS)
-_KEY: Final = colour_key((*_COLOURS, ("dim", "superseded, waiting, not seen")))
+_LINK: Final = re.compile(r'class="(?:band )?seen (\w+)"')
+_LINKS: Final[Sequence[str]] = ("ci", "to", "sbn", "robot")
+"""Those with a colour of their own."""
+_ENDS: Final = {'missing"': ("error", "lost"), ' rest"': ("dim", "superseded, waiting, not seen")}
+_STATES: Final = {
+    "connected": ("good", "connected"),
+    "silent": ("warning", "silent"),
+    "timed_out": ("late", "timed out"),
+    "disconnected": ("dim", "disconnected"),
+    "event info": ("note", "event"),
+    "event error": ("error", "error event"),
+}
+"""Colour and name of what a timeline draws, by its class."""
 _ALIKE: Final = 4
 """Verdicts of one rule from here on share a table."""
 
 
 def page(result: Diagnosis, name: str, origin: Made) -> str:
     """Return the HTML page."""
-    sections = [section("Messages", [_card(sankey(result))], _KEY)]
+    picture = sankey(result)
+    sections = [section("Messages", [_card(picture)], _key(picture, "bands"))]
     drawn = plots(result.case, result.choice) if result.case is not None and result.datagrams else None
     if drawn is not None:
-        sections.append(section("Routes over time", [_card(strip(drawn))], _LINKS))
+        picture = strip(drawn)
+        sections.append(section("Routes over time", [_card(picture)], _key(picture)))
     sections += [section("Links", [links_picture(result)]), _verdicts(result)]
     if drawn is not None:
         sections += [_rates(drawn), _latency(drawn), _time(drawn), _sizes(drawn)]
     sections += [_balance(result), _routes(result), _habits(result)]
     parts = [_head(result, name), _summary(result), contents(sections), *sections, footer(origin)]
     return document(f"edoras report: {name}", parts)
+
+
+def _key(drawing: str, style: str = "") -> str:
+    """Return what the colours mean that are in a drawing: its links, and what was lost."""
+    links = set(_LINK.findall(drawing))
+    entries = [(label, label.upper()) for label in _LINKS if label in links]
+    others = sorted(links - {*_LINKS})
+    entries += [("other", ", ".join(others).upper())] * bool(others)
+    return colour_key([*entries, *(entry for words, entry in _ENDS.items() if words in drawing)], style)
 
 
 def _card(svg: str) -> str:
@@ -179,11 +200,10 @@ def _when(result: Diagnosis, item: Verdict) -> str:
 
 def _rates(drawn: Plots) -> str:
     rows = drawn.rates[:_MOST_CHARTS]
-    return section(
-        "Rates against limits",
-        (chart_card(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn)) for row in rows),
-        _LINKS,
+    cards = "".join(
+        chart_card(f"{row['label']}, {row['link'].upper()}", charts.rate_chart(row, drawn)) for row in rows
     )
+    return section("Rates against limits", [cards], _key(cards))
 
 
 def _latency(drawn: Plots) -> str:
@@ -212,17 +232,10 @@ def _time(drawn: Plots) -> str:
         if row["limits"][-1] or row["overflows"][-1]
     ]
     if drawn.peers or drawn.events:
-        inside.append(chart_card("SBN peers and events", charts.timeline(drawn)))
-    key = colour_key(
-        (
-            ("good", "connected"),
-            ("warning", "silent"),
-            ("error", "timed out, error event"),
-            ("dim", "disconnected"),
-            ("note", "event"),
-        )
-    )
-    return section("Over time", inside, key)
+        picture = charts.timeline(drawn)
+        entries = [entry for style, entry in _STATES.items() if f'class="{style}"' in picture]
+        inside += [colour_key(entries), chart_card("SBN peers and events", picture)]
+    return section("Over time", inside)
 
 
 def _sizes(drawn: Plots) -> str:

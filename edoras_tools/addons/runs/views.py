@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
 from edoras_tools.render import units
@@ -21,7 +21,16 @@ if TYPE_CHECKING:
     from edoras_tools.addons.runs.comparison import CaptureComparison
 
 
-def check_view(report: Mapping[str, Any]) -> RenderableType:
+def _hanging(mark: Text, text: Text, width: int) -> Text:
+    """Return a text behind a mark; what is wrapped goes on below its beginning."""
+    indent = mark.cell_len + 1
+    lines = text.wrap(Console(width=width), max(1, width - indent))
+    return Text("\n" + " " * indent).join(
+        [Text.assemble(mark, " ", line) if not place else line for place, line in enumerate(lines)]
+    )
+
+
+def check_view(report: Mapping[str, Any], width: int) -> RenderableType:
     """Return the view of a check.
 
     Args:
@@ -29,19 +38,19 @@ def check_view(report: Mapping[str, Any]) -> RenderableType:
     """
     head = plain(report["source"], palette.STRONG)
     head.append(f"  {units.duration(report['seconds'])}", palette.DIM)
-    parts: list[RenderableType] = [head, Text()]
+    lines: list[RenderableType] = []
     for item in report["results"]:
         mark, style = ("✓", "green") if item["passed"] else (Level.ERROR.mark, Level.ERROR.style)
         expected = "" if item["expected"] is None else f" {item['expected']}"
-        line = Text.assemble((f"{mark} ", style), plain(f"{item['about']}  {item['expectation']}{expected}"))
+        line = plain(f"{item['about']}  {item['expectation']}{expected}")
         line.append_text(plain(f"  {item['found']}", palette.DIM if item["passed"] else style))
-        parts.append(line)
+        lines.append(_hanging(Text(mark, style), line, width))
     of = plural(len(report["results"]), "expectation")
     if report["failed"]:
         end = Text(f"{report['failed']:,} of {of} not met.", Level.ERROR.style)
     else:
         end = Text(f"{of} met.", "green")
-    return Group(*parts, Text(), end)
+    return Group(head, Text(), *lines, Text(), end)
 
 
 _SHOWN: Final = {"rate_hz": "rate", "lost": "lost", "latency_ms": "99 % within"}
@@ -54,17 +63,20 @@ def runs_view(report: Mapping[str, Any], width: int) -> RenderableType:
     Args:
         report: in the form of ``compare --json``.
     """
-    parts: list[RenderableType] = [_side(label, report[label]) for label in ("good", "bad")]
+    parts: list[RenderableType] = [
+        _hanging(Text(f"{label:<4}", palette.STRONG), _side(report[label]), width)
+        for label in ("good", "bad")
+    ]
     many = min(report[label]["runs"] for label in ("good", "bad")) > 1
     if report["changes"]:
         routes = {item["route"] for item in report["changes"]}
         rows = [item for item in report["points"] if item["what"] in _SHOWN and item["route"] in routes]
-        rows = [row for row in rows if row["what"] != "lost" or row["good"] or row["bad"]]
+        rows = [row for row in rows if row["good"] != row["bad"]]
         parts += [Text(), _figures(rows, width, many=many)] if rows else []
         parts.append(Text())
     for item in report["changes"]:
         level = Level.ERROR if item["worse"] else Level.NOTE
-        parts.append(Text.assemble((f"{level.mark} ", level.style), plain(item["text"])))
+        parts.append(_hanging(Text(level.mark, level.style), plain(item["text"]), width))
     parts.append(Text())
     worse = sum(item["worse"] for item in report["changes"])
     one = "The second run is" if not many and report["bad"]["runs"] == 1 else "The later runs are"
@@ -106,8 +118,8 @@ def _figures(rows: Sequence[Mapping[str, Any]], width: int, *, many: bool) -> Re
     return build(columns, order, width)
 
 
-def _side(label: str, side: Mapping[str, Any]) -> Text:
-    line = plain(f"{label:<5}{side['source']}", palette.STRONG)
+def _side(side: Mapping[str, Any]) -> Text:
+    line = plain(side["source"], palette.STRONG)
     line.append(
         f"  {plural(side['datagrams'], 'datagram')} over {units.duration(side['seconds'])}, "
         f"{units.count(side['lost'])} lost",

@@ -71,8 +71,7 @@ def timing_picture(timing: Timing, zero_ns: int) -> str:
     for when in window.wakes_ns:
         frame.line([((when - window.start_ns) / 1e9, 0.0), ((when - window.start_ns) / 1e9, most)], "wake")
     if len(rounds.wakes_ns):
-        frame.level(rounds.limit, "limit", "")
-        frame.level(frame.y_most, "", f"{name}: {rounds.limit} may wait, {rounds.limit_from}")  # no dot here
+        frame.level(rounds.limit, "limit", f"{name}: {rounds.limit} may wait, {rounds.limit_from}")
     shift = 0.4 if len(rounds.wakes_ns) else 0.0
     frame.dots([(at, level) for at, level, out in points if out or not rounds.visible], "run")
     frame.dots([(at, level + shift) for at, level, out in points if not out and rounds.visible], "run lossy")

@@ -48,8 +48,9 @@ def regions(decoded: Decoded, base: Base = "payload") -> list[Region]:
     if shift < 0:
         return []
     out = [Region("headers", 0, shift, palette.layer("frame"))] if shift else []
+    styles = palette.layers(layer.name for layer in decoded.layers)
     for layer in decoded.layers:
-        style = palette.layer(layer.name)
+        style = styles[layer.name]
         if out and out[-1].name == layer.name and out[-1].end == layer.start + shift:
             out[-1] = Region(layer.name, out[-1].start, layer.end + shift, style)
         else:

@@ -205,12 +205,13 @@ def _several(route: Mapping[str, Any], key: str) -> float | None:
     return value if route.get("count", 0) > 1 and value else None
 
 
+_CPU: Final = Column("CPU", lambda row: plain(row.get("processor_id") or ""), rank=3)
 _COLUMNS: Final = (
     Column("Link", link_text, justify="left"),
     Column("MsgId", msg_id_text, justify="left"),
     Column("Topic", route_text, justify="left", elastic=True),
     Column("Type", lambda row: plain(row.get("type") or ""), rank=6, justify="left"),
-    Column("CPU", lambda row: plain(row.get("processor_id") or ""), rank=3),
+    _CPU,
     Column("Count", lambda row: Text(units.count(row.get("count")), palette.STRONG)),
     Column("Rate", lambda row: Text(units.rate(_several(row, "rate_hz")))),
     Column("Jitter", lambda row: Text(units.milliseconds(_several(row, "jitter_ms"))), rank=2),
@@ -266,10 +267,11 @@ _SIZES: Final = (
     Column("Link", link_text, justify="left"),
     Column("MsgId", msg_id_text, justify="left"),
     Column("Topic", route_text, justify="left", elastic=True),
+    _CPU,
     Column("Count", lambda row: Text(units.count(row["count"]), palette.STRONG)),
-    Column("Least", lambda row: Text(units.count(row["bytes_min"]))),
-    Column("Mean", lambda row: Text(f"{row['bytes'] / row['count']:,.1f}")),
-    Column("Most", lambda row: Text(units.count(row["bytes_max"]))),
+    Column("Least, B", lambda row: Text(units.count(row["bytes_min"]))),
+    Column("Mean, B", lambda row: Text(f"{row['bytes'] / row['count']:,.1f}")),
+    Column("Most, B", lambda row: Text(units.count(row["bytes_max"]))),
     Column("Total", lambda row: Text(units.size(row["bytes"])), rank=1),
 )
 _NETWORK: Final = (

@@ -112,8 +112,9 @@ def rows(decoded: Decoded) -> Iterator[TreeRow]:
     """Yield the rows of a packet from top to bottom, all expanded; their texts are clean."""
     yield from _packet(decoded)
     often = Counter(layer.name for layer in decoded.layers)
+    styles = palette.layers(often)
     for layer in decoded.layers:
-        yield from _repeated(layer) if often[layer.name] > 1 else _layer(layer)
+        yield from (_repeated if often[layer.name] > 1 else _layer)(layer, styles[layer.name])
     yield from _departures(decoded)
 
 
@@ -159,18 +160,15 @@ def _departures(decoded: Decoded) -> Iterator[TreeRow]:
         yield TreeRow("stop", 0, "✗ stopped", clean(str(decoded.stop)), style=Level.ERROR.style, align=align)
 
 
-def _layer(layer: Layer) -> Iterator[TreeRow]:
-    style = palette.layer(layer.name)
+def _layer(layer: Layer, style: str) -> Iterator[TreeRow]:
     yield TreeRow("layer", 0, clean(layer.title), "", layer.start, layer.end, style)
     yield from _fields(layer.fields, style)
 
 
-def _repeated(layer: Layer) -> Iterator[TreeRow]:
+def _repeated(layer: Layer, style: str) -> Iterator[TreeRow]:
     """Yield one row for a layer of which a packet holds many, such as an SBN subscription."""
     value = "  ".join(f"{item.name}: {field_text(item)}" for item in layer.fields)
-    yield TreeRow(
-        "layer", 0, clean(layer.title), clean(value), layer.start, layer.end, palette.layer(layer.name)
-    )
+    yield TreeRow("layer", 0, clean(layer.title), clean(value), layer.start, layer.end, style)
 
 
 def _fields(items: Sequence[LayerField], style: str, depth: int = 1, prefix: str = "") -> Iterator[TreeRow]:

@@ -7,7 +7,7 @@ from html import escape
 from math import ceil, floor
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.render.plot.figure import ticks
+from edoras_tools.render.plot.figure import tick_texts, ticks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,14 +63,13 @@ class Frame:
         self.parts.append(f'<polyline class="{style}" points="{path}"/>')
 
     def level(self, value: float, style: str, text: str) -> None:
-        """Draw a horizontal line with a name."""
+        """Draw a horizontal line; its name stands above the plot, where no data is."""
         if value > self.y_most:
             return
-        y = self.y(value)
-        self.parts += [
-            f'<line class="{style}" x1="{LEFT}" x2="{CHART_WIDTH - RIGHT}" y1="{y}" y2="{y}"/>',
-            f'<text class="end label" x="{CHART_WIDTH - RIGHT - 4}" y="{y - 4}">{escape(text)}</text>',
-        ]
+        for left, y in ((LEFT, self.y(value)), (CHART_WIDTH - 40, TOP - 14)):
+            ends = f'x1="{left}" x2="{CHART_WIDTH - RIGHT}" y1="{y}" y2="{y}"'
+            self.parts.append(f'<line class="{style}" {ends}/>')
+        self.parts.append(f'<text class="end" x="{CHART_WIDTH - 46}" y="{TOP - 10}">{escape(text)}</text>')
 
     def bars(self, values: Sequence[float], base: Sequence[float], width: float, style: str) -> None:
         """Draw bars of ``width`` s on top of others."""
@@ -102,12 +101,12 @@ class Frame:
     def svg(self) -> str:
         """Return the chart."""
         axes = []
-        for value in ticks(self.y_most / 1.08, 6):
+        for value, text in tick_texts(0, self.y_most / 1.08, 6):
             if self.unit in _COUNTED and value != int(value):
                 continue
             y = self.y(value)
             axes.append(f'<line class="grid" x1="{LEFT}" x2="{CHART_WIDTH - RIGHT}" y1="{y}" y2="{y}"/>')
-            axes.append(f'<text class="end" x="{LEFT - 6}" y="{y + 4}">{value:g}</text>')
+            axes.append(f'<text class="end" x="{LEFT - 6}" y="{y + 4}">{text}</text>')
         axes += self.seconds()
         axes.append(f'<text x="4" y="{TOP - 10}">{escape(self.unit)}</text>')
         return svg_box("".join(axes + self.parts), self.height, self.title)

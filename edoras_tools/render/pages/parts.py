@@ -73,7 +73,7 @@ def section(title: str, inside: Iterable[str], lead: str = "") -> str:
     return f'<section id="{anchor}"><h2>{title}</h2>{lead}{drawn}</section>' if drawn else ""
 
 
-def colour_key(entries: Sequence[tuple[str, str]]) -> str:
+def colour_key(entries: Sequence[tuple[str, str]], style: str = "") -> str:
     """Return what colours mean: each with its text."""
     spans = "".join(f'<span style="background:var(--{colour})"></span>{text}' for colour, text in entries)
-    return f'<p class="key dim">{spans}</p>'
+    return f'<p class="key dim {style}">{spans}</p>'

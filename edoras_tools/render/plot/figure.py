@@ -17,11 +17,18 @@ if TYPE_CHECKING:
 
 AXIS: Final = "seconds since the start of the capture"
 _MOST_TICKS: Final = 6
-LIGHT_COLOURS: Final = ("#0072b2", "#c04a00", "#007f5f", "#a0437f", "#7a5c00", "#3d4a9e", "#4d4d4d")
-DARK_COLOURS: Final = ("#56b4e9", "#ff9e4a", "#2fcf9f", "#e79ac6", "#f0e442", "#aab4ff", "#c8c8c8")
-"""Colours of lines on a light and a dark ground, after Okabe and Ito, for the colour-blind, too."""
+_COLOURS: Final = (
+    ("#0072b2", "#56b4e9"), ("#c04a00", "#ff9e4a"), ("#007f5f", "#2fcf9f"), ("#a0437f", "#e79ac6"),
+    ("#7a5c00", "#f0e442"), ("#3d4a9e", "#aab4ff"), ("#c2185b", "#ff6f91"), ("#00838f", "#4dd0e1"),
+    ("#5d4037", "#c9a58f"), ("#6a1b9a", "#ce93ff"), ("#4a7d29", "#aed581"), ("#5b6067", "#a4abb3"),
+)  # fmt: skip
+LIGHT_COLOURS, DARK_COLOURS = zip(*_COLOURS, strict=True)
+"""Colours of lines on a light and a dark ground, the first after Okabe and Ito; the last is grey."""
+GREY: Final = -1
+"""The colour of what cFS itself sends, and of what others are held to."""
 DASHES: Final = ("", "7 4", "2 3", "10 3 2 3")
-"""Dashes of lines, by recording, so that colour does not tell alone."""
+"""Dashes of lines by recording: colour does not tell alone; the next ones once all colours are used."""
+_WIDE, _NARROW = frozenset("MWmw@%"), frozenset("iljtfrI.,:;'|!()[]/- ")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +42,7 @@ class PlotLine:
         values: f64, finite.
         read: how many values, or messages of a rate, there were before any thinning.
         not_finite: how many more were NaN or infinite; these are not drawn.
-        colour: number of its colour.
+        colour: number of its colour, or ``GREY``.
         sign: of points that no line joins, a character for each in a terminal; empty of a line.
     """
 
@@ -47,6 +54,14 @@ class PlotLine:
     not_finite: int = 0
     colour: int = 0
     sign: str = ""
+
+    @property
+    def look(self) -> tuple[int, str]:
+        """Place of its colour in ``LIGHT_COLOURS``, and its dashes."""
+        shades = len(LIGHT_COLOURS) - 1
+        if self.colour < 0:
+            return shades, DASHES[self.recording % len(DASHES)]
+        return self.colour % shades, DASHES[(self.recording + self.colour // shades) % len(DASHES)]
 
     def thinned(self, columns: int, span: tuple[float, float]) -> PlotLine:
         """Return the line with at most two values in each column: the least and the greatest."""
@@ -101,6 +116,17 @@ class Panel:
     def has_names(self) -> bool:
         """Whether it needs a legend."""
         return len(self.lines) > 1 or any(line.label != self.title for line in self.lines)
+
+    @property
+    def legend(self) -> list[tuple[str, PlotLine]]:
+        """What each look means; many grey lines of one recording are one entry."""
+        grey: dict[int, list[PlotLine]] = {}
+        for line in self.lines:
+            if line.colour < 0:
+                grey.setdefault(line.recording, []).append(line)
+        entries = [(line.label, line) for line in self.lines if line.colour >= 0]
+        named = ((f"cFS itself: {len(lines)} topics", lines) for lines in grey.values())
+        return entries + [(text if lines[1:] else lines[0].label, lines[0]) for text, lines in named]
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -173,6 +199,12 @@ class Figure:
         thinned = any(len(line.values) > 2 * columns for panel in self.panels for line in panel.lines)
         notes = [f"long lines: least and greatest value in each of {columns:,} columns of time"] * thinned
         return [*self.notes, *notes]
+
+
+def text_width(text: str, size: float) -> float:
+    """Return how wide a text is at most in the usual sans-serif fonts, in the unit of ``size``."""
+    letters = (1.0 if sign in _WIDE else 0.42 if sign in _NARROW else 0.68 for sign in text)
+    return size * sum(letters)
 
 
 def ticks(end: float, most: int = _MOST_TICKS) -> list[float]:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.render.plot.figure import DARK_COLOURS, DASHES, LIGHT_COLOURS, tick_texts
+from edoras_tools.render.plot.figure import DARK_COLOURS, LIGHT_COLOURS, text_width, tick_texts
 from edoras_tools.render.terminal.text import clean, clip, wrap
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
 
 PLOT_WIDTH: Final = 640
@@ -21,8 +19,8 @@ _COLUMNS: Final = 2 * _ROOM
 """Columns of long lines: a PNG has two pixels for each unit."""
 _SPARSE: Final = 60
 """Up to so many values each is a point, too."""
-_LETTER: Final = 7.0
-"""Mean width of a letter of 14 units, with some to spare."""
+_SIZE: Final = 14
+"""Of letters."""
 _GROUND: Final = ("#ffffff", "#15171a")
 _INK: Final = ("#1c1e21", "#e6e7e9")
 _DIM: Final = ("#5b6067", "#a4abb3")
@@ -47,7 +45,7 @@ def plot_svg(figure: Figure) -> str:
     height = f"{drawing.y:.0f}"
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {PLOT_WIDTH} {height}" width="{PLOT_WIDTH}" '
-        f'height="{height}" font-family="sans-serif" font-size="14" role="img">'
+        f'height="{height}" font-family="sans-serif" font-size="{_SIZE}" role="img">'
         f"<title>{escape(clean(f'{figure.title}, {figure.subtitle}'))}</title>"
         f"<desc>{escape(clean(' '.join(figure.notes)))}</desc>"
         f"<style>{_style(0)}@media (prefers-color-scheme:dark){{{_style(1)}}}</style>"
@@ -104,7 +102,7 @@ class _Drawing:
         if panel.heading != self._figure.title:
             self._line(panel.heading, 'font-weight="bold"', 20)
         if panel.has_names:
-            self._legend(panel.lines)
+            self._legend(panel)
         self.y += 6
         height = _HEIGHT_BENEATH if panel.beneath else _HEIGHT
         low, high = panel.ends
@@ -138,17 +136,18 @@ class _Drawing:
         ends = f'x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"'
         self.parts.append(f'<line class="{style}" {ends}/>')
 
-    def _legend(self, lines: Sequence[PlotLine]) -> None:
+    def _legend(self, panel: Panel) -> None:
         x = 10.0
         self.y += 20
-        for line in lines:
-            label = clip(clean(line.label), 72)
-            if x > 10 and x + 36 + len(label) * _LETTER > PLOT_WIDTH:
+        for text, line in panel.legend:
+            label = clip(clean(text), 64)
+            width = text_width(label, _SIZE)
+            if x > 10 and x + 36 + width > PLOT_WIDTH:
                 x, self.y = 10.0, self.y + 20
             look, way = (_dots(line), "m13 0h0") if line.sign else (_look(line), "h26")
             self.parts.append(f'<path {look} d="M{x:.0f} {self.y - 9:.0f}{way}"/>')
             self._text(x + 32, self.y - 4, label)
-            x += 32 + len(label) * _LETTER + 14
+            x += 32 + width + 14
 
     def _events(self) -> None:
         figure = self._figure
@@ -172,10 +171,10 @@ class _Drawing:
 
 
 def _look(line: PlotLine) -> str:
-    dashes = DASHES[line.recording % len(DASHES)]
+    colour, dashes = line.look
     dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
-    return f'class="c{line.colour % len(LIGHT_COLOURS)}"{dashed} stroke-width="1.6"'
+    return f'class="c{colour}"{dashed} stroke-width="1.6"'
 
 
 def _dots(line: PlotLine) -> str:
-    return f'class="c{line.colour % len(LIGHT_COLOURS)}" stroke-width="5" stroke-linecap="round"'
+    return f'class="c{line.look[0]}" stroke-width="5" stroke-linecap="round"'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -36,7 +37,7 @@ def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0) -> li
     """
     width = max(_NARROWEST, min(width, _WIDEST))
     colour = colour or any(line.sign for panel in figure.panels for line in panel.lines)
-    panels = figure.panels if colour else [single for panel in figure.panels for single in _split(panel)]
+    panels = [part for panel in figure.panels for part in (_parts if colour else _split)(panel)]
     margin = max(len(text) for panel in panels for _, text in _levels(panel))
     room = width - margin - 2
     lines = [Text(clip(clean(figure.subtitle), width), palette.STRONG)] if figure.subtitle else []
@@ -69,18 +70,31 @@ def _heading(panel: Panel, width: int, *, colour: bool) -> list[Text]:
     if not colour or not panel.has_names:
         return lines
     legend = Text()
-    for place, line in enumerate(panel.lines):
-        label = clip(clean(line.label), width - 4)
+    for text, line in panel.legend:
+        label = clip(clean(text), width - 4)
         if legend.cell_len and legend.cell_len + len(label) + 5 > width:
             lines.append(legend)
             legend = Text()
-        legend.append("  " * bool(legend.cell_len)).append(f"{line.sign or '━'} {label}", _style(place))
+        legend.append("  " * bool(legend.cell_len)).append(f"{line.sign or '━'} {label}", _style(panel, line))
     return [*lines, legend]
 
 
-def _style(place: int) -> str:
+def _style(panel: Panel, line: PlotLine) -> str:
     """Return the style of a line by its place in the panel: a terminal has no dashes for recordings."""
-    return _STYLES[place % len(_STYLES)]
+    if line.colour < 0:
+        return palette.DIM
+    coloured = [item for item in panel.lines if item.colour >= 0]
+    return _STYLES[next(place for place, item in enumerate(coloured) if item is line) % len(_STYLES)]
+
+
+def _parts(panel: Panel) -> Iterator[Panel]:
+    """Yield a panel in parts in which each line has a style of its own; grey ones are in the first."""
+    coloured = [line for line in panel.lines if line.colour >= 0]
+    grey = [line for line in panel.lines if line.colour < 0]
+    for first in range(0, max(1, len(coloured)), len(_STYLES)):
+        yield replace(
+            panel, lines=[*grey[: None if not first else 0], *coloured[first : first + len(_STYLES)]]
+        )
 
 
 def _levels(panel: Panel) -> list[tuple[float, str]]:
@@ -106,7 +120,7 @@ def _field(panel: Panel, span: tuple[float, float], size: tuple[int, int], margi
         )
         for cell, (dot, place) in enumerate(zip(dots[row].tolist(), styles[row].tolist(), strict=True)):
             sign = signs.get((row, cell)) or (chr(_BLANK + dot) if dot else " ")
-            text.append(sign, _style(place) if dot else "")
+            text.append(sign, _style(panel, panel.lines[place]) if dot else "")
         text.rstrip()
         yield text
 

@@ -12,10 +12,13 @@ from __future__ import annotations
 
 import os
 from functools import lru_cache
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from rich.color import ColorSystem
 from rich.style import Style
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 _WIDE: Final = "256color" in os.environ.get("TERM", "") or "COLORTERM" in os.environ
 SHADES: Final = {"yellow": "color(136)", "cyan": "color(30)", "green": "color(64)"} if _WIDE else {}
@@ -27,12 +30,13 @@ GOOD: Final = "green"
 CHOSEN: Final = "reverse"
 """Bytes that the user points at."""
 
+_ORANGE: Final = "color(166)" if _WIDE else "bold bright_blue"
 _LAYERS: Final = {
     "sbn": "magenta",
     "ccsds": "cyan",
     "cfe": "bright_blue",
     "edoras": "yellow",
-    "cdr": "bold bright_blue",
+    "cdr": _ORANGE,
     "ethernet": DIM,
     "ip": DIM,
     "ipv4": DIM,
@@ -42,11 +46,24 @@ _LAYERS: Final = {
     "padding": DIM,
 }
 _BODY: Final = "green"
+_FREE: Final = ("cyan", "yellow", "magenta", "bright_blue", _BODY, _ORANGE)
+"""What a layer has whose own style another one of its packet has already."""
 
 
 def layer(name: str) -> str:
     """Return the style of a layer; layers of one protocol (``cfe_command``, ``cfe_event``) share theirs."""
     return _LAYERS.get(name) or _LAYERS.get(name.partition("_")[0], _BODY)
+
+
+def layers(names: Iterable[str]) -> dict[str, str]:
+    """Return the style of each layer of a packet, outermost first: none twice while there are six of them."""
+    styles: dict[str, str] = {}
+    for name in dict.fromkeys(names):
+        style = layer(name)
+        if style != DIM and style in styles.values():
+            style = next((item for item in _FREE if item not in styles.values()), style)
+        styles[name] = style
+    return styles
 
 
 @lru_cache(maxsize=256)

@@ -32,6 +32,21 @@ def test_layers_of_one_protocol_share_their_style():
     assert len({palette.layer(name) for name in ("sbn", "ccsds", "cfe", "edoras", "cdr", "ros")}) == 6
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("sbn", "ccsds", "cfe_command", "edoras", "cdr", "ros"),
+        ("ccsds", "cfe_telemetry", "cfe_event"),
+        ("fprime_tm", "fprime_space_packet", "fprime_packet", "fprime_event", "fprime_channel", "cfs"),
+    ],
+)
+def test_each_layer_of_a_packet_has_its_colour(names):
+    styles = palette.layers(["udp", *names, *names])
+    assert [*styles] == ["udp", *names]
+    assert len({*styles.values()}) == 1 + len(names)
+    assert styles["udp"] == palette.DIM
+
+
 def luminance(colour):
     parts = [part / 255 for part in colour]
     linear = [part / 12.92 if part <= 0.03928 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]

@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from edoras_tools.render import units
-from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
+from edoras_tools.render.plot.figure import GREY, Figure, Panel, PlotLine
 from edoras_tools.render.plot.terminal import plot_lines
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
@@ -68,7 +68,7 @@ def chart(summary: Mapping[str, Any], *subtitle: str) -> Figure:
         points[bool(step["lost"])].append((x, 100 * share if by_size else x * share))
     end = max((x for x, _ in points[False] + points[True]), default=1.0) or 1.0
     ideal, clean = (100.0 if by_size else end), summary["threshold_bytes" if by_size else "threshold_hz"]
-    lines = [_line("what was asked for", [(0.0, 100.0 if by_size else 0.0), (end, ideal)], colour=6)]
+    lines = [_line("what was asked for", [(0.0, 100.0 if by_size else 0.0), (end, ideal)], colour=GREY)]
     if clean is not None:
         lines.append(_line("threshold", [(clean, 0.0), (clean, ideal)], colour=2))
     lines.append(_line("all arrived", sorted(points[False]), colour=0, sign="●"))

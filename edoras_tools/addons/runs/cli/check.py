@@ -97,7 +97,7 @@ def check(
     elif not quiet or report.failed:
         from edoras_tools.addons.runs.views import check_view
 
-        print_view(check_view(report.as_json()))
+        print_view(lambda width: check_view(report.as_json(), width))
     _end(source, report.findings, live=live)
     if report.failed:
         raise Exit(LOST)
