@@ -317,6 +317,11 @@ class Mission:
         plain = spacecraft == 1 and len(self.spacecraft) < 2
         return "" if plain else f"/sc_{self.called(spacecraft).rpartition(' ')[2]}"
 
+    def own_name(self, name: str, spacecraft: int) -> str:
+        """Return what a topic or packet of a spacecraft is called: behind its prefix, plain of the first."""
+        prefix = self.prefix(spacecraft)
+        return name if spacecraft == 1 or name.startswith(prefix) else f"{prefix}/{name}".rstrip("/")
+
     def number_of(self, name: str) -> int:
         """Return the number of the spacecraft whose topics have a name in front; 0 where none can."""
         names = [own for own, _ in self.spacecraft]

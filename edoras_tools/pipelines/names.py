@@ -127,11 +127,6 @@ class PacketKinds:
             mask |= item.mask(batch, columns)
         return mask
 
-    def takes(self, route: int, msg_id: int | None, kind: tuple[int, int] | None = None) -> bool:
-        """Return whether messages of a route, with a MsgId, or of a link's own type are meant."""
-        own = kind in self.kinds and msg_id in {None, NO_MSG_ID}
-        return route in self.routes or own or any(key.msg_id == msg_id for key in self.keys)
-
     def has_sample_topic(self, topic: str) -> bool:
         """Return whether samples on an announced topic are meant."""
         return any(item.holds(topic) for item in self.samples)

@@ -278,17 +278,6 @@ class Selection:
             return all(packets.has_sample_topic(samples) for packets in self._packets)
         return all(msg_id in packets.msg_ids(mission) for packets in self.packets_of(spacecraft))
 
-    def overlaps(self, packets: PacketKinds, mission: Mission) -> bool:
-        """Return whether some packets can be among the selected ones, without regard to the filter."""
-        links = {mission.routes[index].link for index in packets.routes}
-        if self.links and links and links.isdisjoint(self.links):
-            return False
-        ids = packets.msg_ids(mission)
-        return all(
-            ids & item.msg_ids(mission) or packets.kinds & item.kinds or packets.shares_samples(item)
-            for item in self._packets
-        )
-
     def rows(self, batch: PacketBatch, columns: Columns) -> NDArray[np.int64]:
         """Return the indices of the selected rows; only what :meth:`over` returns can tell them."""
         assert self._ready or not self, "over() finds what names stand for, and the filter"

@@ -32,9 +32,11 @@ import numpy as np
 
 from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckResult
 from edoras_tools.addons.runs.limits import MODEL_WORTH, field_limit
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.intervals import MeanInterval, difference_interval, t_quantile
 from edoras_tools.io.formats.text import json_value
+from edoras_tools.mission import Mission
 from edoras_tools.render import units
 from edoras_tools.wire import cfe
 
@@ -44,8 +46,8 @@ if TYPE_CHECKING:
     from edoras_tools.addons.runs.run import Run
     from edoras_tools.addons.runs.values import FieldValues, TopicValues
 
-    Key = tuple[str, str]
-    """Link and MsgId."""
+    Key = tuple[str, str, int]
+    """Link, MsgId and spacecraft."""
     Route = Mapping[str, Any]
 
 FEWEST: Final = 5
@@ -69,20 +71,22 @@ class RunSummary:
         doctor: its diagnosis, in the shape of ``doctor --json``; of a recording without datagrams nothing.
         values: of the fields of each topic.
         spreads: see ``Run``; MsgIds as text.
+        mission: names spacecraft.
     """
 
     info: Mapping[str, Any]
     doctor: Mapping[str, Any]
     values: Mapping[str, TopicValues] = field(default_factory=dict)
     spreads: Mapping[Key, float] = field(default_factory=dict)
+    mission: Mission = field(default_factory=Mission)
 
     @classmethod
     def of(cls, run: Run) -> RunSummary:
         """Return the summary of a run."""
         nothing = {"routes": [], "balance": [], "verdicts": [], "lost": 0}
         doctor = nothing if run.diagnosis is None else run.diagnosis.as_json()
-        spreads = {(link, f"0x{msg_id:04x}"): value for (link, msg_id), value in run.spreads.items()}
-        return cls(run.report.summary(), doctor, run.values, spreads)
+        spreads = {(link, f"0x{msg_id:04x}", own): item for (link, msg_id, own), item in run.spreads.items()}
+        return cls(run.report.summary(), doctor, run.values, spreads, run.context.mission)
 
     @property
     def seconds(self) -> float:
@@ -197,7 +201,7 @@ def _presence(
     weighty = bool(row["topic"]) or any(item["count"] >= FEWEST for item in ours)
     text = f"{row['name']} on {key[0]} {'is missing' if before else 'is new'}"
     worse = before and weighty and not _is_event(key)
-    yield Point("route", row["name"], *key, was, now, worse, text)
+    yield Point("route", row["name"], *key[:2], was, now, worse, text)
 
 
 def _difference(ours: Sequence[float], theirs: Sequence[float], step: float = 0.0) -> MeanInterval | None:
@@ -225,7 +229,7 @@ def _figures(
     if sizes[0] != sizes[1]:
         before, after = (f"{low:,} to {high:,}" if low != high else f"{low:,}" for low, high in sizes)
         text = f"{name}: {after} bytes instead of {before}"
-        yield Point("bytes", name, *key, [*sizes[0]], [*sizes[1]], False, text)
+        yield Point("bytes", name, *key[:2], [*sizes[0]], [*sizes[1]], False, text)
 
 
 def _moved(
@@ -245,12 +249,12 @@ def _moved(
     ends = (interval.low, interval.high) if interval is not None else None
     word = "" if what == "rate_hz" else "99 % within "
     line = f"{name}: {word}{text(after)} instead of {text(before)}"
-    return Point(what, name, *key, before, after, worse, line, differs, interval=ends)
+    return Point(what, name, *key[:2], before, after, worse, line, differs, interval=ends)
 
 
 def _gone(place: tuple[str, Key] | None, ours: Sequence[Route], theirs: Sequence[Route]) -> Iterator[Point]:
     """Compare what did not arrive, of one route or of none."""
-    name, (link, msg_id) = place or ("of no known route", (None, None))
+    name, (link, msg_id, _) = place or ("of no known route", (None, None, 0))
     route = name if place else None
     for what, words in _GONE.items():
         counts = [[(item[what], item["sent"]) for item in side] for side in (ours, theirs)]
@@ -303,7 +307,7 @@ def _limits(key: Key, theirs: Sequence[Route], limits: DifferenceLimits) -> Iter
             name = theirs[0]["name"]
             if value is not None and pattern in {"", name.removeprefix("/"), key[1]}:
                 line = f"{name}: {text(value)}, allowed {text(most)}"
-                yield Point(what, name, *key, most, value, value > most, line, value > most)
+                yield Point(what, name, *key[:2], most, value, value > most, line, value > most)
 
 
 def _findings(key: Key, ours: Sequence[Route], theirs: Sequence[Route]) -> Iterator[Point]:
@@ -311,17 +315,18 @@ def _findings(key: Key, ours: Sequence[Route], theirs: Sequence[Route]) -> Itera
     for label in sorted({label for row in (*ours, *theirs) for label in row["findings"]}):
         before, after = ([row["findings"].get(label, 0) for row in side] for side in (ours, theirs))
         if not any(after):
-            yield Point("finding", name, *key, sum(before), None, False, f"{name}: no {label} any more")
+            text = f"{name}: no {label} any more"
+            yield Point("finding", name, *key[:2], sum(before), None, False, text)
         elif not any(before):
             text = f"{name}: {label} on {sum(after):,} packets, on none before"
             worse = label in NOTABLE_FINDINGS and _most(sum(map(bool, after)), len(after))
-            yield Point("finding", name, *key, None, sum(after), worse, text)
+            yield Point("finding", name, *key[:2], None, sum(after), worse, text)
 
 
 def _verdicts(good: Sequence[RunSummary], bad: Sequence[RunSummary]) -> Iterator[Point]:
     def keyed(run: RunSummary) -> dict[tuple[Any, ...], Mapping[str, Any]]:
         return {
-            (item["rule"], item["link"], item["msg_id"], None if item["msg_id"] else item["hop"]): item
+            (item["rule"], *_key(item), None if item["msg_id"] else item["hop"]): item
             for item in run.doctor["verdicts"]
         }
 
@@ -407,11 +412,11 @@ def _routes(run: RunSummary) -> dict[Key, dict[str, Any]]:
     for row in run.info["routes"]:
         if row["msg_id"] is None:
             continue
-        key = row["link"], row["msg_id"]
+        key = _key(row)
         known = rows.setdefault(
             key,
             {
-                "name": row["topic"] or row["name"] or row["msg_id"],
+                "name": run.mission.own_name(row["topic"] or row["name"] or row["msg_id"], key[2]),
                 "topic": bool(row["topic"]),
                 "count": 0,
                 "bytes": (row["bytes_min"], row["bytes_max"]),
@@ -429,27 +434,31 @@ def _routes(run: RunSummary) -> dict[Key, dict[str, Any]]:
         known["bytes"] = min(low, row["bytes_min"]), max(high, row["bytes_max"])
         for label, count in row["findings"].items():
             known["findings"][label] += count
-    judged = {(row["link"], row["msg_id"]) for row in run.doctor["routes"]}
-    others = [row for row in run.info["routes"] if (row["link"], row["msg_id"]) not in judged]
+    judged = {*map(_key, run.doctor["routes"])}
+    others = [row for row in run.info["routes"] if _key(row) not in judged]
     for row in (*run.doctor["routes"], *others):
-        if known := rows.get((row["link"], row["msg_id"]), {}):
+        if known := rows.get(_key(row), {}):
             known["rate_hz"] += row["rate_hz"]
     for row in run.doctor["routes"]:
-        if known := rows.get((row["link"], row["msg_id"]), {}):
+        if known := rows.get(_key(row), {}):
             known["sent"] += row["sent"]
             known["delays"] += row["seen"]
             both = known["latency_ms"], latency_ms(row)
             known["latency_ms"] = max((item for item in both if item is not None), default=None)
     for row in run.doctor["balance"]:
-        if known := rows.get((row["link"], row["msg_id"]), {}):
+        if known := rows.get(_key(row), {}):
             for what in _GONE:
                 known[what] += row[what]
     return rows
 
 
+def _key(row: Mapping[str, Any]) -> Key:
+    return row["link"], row["msg_id"], row.get("spacecraft", FIRST_SPACECRAFT)
+
+
 def _elsewhere(run: RunSummary, routes: set[Key]) -> dict[str, Any]:
     """Return what did not arrive and is of no route, beside all datagrams."""
-    rows = [row for row in run.doctor["balance"] if (row["link"], row["msg_id"]) not in routes]
+    rows = [row for row in run.doctor["balance"] if _key(row) not in routes]
     gone = {what: sum(row[what] for row in rows) for what in _GONE}
     return {"sent": run.info["datagrams"], "spread": 0.0, **gone}
 

@@ -27,6 +27,7 @@ from edoras_tools.diagnosis.ledger import CAPTURE
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
 from edoras_tools.pipelines.names import PacketKinds, SampleTopics
+from edoras_tools.structs.shapes import Key
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -167,17 +168,20 @@ def field_limits(runs: Sequence[Run], topic: str) -> Iterator[tuple[str, str, Ru
 
 def subjects_of(run: Run) -> Iterator[Subject]:
     """Yield the configured topics that are in a run, other messages that are not cFS's own, and samples."""
-    mission, accounts = run.context.mission, run.ledger.accounts.values()
-    routes = sorted({item.route for item in accounts} - {NO_ROUTE})
-    others = {item.msg_id for item in accounts if item.route == NO_ROUTE and item.msg_id != NO_MSG_ID}
-    topics: dict[str, list[int]] = {}
-    for index in routes:
-        topics.setdefault(mission.routes[index].topic, []).append(index)
-    for topic, own in topics.items():
-        yield Subject(topic, PacketKinds(frozenset(own)))
-    for msg_id in sorted(others - {mission.routes[index].msg_id for index in routes}):
-        if not message_name(msg_id):
-            yield Subject.of(msg_id)
+    for spacecraft in sorted({item.spacecraft for item in run.ledger.accounts.values()}):
+        mission = run.context.mission.of(spacecraft)
+        accounts = [item for item in run.ledger.accounts.values() if item.spacecraft == spacecraft]
+        routes = sorted({item.route for item in accounts} - {NO_ROUTE})
+        others = {item.msg_id for item in accounts if item.route == NO_ROUTE and item.msg_id != NO_MSG_ID}
+        topics: dict[str, list[int]] = {}
+        for index in routes:
+            topics.setdefault(mission.routes[index].topic, []).append(index)
+        for topic, own in topics.items():
+            yield Subject(topic, PacketKinds(frozenset(own)), spacecraft)
+        for msg_id in sorted(others - {mission.routes[index].msg_id for index in routes}):
+            if not message_name(msg_id):
+                name = mission.own_name(f"0x{msg_id:04x}", spacecraft)
+                yield Subject(name, PacketKinds(keys=frozenset({Key(msg_id)})), spacecraft)
     if run.diagnosis is not None:
         for topic in dict.fromkeys(item.topic for item in run.diagnosis.capture.samples()):
             if topic.startswith("/"):

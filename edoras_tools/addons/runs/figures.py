@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.ledger import CAPTURE, Row
@@ -38,32 +39,43 @@ class Parts:
         self._accounts = _laid_out(
             [*ledger.accounts.values()],
             lambda item: (
-                ("route", item.route),
-                ("id", item.msg_id),
-                ("kind", int(item.link), item.kind) if item.msg_id == NO_MSG_ID else None,
+                ("route", item.spacecraft, item.route),
+                ("id", item.spacecraft, item.msg_id),
+                ("kind", item.spacecraft, int(item.link), item.kind) if item.msg_id == NO_MSG_ID else None,
             ),
         )
         routes, balance = (diagnosis.routes, diagnosis.balance) if diagnosis else ([], [])
-        self._routes = _laid_out(routes, lambda row: (("topic", row["topic"]), ("id", int(row["msg_id"], 0))))
-        self._balance = _laid_out(balance, lambda row: (("route", row.route), ("id", row.msg_id)))
+        topics, first = diagnosis.topics if diagnosis else {}, FIRST_SPACECRAFT
+        self._routes = _laid_out(
+            routes, lambda row: (row["topic"], ("id", row.get("spacecraft", first), int(row["msg_id"], 0)))
+        )
+        self._balance = _laid_out(
+            balance, lambda row: (topics.get(row.route), ("id", row.spacecraft or first, row.msg_id))
+        )
         self._sample_rows = _laid_out(balance, lambda row: (row.topic,))
         samples = diagnosis.capture.samples() if diagnosis else []
         self._samples = _laid_out(samples, lambda item: (item.topic,))
 
-    def accounts(self, packets: PacketKinds) -> list[Account]:
-        """Return the accounts of some packets."""
-        kinds = [("kind", *kind) for kind in packets.kinds]
-        return _under(self._accounts, [*_keys(packets), *kinds])
+    def accounts(self, subject: Subject) -> list[Account]:
+        """Return the accounts of a subject."""
+        return _under(self._accounts, self._keys(subject))
 
-    def balance(self, packets: PacketKinds) -> list[Row]:
-        """Return their rows of the balance."""
-        return _under(self._balance, _keys(packets))
+    def balance(self, subject: Subject) -> list[Row]:
+        """Return its rows of the balance."""
+        return _under(self._balance, self._keys(subject))
 
-    def routes(self, packets: PacketKinds) -> list[dict[str, Any]]:
-        """Return their rows of the routes."""
-        topics = self.diagnosis.topics if self.diagnosis else {}
-        own = [("topic", topics.get(index)) for index in packets.routes]
-        return _under(self._routes, [*own, *(("id", key.msg_id) for key in packets.keys)])
+    def routes(self, subject: Subject) -> list[dict[str, Any]]:
+        """Return its rows of the routes."""
+        return _under(self._routes, self._keys(subject))
+
+    def _keys(self, subject: Subject) -> list[Any]:
+        number, packets = subject.spacecraft, subject.packets
+        routes = self.ledger.mission.of(number or FIRST_SPACECRAFT).routes
+        keys: list[Any] = [
+            key for index in packets.routes for key in (("route", number, index), routes[index].topic)
+        ]
+        keys += [("id", number, key.msg_id) for key in packets.keys]
+        return keys + [("kind", number, *kind) for kind in packets.kinds]
 
     def samples(self, packets: PacketKinds) -> tuple[list[SampleStream], list[Row]]:
         """Return the samples on announced topics, and their rows of the balance."""
@@ -91,13 +103,6 @@ def _under(rows: Mapping[Any, list[tuple[int, _Item]]], keys: Iterable[Any]) -> 
     """Return the items under any of some keys, each once, in their order."""
     own = dict(entry for key in keys for entry in rows.get(key, ()))
     return [own[place] for place in sorted(own)]
-
-
-def _keys(packets: PacketKinds) -> list[tuple[str, int]]:
-    return [
-        *(("route", index) for index in packets.routes),
-        *(("id", key.msg_id) for key in packets.keys),
-    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,15 +145,15 @@ class Figures:
             return cls._counted(
                 samples, [item for item in rates if item], rows, parts.ledger, size=None, latency=None
             )
-        accounts = parts.accounts(packets)
-        waits = [latency_ms(row) for row in parts.routes(packets)]
+        accounts = parts.accounts(subject)
+        waits = [latency_ms(row) for row in parts.routes(subject)]
         slowest = max((item for item in waits if item is not None), default=None)
         low = min((item.bytes_min for item in accounts), default=0)
         high = max((item.bytes_max for item in accounts), default=0)
         return cls._counted(
             accounts,
             [item.rate_hz for item in accounts if item.count > 1],
-            parts.balance(packets),
+            parts.balance(subject),
             parts.ledger,
             size=(low, high) if accounts else None,
             latency=None if slowest is None else slowest / 1e3,

@@ -10,6 +10,7 @@ import numpy as np
 
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.syntax import WhereError
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, split_topic
 from edoras_tools.errors import RouteError
 from edoras_tools.mission.report import Mistakes
 from edoras_tools.pipelines.capture.info import Counting
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.errors import EdorasError
     from edoras_tools.io import Source
+    from edoras_tools.mission import Mission
     from edoras_tools.pipelines.reading import ReadLoop
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
@@ -97,17 +99,14 @@ class Subject:
     """The messages that a name stands for.
 
     Attributes:
-        name: as it is told.
+        name: as people are told.
         packets: which they are.
+        spacecraft: whose; 0 for those of all.
     """
 
     name: str
     packets: PacketKinds
-
-    @classmethod
-    def of(cls, msg_id: int, name: str = "") -> Subject:
-        """Return the messages with a MsgId."""
-        return cls(name or f"0x{msg_id:04x}", PacketKinds(keys=frozenset({Key(msg_id)})))
+    spacecraft: int = FIRST_SPACECRAFT
 
     @classmethod
     def of_name(cls, name: str, context: Context) -> Subject:
@@ -116,18 +115,44 @@ class Subject:
         Raises:
             RouteError: nothing; with what was perhaps meant.
         """
-        packets, routes = find_packets(name, context), context.mission.routes
+        prefix, rest = ("", name) if context.mission.recorded else split_topic(name)
+        spacecraft = (context.mission.number_of(prefix) if prefix else 0) or FIRST_SPACECRAFT
+        own = context.of(spacecraft)
+        try:
+            packets = find_packets(name, own)
+        except RouteError:
+            if not prefix:
+                raise
+            packets = find_packets(rest[1:], own)
         if packets.routes:
-            return cls(routes[min(packets.routes)].topic, packets)
+            return cls(own.mission.routes[min(packets.routes)].topic, packets, spacecraft)
         number = name[:1].isdecimal()
-        return cls(f"0x{int(name, 0):04x}" if number else name, packets)
+        return cls(f"0x{int(name, 0):04x}" if number else name, packets, spacecraft)
 
     def mask(self, rows: ColumnRows) -> NDArray[np.bool_]:
         """Return which rows are meant."""
-        return self.packets.mask(rows.batch, rows.columns)[rows.indices()]
+        own = self.packets.mask(rows.batch, rows.columns)[rows.indices()]
+        return own & self.owns(rows)
+
+    def is_among(self, selection: Selection, mission: Mission) -> bool:
+        """Return whether some of it may be in a prepared selection, without regard to the filter."""
+        packets = self.packets
+        links = {mission.routes[index].link for index in packets.routes}
+        if selection.links and links and links.isdisjoint(selection.links):
+            return False
+        ids = packets.msg_ids(mission)
+        return all(
+            ids & item.msg_ids(mission) or packets.kinds & item.kinds or packets.shares_samples(item)
+            for item in selection.packets_of(self.spacecraft)
+        )
+
+    def owns(self, rows: ColumnRows) -> NDArray[np.bool_]:
+        """Return which rows are of its spacecraft."""
+        own: NDArray[np.bool_] = rows.column("spacecraft") == self.spacecraft
+        return own if self.spacecraft else ~own
 
 
-EVENT_MESSAGES = Subject.of(cfe.EVENT_MSG_ID, "events")
+EVENT_MESSAGES = Subject("events", PacketKinds(keys=frozenset({Key(cfe.EVENT_MSG_ID)})), 0)
 
 
 @dataclass(slots=True)
@@ -164,7 +189,8 @@ class FilterCount:
         self.first_miss = self.first_miss or _first(number, time_ns, ~passed)
         if self.then is not None:
             self._hits_ns.append(time_ns[passed])
-            self._then_ns.append(rows.datagram("time_ns")[self.then.passing(rows)])
+            after = self.then.passing(rows) & self.subject.owns(rows)
+            self._then_ns.append(rows.datagram("time_ns")[after])
 
     def unanswered(self, within_ns: int, end_ns: int) -> tuple[NDArray[np.int64], int]:
         """Return the times of the hits that nothing followed in time, and how many the end leaves open."""
@@ -207,7 +233,7 @@ class Observation(Counting):
 
     def about(self, selection: Selection) -> Expectations:
         """Leave the topics out that a prepared selection leaves out; return the other expectations."""
-        keep = [selection.overlaps(item.packets, self.report.ledger.mission) for item in self.subjects]
+        keep = [item.is_among(selection, self.report.ledger.mission) for item in self.subjects]
         self.subjects, self.fields = (list(compress(self.subjects, keep)), list(compress(self.fields, keep)))
         return replace(self._expected, topics=tuple(compress(self._expected.topics, keep)))
 

@@ -22,6 +22,7 @@ from edoras_tools.addons.runs.figures import Figures, Parts
 from edoras_tools.addons.runs.observation import Examined, Subject, examine_or_count
 from edoras_tools.addons.runs.values import TopicValues, ValueCount
 from edoras_tools.cfs import queues
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.advice import Arrivals, published_into, told_limit
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES
@@ -55,16 +56,22 @@ _FITS: Final = 1.2
 """So many times what the model loses may be lost, and it explains it."""
 
 
-def loss_spreads(case: Case | None) -> dict[tuple[str, int], float]:
-    """Return the standard deviation of the messages lost of each stream that lost any, by link and MsgId."""
-    spreads: dict[tuple[str, int], float] = {}
-    for stream in case.streams if case is not None else ():
-        lost = sum(item.lost for item in case.losses_of(stream)) if case is not None else 0
-        if case is None or not lost:
-            continue
-        key = stream.link.label, stream.msg_id
-        variance = max(_LEAST, _variance(_model(case, stream), lost))
-        spreads[key] = sqrt(spreads.get(key, 0.0) ** 2 + variance)
+def loss_spreads(diagnosis: Diagnosis | None) -> dict[tuple[str, int, int], float]:
+    """Return the standard deviation of the messages lost of each stream that lost any.
+
+    Returns:
+        by link, MsgId and spacecraft.
+    """
+    spreads: dict[tuple[str, int, int], float] = {}
+    parts = (diagnosis.parts or {FIRST_SPACECRAFT: diagnosis}) if diagnosis else {}
+    for number, case in ((number, part.case) for number, part in parts.items()):
+        for stream in case.streams if case is not None else ():
+            lost = sum(item.lost for item in case.losses_of(stream)) if case is not None else 0
+            if case is None or not lost:
+                continue
+            key = stream.link.label, stream.msg_id, number
+            variance = max(_LEAST, _variance(_model(case, stream), lost))
+            spreads[key] = sqrt(spreads.get(key, 0.0) ** 2 + variance)
     return spreads
 
 
@@ -121,7 +128,8 @@ class Run:
         context: mission and decoding.
         findings: of the doctor, or of who counts messages.
         values: of the fields of each topic.
-        spreads: standard deviation of what is lost of each link and MsgId, in other runs of this traffic.
+        spreads: standard deviation of what is lost in other runs of this traffic, by link, MsgId and
+            spacecraft.
     """
 
     name: str
@@ -129,7 +137,7 @@ class Run:
     context: Context
     findings: Examined
     values: Mapping[str, TopicValues]
-    spreads: Mapping[tuple[str, int], float]
+    spreads: Mapping[tuple[str, int, int], float]
 
     @classmethod
     def read(
@@ -138,7 +146,7 @@ class Run:
         """Read a source to its end; the source is closed."""
         counting = ValueCounting(source, bench)
         findings = examine_or_count(source, bench, counting, scope=scope, progress=progress)
-        spreads = loss_spreads(findings.diagnosis.case) if findings.diagnosis else {}
+        spreads = loss_spreads(findings.diagnosis)
         context = bench.columns.context
         return cls(source.info.name, counting.report, context, findings, counting.values.topics, spreads)
 
@@ -167,7 +175,8 @@ class Run:
         routes = [self.context.mission.routes[index] for index in subject.packets.routes]
         own = {(route.link.label, route.msg_id) for route in routes if not (captured and route.to_cfs)}
         ids = {key.msg_id for key in subject.packets.keys}
-        return hypot(*(value for key, value in self.spreads.items() if key in own or key[1] in ids))
+        known = ((key, value) for key, value in self.spreads.items() if key[2] == subject.spacecraft)
+        return hypot(*(value for key, value in known if key[:2] in own or key[1] in ids))
 
     def whole(self) -> Figures:
         """Return the figures of all messages."""

@@ -135,16 +135,17 @@ class ValueCount:
 
     def add(self, rows: ColumnRows) -> None:
         """Add some rows."""
-        routes = {route.topic: route for route in rows.context.mission.routes}
-        for item in message_rows(rows, read_whole(rows), commands=False):
-            if item.topic not in routes or item.bound is not None or not item.columns.valid.any():
-                continue
-            valid = np.flatnonzero(item.columns.valid)
-            topic = self.topics.setdefault(item.topic, TopicValues(routes[item.topic].to_cfs))
-            chosen = rows.take(item.owner[valid])
-            topic.note(chosen.datagram("number"), chosen.datagram("time_ns"))
-            for name, values in _columns(item.columns.fields):
-                topic.fields.setdefault(name, FieldValues()).add(values[valid])
+        for _, own in rows.by_spacecraft():
+            routes = {route.topic: route for route in own.context.mission.routes}
+            for item in message_rows(own, read_whole(own), commands=False):
+                if item.topic not in routes or item.bound is not None or not item.columns.valid.any():
+                    continue
+                valid = np.flatnonzero(item.columns.valid)
+                topic = self.topics.setdefault(item.topic, TopicValues(routes[item.topic].to_cfs))
+                chosen = own.take(item.owner[valid])
+                topic.note(chosen.datagram("number"), chosen.datagram("time_ns"))
+                for name, values in _columns(item.columns.fields):
+                    topic.fields.setdefault(name, FieldValues()).add(values[valid])
 
 
 def _columns(fields: Mapping[str, NDArray[Any] | Ragged]) -> Iterator[tuple[str, NDArray[Any]]]:

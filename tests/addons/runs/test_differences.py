@@ -112,7 +112,7 @@ def test_loss_that_grew_a_little_is_no_news():
 
 @pytest.mark.parametrize(("before", "after", "worse"), [(25, 32, []), (25, 34, [("lost", True)])])
 def test_a_loss_of_one_run_is_worse_beyond_the_spread_of_the_earlier_one(before, after, worse):
-    key = ROUTE["link"], ROUTE["msg_id"]
+    key = ROUTE["link"], ROUTE["msg_id"], 1
     good, bad = (
         replace(run(account={"sent": 163}, balance={"lost": lost}), spreads={key: spread})
         for lost, spread in ((before, 2.4), (after, 7.0))
