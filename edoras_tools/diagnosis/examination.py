@@ -207,6 +207,7 @@ class Diagnosis:
             balance=tuple(
                 row for row in self.balance if choice.takes(row.link or None, row.msg_id, row.topic)
             ),
+            missing=tuple(item for item in self.missing if choice.takes(*item.concerns)),
             choice=choice,
             whole=self,
         )
@@ -582,12 +583,12 @@ def _of_one(number: int, part: Diagnosis, mission: Mission) -> Diagnosis:
     name, first = mission.called(number), (number - 1) * len(part.topics)
 
     def said(verdicts: Iterable[Verdict]) -> tuple[Verdict, ...]:
-        kept = (item for item in verdicts if number == FIRST_SPACECRAFT or item.rule not in CAPTURE_RULES)
         return tuple(
             item
             if item.rule in CAPTURE_RULES
             else replace(item, reason=f"{name}: {item.reason}", spacecraft=number)
-            for item in kept
+            for item in verdicts
+            if number == FIRST_SPACECRAFT or item.rule not in CAPTURE_RULES
         )
 
     return replace(
@@ -606,6 +607,9 @@ def _of_one(number: int, part: Diagnosis, mission: Mission) -> Diagnosis:
         topics={index + first: topic for index, topic in part.topics.items()},
         routes=[{**row, "spacecraft": number} for row in part.routes],
         peers=[{**row, "spacecraft": number} for row in part.peers],
+        missing=part.missing
+        if number == FIRST_SPACECRAFT
+        else tuple(item.of(number, mission) for item in part.missing),
     )
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.diagnosis.case import Case
+    from edoras_tools.mission import Mission
     from edoras_tools.wire.arrays.order import Integers, Places
 
 _Share = tuple[LedgerEntry, Among]
@@ -67,6 +68,11 @@ class Missing:
     def concerns(self) -> tuple[str | None, int | None, str]:
         """Its link and MsgId, each None where it is not known, and its topic."""
         return self.link or None, None if self.msg_id == NO_MSG_ID else self.msg_id, self.topic or ""
+
+    def of(self, spacecraft: int, mission: Mission) -> Missing:
+        """Return it with the spacecraft in its name."""
+        name = self.topic or (f"0x{self.msg_id:04x}" if self.msg_id != NO_MSG_ID else "")
+        return replace(self, topic=mission.own_name(name, spacecraft))
 
     def as_json(self) -> dict[str, Any]:
         """Return it in the shape of ``doctor --list-lost json``."""

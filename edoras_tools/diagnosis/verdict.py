@@ -191,6 +191,7 @@ def group_verdicts(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
             verdict.rule == QUOTING_RULE,
             verdict.lost is None,
             verdict.rule,
+            verdict.spacecraft or 0,
             verdict.link or "",
             verdict.msg_id if verdict.msg_id is not None else -1,
             verdict.hop or "",

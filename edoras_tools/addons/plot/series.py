@@ -12,11 +12,13 @@ import numpy as np
 
 from edoras_tools.addons.plot.request import PlotRequest, Quantity
 from edoras_tools.addons.plot.values import Values, numbers
+from edoras_tools.decode.spacecraft import split_topic
 from edoras_tools.errors import ConfigError, InterruptError
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.export.judged import LOST_TOPIC
 from edoras_tools.pipelines.export.sources import TopicSource, open_topics
 from edoras_tools.pipelines.export.tables import TableForm
+from edoras_tools.pipelines.names import fits_topic
 from edoras_tools.pipelines.plot_lines import RateCounts, bar_seconds
 from edoras_tools.render.plot.figure import GREY, EventMark, Figure, Panel, PlotLine
 from edoras_tools.words import listed, plural
@@ -90,6 +92,7 @@ class _Recording:
                 recording.topics[item] = item.fields(source, topics)
                 continue
             if any(sign in item.topic for sign in "*?["):
+                source.wants_new = not narrowed
                 topics = [topic for topic in topics if not topic.startswith(_OWN)]
             counts = recording.rates if item.quantity is Quantity.RATE else recording.losses
             counts |= {topic: RateCounts() for topic in topics}
@@ -119,14 +122,17 @@ class _Recording:
 
     def take(self, block: TopicBlock) -> None:
         """Add a block of messages."""
+        if block.topic not in self.topics_to_read:
+            self._take_new(block.topic)
         seconds = (block.time_ns - self.source.zero_ns) / 1e9
         self.first = min(self.first, float(seconds.min()))
         if block.topic in self.rates:
             self.rates[block.topic].add(seconds)
         if block.topic in self.log_topics:
             texts = (_array(block, name).tolist() for name in ("level", "name", "msg"))
+            whose = block.topic.removesuffix(split_topic(block.topic)[1])
             self.marks += [
-                (moment, level, f"{name}: {text}")
+                (moment, level, f"{whose}/{name}: {text}".removeprefix("/" * (not whose)))
                 for moment, level, name, text in zip(seconds.tolist(), *texts, strict=True)
             ]
         if block.topic == LOST_TOPIC:
@@ -146,6 +152,18 @@ class _Recording:
             for index in {None} if None in elements else elements:
                 for element, rows, values in numbers(columns[name], index):
                     self._values(block.topic, name, element).add(seconds[rows], values)
+
+    def _take_new(self, topic: str) -> None:
+        """Take a topic that came in while it was read, as those of a second spacecraft."""
+        for item in self.topics:
+            if split_topic(topic)[1].startswith(_OWN) or not fits_topic(topic, item.topic):
+                continue
+            self.topics[item][topic] = []
+            self.rates[topic] = RateCounts()
+            if self.losses:
+                self.losses[topic] = RateCounts()
+        if self.log_topics and self.source.topics[topic] == _LOG:
+            self.log_topics.append(topic)
 
     def _values(self, topic: str, name: str, element: int | None) -> Values:
         key = topic, name, element

@@ -56,7 +56,7 @@ class Tracing(Examination):
     Attributes:
         trace: the way of the message, once it was met.
         timing: the rounds of the topic, of the chapter that lost most.
-        rates: the rates of the topic, of the last chapter that has it.
+        rates: the rates of the topic, of each spacecraft in the last chapter that has it.
     """
 
     def __init__(self, context: Context, request: TraceRequest) -> None:
@@ -64,8 +64,9 @@ class Tracing(Examination):
         self.request = request
         self.trace: MessageTrace | None = None
         self.timing: Timing | None = None
-        self.rates: list[TopicRates] = []
+        self._rates: dict[int, list[TopicRates]] = {}
         self._passed = 0
+        self._listed: list[tuple[Missing, Case]] = []
         self._names: dict[str, None] = {}
 
     def judged(self, recorder: Recorder, chapter: Chapter) -> Diagnosis:
@@ -73,12 +74,18 @@ class Tracing(Examination):
         case = Case(recorder, self.profile, chapter.capture, proxied(chapter.faults))
         packet = self.request.packet
         is_here = packet is None or (case.rows.number == packet).any()
-        if len(case.rows) and is_here and self.trace is None:
+        is_open = self.trace is None or (self.request.lost and self.context.spacecraft.several)
+        if len(case.rows) and is_here and is_open:
             judge_single(case)
             self._look(case)
         return Diagnosis(
             (), (), [], [], len(case.rows), case.start_ns, case.end_ns, chapter.capture, case=None
         )
+
+    @property
+    def rates(self) -> list[TopicRates]:
+        """See the class."""
+        return [item for _, rates in sorted(self._rates.items()) for item in rates]
 
     def check(self) -> None:
         """Raise an error if what was asked for is not there.
@@ -108,10 +115,15 @@ class Tracing(Examination):
             self.trace = Tracer(case).packet(request.packet)
             return
         if request.lost is not None:
-            lost = [item for item in missing(case) if request.topic in {None, *_names(case, item.msg_id)}]
-            place = request.lost - self._passed - 1
+            lost = [
+                (item, case) for item in missing(case) if request.topic in {None, *_names(case, item.msg_id)}
+            ]
+            # The list is by time; of several spacecraft each is judged by itself.
+            before = 0 if self.context.spacecraft.several else self._passed
+            self._listed = sorted([*self._listed[before:], *lost], key=lambda item: item[0].time_ns)
             self._passed += len(lost)
-            self.trace = self._lost(case, lost[place]) if 0 <= place < len(lost) else None
+            if 0 < request.lost - before <= len(self._listed):
+                self.trace = self._lost(*self._listed[request.lost - before - 1])
             return
         streams = self._streams(case, request.topic or "")
         if request.nth is not None:
@@ -119,7 +131,8 @@ class Tracing(Examination):
             self._passed += sum(messages_in(item) for item in streams)
         elif request.window is not None:
             found = [(item, request.topic) for item in streams] if request.topic else self._every(case)
-            self.rates = [topic_rates(case, *item, request.window) for item in found] or self.rates
+            if rates := [topic_rates(case, *item, request.window) for item in found]:
+                self._rates[case.mission.number] = rates
         elif streams:
             timings = [_timing(case, item, request.topic or "") for item in streams]
             best = max([*timings, *filter(None, [self.timing])], key=lambda item: item.lost)
@@ -136,11 +149,12 @@ class Tracing(Examination):
     def _every(self, case: Case) -> list[tuple[Stream, str]]:
         """Return the streams of each topic, where there is none of each MsgId, with its name."""
         ids = list(dict.fromkeys(stream.msg_id for stream in case.streams))
-        names = [topic for item in ids if (topic := case.topic(item))] or [f"0x{item:04x}" for item in ids]
+        topics = [topic for item in ids if (topic := case.topic(item))]
+        names = topics or [_names(case, item)[-1] for item in ids]
         return [(stream, name) for name in dict.fromkeys(names) for stream in self._streams(case, name)]
 
     @staticmethod
-    def _lost(case: Case, item: Missing) -> MessageTrace:
+    def _lost(item: Missing, case: Case) -> MessageTrace:
         """Return the way of a message that is on the list of losses."""
         tracer = Tracer(case)
         if item.number is not None:
@@ -157,7 +171,8 @@ class Tracing(Examination):
 
 def _names(case: Case, msg_id: int) -> list[str]:
     """Return what a MsgId is called."""
-    return [item for item in (case.topic(msg_id), case.packet_name(msg_id), f"0x{msg_id:04x}") if item]
+    names = case.topic(msg_id), case.packet_name(msg_id), f"0x{msg_id:04x}"
+    return [case.mission.own_name(item, case.mission.number) for item in names if item]
 
 
 def _timing(case: Case, stream: Stream, name: str) -> Timing:

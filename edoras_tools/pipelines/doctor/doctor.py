@@ -314,8 +314,7 @@ def list_missing(
         bench: decodes them.
         progress: updated while the source is read.
     """
-    choice = diagnosis.choice
-    rows = [item for item in diagnosis.missing if choice is None or choice.takes(*item.concerns)]
+    rows = [*diagnosis.missing]
     places = {item.number: place for place, item in enumerate(rows) if item.number is not None}
     dissector = Dissector(bench.columns.context, detail=False)
     source.follow(bench.columns.context.framings)

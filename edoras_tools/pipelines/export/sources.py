@@ -296,14 +296,14 @@ class CaptureTopics(TopicSource):
         scope, source, streams = self._scope, self._source, self._streams
 
         def arguments(batch: PacketBatch, columns: Columns) -> tuple[Any, ...]:
-            for number, rows in by_value(columns.spacecraft):
-                topics = [item.topic for item in self._bench.mission.of(number).routes]
-                routed.update(topics)
-                claimed = [place for place, topic in enumerate(topics) if topic in requested]
-                self.left_out += int(np.isin(columns.route[rows], claimed).sum())
             published = source.published(batch.number)
             prepared = streams.prepare(batch, columns, published, statistics=statistics)
             selection = {*requested, *self._new} if self.wants_new else requested
+            for number, rows in by_value(columns.spacecraft):
+                topics = [item.topic for item in self._bench.mission.of(number).routes]
+                routed.update(topics)
+                claimed = [place for place, topic in enumerate(topics) if topic in selection]
+                self.left_out += int(np.isin(columns.route[rows], claimed).sum())
             self._origin = source.origin(batch.number)
             return batch, columns, prepared, selection, tuple(self._places), self.zero_ns, self._origin
 
