@@ -24,16 +24,18 @@ WHERE (? IS NULL OR end_ns >= ?) AND (? IS NULL OR start_ns < ?)
 ORDER BY start_ns NULLS LAST, capture
 """
 _LOST: Final = """
-SELECT o.capture, start_ns, o.topic, o.name, o.link, o.msg_id, o.sent, o.lost, o.unaccounted, causes
+SELECT o.capture, start_ns, o.topic, o.name, o.link, o.msg_id, o.spacecraft, o.sent, o.lost, o.unaccounted,
+       causes
 FROM outcomes o
 JOIN captures c ON c.capture = o.capture
 LEFT JOIN (
-    SELECT capture, link, msg_id, topic, list(cause ORDER BY cause) AS causes
-    FROM (SELECT DISTINCT capture, link, msg_id, topic, cause FROM losses)
+    SELECT capture, link, msg_id, topic, spacecraft, list(cause ORDER BY cause) AS causes
+    FROM (SELECT DISTINCT capture, link, msg_id, topic, spacecraft, cause FROM losses)
     GROUP BY ALL
 ) l
   ON l.capture = o.capture AND l.link IS NOT DISTINCT FROM o.link
   AND l.msg_id IS NOT DISTINCT FROM o.msg_id AND l.topic IS NOT DISTINCT FROM o.topic
+  AND l.spacecraft IS NOT DISTINCT FROM o.spacecraft
 WHERE o.lost + o.unaccounted > 0
   AND (? IS NULL OR c.end_ns >= ?) AND (? IS NULL OR c.start_ns < ?)
 ORDER BY c.start_ns, o.capture, o.lost DESC, o.link, o.msg_id

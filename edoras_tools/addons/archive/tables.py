@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-SHAPE: Final = 1
+SHAPE: Final = 2
 """Version of these tables; an index of another version is not read."""
 
 _TYPES: Final = {
@@ -84,12 +84,13 @@ def _table(name: str, description: str, *columns: tuple[str, str, str]) -> Index
     return IndexTable(name, description, (first, *(IndexColumn(*item) for item in columns)))
 
 
+_SPACECRAFT: Final = "spacecraft", "int", "its number, where there are several"
 _ROUTE: Final = (
     ("link", "text", "label of the link"),
     ("msg_id", "text", "e.g. `0x0827`"),
     ("topic", "text", "configured topic"),
     ("name", "text", "cFE's name of the packet"),
-    ("spacecraft", "int", "its number, where there are several"),
+    _SPACECRAFT,
 )
 _SENDERS: Final = (
     ("sender", "text", "address and port"),
@@ -243,6 +244,7 @@ _VERDICTS: Final = _table(
     ("confidence", "text", "`high`, `medium` or `low`"),
     ("evidence", "texts", "what was seen"),
     ("remedy", "text", "what to change"),
+    _SPACECRAFT,
 )
 _EVENTS: Final = _table(
     "events",
@@ -254,6 +256,7 @@ _EVENTS: Final = _table(
     ("event_id", "int", "its number for it"),
     ("event_type", "int", "1 debug, 2 information, 3 error, 4 critical"),
     ("message", "text", "the text"),
+    _SPACECRAFT,
 )
 _MISSIONS: Final = _table(
     "missions",

@@ -11,6 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.io.formats.text import json_value
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level
@@ -74,9 +75,7 @@ def losses_table(rows: Sequence[Mapping[str, Any]], width: int) -> RenderableTyp
         Column("Began (UTC)", lambda row: plain(_when(row["start_ns"])), justify="left"),
         Column("Capture", lambda row: plain(short(row["capture"])), justify="left", elastic=True),
         Column("Link", lambda row: plain((row["link"] or "").upper()), justify="left", rank=1),
-        Column(
-            "Topic", lambda row: plain(row["topic"] or row["name"] or row["msg_id"] or "?"), justify="left"
-        ),
+        Column("Topic", lambda row: plain(_route(row)), justify="left"),
         Column("Sent", figure("sent")),
         Column("Lost", figure("lost", _LOST)),
         Column("Unaccounted", figure("unaccounted", _LOST), rank=1),
@@ -87,6 +86,11 @@ def losses_table(rows: Sequence[Mapping[str, Any]], width: int) -> RenderableTyp
     captures = plural(len({row["capture"] for row in rows}), "capture")
     total = f"{lost:,} lost, {unaccounted:,} unaccounted for, in {captures}."
     return Group(build(columns, rows, width), Text(total))
+
+
+def _route(row: Mapping[str, Any]) -> str:
+    whose = f"sc_{row['spacecraft']} " if (row["spacecraft"] or 0) > FIRST_SPACECRAFT else ""
+    return row["topic"] or f"{whose}{row['name'] or row['msg_id'] or '?'}"
 
 
 ROW_TABLES: Final = {"captures": captures_table, "losses": losses_table}

@@ -199,13 +199,15 @@ class _Listening(Counting):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.events: list[EventRecord] = []
+        self.events: list[tuple[int, EventRecord]] = []
         self.left_out = 0
 
     def add(self, rows: ColumnRows, loop: ReadLoop) -> ColumnRows:
         """See ``Counting.add``."""
         own = super().add(rows, loop)
-        events = list(events_in(*own.alone()))
+        parts = (part for _, part in own.by_spacecraft())
+        events = [(part.context.mission.number, item) for part in parts for item in events_in(*part.alone())]
+        events.sort(key=lambda event: event[1].number)
         self.events += events[: _MOST_EVENTS - len(self.events)]
         self.left_out += max(0, len(events) - (_MOST_EVENTS - len(self.events)))
         return own
@@ -246,20 +248,21 @@ def _hash(path: Path) -> str:
 def rows_of(
     info: Mapping[str, Any],
     findings: Findings,
-    events: Sequence[EventRecord],
+    events: Sequence[tuple[int, EventRecord]],
     missions: Mapping[str, bytes],
 ) -> IndexRows:
     """Return the rows of a capture, without the column ``capture``; ``captures`` has one, without identity.
 
     Args:
         info: its totals, in the shape of ``info --json``.
-        events: what applications of cFS said.
+        events: what applications of cFS said, each with its spacecraft.
         missions: the mission files it was read with, by name.
     """
     doctor = findings.summary()
     streams = doctor["routes"]
     verdicts = [*doctor["verdicts"], *doctor["habits"]]
     worst = findings.diagnosis.worst.label if findings.diagnosis.verdicts else None
+    several = any("spacecraft" in row for row in info["routes"])
     warnings = dict.fromkeys([*info["warnings"], *doctor["warnings"]])
     return {
         "captures": [{**_capture(info, doctor), "worst": worst}],
@@ -283,7 +286,8 @@ def rows_of(
         ],
         "verdicts": [{**_those(TABLES["verdicts"], item), "sent": item["of"]} for item in verdicts],
         "events": [
-            {**_those(TABLES["events"], _event(item)), "time": _moment(item.time_ns)} for item in events
+            {**_event(item), "time": _moment(item.time_ns), "spacecraft": number if several else None}
+            for number, item in events
         ],
         "missions": [
             {"file": name, "sha256": sha256(data).hexdigest(), "bytes": len(data)}

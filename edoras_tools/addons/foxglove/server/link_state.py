@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -74,17 +75,24 @@ class LinkState:
         batch: PacketBatch,
         columns: Columns,
         counts: Messages,
-        events: Sequence[Messages],
+        events: Mapping[str, Sequence[Messages]],
         statuses: Mapping[str, Mapping[str, Any]],
     ) -> None:
         """Add a batch of at least one row.
 
         Args:
             counts: its messages on ``/edoras/link_statistics``.
-            events: its messages on ``/edoras/events``: of cFE, of its reset log, of F Prime.
+            events: its messages on ``/edoras/events``: of cFE, of its reset log, of F Prime; by what the
+                topic of their spacecraft has in front.
             statuses: the latest of ``/diagnostics``, by name.
         """
-        entries = self._log_entries(events, len(batch)) if any(map(len, events)) else []
+        entries = [
+            {**entry, "app": f"{prefix}/{entry['app']}" if prefix else entry["app"]}
+            for prefix, own in events.items()
+            if any(map(len, own))
+            for entry in self._log_entries(own, len(batch))
+        ]
+        entries.sort(key=itemgetter("time_ns"))
         last = self._last_packets(batch, columns)
         with self._lock:
             self._heard, self._time_ns = time.monotonic(), int(batch.time_ns[-1])

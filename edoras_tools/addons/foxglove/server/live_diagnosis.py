@@ -175,7 +175,11 @@ def _routes(ways: Iterable[WaySum]) -> list[dict[str, Any]]:
 def _problem(problem: Problem, diagnosis: Diagnosis) -> dict[str, Any]:
     """Return a problem with the latest of the messages that were lost by it."""
     about = {(item.link, item.msg_id) for item in problem.verdicts if item.msg_id is not None}
-    lost = [item for item in diagnosis.missing if (item.link, item.msg_id) in about] if problem.lost else []
+    # A problem is of one spacecraft: its verdicts are those of the part.
+    ids = {id(item) for item in problem.verdicts}
+    parts = [part for part in diagnosis.parts.values() if not ids.isdisjoint(map(id, part.verdicts))]
+    every = (*parts, diagnosis)[0].missing if problem.lost else ()
+    lost = [item for item in every if (item.link, item.msg_id) in about]
     return {
         **problem.as_json(),
         "promise": problem.promise or None,
@@ -188,15 +192,18 @@ def _problem(problem: Problem, diagnosis: Diagnosis) -> dict[str, Any]:
 
 def _flows(ways: Iterable[WaySum], topics: Mapping[int, str]) -> list[dict[str, Any]]:
     """Return the traffic that goes through the same hops, added up hop by hop: losses first, then uplinks."""
-    groups: dict[tuple[str, tuple[str, ...]], list[tuple[Row, ...]]] = {}
+    groups: dict[tuple[int, str, tuple[str, ...]], list[tuple[Row, ...]]] = {}
     for way in ways:
-        groups.setdefault((way.hops[0].link, tuple(row.hop for row in way.hops)), []).append(way.hops)
+        first = way.hops[0]
+        key = first.spacecraft or FIRST_SPACECRAFT, first.link, tuple(row.hop for row in way.hops)
+        groups.setdefault(key, []).append(way.hops)
     flows = []
-    for (link, hops), members in groups.items():
+    for (spacecraft, link, hops), members in groups.items():
         names = [topics.get(first.route) or first.topic or first.name for first, *_ in members]
         columns = zip(*members, strict=True)
         rows = [_hop(hop, rows) for hop, rows in zip(hops, columns, strict=True)]
-        flows.append({"link": link, "names": sorted(filter(None, names)), "hops": rows})
+        names = sorted(filter(None, names))
+        flows.append({"spacecraft": spacecraft, "link": link, "names": names, "hops": rows})
     return sorted(flows, key=lambda item: (-sum(hop["lost"] for hop in item["hops"]), item["link"]))
 
 

@@ -133,7 +133,8 @@ class Diagnostics:
         worst = [item.labels[0] for item in findings if self._levels.get(item, WARN) == level]
         place = self._routes.get((link, msg_id))
         name = f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else "no MsgId"
-        topic = "" if spacecraft == FIRST_SPACECRAFT else f"{self._mission.prefix(spacecraft)}/{label}/{name}"
+        own = self._mission.own_name(f"{label}/{name}", spacecraft)
+        topic = own if spacecraft != FIRST_SPACECRAFT else ""
         if place is not None:
             topic = self._mission.of(spacecraft).routes[place].topic
         return {
@@ -329,8 +330,11 @@ class FoxgloveSink(ServedSink):
             self._diagnostics.judgement = self._doctor.ask()
         streams.append(self._diagnostics.messages(batch, columns, self._places[DIAGNOSTICS.name]))
         counts = own[self._places[STATISTICS_TOPIC]]
-        logs = (place for name, place in self._places.items() if name.endswith(EVENTS_TOPIC))
-        events = [item for place in logs for item in own.get(place, ())]
+        events = {
+            name.removesuffix(EVENTS_TOPIC): own[place]
+            for name, place in self._places.items()
+            if name.endswith(EVENTS_TOPIC) and place in own
+        }
         self._link.add(batch, columns, counts[-1], events, self._diagnostics.latest)
         if self.server.clients:
             self.server.publish(lay_out(streams, len(batch)))

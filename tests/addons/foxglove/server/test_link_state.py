@@ -23,7 +23,7 @@ def state_of(read, types, **options):
         made = [item for item in streams.messages(batch, columns) if isinstance(item.channel_id, int)]
         (counts,) = [item for item in made if item.channel_id == STATISTICS]
         events = [item for item in made if item.channel_id == EVENTS]
-        state.add(batch, columns, counts, events, options.get("statuses", {}))
+        state.add(batch, columns, counts, {"": events}, options.get("statuses", {}))
     return state
 
 
