@@ -16,6 +16,8 @@ from edoras_tools.cli.output import file_progress
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from edoras_tools.addons.mission_draft.draft import MissionDraft
 
 mission = command_group("mission", "Draft a mission file from what is in a capture.")
@@ -34,9 +36,10 @@ def draft(
 ) -> None:
     """Draft a mission file from a capture: MsgIds, addresses, and the types that fit.
 
-    What -c names is left out. The names of topics are made from MsgIds: edit them.
+    What -c names is left out. The names of topics are made from MsgIds: edit them. Of several spacecraft
+    each has a file of its own: NAME.yaml, NAME_sc_2.yaml.
     """
-    from edoras_tools.addons.mission_draft.draft import read_traffic
+    from edoras_tools.addons.mission_draft.draft import CapturedTraffic, each_draft, read_traffic
 
     paths = files.named()
     output = recordings.text_output(output, paths, force=force)
@@ -47,8 +50,8 @@ def draft(
             bar,
             again="-" not in map(str, paths),
         )
-        made = captured.draft()
-    _end(made, output, quiet=quiet)
+    drafts = each_draft(captured, CapturedTraffic.draft)
+    _end(drafts, paths, output, force=force, quiet=quiet)
 
 
 @mission.command(cls=Command)
@@ -64,7 +67,8 @@ def learn(
     """Learn a system from captures: a draft with ports, headers, rounds, depths and limits of its cFS.
 
     Each with its interval and what shows it; what nothing shows is missing. -c takes the file: doctor, check,
-    --predict and sweep go by it, and edoras sim -c emulates the system.
+    --predict and sweep go by it, and edoras sim -c emulates the system. Of several spacecraft each has a file
+    of its own: NAME.yaml, NAME_sc_2.yaml.
     """
     from edoras_tools.addons.mission_draft.learn import learn_mission
 
@@ -73,24 +77,34 @@ def learn(
         raise ConfigError("learn reads the captures several times, so it needs files, not stdin: name files")
     output = recordings.text_output(output, paths, force=force)
     with file_progress(paths, quiet=quiet) as bar:
-        made = learn_mission(
+        drafts = learn_mission(
             lambda settings: open_input(InputOptions(files), settings, aligned=True, progress=bar),
             decoding.settings(),
             bar,
         )
-    _end(made, output, quiet=quiet)
+    _end(drafts, paths, output, force=force, quiet=quiet)
 
 
-def _end(made: MissionDraft, output: Path | None, *, quiet: bool) -> None:
-    """Write a draft, and say what is to be known of it."""
+def _end(
+    drafts: Mapping[str, MissionDraft], inputs: list[Path], output: Path | None, *, force: bool, quiet: bool
+) -> None:
+    """Write the draft of each spacecraft, and say what is to be known of it."""
     from edoras_tools.words import plural
 
-    recordings.put_text(made.text, output)
-    for note in () if quiet else made.notes:
-        tell(note)
-    if output is not None and not quiet:
-        learned = f", {plural(made.constants, 'constant')} of cFS" if made.constants else ""
-        check = f"; several types fit {made.topics - made.sure} of them: check these" if made.topics else ""
-        tell(f"{output}: {plural(made.topics, 'topic')}{learned}{check}")
-    if made.failure is not None:
-        raise made.failure
+    outputs = [
+        recordings.text_output(
+            output and (output.with_stem(f"{output.stem}_{prefix}") if place else output), inputs, force=force
+        )
+        for place, prefix in enumerate(drafts)
+    ]
+    for (prefix, made), path in zip(drafts.items(), outputs, strict=True):
+        recordings.put_text(made.text, path)
+        for note in () if quiet else made.notes:
+            tell(f"{prefix}: {note}" if prefix else note)
+        if path is not None and not quiet:
+            learned = f", {plural(made.constants, 'constant')} of cFS" if made.constants else ""
+            check = f"; several types fit {made.topics - made.sure} of them: check these" * bool(made.topics)
+            tell(f"{path}: {plural(made.topics, 'topic')}{learned}{check}")
+    for made in drafts.values():
+        if made.failure is not None:
+            raise made.failure

@@ -14,6 +14,7 @@ import numpy as np
 
 from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.conversations import ConversationKind
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.errors import CaptureError
 from edoras_tools.links import table
 from edoras_tools.links.table import among, carrying
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.decode.conversations import Flow
-    from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.io import Source
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.text import Progress
@@ -112,9 +112,8 @@ class _Traffic:
     flight: Counter[int] = field(default_factory=Counter)
     configured: set[int] = field(default_factory=set)
 
-    def add(self, rows: ColumnRows) -> None:
+    def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch."""
-        batch, columns = rows.batch, rows.columns
         bridged = among(columns.link, lambda link: bool(link.bridge))
         carries = bridged & (columns.msg_id != NO_MSG_ID)
         self.configured.update(np.unique(columns.msg_id[carries & (columns.route != NO_ROUTE)]).tolist())
@@ -194,10 +193,11 @@ class MissionDraft:
 
 @dataclass(frozen=True, slots=True)
 class CapturedTraffic:
-    """What was read of a capture.
+    """What was read of a spacecraft.
 
     Attributes:
-        name: of the capture.
+        name: of the capture, behind that of the spacecraft where there are several.
+        number: of the spacecraft.
         bench: what it was read with.
         traffic: what it says of the bridges.
         flows: its conversations.
@@ -205,6 +205,7 @@ class CapturedTraffic:
     """
 
     name: str
+    number: int
     bench: Workbench
     traffic: _Traffic
     flows: Sequence[Flow]
@@ -224,7 +225,7 @@ class CapturedTraffic:
 
 def read_traffic(
     opened: OpenInput, settings: Settings, progress: Progress | None = None, *, again: bool = True
-) -> tuple[CapturedTraffic, Sequence[tuple[Link, int]]]:
+) -> tuple[Sequence[CapturedTraffic], Sequence[tuple[Link, int]]]:
     """Read a source to its end; once more where ports look like a link's that no option names.
 
     Args:
@@ -233,38 +234,74 @@ def read_traffic(
         again: whether it can be opened twice.
 
     Returns:
-        what was read, and those ports.
+        what was read of each spacecraft, and those ports.
 
     Raises:
         CaptureError: it cannot be read.
     """
     captured = _read(*opened(settings), progress)
-    ports = _unnamed_ports(captured) if again else []
+    ports = _unnamed_ports(captured[0].flows) if again else []
     if ports:
         options = replace(settings.options, ports=(*settings.options.ports, *ports))
         captured = _read(*opened(replace(settings, options=options)), progress)
     return captured, ports
 
 
-def _unnamed_ports(captured: CapturedTraffic) -> list[tuple[Link, int]]:
+def each_draft(
+    captured: Sequence[CapturedTraffic], make: Callable[[CapturedTraffic], MissionDraft]
+) -> dict[str, MissionDraft]:
+    """Return the file of each spacecraft that has one, by the prefix of its topics.
+
+    Raises:
+        CaptureError: none has.
+    """
+    drafts: dict[str, MissionDraft] = {}
+    errors = []
+    for own in captured:
+        try:
+            drafts[own.bench.mission.prefix(own.number)[1:]] = make(own)
+        except CaptureError as error:
+            errors.append(error)
+    if not drafts:
+        raise errors[0]
+    return drafts
+
+
+def _unnamed_ports(flows: Sequence[Flow]) -> list[tuple[Link, int]]:
     """Return the ports whose traffic looks like that of one link, and of no other."""
     links: dict[int, set[Link]] = {}
-    for flow in captured.flows:
+    for flow in flows:
         if flow.kind is ConversationKind.UNNAMED:
             links.setdefault(flow.destination.port, set()).add(flow.looks_like)
     return [(own.pop(), port) for port, own in sorted(links.items()) if len(own) == 1]
 
 
-def _read(source: Source, bench: Workbench, progress: Progress | None) -> CapturedTraffic:
-    traffic = _Traffic(bench.mission.msg_ids)
+def _read(source: Source, bench: Workbench, progress: Progress | None) -> list[CapturedTraffic]:
+    traffic: dict[int, _Traffic] = {}
     with reading(source, bench, keeps_failure=True, conversing=True) as loop:
         for rows in loop:
-            traffic.add(rows)
+            batch, columns = rows.batch, rows.columns
+            for number, own in by_value(columns.spacecraft):
+                some = slice(None) if len(own) == len(batch) else own
+                known = traffic.setdefault(number, _Traffic(bench.mission.msg_ids))
+                known.add(batch.take(some), columns.take(some))
             if progress is not None:
                 progress.read(source)
-    if loop.failure is not None and not traffic.streams:
+    if loop.failure is not None and not any(item.streams for item in traffic.values()):
         raise loop.failure
-    return CapturedTraffic(source.info.name, bench, traffic, loop.conversations.judge(), loop.failure)
+    traffic = traffic or {FIRST_SPACECRAFT: _Traffic(bench.mission.msg_ids)}
+    flows, mission = loop.conversations.judge(), bench.mission
+    return [
+        CapturedTraffic(
+            f"{mission.called(number)} of {source.info.name}" if len(traffic) > 1 else source.info.name,
+            number,
+            bench,
+            own,
+            flows,
+            loop.failure,
+        )
+        for number, own in sorted(traffic.items())
+    ]
 
 
 class _Writer:

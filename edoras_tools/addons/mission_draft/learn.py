@@ -11,7 +11,7 @@ from edoras_tools.addons.mission_draft.constants import (
     joined_constants,
     shown_constants,
 )
-from edoras_tools.addons.mission_draft.draft import MissionDraft, read_traffic
+from edoras_tools.addons.mission_draft.draft import MissionDraft, each_draft, read_traffic
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.errors import CaptureError
 from edoras_tools.mission import loads
@@ -24,12 +24,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from edoras_tools.addons.mission_draft.constants import LearnedConstant
-    from edoras_tools.addons.mission_draft.draft import OpenInput
+    from edoras_tools.addons.mission_draft.draft import CapturedTraffic, OpenInput
     from edoras_tools.decode import Context
     from edoras_tools.diagnosis.evidence.table import Recorder
     from edoras_tools.diagnosis.examination import Chapter, Diagnosis
+    from edoras_tools.io import Source
     from edoras_tools.model import Columns, Link, PacketBatch
-    from edoras_tools.pipelines.workbench import Settings
+    from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.text import Progress
 
 _APPS: Final = {
@@ -50,8 +51,10 @@ _HEADER: Final = """\
 """
 
 
-def learn_mission(opened: OpenInput, settings: Settings, progress: Progress | None = None) -> MissionDraft:
-    """Read captures several times and return the file of their system.
+def learn_mission(
+    opened: OpenInput, settings: Settings, progress: Progress | None = None
+) -> dict[str, MissionDraft]:
+    """Read captures several times and return the file of each spacecraft, by the prefix of its topics.
 
     Args:
         opened: opens the same input anew.
@@ -60,18 +63,29 @@ def learn_mission(opened: OpenInput, settings: Settings, progress: Progress | No
     Raises:
         CaptureError: they cannot be read, or hold nothing of cFS.
     """
-    captured, ports = read_traffic(opened, settings, progress)
+    every, ports = read_traffic(opened, settings, progress)
     options = settings.options
     settings = replace(settings, options=replace(options, ports=(*options.ports, *ports)))
+
+    return each_draft(every, lambda captured: _learned(captured, ports, *opened(settings)))
+
+
+def _learned(
+    captured: CapturedTraffic, ports: Sequence[tuple[Link, int]], source: Source, bench: Workbench
+) -> MissionDraft:
+    """Return the file of one spacecraft.
+
+    Raises:
+        CaptureError: nothing of a cFS is in it.
+    """
     draft = MissionDraft("", 0, 0, ())
     with suppress(CaptureError):  # nothing of EDORAS, but perhaps cFS
         draft = captured.draft()
-    source, bench = opened(settings)
     types, msg_ids = bench.types, bench.mission.msg_ids
     if draft.topics:
         files = {**bench.mission.files, "draft.yaml": draft.text.encode()}
         bench = bench.with_mission(loads(files, check_type=types.check, msg_ids=msg_ids))
-    study = _Study(bench.columns.context)
+    study = _Study(bench.columns.context, captured.number)
     examine(source, bench, examination=study)
     systems = study.systems()
     if not draft.topics and not systems:
@@ -86,7 +100,9 @@ def learn_mission(opened: OpenInput, settings: Settings, progress: Progress | No
         if bridge.kind == link.bridge
         for name in link.bridge_ports
     }
-    further = [item for item in ports if item[1] not in bridged]
+    ways = captured.traffic.ways
+    own = {(link, target.port) for link, counts in ways.items() for _, target in counts}
+    further = [item for item in ports if item[1] not in bridged and (item in own or item[0] not in ways)]
     keys = [*_keys(study, further, captured.traffic.orders), *_constants(first[1])]
     lines = [f"flight_software: # cFS {first[0]}".rstrip(), "  ros__parameters:", "    cfs:"] if keys else []
     lines += [*keys, *_others(others)]
@@ -98,15 +114,16 @@ def learn_mission(opened: OpenInput, settings: Settings, progress: Progress | No
 
 
 class _Study(Examination):
-    """An examination that learns from each chapter while it is judged.
+    """An examination that learns from each chapter of a spacecraft while it is judged.
 
     Attributes:
         rates: the highest clean rate, Hz, by link and MsgId.
         datagrams: how many were examined in chapters whose telemetry has a time.
     """
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, number: int) -> None:
         super().__init__(context)
+        self._number = number
         self.rates: dict[tuple[str, int], float] = {}
         self.datagrams = 0
         self._chapters: list[dict[str, list[LearnedConstant]]] = []
@@ -118,14 +135,15 @@ class _Study(Examination):
             if self._last_ns is not None and int(batch.time_ns[0]) > self._last_ns + _PAUSE_NS:
                 self.separate()
             self._last_ns = int(batch.time_ns[-1])
+        if not (own := columns.spacecraft == self._number).all():
+            batch, columns = batch.take(own), columns.take(own)
         super().add(batch, columns)
 
     def judged(self, recorder: Recorder, chapter: Chapter) -> Diagnosis:
         """Judge a chapter, and learn from its case."""
         diagnosis = super().judged(recorder, chapter)
         case = diagnosis.case
-        # The file is of one cFS: of several spacecraft that of the first.
-        if case is not None and len(case.rows) and recorder.context is self.context:
+        if case is not None and len(case.rows):
             self._chapters.append(shown_constants(case))
             for key, rate in clean_rates(case).items():
                 self.rates[key] = max(rate, self.rates.get(key, 0.0))

@@ -31,7 +31,7 @@ CAPTURES = {
 
 def drafted(path, settings=None):
     captured, _ = read_traffic(lambda own: (open_file(path), own.workbench()), settings or Settings())
-    return captured.draft()
+    return captured[0].draft()
 
 
 @pytest.mark.parametrize(("name", "missions"), CAPTURES.items())

@@ -26,7 +26,7 @@ def learned(*paths, rows=0):
         source = open_files(paths)
         return _Parts(source, rows) if rows else source, settings.workbench(source.info, paths)
 
-    return learn_mission(opened, Settings())
+    return learn_mission(opened, Settings())[""]
 
 
 class _Parts(SourceDefaults):

@@ -264,12 +264,6 @@ def _on_links(msg_ids: Sequence[int], profile: SimProfile) -> list[int]:
     return [link_id(item, profile) for item in msg_ids]
 
 
-def messages_of(scenario: Scenario) -> tuple[str, str]:
-    """Return the ROS types of a scenario's commands and states."""
-    routes = DEMO_ROUTES[scenario]
-    return routes.types[routes.commands[0]], routes.types[routes.telemetry[0]]
-
-
 _STRUCT_BYTES: Final[Mapping[str, tuple[int, ...]]] = {
     "rover": (100,),
     "arm": (260,),
