@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections import defaultdict
 
 import merging
 import pytest
+import yaml
 from mcap.reader import make_reader
 from places import ROOT
+
+from edoras_tools.diagnosis import examination
+from edoras_tools.io.formats import stream
 
 CAPTURES = ROOT / "samples/captures"
 MISSION = ROOT / "samples/missions/rover_ground.yaml"
@@ -155,3 +160,210 @@ def test_one_cfs_seen_at_two_addresses_is_one(edoras, call, tmp_path):
         streamed = json.loads(edoras("info", "-", "-c", MISSION, "--json", stdin=file).stdout)
     for found in (json_of(call, "info", path), streamed):
         assert not any("spacecraft" in row or "/sc_" in (row["topic"] or "") for row in found["routes"])
+
+
+def of_each(whole, parts):
+    """Yield the number of each rover, what its topics begin with, and its own capture."""
+    yield from zip((1, 2), ("", "/sc_2"), parts, strict=True)
+
+
+def test_what_was_lost_is_listed_for_each(call, rovers):
+    whole, parts = rovers
+    words = ("--list-lost", "json", "-c", MISSION)
+    listed = call("doctor", whole, *words).json()["missing"]
+    times = [item["time_ns"] for item in listed]
+    assert times == sorted(times)
+
+    def lost(rows):
+        return sorted((row["time_ns"], row["link"], row["msg_id"] or "", row["what"]) for row in rows)
+
+    for number, prefix, part in of_each(whole, parts):
+        alone = call("doctor", part, *words).json()["missing"]
+        own = [row for row in listed if (row["topic"] or "").startswith("/sc_2") == (number == 2)]
+        assert lost(own) == lost(alone)
+        topic = f"{prefix}/cmd_vel"
+        found = call("doctor", whole, *words, "--topic", topic).json()["missing"]
+        assert len(found) == sum(row["topic"] == "/cmd_vel" for row in alone)
+        assert {row["topic"] for row in found} <= {topic}
+    if listed:
+        place = len(listed) // 2
+        trace = call("trace", whole, "-c", MISSION, "--lost", place + 1, "--json").json()["trace"]
+        assert (trace["topic"], trace["link"]) == (
+            listed[place]["topic"] or trace["topic"],
+            listed[place]["link"],
+        )
+
+
+def test_checks_and_drafts_hold_each_to_its_own(call, rovers, tmp_path):
+    whole, parts = rovers
+    expect, words = tmp_path / "both.yaml", ("-c", MISSION, "-q")
+    drafts = []
+    for path in (whole, *parts):
+        assert call("check", "--init", path, *words, "-o", expect, "--force").code == 0
+        drafts.append(yaml.load(expect.read_text(), yaml.BaseLoader)["topics"])
+    # Silence counts from the beginning of the capture, and a rate may last to its end.
+    both, *alone = ({name: {**own, "silence": 0, "rate": 0} for name, own in item.items()} for item in drafts)
+    expected = {}
+    for (_, prefix, _), own in zip(of_each(whole, parts), alone, strict=True):
+        expected |= {f"{prefix}/{topic}" if prefix else topic: own[topic] for topic in own if topic[0] != "/"}
+        expected |= {f"{prefix}{topic}": own[topic] for topic in own if topic[0] == "/"}
+    assert both == expected
+    lines = []
+    for _, prefix, part in of_each(whole, parts):
+        alone = json_of(call, "info", part)["routes"]
+        count = next(row["count"] for row in alone if row["topic"] == "/cmd_vel")
+        lines.append(f"  {prefix}/cmd_vel: {{count: {count}}}\n")
+    expect.write_text(f"schema: 1\ntopics:\n{''.join(lines)}  /sc_2/0x1827: {{count: {count}}}\n")
+    report = call("check", whole, expect, "-c", MISSION, "--json").json()
+    results = {item["about"]: item["passed"] for item in report["results"] if item["expectation"] == "count"}
+    assert results == dict.fromkeys(("/cmd_vel", "/sc_2/cmd_vel", "/sc_2/0x1827"), True)
+
+
+def test_runs_are_compared_rover_by_rover(call, rovers):
+    whole, (first, _) = rovers
+    found = call("compare", first, whole, "-c", MISSION, "--json").json()
+    points = [item for item in found["points"] if item["what"] != "verdict" and item["route"]]
+    others = [item for item in points if not item["route"].startswith("/sc_2/")]
+    assert {item["route"] for item in others} >= {"/cmd_vel", "ES_HK"}
+    assert [item["bad"] for item in others] == pytest.approx([item["good"] for item in others])
+    assert {item["what"] for item in points if item not in others} == {"route"}
+    alike = call("compare", whole, whole, "-c", MISSION, "--json").json()
+    assert alike["changes"] == []
+    assert {item["route"] for item in alike["points"]} >= {"/cmd_vel", "/sc_2/cmd_vel", "/sc_2/ES_HK"}
+
+
+@pytest.mark.quick("and SBN")
+def test_an_archive_has_rows_of_each(call, rovers, tmp_path):
+    whole, parts = rovers
+    rows = []
+    for place, path in enumerate((whole, *parts)):
+        folder, index = tmp_path / str(place), tmp_path / f"{place}.duckdb"
+        folder.mkdir()
+        (folder / "x.pcap").write_bytes(path.read_bytes())
+        assert call("archive", folder, "-c", MISSION, "--index", index, "--jobs", "1", "-q").code == 0
+        rows.append([
+            sorted(map(str, archived(call, index, table, number)))
+            for table in ("routes", "outcomes", "losses", "events", "verdicts", "latencies")
+            for number in ((1, 2) if not place else (None,))
+        ])  # fmt: skip
+    both, *alone = rows
+    for number, own in enumerate(alone):
+        assert both[number::2] == own
+        assert own[0]
+    losses = call("archive", "losses", "--index", tmp_path / "0.duckdb", "--json").json()["losses"]
+    assert {item["spacecraft"] for item in losses} <= {1, 2}
+
+
+def archived(call, index, table, number):
+    """Return the rows of a table that are of a spacecraft, without what differs beside others."""
+    left_out = "capture, spacecraft" + {
+        "events": "",
+        "losses": ", instance",
+        "latencies": ", instance",
+        "verdicts": ", reason, evidence",
+    }.get(table, "")
+    where = "true" if number is None else f"spacecraft = {number}"
+    where += " AND rule NOT IN ('not_examined', 'out_of_order')" if table == "verdicts" else ""
+    found = call(
+        "archive",
+        "query",
+        f"SELECT * EXCLUDE ({left_out}) FROM {table} WHERE {where}",
+        "--index",
+        index,
+        "--json",
+    ).json()
+    return [[str(cell).removeprefix("/sc_2") for cell in row] for row in found["rows"]]
+
+
+@pytest.mark.quick("and SBN")
+def test_a_plot_and_rates_are_of_each(call, rovers, tmp_path):
+    whole, parts = rovers
+    figure = json_of(call, "plot", whole)
+    lines = {line["label"]: line["read"] for line in figure["panels"][0]["lines"]}
+    rates = json_of(call, "hz", whole)["topics"]
+    events = left_out = 0
+    for number, prefix, part in of_each(whole, parts):
+        alone = json_of(call, "plot", part)
+        own = {f"{prefix}{line['label']}": line["read"] for line in alone["panels"][0]["lines"]}
+        assert {name: lines.get(name) for name in own} == own
+        events, left_out = events + alone["events"], left_out + alone["left_out"]
+        own_rates = [row for row in rates if row["topic"].startswith("/sc_2/") == (number == 2)]
+        for row in json_of(call, "hz", part)["topics"]:
+            row["topic"] = prefix + row["topic"]
+            assert row in own_rates
+        topic = f"{prefix}/cmd_vel"
+        (row,) = json_of(call, "hz", whole, topic)["topics"]
+        assert row in own_rates
+    assert (figure["events"], figure["left_out"]) == (events, left_out)
+    page = tmp_path / "x.html"
+    assert call("plot", whole, "-c", MISSION, "-o", page).code == 0
+    events = re.findall(r'"((?:/sc_2/)?(?:SBN|CFE_SB): [^"]*)"', page.read_text())
+    text = "/sc_2/CFE_SB: Send Err:Invalid MsgId(0x2827)in msg,App CI_LAB_APP"
+    assert {"SBN: Peer 66:3 connected.", text} <= {*events}
+
+
+@pytest.mark.parametrize(
+    "verb", [["topic", "list"], ["topic", "info"], ["bw"], ["delay"], ["echo"]], ids=" ".join
+)
+def test_verbs_of_ros_do_not_mix_them(call, rovers, verb):
+    whole, parts = rovers
+    words = ("-c", MISSION)
+    named = {"delay": "/telemetry_pose", "list": ""}.get(verb[-1], "/cmd_vel")
+    texts = []
+    for _, prefix, part in of_each(whole, parts):
+        topic = [prefix + named] if named else []
+        found = call(*verb, whole, *topic, *words)
+        alone = call(*verb, part, *([named] if named else []), *words)
+        assert found.code == alone.code
+        if named:
+            assert (found.out, found.err) == (alone.out, [line.replace("/sc_2", "") for line in alone.err])
+        texts += [f"{prefix}{line}" for line in alone.out.splitlines()]
+    if not named:
+        assert found.out.splitlines() == sorted(texts)
+
+
+@pytest.mark.parametrize("rovers", ["CI and TO", "and SBN"], indirect=True)
+def test_learn_writes_a_file_for_each(call, rovers, tmp_path, monkeypatch):
+    whole, parts = rovers
+    monkeypatch.chdir(tmp_path)
+    made = []
+    for verb in ("learn", "draft"):
+        for path, output in zip((whole, *parts), ("both.yaml", "a.yaml", "b.yaml"), strict=True):
+            assert call("mission", verb, path, "-o", output, "--force", "-q").code == 0
+        made.append(
+            [constants(tmp_path / name) for name in ("both.yaml", "both_sc_2.yaml", "a.yaml", "b.yaml")]
+        )
+    for first, second, alone_1, alone_2 in made:
+        assert (first, second) == (alone_1, alone_2)
+    again = call("mission", "draft", whole, "-o", "other.yaml")
+    (tmp_path / "other.yaml").unlink()
+    assert again.code == 0
+    refused = call("mission", "draft", whole, "-o", "other.yaml")
+    assert (refused.code, (tmp_path / "other.yaml").exists()) == (2, False)
+    assert "other_sc_2.yaml" in refused.err[0]
+    assert call("info", whole, "-c", "both.yaml").code == 0
+
+
+def constants(path):
+    return yaml.safe_load(path.read_text())
+
+
+@pytest.mark.quick("and SBN")
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+def test_any_number_of_processes_says_the_same(call, rovers, tmp_path, monkeypatch):
+    whole, _ = rovers
+    monkeypatch.setattr("edoras_tools.io.processors._LARGE", 1)
+    monkeypatch.setattr(examination, "CHAPTER", 400)
+    for name in ("FIRST", "_SECOND_WINDOW", "SLICE"):
+        monkeypatch.setattr(stream, name, 16 << 10)
+    found = []
+    for jobs in ("1", "2"):
+        folder = tmp_path / jobs
+        words = ("-c", MISSION, "--jobs", jobs, "--force")
+        assert call("record", whole, "-o", folder / "a.mcap", *words, "-q").code == 0
+        assert call("export", whole, "-o", folder / "tables/", "--format", "csv", *words, "-q").code == 0
+        files = {item.relative_to(folder): item.read_bytes() for item in folder.rglob("*") if item.is_file()}
+        reports = [json_of(call, verb, whole, "--jobs", jobs) for verb in ("info", "doctor")]
+        found.append((files, *reports))
+    assert found[0] == found[1]
+    assert any("sc_2" in str(name) for name in found[0][0])
