@@ -87,10 +87,11 @@ def pages(diagnosis):
     return {"report": page(diagnosis, "a_rover.pcap", ORIGIN), "archive": archive_page(archive(), ORIGIN)}
 
 
+@pytest.mark.parametrize("letters", [11, 23], ids=["desktop", "phone"])
 @pytest.mark.parametrize("name", ["report", "archive"])
-def test_no_label_covers_another_and_none_is_cut(pages, name):
+def test_no_label_covers_another_and_none_is_cut(pages, name, letters):
     for svg in svgs(pages[name]):
-        found = labels(svg, 11)
+        found = labels(svg, 11 if svg.get("class") == "wide" else letters)
         width, height = map(float, svg.get("viewBox").split()[2:])
         assert overlaps(found) == [], svg.get("aria-label")[:60]
         assert [

@@ -79,7 +79,8 @@ def sankey(result: Diagnosis) -> str:
             f'<text x="{_LEFT}" y="{y + 12}">and {plural(rest, "more route")}, in the balance</text>'
         )
         y += 20
-    return charts.svg_box("".join(drawn), round(y), f"What became of the messages. {'. '.join(texts)}")
+    box = charts.svg_box("".join(drawn), round(y), f"What became of the messages. {'. '.join(texts)}")
+    return box.replace("<svg", '<svg class="wide"', 1)  # letters for a phone would not fit between hops
 
 
 def _lane(topic: str, hops: Sequence[Row], y: float, scale: float, columns: int) -> tuple[str, float]:
