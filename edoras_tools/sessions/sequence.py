@@ -42,7 +42,7 @@ import numpy as np
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import fingerprint
-from edoras_tools.wire.arrays.order import changes, distinct_rows, order_by
+from edoras_tools.wire.arrays.order import by_value, changes, distinct_rows, order_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -269,6 +269,15 @@ class SequenceStream:
     def reordered(self) -> int:
         """Packets that came late."""
         return self.late if self.has_count else 0
+
+    def stands_at(self, count: int) -> bool:
+        """Tell whether no count other than this one came so far."""
+        return not self.moved and all(item.last % MODULUS == count for item in self._strands)
+
+    def stay(self, newest: int) -> None:
+        """Note the fingerprint of the newest packet of a stream that did not move."""
+        strand = self._strands[0]
+        strand.prints[strand.last % REPEATED] = newest
 
     def take(self, run: _Run, out: _Told) -> None:
         """Take a run; what it tells goes to ``out``."""
@@ -582,21 +591,28 @@ class SequenceCounts:
                 return
             count, rows, prints = count[rest], rows[rest], prints[rest]
             jumps = _jumps(count, np.searchsorted(rest, begins))
-        owners = groups.owner(rest[jumps])
-        for owner, first, end in zip(
-            owners.tolist(), jumps.tolist(), [*jumps[1:].tolist(), len(rows)], strict=True
-        ):
-            streams[owner].take(
-                _Run(
-                    int(count[first]),
-                    rows[first:end],
-                    int(rest[first] + place[owner]),
-                    prints[first:end],
-                    batch.time_ns,
-                    columns.mission_time_ns,
-                ),
-                out,
-            )
+        ends = np.append(jumps[1:], len(rows))
+        bare = (ends - jumps == 1) & (columns.mission_time_ns[rows[jumps]] <= 0)
+        for owner, own in by_value(groups.owner(rest[jumps])):
+            stream, first = streams[owner], int(count[jumps[own[0]]])
+            # Of one that does not count only the first and the newest packet matter (rules 2 and 4d).
+            still = bare[own].all() and (count[jumps[own]] == first).all() and stream.stands_at(first)
+            for begin, end in zip(
+                jumps[own[: 1 if still else None]].tolist(), ends[own].tolist(), strict=False
+            ):
+                stream.take(
+                    _Run(
+                        int(count[begin]),
+                        rows[begin:end],
+                        int(rest[begin] + place[owner]),
+                        prints[begin:end],
+                        batch.time_ns,
+                        columns.mission_time_ns,
+                    ),
+                    out,
+                )
+            if still:
+                stream.stay(int(prints[jumps[own[-1]]]))
 
     def _stream(self, key: int) -> int:
         index = self._index.get(key)
