@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "96b7bf60a9b1c9b8"
+local DIGEST = "29904f51f5a60441"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -7247,6 +7247,7 @@ D.types = {
 D.extended_header = false
 D.telemetry_header = 16
 D.msg_id_version = 1
+D.time = {ticks = 65536}
 
 local byte = string.byte
 D.read = {}
@@ -7965,6 +7966,7 @@ local F = {
 	type = new_field("edoras", "edoras.type", "string", "Type"),
 	command = new_field("edoras", "edoras.command", "string", "Command"),
 	mission_time = new_field("edoras", "edoras.mission_time", "double", "Mission time, s since its epoch"),
+	mission_utc = new_field("edoras", "edoras.mission_utc", "string", "Mission time, UTC"),
 	finding = new_field("edoras", "edoras.finding", "string", "Finding"),
 	text = new_field("edoras", "edoras.message", "string", "Message"),
 	stop = new_field("edoras", "edoras.stop", "string", "Decoded no further"),
@@ -9166,7 +9168,7 @@ local function space_packet(start)
 	else
 		add_layer(settings.telemetry, at)
 		local seconds, subseconds = settings.read_time(s, at + 1)
-		work.time = seconds + subseconds / 65536
+		work.time = seconds + subseconds / D.time.ticks
 	end
 	if counted then follow(msg_id, count, start) end
 	if is_command then
@@ -10255,7 +10257,10 @@ local function show_facts(node, visible)
 		show_value(node, F.topic, entry.topic, visible)
 		show_value(node, F.type, entry.type, visible)
 	end
-	if W.time then show_value(node, F.mission_time, W.time, visible) end
+	if W.time then
+		show_value(node, F.mission_time, W.time, visible)
+		if D.time.epoch then show_value(node, F.mission_utc, os.date("!%FT%TZ", D.time.epoch + W.time), visible) end
+	end
 	if W.stop then show_value(node, F.stop, W.stop, visible) end
 	if W.text and W.text ~= "" then show_value(node, F.text, W.text, visible) end
 end

@@ -115,6 +115,7 @@ class Knowledge:
         extended_header: packets carry cFE's extended header.
         telemetry_header: 16 or 12.
         msg_id_version: how MsgIds are built, 1 or 2; 2 has the extended header.
+        time: how telemetry headers have mission time.
         pdu_msg_ids: of packets that hold a CFDP PDU each, which Wireshark's own dissector reads.
         frames: of ports with transfer frames, their format and the label of the link of the packets in them.
         dictionary: of F Prime, as ``engine/fprime.lua`` reads it; empty for none.
@@ -135,6 +136,7 @@ class Knowledge:
     extended_header: bool = False
     telemetry_header: int = cfe.TELEMETRY_HEADER_BYTES
     msg_id_version: int = 1
+    time: cfe.MissionTime = cfe.MissionTime()  # noqa: RUF009  frozen
     stream_ports: Mapping[str, Sequence[int]] = field(default_factory=dict)
     pdu_msg_ids: Sequence[int] = ()
     frames: Mapping[int, tuple[FrameFormat, str]] = field(default_factory=dict)
@@ -291,6 +293,7 @@ def _data(knowledge: Knowledge) -> str:
         "extended_header": knowledge.extended_header,
         "telemetry_header": knowledge.telemetry_header,
         "msg_id_version": knowledge.msg_id_version,
+        "time": {"ticks": knowledge.time.ticks or cfe.USUAL_TICKS, "epoch": knowledge.time.epoch_s},
     }
     return "local D = {}\n" + "".join(f"D.{name} = {literal(value)}\n" for name, value in data.items())
 
@@ -307,7 +310,11 @@ def _layouts(knowledge: Knowledge) -> dict[str, tuple[Layout, Place]]:
         for link in _ours(knowledge)
         for layout in link.layouts
     }
-    return own | LAYOUTS
+    time = knowledge.time
+    timed = {
+        name: (time.layout(layout), place) for name, (layout, place) in LAYOUTS.items() if "telemetry" in name
+    }
+    return own | LAYOUTS | timed
 
 
 def _prefix(label: str, name: str) -> str:

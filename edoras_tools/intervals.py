@@ -1,4 +1,4 @@
-"""Intervals from few runs: where a mean lies, and where the next run will lie.
+"""Intervals from few runs: where a mean lies; in the add-on ``runs`` where the next run will lie.
 
 1. A quantile of Student's t comes from the finite sums for whole degrees of freedom (Abramowitz and Stegun,
    26.7.3 and 26.7.4), one of chi square from Wilson and Hilferty's cube root, a tolerance factor from Howe
@@ -10,15 +10,14 @@
 from __future__ import annotations
 
 from math import atan, cos, pi, sin, sqrt
-from statistics import NormalDist, fmean, variance
+from statistics import fmean, variance
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_CONFIDENCE: Final = 0.95
-_CONTENT: Final = 0.99
-"""Share of all runs that a tolerance interval holds, with ``_CONFIDENCE``."""
+CONFIDENCE: Final = 0.95
+"""With which intervals hold what they say."""
 
 
 class MeanInterval(NamedTuple):
@@ -63,7 +62,7 @@ def _t_within(value: float, freedom: int) -> float:
 
 
 def mean_interval(values: Sequence[float], step: float = 0.0) -> MeanInterval:
-    """Return where the mean of all possible runs lies, with ``_CONFIDENCE``; one value is its own.
+    """Return where the mean of all possible runs lies, with ``CONFIDENCE``; one value is its own.
 
     Args:
         values: one of each run, at least one.
@@ -73,42 +72,5 @@ def mean_interval(values: Sequence[float], step: float = 0.0) -> MeanInterval:
     if count < 2:
         return MeanInterval(mean, mean, mean)
     deviation = sqrt(variance(values) + step * step / 12)
-    half = t_quantile((1 + _CONFIDENCE) / 2, count - 1) * deviation / sqrt(count)
-    return MeanInterval(mean, mean - half, mean + half)
-
-
-def difference_interval(before: Sequence[float], after: Sequence[float], step: float = 0.0) -> MeanInterval:
-    """Return by how much the mean of later runs is above that of earlier ones (Welch's interval).
-
-    Args:
-        before: values of at least two runs.
-        after: likewise.
-        step: see ``mean_interval``.
-    """
-    parts = [(variance(item) + step * step / 12) / len(item) for item in (before, after)]
-    mean, whole = fmean(after) - fmean(before), sum(parts)
-    if not whole:
-        return MeanInterval(mean, mean, mean)
-    below = sum(part**2 / (len(item) - 1) for part, item in zip(parts, (before, after), strict=True))
-    half = t_quantile((1 + _CONFIDENCE) / 2, max(1, int(whole**2 / below))) * sqrt(whole)
-    return MeanInterval(mean, mean - half, mean + half)
-
-
-def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> MeanInterval:
-    """Return where nearly all runs lie: ``_CONTENT`` of them, with ``_CONFIDENCE``.
-
-    Args:
-        values: one of each run, at least one.
-        spread: standard deviation that was to be expected before any run.
-        freedom: how many runs that expectation is worth.
-    """
-    count = len(values)
-    seen = variance(values) * (count - 1) if count > 1 else 0.0
-    total = freedom + count - 1
-    deviation = sqrt((seen + freedom * spread * spread) / total)
-    normal = NormalDist()
-    part = 2 / (9 * total)
-    chi_square = total * (1 - part + normal.inv_cdf(1 - _CONFIDENCE) * sqrt(part)) ** 3
-    half = normal.inv_cdf((1 + _CONTENT) / 2) * sqrt((1 + 1 / count) * total / chi_square) * deviation
-    mean = fmean(values)
+    half = t_quantile((1 + CONFIDENCE) / 2, count - 1) * deviation / sqrt(count)
     return MeanInterval(mean, mean - half, mean + half)

@@ -210,7 +210,10 @@ local function show_facts(node, visible)
 		show_value(node, F.topic, entry.topic, visible)
 		show_value(node, F.type, entry.type, visible)
 	end
-	if W.time then show_value(node, F.mission_time, W.time, visible) end
+	if W.time then
+		show_value(node, F.mission_time, W.time, visible)
+		if D.time.epoch then show_value(node, F.mission_utc, os.date("!%FT%TZ", D.time.epoch + W.time), visible) end
+	end
 	if W.stop then show_value(node, F.stop, W.stop, visible) end
 	if W.text and W.text ~= "" then show_value(node, F.text, W.text, visible) end
 end

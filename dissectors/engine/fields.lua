@@ -94,6 +94,7 @@ local F = {
 	type = new_field("edoras", "edoras.type", "string", "Type"),
 	command = new_field("edoras", "edoras.command", "string", "Command"),
 	mission_time = new_field("edoras", "edoras.mission_time", "double", "Mission time, s since its epoch"),
+	mission_utc = new_field("edoras", "edoras.mission_utc", "string", "Mission time, UTC"),
 	finding = new_field("edoras", "edoras.finding", "string", "Finding"),
 	text = new_field("edoras", "edoras.message", "string", "Message"),
 	stop = new_field("edoras", "edoras.stop", "string", "Decoded no further"),

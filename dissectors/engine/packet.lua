@@ -317,7 +317,7 @@ local function space_packet(start)
 	else
 		add_layer(settings.telemetry, at)
 		local seconds, subseconds = settings.read_time(s, at + 1)
-		work.time = seconds + subseconds / 65536
+		work.time = seconds + subseconds / D.time.ticks
 	end
 	if counted then follow(msg_id, count, start) end
 	if is_command then

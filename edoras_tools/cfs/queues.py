@@ -11,10 +11,9 @@ What leaves one queue arrives at the next: ``pass_queue`` is called again with t
 
 from __future__ import annotations
 
-from collections import Counter, deque
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -22,13 +21,12 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
     from edoras_tools.cfs.profile import SimProfile
 
-_Message = TypeVar("_Message")
 NO_LIMIT: Final = 1 << 62
 
 
@@ -56,58 +54,6 @@ def admission(waiting: int, limit: int, length: int, depth: int) -> QueueEnd:
     if waiting >= limit:
         return QueueEnd.MSG_LIMIT
     return QueueEnd.PIPE_OVERFLOW if length >= depth else QueueEnd.WAITING
-
-
-@dataclass(slots=True, eq=False)
-class Fifo(Generic[_Message]):
-    """A queue that messages enter and leave one at a time.
-
-    Attributes:
-        depth: messages that fit.
-        limits: MsgId to the messages of it that may wait; one that is not here has no limit.
-        messages: MsgId and message of those that wait, oldest first.
-        waiting: MsgId to how many of it wait.
-        on_change: called with MsgId and ``WAITING`` of a message that enters, ``DELIVERED`` of one that is
-            read, ``CLOSED`` of one that was in a queue when it was cleared, else why it was not let in.
-    """
-
-    depth: int
-    limits: dict[int, int] = field(default_factory=dict)
-    messages: deque[tuple[int, _Message]] = field(default_factory=deque)
-    waiting: Counter[int] = field(default_factory=Counter)
-    on_change: Callable[[int, QueueEnd], object] | None = None
-
-    def put(self, message: _Message, msg_id: int = 0) -> QueueEnd:
-        """Add a message where ``admission`` lets it in; return what it said."""
-        limit = self.limits.get(msg_id, NO_LIMIT)
-        outcome = admission(self.waiting[msg_id], limit, len(self.messages), self.depth)
-        if outcome is QueueEnd.WAITING:
-            self.messages.append((msg_id, message))
-            self.waiting[msg_id] += 1
-        if self.on_change:
-            self.on_change(msg_id, outcome)
-        return outcome
-
-    def get(self) -> _Message | None:
-        """Take the oldest message, or None."""
-        if not self.messages:
-            return None
-        msg_id, message = self.messages.popleft()
-        self.waiting[msg_id] -= 1
-        if self.on_change:
-            self.on_change(msg_id, QueueEnd.DELIVERED)
-        return message
-
-    def clear(self) -> None:
-        """Drop what waits."""
-        if self.on_change:
-            for msg_id, _ in self.messages:
-                self.on_change(msg_id, QueueEnd.CLOSED)
-        self.messages.clear()
-        self.waiting.clear()
-
-    def __len__(self) -> int:
-        return len(self.messages)
 
 
 @dataclass(frozen=True, slots=True)

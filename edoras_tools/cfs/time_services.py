@@ -8,8 +8,6 @@ from typing import Final
 from edoras_tools.cfs.event_services import EventText, EventType
 
 NAME: Final = "CFE_TIME"
-EPOCH_S: Final = 315_532_800
-"""Usual epoch of mission time, 1980-01-01, in seconds since 1970; consoles print mission time from it."""
 START_S: Final = 1_001_000
 """Mission time when it begins after a power-on, as cFE is configured unless a mission says otherwise."""
 LEAP_SECONDS: Final = 37

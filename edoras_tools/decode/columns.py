@@ -318,10 +318,9 @@ class _Pass:
         self.mark(Finding.TRUNCATED, packet & ~whole)
         self.out["header_length"] = np.where(whole, header, np.uint8(ccsds.PRIMARY.size))
 
-        seconds = cfe.TELEMETRY.column("seconds", head, at).astype(np.int64)
-        subseconds = cfe.TELEMETRY.column("subseconds", head, at).astype(np.int64)
-        time_ns = seconds * 1_000_000_000 + (subseconds * 1_000_000_000 >> 16)
-        self.out["mission_time_ns"] = np.where(whole & ~short, time_ns, -1)
+        layout = self.context.in_order(cfe.TELEMETRY)
+        words = (layout.column(name, head, at).astype(np.int64) for name in ("seconds", "subseconds"))
+        self.out["mission_time_ns"] = np.where(whole & ~short, self.context.time.ns(*words), -1)
         code = cfe.COMMAND.column("function_code", head, at).astype(np.int16)
         self.out["function_code"] = np.where(whole & short, code, np.int16(-1))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from edoras_tools.wire.msg_id import MsgIds
 
 
+_KEPT: Final = ("envelope", "time")
+"""Options whose words a recording keeps as they are."""
+
+
 @dataclass(frozen=True, slots=True)
 class Options:
     """How to read what the bytes do not say themselves.
@@ -43,6 +47,8 @@ class Options:
         msg_id_version: how MsgIds are built: 1, or 2, which needs the extended header; None is 1.
         envelope: format of every route that names none: ``8/8`` and the like, ``auto`` where each packet may
             have its own; None to detect it from the first packets of each route.
+        time: how headers have mission time, as ``MissionTime.of_text`` reads it; what it does not say
+            is detected.
         ports: further UDP ports by link; 0: of a link that is told by how its datagrams begin, any.
         listened: UDP ports that a recorder was told to receive on: what came there was asked for.
     """
@@ -51,6 +57,7 @@ class Options:
     telemetry_header: int | None = None
     msg_id_version: int | None = None
     envelope: str | None = None
+    time: str | None = None
     ports: tuple[tuple[Link, int], ...] = ()
     listened: tuple[int, ...] = ()
 
@@ -70,6 +77,7 @@ class Options:
             )
         if self.envelope not in {None, "auto"}:
             EnvelopeFormat.of_name(str(self.envelope))
+        cfe.MissionTime.of_text(self.time or "")
 
     @property
     def headers(self) -> cfe.Headers | None:
@@ -90,8 +98,7 @@ class Options:
     def described(self) -> dict[str, str]:
         """Return what was named, in the words of a recording; :meth:`over` reads them."""
         words = {} if self.headers is None else {"headers": self.headers.name}
-        if self.envelope is not None:
-            words["envelope"] = self.envelope
+        words |= {name: text for name in _KEPT if (text := getattr(self, name)) is not None}
         if self.ports:
             words["ports"] = " ".join(f"{link.label}:{port}" for link, port in self.ports)
         if self.listened:
@@ -123,14 +130,16 @@ class Options:
         options = self
         if headers is not None:
             options = options.with_headers(headers)
-        if self.envelope is None and recorded.get("envelope"):
-            options = replace(options, envelope=recorded["envelope"])
+        kept: dict[str, Any] = {
+            name: recorded[name] for name in _KEPT if getattr(self, name) is None and recorded.get(name)
+        }
         links = {link.label: link for link in table.links()}
         pairs = [item.partition(":") for item in recorded.get("ports", "").split()]
         ports = [(links[name], int(port)) for name, _, port in pairs if name in links and port.isdecimal()]
         listened = [int(item) for item in recorded.get("listened", "").split() if item.isdecimal()]
         return replace(
             options,
+            **kept,
             ports=tuple(dict.fromkeys((*self.ports, *ports))),
             listened=tuple(dict.fromkeys((*self.listened, *listened))),
         )
@@ -173,6 +182,7 @@ class Context:
         pdu_msg_ids: i32, MsgIds of packets that hold such a unit each.
         headers: those behind the primary header; :mod:`edoras_tools.decode.variants` may change them.
         msg_ids: how MsgIds are built; never detected.
+        time: how headers have mission time; :mod:`edoras_tools.decode.variants` adds what it detects.
         builds: the headers of conversations that have others.
         envelopes: the envelope format of each route, None where each packet has its own.
         unrouted: the envelope format of telemetry and of commands that no route claims.
@@ -194,6 +204,7 @@ class Context:
         self.options = options or Options()
         self.headers = self.options.headers or cfe.STANDARD
         self.msg_ids = self.options.msg_ids
+        self.time = cfe.MissionTime.of_text(self.options.time or "")
         big_endian = self.mission.software.big_endian
         structs = structs or shipped_structs(self.msg_ids, big_endian=big_endian)
         structs = structs.under(self.mission.prefix(FIRST_SPACECRAFT))
@@ -279,7 +290,9 @@ class Context:
         return self._views[spacecraft]
 
     def in_order(self, layout: Layout) -> Layout:
-        """Return the table of a payload in the byte order of the flight computer."""
+        """Return the table of a payload, or of telemetry's header, as the flight computer writes it."""
+        if layout.name == cfe.TELEMETRY.name:
+            return self.time.layout(layout)
         return layout.big if self.structs.big_endian else layout
 
     def routes_on(self, link: Link) -> NDArray[np.int16]:
@@ -291,7 +304,7 @@ class Context:
     def detected(self) -> tuple[Any, ...]:
         """What was detected from the bytes and decides how packets are read, for ``take_over``."""
         place = cfe.HEADERS.index(self.headers)
-        return place, tuple(self.envelopes), tuple(self.unrouted), self.builds.state
+        return place, tuple(self.envelopes), tuple(self.unrouted), self.builds.state, self.time
 
     def announced_topics(self) -> dict[str, str]:
         """Return the type of each topic that the input announces anywhere, if it can be read twice."""
@@ -307,7 +320,7 @@ class Context:
 
     def take_over(self, detected: tuple[Any, ...]) -> None:
         """Read packets as another context does, in another process."""
-        place, envelopes, unrouted, builds = detected
+        place, envelopes, unrouted, builds, self.time = detected
         self.headers = cfe.HEADERS[place]
         self.envelopes, self.unrouted = [*envelopes], [*unrouted]
         self.builds.take_over(builds)

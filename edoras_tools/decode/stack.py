@@ -170,7 +170,7 @@ class _Dissection(Reading):
             code = self.read(headers.command, at)["function_code"]
         else:
             code = None
-            self.read(headers.telemetry, at)
+            self.read(self.context.in_order(headers.telemetry), at)
         if command:
             self._command(msg_id, code or 0, start, min(length, total))
         if bare:

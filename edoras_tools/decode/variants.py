@@ -13,11 +13,17 @@ Nothing in a packet names them, so each sound packet is a vote for every kind th
    several, each packet with the first that fits it (:mod:`edoras_tools.decode.builds`). The first packets of
    each conversation are looked at, and a sample of all that follow.
 5. What an option or a route states is never detected.
+6. Mission time is read in another byte order, or with other subseconds, where 64 packets of one clock are
+   nearer to the capture's times then by far, and no subseconds exceed a second. Its epoch is a usual one, by
+   the leap seconds of today or none apart, where packets have the times then at which they were captured.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from dataclasses import replace
+from itertools import product
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -54,20 +60,32 @@ _PLAIN: Final = len(cfe.TOLD)
 """What a command shows that has no extended header: it is the same with both telemetry headers."""
 _NOTHING: Final = _PLAIN + 1
 _LEAST: Final = 2
+_TIMED: Final = 64
+"""So many packets with a time tell how headers have it."""
+_WIDE_NS: Final = 3 * SECOND
+"""They are captured over more than this, and wait for less than a second of it."""
+_NEAR: Final = 0.7
+"""Share of the next best spread that the spread of times has at the most."""
+_ORDERS: Final[tuple[Literal["little"] | None, ...]] = (None, "little")
+_TICKS: Final = (None, 10_000, 1_000, 100)
+_EPOCHS: Final = (0, -378_691_200, 315_532_800, 315_964_800, 946_684_800, 946_728_000)
+"""1970, 1958, 1980, 1980-01-06, 2000, and noon of 2000-01-01, in s since 1970."""
+_LEAPS: Final = (0, 18, 37)
+"""Seconds that UTC is behind a clock that counts none: itself, GPS, TAI."""
 _GOES_ON_S: Final = 5
 """A clock that counts seconds stays this near the capture's."""
 
 
 class _Kept(NamedTuple):
-    """What is kept of packets: first bytes, length, capture time in s, row of the batch."""
+    """What is kept of packets: first bytes, length, capture time in ns, row of the batch."""
 
     head: NDArray[np.uint8]
     length: NDArray[np.int64]
-    time_s: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
     row: NDArray[np.intp]
 
     def take(self, rows: NDArray[np.intp]) -> _Kept:
-        return _Kept(self.head[rows], self.length[rows], self.time_s[rows], self.row[rows])
+        return _Kept(self.head[rows], self.length[rows], self.time_ns[rows], self.row[rows])
 
     def and_(self, other: _Kept) -> _Kept:
         pairs: Iterable[Any] = zip(self, other, strict=True)
@@ -99,7 +117,7 @@ class Variants:
         self._votes = np.zeros((_NOTHING + 1, PLACES), np.int64)
         self._names: dict[int, str] = {}
         self._note = ""
-        self._all_seen = self.settled = not (self._seek_headers or seek)
+        self._all_seen = self.settled = not (self._seek_headers or seek or context.options.time is None)
 
     def look(self, batch: PacketBatch, link: NDArray[np.uint8]) -> None:
         """Look at a batch that is about to be decoded; ``link`` has a link a row."""
@@ -128,7 +146,7 @@ class Variants:
         if self._context.msg_ids is VERSION_1:
             # With version 2, cFE sets the flag only where an app does.
             sound &= ccsds.PRIMARY.column("secondary_header_flag", head) == 1
-        return _Kept(head[sound], length[sound], batch.time_ns[rows][sound] // SECOND, rows[sound])
+        return _Kept(head[sound], length[sound], batch.time_ns[rows][sound], rows[sound])
 
     def _tell(self) -> None:
         context = self._context
@@ -146,6 +164,37 @@ class Variants:
             self._settle()
         if context.options.envelope is None:
             self._tell_envelopes()
+        self._tell_time()
+
+    def _tell_time(self) -> None:
+        """Find how telemetry headers have mission time, where nothing else can be (rule 6)."""
+        context, headers = self._context, self._context.headers
+        timed = (self._sample.length >= headers.telemetry_bytes) & ~_commands(self._sample)
+        timed &= headers.telemetry.column("seconds", self._sample.head, headers.start) != 0
+        sample = self._sample.take(np.flatnonzero(timed))
+        if len(sample.length) < _TIMED or np.ptp(sample.time_ns) < _WIDE_NS:
+            return
+        stated, spreads = cfe.MissionTime.of_text(context.options.time or ""), []
+        for order, ticks in product(_ORDERS, _TICKS):
+            time = replace(stated, byte_order=stated.byte_order or order, ticks=stated.ticks or ticks)
+            words = time.layout(headers.telemetry).columns(sample.head, headers.start)
+            seconds, subseconds = (words[name].astype(np.int64) for name in ("seconds", "subseconds"))
+            low, middle, high = np.quantile(sample.time_ns - time.ns(seconds, subseconds), (0.05, 0.5, 0.95))
+            whole = subseconds.max() < (time.ticks or cfe.USUAL_TICKS)
+            if whole and (ticks is None or np.unique(subseconds).size > _TIMED // 2):
+                spreads.append((high - low, middle, time))
+        spread, middle, time = min(spreads, key=itemgetter(0), default=(np.inf, 0, stated))
+        if spread > SECOND or any(item[0] * _NEAR < spread and item[2] != time for item in spreads):
+            return
+        for epoch_s in (base - leap for base in _EPOCHS for leap in _LEAPS):
+            if stated.epoch_s is None and abs(middle - epoch_s * SECOND) < SECOND:
+                time = replace(time, epoch_s=epoch_s)
+        if time != context.time:
+            context.time, context.described["time"] = time, str(time)
+            context.notes.append(
+                f"telemetry has mission time as {time}, as its bytes show; 'time' of 'cfs' in a mission file "
+                "says otherwise"
+            )
 
     def _fitting(self, sample: _Kept) -> Fitting:
         return Fitting(self._context.structs, self._context.command_table, sample.head, sample.length)
@@ -282,7 +331,7 @@ def _goes_on(sample: _Kept) -> NDArray[np.bool_]:
     """Tell in which telemetry the extended header's clock counts seconds as the capture's does."""
     extended = cfe.WITH_EXTENDED
     seconds = extended.telemetry.column("seconds", sample.head, extended.start).astype(np.int64)
-    ahead = seconds - sample.time_s
+    ahead = seconds - sample.time_ns // SECOND
     return np.asarray(np.abs(ahead - np.median(ahead)) <= _GOES_ON_S)
 
 

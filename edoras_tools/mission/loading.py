@@ -30,7 +30,7 @@ from edoras_tools.mission.parameters import NodeParameters, read_nodes
 from edoras_tools.mission.report import Mistakes, printable
 from edoras_tools.mission.scalars import read_scalar
 from edoras_tools.mission.tree import LARGEST_FILE, yaml_text
-from edoras_tools.wire.cfe import HIGHEST_MSG_ID
+from edoras_tools.wire.cfe import HIGHEST_MSG_ID, MissionTime
 from edoras_tools.wire.msg_id import VERSION_1, MsgIds
 from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FrameFormat
 from edoras_tools.words import either
@@ -360,6 +360,7 @@ CFS_GROUP: Final = "cfs"
 """The group of these keys."""
 _CFS_LIMITS: Final = "to_limits"
 _CFS_PORTS: Final = "ports"
+_CFS_TIME: Final = "time"
 _CFS_HEADERS: Final = {"extended_header": None, "telemetry_header": (12, 16), "msg_id_version": (1, 2)}
 """How packets are built, as ``decode.Options`` has it: a flag, or the numbers that are allowed."""
 
@@ -371,13 +372,19 @@ def read_flight_software(node: NodeParameters, report: Mistakes, msg_ids: MsgIds
         msg_ids: how the MsgIds of the file are built.
     """
     fields, whole = Fields(node, report), constant_names()
-    names = (*whole, _CFS_LIMITS, _CFS_PORTS, *_CFS_HEADERS)
+    names = (*whole, _CFS_LIMITS, _CFS_PORTS, _CFS_TIME, *_CFS_HEADERS)
     constants: dict[str, int] = {}
     headers: dict[str, Any] = {}
     for name in node.children(CFS_GROUP):
         place = f"{CFS_GROUP}.{name}"
         if name == _CFS_PORTS:
             headers[name] = " ".join(str(item.value) for item in fields.keys(place))
+        elif name == _CFS_TIME:
+            text = fields.text(place, "write little, 1/1000 s, since 2000-01-01, or some of these") or ""
+            try:
+                headers[name] = str(MissionTime.of_text(text))
+            except ConfigError as error:
+                fields.mistake(place, str(error))
         elif name in _CFS_HEADERS:
             allowed = _CFS_HEADERS[name]
             headers[name] = fields.integer(place) if allowed else fields.flag(place)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs.time_services import EPOCH_S, START_S
+from edoras_tools.cfs.time_services import START_S
 from edoras_tools.diagnosis.evidence.clocks.alignment import MISSION_TIME, Alignment, align, boot_offsets
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.table import Recorder
@@ -18,6 +18,7 @@ from edoras_tools.io.formats.merge import MergedSource, merge_sources
 from edoras_tools.io.formats.open import is_cfe_file, open_file
 from edoras_tools.pipelines.runs import APART_NS, SEAM_NS
 from edoras_tools.units import SECOND
+from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe_file import RESET_LOG
 
 if TYPE_CHECKING:
@@ -181,7 +182,7 @@ def _placed(
         offsets = boot_offsets(tables[to], name)
         most = max(most, len(offsets))
         if len(offsets) == 1:
-            line = ClockLine(0, EPOCH_S * SECOND - offsets[0])
+            line = ClockLine(0, cfe.EPOCH_S * SECOND - offsets[0])
             by = f"the mission time of cFS {name}, to within half a second"
             note = (
                 f"{path}: its entries are put on the clock of {paths[to]} by {by}; those made while cFE "

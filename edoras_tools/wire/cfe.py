@@ -5,12 +5,16 @@ Headers are big-endian; telemetry payloads are in the flight processor's order, 
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from datetime import datetime
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from edoras_tools.errors import FieldError
+from edoras_tools.errors import ConfigError, FieldError
+from edoras_tools.older import UTC
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.layout import Field, Layout
 from edoras_tools.wire.msg_id import VERSION_1, VERSION_2, MsgIds
@@ -21,6 +25,10 @@ if TYPE_CHECKING:
 HIGHEST_MSG_ID: Final = 0x1FFF
 """cFE refuses a larger MsgId (CFE_PLATFORM_SB_HIGHEST_VALID_MSGID)."""
 CHECKSUM_SEED: Final = 0xFF
+EPOCH_S: Final = 315_532_800
+"""Usual epoch of mission time, 1980-01-01, in seconds since 1970; consoles print mission time from it."""
+USUAL_TICKS: Final = 1 << 16
+_MISSION_TIME: Final = re.compile(r"(?:(big|little)(?:, |$))?(?:1/(\d{1,5}) s(?:, |$))?(?:since (\S+))?")
 
 COMMAND: Final = Layout(
     "cfe_command",
@@ -134,6 +142,79 @@ TELEMETRY_OUTPUT_HOUSEKEEPING: Final = Layout(
     byte_order="little",
 )
 """Payload of TO_LAB's telemetry 0x0880."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissionTime:
+    """How the headers of telemetry have mission time; what is None is not known, and read as usual.
+
+    Attributes:
+        byte_order: of both words; big as a rule.
+        ticks: subseconds in a second; 65,536 as a rule.
+        epoch_s: where it begins, s since 1970 UTC; :data:`EPOCH_S` as a rule.
+    """
+
+    byte_order: Literal["big", "little"] | None = None
+    ticks: int | None = None
+    epoch_s: int | None = None
+
+    @classmethod
+    def of_text(cls, text: str) -> MissionTime:
+        """Read ``little, 1/1000 s, since 2000-01-01T12:00``, or some of its parts.
+
+        Raises:
+            ConfigError: it is not of that form.
+        """
+        match, moment = _MISSION_TIME.fullmatch(text), None
+        parts: Any = match.groups() if match else (None, "0", None)
+        order, ticks, epoch = parts
+        try:
+            moment = datetime.fromisoformat(epoch).replace(tzinfo=UTC) if epoch else None
+        except ValueError:
+            ticks = "0"
+        if ticks and not 0 < int(ticks) <= USUAL_TICKS:
+            allowed = "some of: big or little, 1/65536 s or fewer parts, since 1980-01-01T12:00"
+            raise ConfigError(f"time {text!r} is not known; in this order {allowed}")
+        return cls(order, int(ticks) if ticks else None, int(moment.timestamp()) if moment else None)
+
+    def __str__(self) -> str:
+        parts = [self.byte_order or "", f"1/{self.ticks} s" if self.ticks else ""]
+        if self.epoch_s is not None:
+            parts.append(f"since {datetime.fromtimestamp(self.epoch_s, UTC):%FT%T}")
+        return ", ".join(filter(None, parts))
+
+    def layout(self, telemetry: Layout) -> Layout:
+        """Return the table of a telemetry header with such a time."""
+        return telemetry if self == MissionTime() else _timed(telemetry, self)
+
+    def ns(self, seconds: Any, subseconds: Any) -> Any:
+        """Return ns since the epoch of a time, or i64 of many."""
+        return seconds * 1_000_000_000 + subseconds * 1_000_000_000 // (self.ticks or USUAL_TICKS)
+
+    def words(self, time_ns: int) -> dict[str, int]:
+        """Return the fields of a time in ns since 1970; of one before the epoch 0."""
+        epoch_s = EPOCH_S if self.epoch_s is None else self.epoch_s
+        seconds, rest = divmod(max(time_ns - epoch_s * 1_000_000_000, 0), 1_000_000_000)
+        return {"seconds": seconds, "subseconds": rest * (self.ticks or USUAL_TICKS) // 1_000_000_000}
+
+
+class _Moments(dict[int, str]):
+    """The moment of each number of seconds since an epoch."""
+
+    def __init__(self, epoch_s: int) -> None:
+        self.epoch_s = epoch_s
+
+    def get(self, key: int, _: Any = None) -> Any:
+        return f"{datetime.fromtimestamp(self.epoch_s + key, UTC):%FT%TZ}"
+
+
+@cache
+def _timed(telemetry: Layout, time: MissionTime) -> Layout:
+    seconds, subseconds, *rest = (slot.field for slot in telemetry.slots)
+    seconds = replace(seconds, names={} if time.epoch_s is None else _Moments(time.epoch_s))
+    subseconds = replace(subseconds, doc=f"mission time: 1/{time.ticks or USUAL_TICKS} s")
+    order = time.byte_order or "big"
+    return Layout(telemetry.name, telemetry.title, seconds, subseconds, *rest, byte_order=order)
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,6 +342,7 @@ def emit_telemetry(
     sequence_flags: int = ccsds.UNSEGMENTED,
     sequence_count: int = 0,
     headers: Headers = STANDARD,
+    time: MissionTime = MissionTime(),
 ) -> bytes:
     """Write a whole telemetry packet: 16 header bytes (12 in older builds) and the payload.
 
@@ -271,7 +353,8 @@ def emit_telemetry(
         bit = f"0x{headers.msg_ids.command_bit:04x}"
         raise FieldError("cfe_telemetry", "msg_id", f"0x{msg_id:04x} has the command bit {bit}")
     head = headers.emit(msg_id, headers.telemetry_bytes + len(payload), sequence_flags, sequence_count)
-    return head + headers.telemetry.emit({"seconds": seconds, "subseconds": subseconds}) + payload
+    layout = time.layout(headers.telemetry)
+    return head + layout.emit({"seconds": seconds, "subseconds": subseconds}) + payload
 
 
 def with_headers(packet: bytes, old: Headers, new: Headers) -> bytes:
@@ -297,11 +380,6 @@ def with_headers(packet: bytes, old: Headers, new: Headers) -> bytes:
         out = out[:at] + b"\0" + out[at + 1 :]
         out = out[:at] + bytes([checksum(out)]) + out[at + 1 :]
     return out
-
-
-def mission_time_ns(seconds: int, subseconds: int) -> int:
-    """Return a telemetry header's time in ns since the mission's epoch."""
-    return seconds * 1_000_000_000 + (subseconds * 1_000_000_000 >> 16)
 
 
 def msg_id_of(packet: bytes) -> int:

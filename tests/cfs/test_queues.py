@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.addons.lab.emulator import Simulation
+from edoras_tools.addons.lab.emulator.account import Fifo
 from edoras_tools.addons.lab.emulator.apps.generator import set_command
 from edoras_tools.addons.lab.emulator.services.command_ingest import CommandIngest
 from edoras_tools.cfs import queues
 from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
-from edoras_tools.cfs.queues import NO_LIMIT, Fifo, Queue, QueueEnd, pass_queue
+from edoras_tools.cfs.queues import NO_LIMIT, Queue, QueueEnd, pass_queue
 from edoras_tools.model import Peer
 from edoras_tools.units import MICROSECOND, MILLISECOND, SECOND
 from edoras_tools.wire import cfe, sbn

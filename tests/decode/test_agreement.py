@@ -49,7 +49,7 @@ def mission(name):
     return load(files) if files else Mission()
 
 
-def row_of_stack(decoded):
+def row_of_stack(decoded, context):
     """What columns say of a packet, read off its layers."""
     packet, head, command = (decoded.layer(name) for name in ("ccsds", "sbn", "cfe_command"))
     time, cdr = decoded.layer("cfe_telemetry"), decoded.layer("cdr")
@@ -69,7 +69,7 @@ def row_of_stack(decoded):
         "sequence_flags": ccsds.get("sequence_flags", 0),
         "sequence_count": ccsds.get("packet_sequence_count", 0),
         "function_code": command.values()["function_code"] if command else -1,
-        "mission_time_ns": cfe.mission_time_ns(seconds["seconds"], seconds["subseconds"]) if seconds else -1,
+        "mission_time_ns": context.time.ns(seconds["seconds"], seconds["subseconds"]) if seconds else -1,
         "header_length": (sum(item.end - item.start for item in headers) if secondary else 6)
         if packet
         else 0,
@@ -102,7 +102,7 @@ def agree(batch, context):
         row = {"schema": 1} | as_json(decoded)
         assert texts[index] == json.dumps(row, ensure_ascii=False, separators=(",", ":"))
         spacecraft = {"spacecraft": context.spacecraft.of(decoded.datagram, decoded.link)}
-        expected = row_of_stack(decoded) | spacecraft
+        expected = row_of_stack(decoded, context) | spacecraft
         assert row_of_columns(batch, columns, index) == expected, (index, decoded.stop)
         route = int(columns.route[index])
         if route >= 0:

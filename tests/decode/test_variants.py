@@ -1,6 +1,6 @@
 import json
 from contextlib import closing
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -8,6 +8,8 @@ from places import CAPTURES, MISSIONS, ROOT
 from rewriting import datagrams, rewritten, write
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
+from edoras_tools.decode.filters.filter import Where
+from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.ci import CI
@@ -15,9 +17,11 @@ from edoras_tools.links.to import TO
 from edoras_tools.mission import load
 from edoras_tools.model import concatenate
 from edoras_tools.pipelines.capture.info import inspect
+from edoras_tools.pipelines.capture.packet_json import PacketTexts
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
+from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 
@@ -220,3 +224,64 @@ def test_headers_that_an_option_names_are_those_of_every_conversation(tmp_path):
 def test_msg_ids_of_version_2_need_the_extended_header(more):
     with pytest.raises(ConfigError, match="MsgIds of version"):
         Options(**{"msg_id_version": 2, **more})
+
+
+def with_time(item, time, later_ns):
+    """Return a datagram with the mission time of its telemetry in another form, and so much later."""
+    data = item.payload
+    if item.destination[1] != 1235 or len(data) < 16 or data[0] & 0x10:
+        return item
+    values = cfe.TELEMETRY.parse(data, 6)
+    since_epoch = cfe.MissionTime().ns(values["seconds"], values["subseconds"]) + later_ns
+    words = replace(time, epoch_s=0).words(since_epoch)
+    return replace(item, payload=data[:6] + time.layout(cfe.TELEMETRY).emit(words)[:6] + data[12:])
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a_rover.pcap", "little"),
+        ("c1_tlm_rate_limit4.pcap.gz", "1/1000 s"),
+        ("a_rover.pcap", "since 1980-01-06T00:00:00"),
+        ("c1_tlm_rate_limit4.pcap.gz", "1/100 s, since 1979-12-31T23:59:42"),  # of GPS: 18 leap seconds less
+        ("c1_tlm_rate_limit4.pcap.gz", "little, 1/10000 s, since 2000-01-01T12:00:00"),
+    ],
+)
+@pytest.mark.parametrize("told", [False, True], ids=["detected", "told"])
+def test_mission_time_of_a_real_capture_in_another_form(tmp_path, name, text, told):
+    """It is detected where nobody tells it, and every command reads the times that it had before."""
+    time, traffic = cfe.MissionTime.of_text(text), datagrams(CAPTURES / name)
+    later_ns = 0
+    if time.epoch_s is not None:  # as of a flight computer whose clock is right
+        sent = next(item for item in traffic if with_time(item, time, 0) is not item)
+        words = cfe.TELEMETRY.parse(sent.payload, 6)
+        now = cfe.MissionTime().ns(words["seconds"], words["subseconds"])
+        later_ns = sent.time_ns - time.epoch_s * SECOND - now
+    write(tmp_path / "x.pcap", [with_time(item, time, later_ns) for item in traffic])
+    options = Options(time=text if told else None)
+    found = []
+    for path, options_ in ((CAPTURES / name, Options()), (tmp_path / "x.pcap", options)):
+        bench = Settings([ROVER], options=options_).workbench()
+        with closing(open_file(path)) as source:
+            batch = concatenate(list(source.batches()))
+        columns, context = bench.columns.decode(batch), bench.columns.context
+        found.append(columns.mission_time_ns)
+        rows = ColumnRows(context, 0, batch, columns)
+        mask = Where("mission_time >= 0 && cfe_telemetry.seconds > 0", context).mask(batch, columns)
+        for row in np.flatnonzero(columns.mission_time_ns > 0)[:40].tolist():
+            values = Dissector(context).dissect(batch[row]).layer("cfe_telemetry").values()
+            assert context.time.ns(values["seconds"], values["subseconds"]) == columns.mission_time_ns[row]
+            assert mask[row]
+        assert json.loads(PacketTexts(context).of(rows)[-1])
+    assert context.time == time
+    assert len([line for line in context.notes if "mission time" in line]) == (not told)
+    timed = found[0] > 0
+    assert (timed == (found[1] > 0)).all()
+    error = found[1][timed] - found[0][timed] - later_ns
+    assert np.abs(error).max() <= SECOND // min(time.ticks or 65536, 65536) + SECOND // 65536
+
+
+@pytest.mark.parametrize("name", ["c3_mqueue10", "d3_cpu1_cpu2", "n3_cfs_restart", "n10_uplink_loss"])
+def test_usual_mission_time_is_not_taken_for_another(name):
+    report = routes(ROOT / f"tests/captures/{name}.pcap.zst")
+    assert [line for line in report.notes if "mission time" in line] == []

@@ -19,6 +19,9 @@ def test_constants_limits_and_headers_are_read():
     assert (software.profile.to_limits[0x0A01], software.profile.to_limits[0x0808]) == (20, 32)
     assert software.profile.stated == {"ci_wake_ns", "app_msg_limit", 0x0A01}
     assert software.headers == {"extended_header": True}
+    assert read('time: "1/1000 s, since 2000-01-01"').headers == {
+        "time": "1/1000 s, since 2000-01-01T00:00:00"
+    }
 
 
 @pytest.mark.parametrize(
@@ -31,6 +34,8 @@ def test_constants_limits_and_headers_are_read():
         ("to_limits: {pose: 4}", "cfs.to_limits.pose: not a MsgId; write 0x0827: 4"),
         ("to_limits: {0x0827: 256}", "256 is out of range"),
         ("ports: 5010", "a list of keys is needed"),
+        ('time: "1/0 s"', "cfs.time: time '1/0 s' is not known; in this order some of"),
+        ("time: 5", "cfs.time: "),
     ],
 )
 def test_a_mistake_is_said(text, problem):

@@ -66,7 +66,46 @@ def test_telemetry_header():
         cfe.emit_telemetry(0x803, bytes(28), seconds=0x000F462A, subseconds=0xB0AE, sequence_count=2)
         == packet
     )
-    assert cfe.mission_time_ns(1, 0x8000) == 1_500_000_000
+    assert cfe.MissionTime().ns(1, 0x8000) == 1_500_000_000
+
+
+MISSION_TIMES = [
+    ("", cfe.MissionTime(), "00000001 8000", 315_532_801_500_000_000),
+    ("little", cfe.MissionTime("little"), "01000000 0080", 315_532_801_500_000_000),
+    ("1/1000 s", cfe.MissionTime(ticks=1000), "00000001 01f4", 315_532_801_500_000_000),
+    ("since 1970-01-01T00:00:00", cfe.MissionTime(epoch_s=0), "00000001 8000", 1_500_000_000),
+    (
+        "little, 1/1000 s, since 2000-01-01T12:00:00",
+        cfe.MissionTime("little", 1000, 946_728_000),
+        "01000000 f401",
+        946_728_001_500_000_000,
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "time", "raw", "time_ns"), MISSION_TIMES)
+def test_mission_time_of_any_form(text, time, raw, time_ns):
+    assert cfe.MissionTime.of_text(text) == time
+    assert str(time) == text
+    assert time.words(time_ns)["seconds"] == 1
+    packet = cfe.emit_telemetry(0x803, **time.words(time_ns), time=time)
+    assert packet[6:12] == bytes.fromhex(raw)
+    values = time.layout(cfe.TELEMETRY).parse(packet, 6)
+    assert time.ns(values["seconds"], values["subseconds"]) == 1_500_000_000
+    assert time.words(-1)["seconds"] == 0
+
+
+def test_seconds_are_shown_as_utc_where_the_epoch_is_known():
+    slot = cfe.MissionTime.of_text("since 2000-01-01").layout(cfe.TELEMETRY).by_name["seconds"]
+    assert slot.field.text(86_400) == "2000-01-02T00:00:00Z (86400)"
+
+
+@pytest.mark.parametrize(
+    "text", ["middle", "1/0 s", "1/65537 s", "1/1000", "since noon", "since 2000-13-01", "12"]
+)
+def test_a_mission_time_of_no_form_is_said(text):
+    with pytest.raises(ConfigError, match="is not known; in this order"):
+        cfe.MissionTime.of_text(text)
 
 
 def test_the_type_bit_decides_the_header():

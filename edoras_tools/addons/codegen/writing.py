@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from edoras_tools.addons.codegen.ground.cosmos import cosmos
@@ -103,6 +103,7 @@ def describe_packets(
     """
     context = bench.columns.context
     headers = context.options.headers or cfe.STANDARD
+    headers = replace(headers, telemetry=context.in_order(headers.telemetry))
     if context.msg_ids.command_bit != cfe.STANDARD.msg_ids.command_bit:
         raise ConfigError("packets are told by their APID, which MsgIds of version 2 share; use version 1")
     notes: list[str] = []

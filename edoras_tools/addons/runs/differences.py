@@ -25,7 +25,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, field, fields
 from math import sqrt
-from statistics import fmean, pvariance
+from statistics import fmean, pvariance, variance
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -34,7 +34,7 @@ from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckResult
 from edoras_tools.addons.runs.limits import MODEL_WORTH, field_limit
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.accounts import latency_ms
-from edoras_tools.intervals import MeanInterval, difference_interval, t_quantile
+from edoras_tools.intervals import CONFIDENCE, MeanInterval, t_quantile
 from edoras_tools.io.formats.text import json_value
 from edoras_tools.mission import Mission
 from edoras_tools.render import units
@@ -484,3 +484,20 @@ def comparison_json(
         "changes": [item.as_json() for item in points if item.differs],
         "points": [item.as_json() for item in points],
     }
+
+
+def difference_interval(before: Sequence[float], after: Sequence[float], step: float = 0.0) -> MeanInterval:
+    """Return by how much the mean of later runs is above that of earlier ones (Welch's interval).
+
+    Args:
+        before: values of at least two runs.
+        after: likewise.
+        step: see ``mean_interval``.
+    """
+    parts = [(variance(item) + step * step / 12) / len(item) for item in (before, after)]
+    mean, whole = fmean(after) - fmean(before), sum(parts)
+    if not whole:
+        return MeanInterval(mean, mean, mean)
+    below = sum(part**2 / (len(item) - 1) for part, item in zip(parts, (before, after), strict=True))
+    half = t_quantile((1 + CONFIDENCE) / 2, max(1, int(whole**2 / below))) * sqrt(whole)
+    return MeanInterval(mean, mean - half, mean + half)

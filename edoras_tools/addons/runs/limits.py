@@ -11,11 +11,12 @@
 from __future__ import annotations
 
 import math
+from statistics import NormalDist, fmean, variance
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.addons.runs.check import TO_END
 from edoras_tools.addons.runs.expectations import LOSS_KEYS, Unit
-from edoras_tools.intervals import tolerance_interval
+from edoras_tools.intervals import CONFIDENCE, MeanInterval
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -33,6 +34,8 @@ _RECEIVED: Final = 0.05
 _FEWEST: Final = 5
 """A topic with fewer messages has no rate."""
 _EQUAL: Final = 1e-6
+_CONTENT: Final = 0.99
+"""Share of all runs that a tolerance interval holds."""
 
 
 class RunLimit(NamedTuple):
@@ -184,3 +187,23 @@ def _rounded(value: float, how: Callable[[float], int]) -> float:
     scale = 10.0**digits
     rounded = how(round(value * scale, 6)) / scale
     return int(rounded) if rounded == int(rounded) else rounded
+
+
+def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> MeanInterval:
+    """Return where nearly all runs lie: ``_CONTENT`` of them, with ``CONFIDENCE``.
+
+    Args:
+        values: one of each run, at least one.
+        spread: standard deviation that was to be expected before any run.
+        freedom: how many runs that expectation is worth.
+    """
+    count = len(values)
+    seen = variance(values) * (count - 1) if count > 1 else 0.0
+    total = freedom + count - 1
+    deviation = math.sqrt((seen + freedom * spread * spread) / total)
+    normal = NormalDist()
+    part = 2 / (9 * total)
+    chi_square = total * (1 - part + normal.inv_cdf(1 - CONFIDENCE) * math.sqrt(part)) ** 3
+    half = normal.inv_cdf((1 + _CONTENT) / 2) * math.sqrt((1 + 1 / count) * total / chi_square) * deviation
+    mean = fmean(values)
+    return MeanInterval(mean, mean - half, mean + half)

@@ -63,7 +63,10 @@ def dissector(settings: Settings) -> tuple[str, list[str]]:
     msg_ids, software = settings.options.msg_ids, missions[0].software
     shipped = shipped_structs(msg_ids, big_endian=software.big_endian)
     structs = Structs([*layouts, *shipped.layouts], msg_ids) if layouts else None
-    contexts = [Context(mission, types, settings.options, structs) for mission in missions]
+    contexts = [
+        Context(mission, types, settings.options.saying(mission.software.headers), structs)
+        for mission in missions
+    ]
     return generate(replace(_knowledge(contexts, types), note=note)), warnings
 
 
@@ -114,6 +117,7 @@ def _knowledge(contexts: Sequence[Context], types: TypeStore) -> Knowledge:
         extended_header=headers.extended,
         telemetry_header=headers.telemetry_bytes,
         msg_id_version=headers.msg_ids.version,
+        time=contexts[0].time,
         pdu_msg_ids=sorted({int(item) for context in contexts for item in context.pdu_msg_ids}),
         frames={
             item.port: (item.format, item.link.label)

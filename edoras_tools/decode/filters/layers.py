@@ -212,14 +212,14 @@ def _decoded(column: str, none: int, rows: ColumnRows) -> Series:
     return Series.of_chosen(values, values != none)
 
 
-_PAYLOADS: Final = (cfe.EVENT, cfe.SOFTWARE_BUS_HOUSEKEEPING)
+_OWN_ORDER: Final = (cfe.EVENT, cfe.SOFTWARE_BUS_HOUSEKEEPING, cfe.TELEMETRY)
 """What the flight computer writes in its own byte order."""
 
 
 def _gathered(layout: Layout, slot: Slot, places: Callable[[ColumnRows], Places], rows: ColumnRows) -> Series:
     """Read one field of the headers that a batch holds."""
     owner, start = places(rows)
-    layout = rows.context.in_order(layout) if layout in _PAYLOADS else layout
+    layout = rows.context.in_order(layout) if layout in _OWN_ORDER else layout
     values = slot_values(layout, slot, gather(rows.batch.data, start + slot.start, slot.end - slot.start))
     if isinstance(values, list):
         return Series.of_objects(len(rows), values, owner)

@@ -17,7 +17,6 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Fi
 from edoras_tools.ros.types.schema import full_name
 from edoras_tools.structs.payloads import payloads
 from edoras_tools.structs.shapes import OWN_LAYERS
-from edoras_tools.wire import cfe
 from edoras_tools.words import either, listed
 
 if TYPE_CHECKING:
@@ -275,12 +274,12 @@ def _number(name: str, doc: str, pick: Any) -> FilterField:
     )
 
 
-def _pick_mission_time(_: PacketRows, decoded: Decoded) -> int | None:
+def _pick_mission_time(rows: PacketRows, decoded: Decoded) -> int | None:
     layer = decoded.layer("cfe_telemetry")
     if layer is None:
         return None
     values = layer.values()
-    return cfe.mission_time_ns(values["seconds"], values["subseconds"])
+    return int(rows.context.time.ns(values["seconds"], values["subseconds"]))
 
 
 def _read_findings(rows: ColumnRows) -> Series:

@@ -31,7 +31,7 @@ class Counting:
     """
 
     def __init__(self, source: Source, bench: Workbench) -> None:
-        context = bench.columns.context
+        context = self._context = bench.columns.context
         self.report = CaptureReport(
             Ledger(bench.mission, context, structs=context.structs), source, notes=context.notes
         )
@@ -62,7 +62,9 @@ class Counting:
         """Return the counts, and how the loop ended."""
         self.report.failure = loop.failure
         self.report.unnamed = loop.conversations.unnamed
-        self.report.notes = [*self.report.notes, *loop.conversations.notes(), *self._once.notes()]
+        time = self._context.options.time
+        told = [f"telemetry has mission time as {time}, as the mission or the recording says"] if time else []
+        self.report.notes = [*self.report.notes, *told, *loop.conversations.notes(), *self._once.notes()]
         return self.report
 
 

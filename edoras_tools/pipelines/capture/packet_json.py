@@ -239,7 +239,7 @@ class _Shapes:
         yield from self._layer(ccsds.PRIMARY, start)
         if headers.extended:
             yield from self._layer(cfe.EXTENDED, start + ccsds.PRIMARY.size)
-        second = headers.command if self._command[first] else headers.telemetry
+        second = headers.command if self._command[first] else of.context.in_order(headers.telemetry)
         yield from self._layer(second, start + headers.start)
         if self._inside[first]:
             layout = of.context.in_order(_INSIDE[self._inside[first] - 1][1])

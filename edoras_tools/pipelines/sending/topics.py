@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from edoras_tools.cfs import edoras_app
-from edoras_tools.cfs.time_services import EPOCH_S
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.pipelines.sending.options import LinkReceiver, Receiver, SendOptions, fits
 from edoras_tools.pipelines.sending.run import Loaded
 from edoras_tools.sessions.outgoing import Outgoing, Packet
-from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 
@@ -35,6 +33,7 @@ class Encoder:
         envelope: format of the two lengths before the CDR.
         function_code: for a command.
         headers: those of the cFE that it goes to or comes from.
+        time: how they have mission time.
     """
 
     route: Route
@@ -42,6 +41,7 @@ class Encoder:
     envelope: EnvelopeFormat
     function_code: int = edoras_app.SET
     headers: cfe.Headers = cfe.STANDARD
+    time: cfe.MissionTime = cfe.MissionTime()  # noqa: RUF009  frozen
 
     @classmethod
     def of(cls, route: Route, bench: Workbench, function_code: int = edoras_app.SET) -> Encoder:
@@ -49,7 +49,7 @@ class Encoder:
         index = bench.mission.routes.index(route)
         context = bench.columns.context
         headers = context.options.headers or cfe.STANDARD
-        return cls(route, index, context.envelopes[index] or DEFAULT, function_code, headers)
+        return cls(route, index, context.envelopes[index] or DEFAULT, function_code, headers, context.time)
 
     def packet(self, cdr: bytes, time_ns: int) -> Packet:
         """Return a space packet; sequence word and checksum are 0, as the bridges send them."""
@@ -61,10 +61,9 @@ class Encoder:
             )
             head = headers.command_bytes
         else:
-            seconds, rest = divmod(max(time_ns - EPOCH_S * SECOND, 0), SECOND)
-            fraction = (rest << 16) // SECOND
+            time = self.time
             data = cfe.emit_telemetry(
-                msg_id, body, seconds=seconds, subseconds=fraction, sequence_flags=0, headers=headers
+                msg_id, body, **time.words(time_ns), sequence_flags=0, headers=headers, time=time
             )
             head = headers.telemetry_bytes
         return Packet(data, time_ns, self.index, head + self.envelope.size)

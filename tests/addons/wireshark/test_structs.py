@@ -167,3 +167,34 @@ def test_what_is_left_to_others():
         *cfe_own["layouts"]
     }
     assert "levels" in {item["name"] for item in made["layouts"]["struct 0x0890"]["fields"]}
+
+
+def test_mission_time_is_read_as_the_mission_file_says(tmp_path):
+    (tmp_path / "a.yaml").write_text(
+        '/**: {ros__parameters: {cfs: {time: "little, 1/1000 s, since 2000-01-01T12:00:00"}}}'
+    )
+    settings = Settings([tmp_path / "a.yaml"])
+    bench = settings.workbench()
+    time = bench.columns.context.time
+    packet = cfe.emit_telemetry(0x803, bytes(28), **time.words(1_700_000_000_250_000_000), time=time)
+    here, there = Endpoint("127.0.0.1", 40000), Endpoint("127.0.0.1", 1235)
+    capture, script = tmp_path / "a.pcap", tmp_path / "edoras.lua"
+    batch = Demux().demux(frames_of([WireDatagram(0, here, there, packet)], 1))
+    with capture.open("wb") as file:
+        sink = PcapSink(file, nanosecond=True)
+        sink.write(batch)
+        sink.close()
+    script.write_text(dissector(settings)[0])
+    names = ("cfe.telemetry.seconds", "cfe.telemetry.subseconds", "edoras.mission_time", "edoras.mission_utc")
+    words = ("tshark", "-r", capture, "-X", f"lua_script:{script}", "-T", "fields")
+    asked = [word for name in names for word in ("-e", name)]
+    done = subprocess.run((*words, *asked), capture_output=True, text=True, check=True)
+    values = bench.dissector.dissect(batch[0]).layer("cfe_telemetry")
+    assert values.fields[0].text == "2023-11-14T22:13:20Z (753272000)"
+    seconds, subseconds, both, utc = done.stdout.split()
+    assert (seconds, subseconds, float(both), utc) == (
+        "753272000",
+        "250",
+        753272000.25,
+        "2023-11-14T22:13:20Z",
+    )

@@ -11,17 +11,69 @@ traffic is judged by. Its rules:
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, Generic, TypeVar
 
-from edoras_tools.cfs.queues import Fifo, QueueEnd
+from edoras_tools.cfs.queues import NO_LIMIT, QueueEnd, admission
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 _Message = TypeVar("_Message")
 LOST: Final = frozenset({QueueEnd.MSG_LIMIT, QueueEnd.PIPE_OVERFLOW, QueueEnd.SOCKET_FULL, QueueEnd.CLOSED})
+
+
+@dataclass(slots=True, eq=False)
+class Fifo(Generic[_Message]):
+    """A queue that messages enter and leave one at a time.
+
+    Attributes:
+        depth: messages that fit.
+        limits: MsgId to the messages of it that may wait; one that is not here has no limit.
+        messages: MsgId and message of those that wait, oldest first.
+        waiting: MsgId to how many of it wait.
+        on_change: called with MsgId and ``WAITING`` of a message that enters, ``DELIVERED`` of one that is
+            read, ``CLOSED`` of one that was in a queue when it was cleared, else why it was not let in.
+    """
+
+    depth: int
+    limits: dict[int, int] = field(default_factory=dict)
+    messages: deque[tuple[int, _Message]] = field(default_factory=deque)
+    waiting: Counter[int] = field(default_factory=Counter)
+    on_change: Callable[[int, QueueEnd], object] | None = None
+
+    def put(self, message: _Message, msg_id: int = 0) -> QueueEnd:
+        """Add a message where ``admission`` lets it in; return what it said."""
+        limit = self.limits.get(msg_id, NO_LIMIT)
+        outcome = admission(self.waiting[msg_id], limit, len(self.messages), self.depth)
+        if outcome is QueueEnd.WAITING:
+            self.messages.append((msg_id, message))
+            self.waiting[msg_id] += 1
+        if self.on_change:
+            self.on_change(msg_id, outcome)
+        return outcome
+
+    def get(self) -> _Message | None:
+        """Take the oldest message, or None."""
+        if not self.messages:
+            return None
+        msg_id, message = self.messages.popleft()
+        self.waiting[msg_id] -= 1
+        if self.on_change:
+            self.on_change(msg_id, QueueEnd.DELIVERED)
+        return message
+
+    def clear(self) -> None:
+        """Drop what waits."""
+        if self.on_change:
+            for msg_id, _ in self.messages:
+                self.on_change(msg_id, QueueEnd.CLOSED)
+        self.messages.clear()
+        self.waiting.clear()
+
+    def __len__(self) -> int:
+        return len(self.messages)
 
 
 @dataclass(slots=True)

@@ -10,12 +10,11 @@ import numpy as np
 from edoras_tools.cfs import sbn
 from edoras_tools.cfs.executive_services import MARKERS
 from edoras_tools.cfs.profile import SbnPeerConfig
-from edoras_tools.cfs.time_services import EPOCH_S
 from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.cfe import CFE_MAGIC
 from edoras_tools.model import Peer
 from edoras_tools.units import SECOND
-from edoras_tools.wire import cfe_file
+from edoras_tools.wire import cfe, cfe_file
 from edoras_tools.wire.cfe_file import (
     FILE_HEADER,
     MARKER,
@@ -120,7 +119,7 @@ def _by_marker(markers: NDArray[np.int64], spans: NDArray[np.int64]) -> Iterator
 
 def mission_ns(fields: dict[str, Any]) -> int:
     """Return a mission time in seconds and 1/2^32 s as ns since 1970."""
-    return int((EPOCH_S + fields["seconds"]) * SECOND + (fields["subseconds"] * SECOND >> 32))
+    return int((cfe.EPOCH_S + fields["seconds"]) * SECOND + (fields["subseconds"] * SECOND >> 32))
 
 
 def read_cfe_file(path: Path) -> CfeFile | None:

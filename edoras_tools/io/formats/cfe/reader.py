@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.cfs.time_services import EPOCH_S, START_S
+from edoras_tools.cfs.time_services import START_S
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.records import RecordSource
 from edoras_tools.io.frames.build import FramePage, ends_of
@@ -75,7 +75,7 @@ class CfePacketSource(RecordSource):
             self.unit = "entry"
         self._at = cfe_file.OF_PACKETS.get(subtype, FILE_HEADER.size)
         self._info = SourceInfo(name, f"cFE {kind}")
-        self._time_ns = (EPOCH_S + self.header["seconds"]) * SECOND
+        self._time_ns = (cfe.EPOCH_S + self.header["seconds"]) * SECOND
         self._clock_at = 0
         while window.end < self._at and window.advance(0):
             pass
@@ -131,7 +131,7 @@ class CfePacketSource(RecordSource):
             cfe.TELEMETRY.column(name, window, self._clock_at).astype(np.int64)
             for name in ("seconds", "subseconds")
         )
-        time_ns = (EPOCH_S + seconds) * SECOND + subseconds * SECOND // 65536
+        time_ns = (cfe.EPOCH_S + seconds) * SECOND + subseconds * SECOND // 65536
         latest = np.maximum.accumulate(np.where(telemetry, np.arange(len(time_ns)), -1))
         time_ns = np.where(latest < 0, self._time_ns, time_ns[latest])
         self._time_ns = int(time_ns[-1])
@@ -172,5 +172,5 @@ def reset_times(rows: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.
     order = np.roll(np.arange(len(rows)), -int(falls[0]) if len(falls) else 0)
     latest = np.maximum.accumulate(times[order])
     time_ns = np.empty(len(rows), np.int64)
-    time_ns[order] = EPOCH_S * SECOND + np.where(latest < 0, begin, latest)
+    time_ns[order] = cfe.EPOCH_S * SECOND + np.where(latest < 0, begin, latest)
     return time_ns, order

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from edoras_tools.addons.lab.emulator.account import socket
+from edoras_tools.addons.lab.emulator.account import Fifo, socket
 from edoras_tools.addons.lab.emulator.messages import command_length
 from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
 from edoras_tools.addons.lab.emulator.services.sbn_node import Actions, SbnNode
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.cfs import table_services
 from edoras_tools.cfs.profile import SbnPeerConfig
-from edoras_tools.cfs.queues import NO_LIMIT, Fifo
+from edoras_tools.cfs.queues import NO_LIMIT
 from edoras_tools.model import Endpoint
 from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import function_code_of, length_of

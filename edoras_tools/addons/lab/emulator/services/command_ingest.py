@@ -10,10 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from edoras_tools.addons.lab.emulator.account import Fifo
 from edoras_tools.addons.lab.emulator.messages import bus_id, command_length, from_link, headers_of
 from edoras_tools.addons.lab.emulator.services.events import Event
 from edoras_tools.cfs import command_ingest as facts
-from edoras_tools.cfs.queues import Fifo, QueueEnd
+from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import function_code_of, length_of
 

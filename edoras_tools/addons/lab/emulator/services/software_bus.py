@@ -6,8 +6,9 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from edoras_tools.addons.lab.emulator.account import Fifo
 from edoras_tools.addons.lab.emulator.services.events import Event
-from edoras_tools.cfs.queues import Fifo, QueueEnd
+from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.cfs.software_bus import (
     BAD_ARGUMENT,
     EVENTS,
