@@ -3,8 +3,11 @@
 import os
 import signal
 
+import merging
 import pytest
+import rewriting
 from effort import LONG, every
+from places import ROOT
 from textual.events import MouseScrollDown
 
 from edoras_tools.addons.tui.panes import Help
@@ -743,3 +746,30 @@ def test_the_list_is_sorted_by_any_column(drive):
         await hands.until(lambda: app.store.order is not None and len(app.store.order) == 1544, "all, sorted")
 
     drive(script)
+
+
+def test_routes_of_two_rovers_filter_their_own_packets(drive, tmp_path):
+    captures = {"10.0.0.2": "a_rover", "10.0.0.3": "e_ci_errors"}
+    files = {address: ROOT / f"samples/captures/{name}.pcap" for address, name in captures.items()}
+    whole, parts = merging.merge(files, tmp_path)
+
+    async def script(hands):
+        app = hands.app
+        await hands.until(lambda: not app.reading, "the file is read")
+        await hands.press("r")
+        await hands.until(lambda: any("spacecraft" in row for row in app.routes._rows), "the routes")
+        rows = list(app.routes._rows)
+        for number, part in enumerate(parts, 1):
+            own = [row["count"] for row in rows if row["spacecraft"] == number]
+            assert sum(own) == len(rewriting.datagrams(part))
+        place = next(at for at, row in enumerate(rows) if (row["spacecraft"], row["msg_id"]) == (2, "0x0800"))
+        app.routes.cursor = place
+        assert app.routes.filter == "link == to and msg_id == 0x0800 and spacecraft == 2"
+        await hands.press("enter")
+        await hands.settle()
+        assert len(app.store) == rows[place]["count"]
+        await hands.filter("spacecraft == 2")
+        await hands.settle()
+        assert len(app.store) == len(rewriting.datagrams(parts[1]))
+
+    drive(script, source=open_file(whole))

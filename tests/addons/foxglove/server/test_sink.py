@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from functools import cache
 
 import foxglove_client as peer
+import merging
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -16,17 +17,19 @@ from places import ROOT
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from edoras_tools.addons.foxglove.player import PlaybackOptions, RecordingPlayer, open_recording
+from edoras_tools.addons.foxglove.server import live_diagnosis
 from edoras_tools.addons.foxglove.server.server import ServerOptions
 from edoras_tools.addons.foxglove.server.sink import FoxgloveSink
 from edoras_tools.addons.foxglove.serving import attach, attach_player
 from edoras_tools.decode import Context
+from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.split import RecordingOptions
 from edoras_tools.io.topics.rows import Records
 from edoras_tools.links.ci import CI
 from edoras_tools.model import Endpoint, Finding, SourceStatistics
 from edoras_tools.pipelines.doctor.scope import Scope
-from edoras_tools.pipelines.reading import selected_rows
+from edoras_tools.pipelines.reading import reading, selected_rows
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.faults.fault import Fault
@@ -281,3 +284,61 @@ def test_topics_have_their_own_schemas(tmp_path):
 def test_what_is_chosen_is_played(selection, count, tmp_path):
     with played(write_bag(tmp_path / "bag"), len(TOPICS), **selection) as client:
         assert {topic: len(client.on(topic)) for topic in TOPICS if client.on(topic)} == {"/cmd_vel": count}
+
+
+@pytest.fixture(scope="module")
+def rovers(tmp_path_factory):
+    """Two rovers in one capture, and each by itself; both lose commands of one MsgId."""
+    names = {"10.0.0.2": "a_rover", "10.0.0.3": "e_ci_errors"}
+    files = {address: ROOT / f"samples/captures/{name}.pcap" for address, name in names.items()}
+    return merging.merge(files, tmp_path_factory.mktemp("rovers"))
+
+
+def shown(path):
+    """What the page shows of a capture."""
+    source = open_files([path])
+    bench = Settings([ROOT / "samples/missions/rover_ground.yaml"]).workbench(source.info, [path])
+    context = bench.columns.context
+    sink = FoxgloveSink(context, bench.types, source.info, ANY)
+    examination = Examination(context)
+    examination.listing = True
+    with reading(source, bench) as loop:
+        for rows in loop:
+            sink.write(rows.batch, rows.columns)
+            examination.add(rows.batch, rows.columns)
+    sink.close(SourceStatistics())
+    return sink._link.summary(), live_diagnosis._page_values(examination.diagnose())
+
+
+def test_the_page_shows_each_of_two_rovers_by_itself(rovers):
+    whole, parts = rovers
+    link, doctor = shown(whole)
+    for number, prefix, part in zip((1, 2), ("", "/sc_2"), parts, strict=True):
+        own_link, own_doctor = shown(part)
+        counts = {(row["link"], row["msg_id"]): row["count"] for row in own_link["routes"]}
+        both = {
+            (row["link"], row["msg_id"]): row["count"]
+            for row in link["routes"]
+            if row["spacecraft"] == number
+        }
+        # A second is counted when a message comes that is behind it.
+        assert both == pytest.approx(counts, abs=11)
+        apps = {(f"{prefix}/{item['app']}" if prefix else item["app"]) for item in own_link["events"]}
+        texts = {item["app"] for item in link["events"]}
+        assert {name for name in texts if name.startswith("/sc_2/") == (number == 2)} <= apps
+        flows = [item for item in doctor["flows"] if item["spacecraft"] == number]
+        hops = [(item["link"], hop["hop"], hop["in"], hop["lost"]) for item in flows for hop in item["hops"]]
+        assert sorted(hops) == sorted(
+            (item["link"], hop["hop"], hop["in"], hop["lost"])
+            for item in own_doctor["flows"]
+            for hop in item["hops"]
+        )
+        problems = [item for item in doctor["problems"] if item["text"].startswith(f"spacecraft {number}: ")]
+        assert [messages_of(item) for item in problems] == [
+            messages_of(item) for item in own_doctor["problems"]
+        ]
+        assert any(map(messages_of, problems))
+
+
+def messages_of(problem):
+    return [(item["time_ns"], item["msg_id"], item["what"]) for item in problem["messages"]]
