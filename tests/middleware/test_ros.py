@@ -372,6 +372,18 @@ def test_rclpy_follows_what_publishes(name):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", APART)
+def test_what_is_published_once_our_subscription_is_counted_comes(name):
+    """The publisher was there before us, and says the first as soon as it counts us."""
+    with Talk(name) as talk:
+        talk.tell(speak="/in")
+        with follower("dds", name) as (_, ask):
+            until(lambda: talk.tell(ask=True)["subscriptions"]["/in"])
+            talk.tell(say=["/in"], **{"from": 0, "to": 10})
+            until(lambda: ask()["heard"] == [*range(10)], lambda: str(ask()))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", APART)
 def test_what_a_history_of_theirs_overwrites_is_dropped_by_a_socket_of_ours(name):
     """We stand still, and more is published than the sockets of ours take: the kernel counts what went."""
     with Talk(name) as talk, follower("dds", name) as (process, ask):

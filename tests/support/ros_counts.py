@@ -49,7 +49,7 @@ def hear(topic, depth, nap):
     times, sizes, ages, numbers, lost = [], [], [], [], [0]
 
     def take(data, info):
-        now = time.time_ns()
+        now = info["received_timestamp"]
         stamp = deserialize_message(data, TwistStamped).header.stamp
         times.append(now)
         sizes.append(len(data))

@@ -5,7 +5,9 @@ less: no samples again, none from before. So a subscription without a quality of
 reader for each combination that the writers of its topic offer, and takes from a reader the samples of its
 own kind of writers alone. A reader is made when discovery shows the first of its kind, before a sample of it
 is read; it goes when others have writers and it has none. Until there is a writer, one reader shows others
-that we listen.
+that we listen; but not before discovery has had its time. For Fast DDS counts a reader of ours as soon as it
+hears of it, and Cyclone DDS learns of a writer that was there before us up to a second later: what was
+published in between would be lost, and counted by nobody.
 
 **Histories.** No reader of ours overwrites a sample: they wait until a thread takes them. What a publisher
 overwrote before we had it Cyclone DDS does not count: its sample-lost status stays 0, and it tells no
@@ -94,16 +96,19 @@ class TopicReaders:
         self._given: dict[int, float] = {}
         self._known = not self.follows
 
-    def follow(self, offers: Iterable[Qos], offer_of: OfferOf) -> list[bytes]:
+    def follow(self, offers: Iterable[Qos], offer_of: OfferOf, *, settled: bool) -> list[bytes]:
         """Have a reader for each kind of writers, and no other; return what waited in those that went.
 
         Args:
             offers: of all writers that there are.
             offer_of: see ``take``.
+            settled: discovery has had its time.
         """
         requests = {offer_to(self._qos, offer) for offer in offers}
         self._known = self._known or bool(requests)
-        requests = requests or {*self.readers} or {offer_to(self._qos, _FIRST_OFFER)}
+        requests = requests or {*self.readers}
+        if settled and not requests:
+            requests = {offer_to(self._qos, _FIRST_OFFER)}
         for qos in requests - self.readers.keys():
             reader = self._make(qos)
             self.readers = {**self.readers, qos: (reader, info_taker_of(reader))}

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     Owned = TypeVar("Owned", bound=Entity)
 
 _FOREVER: Final = duration(infinite=True)
+_STEP: Final = duration(milliseconds=50)
 _UNFIT: Final = {
     2: ("the durability", "durability: volatile", "durability: transient_local"),
     11: ("the reliability", "reliability: best_effort", "reliability: reliable"),
@@ -131,7 +132,7 @@ class DdsGraph:
         self._subscriptions: list[TopicReaders] = []
         self._publications: list[CountedWriter] = []
         self._conditions: dict[DataReader[Any], ReadCondition] = {}
-        self._changed = self._follows = False
+        self._changed = self._settled = False
         self._topics: dict[str, Topic[Any]] = {}
         self._types_of: dict[str, str] = {}
         self._readers: list[tuple[str, DataReader[Any]]] = []
@@ -160,13 +161,9 @@ class DdsGraph:
 
             try:
                 subscription = TopicReaders(topic, type_name, qos, heard, make, partial(self._drop, topic))
-                offers = self._peers.writers[f"rt{topic}"].values() if subscription.follows else ()
-                subscription.follow(offers, self._offer_of)
+                offers = self._peers.writers[f"rt{topic}"].values()
+                subscription.follow(offers, self._offer_of, settled=self._settled)
                 self._subscriptions.append(subscription)
-                if subscription.follows and not self._follows:
-                    self._follows = True
-                    for reader in self._peers.entities:
-                        self._waitset.attach(self._own(ReadCondition(reader, ANY_STATE)))
             except DDSException as error:
                 raise ConfigError(f"{topic}: cannot be subscribed to: {error}") from error
             self._announce()
@@ -231,8 +228,6 @@ class DdsGraph:
         with self._lock:
             if self._closed.is_set():
                 return []
-            if not self._follows:  # else the thread that listens does
-                self._peers.update()
             self._present(self._peers.gid_bytes)
             pairs: list[tuple[str, bool, Any]] = [
                 (topic, False, reader.get_requested_incompatible_qos_status())  # type: ignore[no-untyped-call]
@@ -286,6 +281,8 @@ class DdsGraph:
         self._waitset.attach(self._stop)
         self._peers = Discovered(self._participant)
         self._entities += self._peers.entities
+        for reader in self._peers.entities:
+            self._waitset.attach(self._own(ReadCondition(reader, ANY_STATE)))
         self._present(dds_peers.gid_bytes_of(self._types))
 
     def _present(self, gid_bytes: int | None) -> None:
@@ -352,8 +349,10 @@ class DdsGraph:
     def _listen(self) -> None:
         while not self._closed.is_set():
             if not self._changed:
-                self._waitset.wait(_FOREVER)
-            leftover = self._follow() if self._follows else []
+                self._waitset.wait(_FOREVER if self._settled else _STEP)
+            if not self._settled and time.monotonic() - self._since > dds_peers.DISCOVERY_S:
+                self._settled = self._changed = True
+            leftover = self._follow()
             for subscription in tuple(self._subscriptions):
                 leftover += [(subscription, cdr) for cdr in subscription.take(self._offer_of)]
                 for item, cdr in leftover:
@@ -371,9 +370,9 @@ class DdsGraph:
             leftover = []
             before = [*self._readers]
             for item in self._subscriptions:
-                if item.follows:
-                    offers = self._peers.writers[f"rt{item.topic}"].values()
-                    leftover += [(item, cdr) for cdr in item.follow(offers, self._offer_of)]
+                offers = self._peers.writers[f"rt{item.topic}"].values()
+                late = item.follow(offers, self._offer_of, settled=self._settled)
+                leftover += [(item, cdr) for cdr in late]
             if before != self._readers:
                 self._announce()
             return leftover

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from edoras_tools.ros import TypeStore
 
     Write = Callable[[bytes], int]
-    Take = Callable[[], list[bytes]]
     TakeWithInfo = Callable[[], list[tuple[bytes, Any]]]
 
 _PRIMITIVES: Final = {
@@ -132,19 +131,16 @@ def writer_of(writer: DataWriter[Any]) -> Write:
     return lambda cdr: dds_write(entity, _Sample(cdr, len(cdr)))
 
 
-def taker_of(reader: DataReader[Any]) -> Take:
-    """Return what takes the samples that wait, ``_MOST_SAMPLES`` at most: encapsulation, body, padding."""
-    take = info_taker_of(reader)
-    return lambda: [data for data, _ in take()]
-
-
 def info_taker_of(reader: DataReader[Any]) -> TakeWithInfo:
-    """Return what takes samples as ``taker_of`` does, each with its ``SampleInfo``."""
+    """Return what takes the samples that wait, ``_MOST_SAMPLES`` at most: each with its ``SampleInfo``.
+
+    A sample is encapsulation, body and padding.
+    """
     try:
-        from cyclonedds._clayer import ddspy_take  # type: ignore[import-not-found]
+        from cyclonedds._clayer import ddspy_read, ddspy_take  # type: ignore[import-not-found]
 
         entity = reader._ref  # noqa: SLF001
-        if isinstance(ddspy_take(entity, ANY_STATE, _MOST_SAMPLES), int):
+        if isinstance(ddspy_read(entity, ANY_STATE, 1), int):  # a sample may be there already
             return plain_taker_of(reader)
     except (ImportError, AttributeError, TypeError):
         return plain_taker_of(reader)

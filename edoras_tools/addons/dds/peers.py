@@ -106,7 +106,7 @@ _ROS_TOPIC: Final = "rt"
 _AT_ONCE: Final = 256
 _HASH_LENGTH: Final = len(HASH_VERSION) + 64
 _ALIKE: Final = 0.8
-_PATIENCE_S: Final = 1.5
+DISCOVERY_S: Final = 1.5
 """Discovery by multicast takes some tenths of a second."""
 _STEP_S: Final = 0.05
 
@@ -280,7 +280,7 @@ def distro_seen(domain: int, options: Mapping[str, str]) -> str | None:
     try:
         participant = DomainParticipant(domain)
         peers = Discovered(participant)
-        end = monotonic() + _PATIENCE_S
+        end = monotonic() + DISCOVERY_S
         while peers.distro is None and monotonic() < end:
             sleep(_STEP_S)
             peers.update()
