@@ -29,10 +29,10 @@ TIMEOUT_S: Final = 11
 """Whole seconds of silence, after which a peer is disconnected."""
 ANNOUNCE_S: Final = 11
 """Whole seconds between announcements to a peer that is not connected."""
-DATAGRAMS_PER_WAKE: Final = 100
-"""So many SBN reads at a wake-up, about; what its socket cannot hold beyond that is dropped unseen."""
 WAKE_NS: Final = 200 * MILLISECOND
-"""Period at which peer pipes are served and times looked at."""
+"""Period at which peer pipes are served and times looked at.
+
+What comes is read by a task of its own that does not wait: 400 datagrams at once all arrived."""
 PIPE_DEPTH: Final = 32
 PEER_MSG_LIMIT: Final = 8
 """Messages of one MsgId that may wait in a peer's pipe."""

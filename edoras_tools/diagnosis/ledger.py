@@ -77,7 +77,7 @@ _NO_INGEST: Final = f"{NOT_COUNTED}no 0x884 of this CI, no kernel counter of its
 _NO_BUS: Final = f"{NOT_COUNTED}no 0x803 of its cFS"
 _BY_BUS: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost", "lost": "0x803"}
 _BEFORE_CI: Final = frozenset({"network", "socket", "down", "restart", "ci_stopped", PORT_CLOSED})
-_NOT_READ: Final = frozenset({"sbn_socket", "down", PORT_CLOSED})
+_NOT_READ: Final = frozenset({"down", PORT_CLOSED})
 _ON_BUS: Final = frozenset({*COUNTERS, "unknown"})
 _BEHIND_BUS: Final = frozenset({"stopped", "restart_failed", "away", "unsubscribed", "disabled"})
 _AT_PIPE: Final = frozenset({*COUNTERS, "stopped", "away"})
@@ -127,7 +127,6 @@ CAUSES: Final[Mapping[str, LossCause]] = {
     ),
     PEER_RESTARTED: LossCause("sent to an SBN peer that restarted"),
     UNHEARD: LossCause("sent to a silent SBN peer"),
-    "sbn_socket": LossCause("at SBN's full socket", "SBN's socket was full"),
     "fragments": LossCause(
         "on the way, where later fragments are dropped", "its later fragments never came", ("lost_after_cfs",)
     ),
@@ -565,8 +564,7 @@ def _taken_in(
         way.lose(losses, _BEFORE_CI)
         way.end("waiting", fate.ends["queued"])
         way.end("uncertain", fate.ends["crowded"])
-        way.end("unaccounted", fate.ends["uncounted"])
-        way.end("not_captured", min(fate.ends["late"] + fate.ends["unsure"], way.left))
+        way.end("not_captured", min(fate.ends["late"], way.left))
     elif any(loss.kind in _NOT_READ for loss in losses):
         way.hop(SBN_SOCKET, {"in": _SEEN, "out": "not counted: what came out, and what the bus counts"})
         way.lose(losses, _NOT_READ)

@@ -178,7 +178,7 @@ RELAY_DROPPED += [141, 145, 150, 155, 163, 170, 172, 174, 192, 198, 199, 205, 20
 @pytest.mark.each(2)
 @pytest.mark.long("45", "135")
 @pytest.mark.parametrize("tenths_of_a_second", every(5, range(0, 390, 9)))
-def test_what_the_first_counts_do_not_tell_is_not_captured(tenths_of_a_second, batches):
+def test_what_the_first_counts_do_not_tell_may_be_lost(tenths_of_a_second, batches):
     """A capture that begins amid commands does not show whether CI read the ones before its first count.
 
     In a few seconds a slow network explains what is missing as well: then it may wait.
@@ -189,7 +189,7 @@ def test_what_the_first_counts_do_not_tell_is_not_captured(tenths_of_a_second, b
     found = examined(whole, start_ns, end_ns, ports=((CI, 5234),))
     (line,) = [item for item in found.headlines if item.topic == f"0x{TWIST:04x}"]
     true = int((sent[RELAY_DROPPED] >= start_ns).sum())
-    assert line.lost <= true <= line.lost + line.waiting + line.not_captured
+    assert line.lost <= true <= line.lost + line.waiting + line.not_captured + line.uncertain
     if start_ns < sent[0]:
         assert (line.lost, line.not_captured) == (true, 0)
 

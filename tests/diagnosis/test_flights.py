@@ -46,6 +46,12 @@ FLIGHTS = {
     "ci_restarted_at_the_start": (178, {"restart": 31, "restart_failed": 144, "stopped": 2, "limit": 1}),
     "clock_set_in_overload": (79, {"limit": 67, "sbn_peer_restart": 12}),
     "scheduler_restarted": (155, {"limit": 155}),
+    "slow_uplink": (33, {"network": 21, "limit": 12}),
+    "floods_of_two_robots": (700, {"socket": 698, "limit": 2}),
+    "peer_of_another_name": (119, {"unknown_peer": 46, "away": 20, "port_closed": 2, "limit": 51}),
+    "turned_away_by_a_router": (101, {"network": 100, "limit": 1}),
+    "link_down": (172, {"after": 117, "network": 55}),
+    "two_cfs": (302, {"limit": 196, "sbn_timeout": 88, "unknown": 18}),
     "entry_removed_and_added": (163, {"restart_failed": 75, "stopped": 40, "limit": 48}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
@@ -55,6 +61,7 @@ RANGES = {
     "both_bridges_off": 80,
     "restarted_without_events": 156,
     "relay_of_peers": 46,
+    "peer_restarts_at_once": 7,
 }
 
 
@@ -90,6 +97,7 @@ def first_screen(found):
         "refused_*",
     ),
     *("stood_still_when_idle", "uplink_alone", "ci_restarted_*", "entry_*"),
+    *("slow_uplink", "turned_*", "link_down"),
 )
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_the_doctor_says_how_many_were_lost_and_why(name):
@@ -204,3 +212,24 @@ def test_stalls_of_a_cfs_that_sends_little_are_named():
 
 def test_a_rate_that_lost_some_here_is_not_called_clean():
     assert "got through here" not in first_screen(examined("hole_in_overload"))
+
+
+def test_what_a_router_turned_away_is_told_with_its_errors():
+    text = first_screen(examined("turned_away_by_a_router"))
+    assert "at firewalls on the way: ICMP errors came back" in text
+
+
+def test_the_time_of_a_loss_behind_cfs_is_that_of_its_gaps():
+    (span,) = {
+        (item.start_ns, item.end_ns)
+        for item in examined("link_down").verdicts
+        if item.rule == "lost_after_cfs" and item.msg_id == 0x829
+    }
+    assert 9 < (span[1] - span[0]) / 1e9 < 11
+
+
+def test_housekeeping_of_another_cfs_over_a_limit_is_no_loss_of_what_is_seen_to_go_out():
+    rows = {(row.msg_id, row.hop): row.all_lost for row in examined("two_cfs").balance}
+    assert rows[0x82D, "SBN_1_66_Pipe"] == 113
+    assert rows[0x82D, "TO_LAB_TLM_PIPE"] == 71
+    assert rows[0x800, "TO_LAB_TLM_PIPE"] == 2

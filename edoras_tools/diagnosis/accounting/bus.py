@@ -558,7 +558,9 @@ class Telemetry:
         """Add a loss of what is missing from a span, and return it."""
         stream, span = part.stream, part.span
         hop = self._case.pipe_of(stream) if kind in COUNTERS else BEHIND
-        loss = Loss(kind, hop, number, span.start_ns, span.end_ns, confidence, part.owner, stream.msg_id)
+        # Of a pipe the rate counts, of other places when they are missing.
+        times = (span.start_ns, span.end_ns) if kind in COUNTERS else part.among.times_ns
+        loss = Loss(kind, hop, number, *times, confidence, part.owner, stream.msg_id)
         loss.stream, loss.span, loss.of, loss.among = stream, span, of, part.among
         loss.evidence, loss.closed = list(part.evidence), part.closed
         self.losses.append(loss)

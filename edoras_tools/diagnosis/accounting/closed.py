@@ -221,7 +221,8 @@ def unheard(case: Case) -> dict[int, Unheard]:
             for restart in connection.restarts:
                 gone = (times > restart.dead_ns) & (times < restart.back_ns)
                 item.restarted += np.flatnonzero(gone).tolist()
-                item.uncertain += int(((times > restart.read_ns) & (times <= restart.dead_ns)).sum())
+                unread = (times > restart.read_ns) & (times <= restart.dead_ns)
+                item.uncertain += int((unread & ~case.unreachable.closed[stream.rows]).sum())
     return found
 
 

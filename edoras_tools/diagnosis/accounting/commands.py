@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.cfs import command_ingest, queues, sbn, telemetry_output
+from edoras_tools.cfs import command_ingest, queues, telemetry_output
 from edoras_tools.diagnosis.accounting.claims import (
     Rank,
     settle_doubted,
@@ -43,7 +43,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     follow,
     regroup,
 )
-from edoras_tools.diagnosis.accounting.pipes import LATE_NS, Leftover, Pipes
+from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
 from edoras_tools.diagnosis.matching.streams import bursts, full_rounds
 from edoras_tools.diagnosis.quality import CONFIDENCE, binomial_tail, largest_number
 from edoras_tools.links.table import among
@@ -353,9 +353,7 @@ class Commands:
     def _untold(self, fate: Fate) -> int:
         """Return of how many messages nothing has told what became of them."""
         lost = sum(loss.lost for loss in self.losses if loss.stream is fate.stream)
-        taken = fate.refused.total() + sum(
-            fate.ends[how] for how in ("queued", "crowded", "late", "uncounted")
-        )
+        taken = fate.refused.total() + sum(fate.ends[how] for how in ("queued", "crowded", "late"))
         return max(0, len(fate.stream) - lost - taken)
 
     def _number(self, fates: Sequence[Fate]) -> None:
@@ -440,8 +438,6 @@ class Commands:
         ends["superseded"] = int((fate.open & fate.newer).sum())
         fate.open &= ~fate.newer
 
-        if fate.stream.link.peers:
-            self._rushed(fate, fate.stream.time_ns)
         ends["beyond"] = int((fate.open & fate.edge).sum())
         unaccounted = int(fate.open.sum()) - ends["beyond"]
         # One that came out and was lost behind that took others' place, too.
@@ -468,26 +464,6 @@ class Commands:
         superseded = min(ends["shared"], ends["superseded"])
         ends["superseded"] -= superseded
         ends["passed_on"] -= ends["shared"] - superseded
-
-    def _rushed(self, fate: Fate, times: NDArray[np.int64]) -> None:
-        """Tell lost in SBN's socket what did not come out, and came when SBN had more than it reads."""
-        rows, wake_ns = self._case.rows, self._case.profile.sbn_wake_ns
-        there = np.sort(rows.time_ns[rows.destination == fate.stream.receiver])
-        before = np.searchsorted(there, times, "right") - np.searchsorted(there, times - wake_ns, "right")
-        beyond = times[before > sbn.DATAGRAMS_PER_WAKE]
-        if not len(beyond):
-            return
-        # Others of that time may have been lost behind the application: which they were, no value tells.
-        after = np.minimum(np.searchsorted(beyond, times), len(beyond) - 1)
-        away = np.minimum(np.abs(times - beyond[after]), np.abs(times - beyond[np.maximum(after - 1, 0)]))
-        chosen = np.flatnonzero(fate.open & (away <= LATE_NS))
-        chosen = np.sort(chosen[np.argsort(away[chosen], kind="stable")][: len(beyond)])
-        if fate.claim(chosen):
-            text = (
-                f"up to {int(before.max()):,} datagrams came to it within {wake_ns // 1_000_000} ms, and it "
-                f"reads about {sbn.DATAGRAMS_PER_WAKE}; no counter has what its socket drops"
-            )
-            self.losses.append(fate.loss("sbn_socket", chosen, [text], hop=SBN_SOCKET))
 
 
 def hold_back(case: Case, claims: Sequence[Claim]) -> None:

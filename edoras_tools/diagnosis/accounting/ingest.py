@@ -22,7 +22,6 @@ Rules:
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -46,7 +45,9 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
 
-Cause = Literal["socket", "network", "down", "restart", "ci_stopped", "unknown"]
+QUOTED: Final = "ICMP errors about "
+"""Evidence that begins so names messages that a router or a firewall turned away."""
+Cause = Literal["socket", "network", "down", "restart", "ci_stopped"]
 _SLACK_NS: Final = 100 * MILLISECOND
 """Tasks on a busy host wake up so late."""
 _UNDER_WAY_NS: Final = 2 * SECOND
@@ -54,7 +55,6 @@ _LATE_NS: Final = 2 * SECOND
 _ONE_NS: Final = 15 * SECOND
 _ENDS_NS: Final = 750 * MILLISECOND
 """An application that is told to stop runs on for up to a second and a half."""
-_NAMED: Final = re.compile(rf"\b(?:{'|'.join(map(re.escape, command_ingest.NAMES))})\b")
 _HELD_NS: Final = 2 * SECOND
 """So long an application may keep what it does not send at once, and the link behind it."""
 DRAINS_NS: Final = 15 * SECOND
@@ -166,8 +166,9 @@ def ingests(case: Case) -> list[Ingest]:
             account = counted.account()
             if account.lost_on_network or (account.lost and account.not_captured):
                 late = counted.account(_UNDER_WAY_NS)
-                # What a slow network explains altogether is no loss: rule 8.
-                account = account if late.lost_on_network else replace(late, unsure=account.unsure)
+                # What a slow network explains is no loss, and no copy: rule 8.
+                if not late.lost_on_network or late.not_captured < account.not_captured:
+                    account = replace(late, unsure=account.unsure)
             found.append(account)
     return [*found, *_by_kernel(case, to_ci, {item.endpoint for item in found})]
 
@@ -316,7 +317,7 @@ class _Counted:
             run = _Run(self._seen[part], low - before, high, drained, busy, 2 * most, unread)
             lost = _follow(account, run, lost, begin)
             if not first and before and unread is None and account.losses and not busy[1:2].any():
-                account.unsure = max(0, before - self._surely_sent(int(emptied_ns[0])) + own[0].count)
+                account.unsure += max(0, before - self._surely_sent(int(emptied_ns[0])) + own[0].count)
             account.waiting = max(0, int(run.high[-1]) - lost)
             last, crowded = first, bool(busy[-1])
             idle = np.flatnonzero(drained[1:])
@@ -382,16 +383,13 @@ class _Counted:
 
     def _stop(self, account: Ingest) -> None:
         """Add what was sent since a CI was stopped, where it did not start again."""
-        last, instances, found = self._own[-1], self._case.instances, None
-        for record in self._case.payloads.events:
-            own = record.app == executive_services.NAME and instances.saying(record) == last.instance
-            if own and record.time_ns > last.seen_ns - _LATE_NS and _NAMED.search(record.message):
-                until = self._commanded_ns(last.seen_ns - SECOND, record.time_ns)
-                stops = record.event_id == executive_services.STOPPED
-                found = (f"event {record}", max(until, default=record.time_ns)) if stops else None
-        if found and (unread := int((self._sent_ns > found[1]).sum())):
-            span = found[1], int(self._sent_ns[-1])
-            account.losses.append(Before("ci_stopped", unread, *span, said=found[0]))
+        for item in self._case.outages:
+            if item.app in command_ingest.NAMES and item.system == self._system and item.end_ns is None:
+                told = self._commanded_ns(self._own[-1].seen_ns - SECOND, item.ended_ns)
+                since_ns = max(told, default=item.ended_ns)
+                if unread := int((self._sent_ns > since_ns).sum()):
+                    span = since_ns, int(self._sent_ns[-1])
+                    account.losses.append(Before("ci_stopped", unread, *span, said=item.witness))
 
     def _commanded_ns(self, start_ns: int, end_ns: int) -> list[int]:
         """Return until when CI may have read on after commands that end it, of those between two times."""
@@ -609,7 +607,8 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int]) -> 
                     # As far as its counts tell, these were missing at the first of them already.
                     lost += max(0, min(run.unread, number - lost, missing_first))
                 elif not account.losses and {cause, begin[0]} == {"network"} and missing_first >= number:
-                    cause, since_ns = "unknown", begin[1]
+                    account.unsure += number - lost  # or a CI read them that started again since
+                    lost = number
             until_ns = int(run.seen[level.first])
             if number > lost:
                 account.add(Before(cause, number - lost, min(since_ns, until_ns), until_ns))
@@ -649,7 +648,7 @@ class BeforeCi:
             self._before_ci(account, before)
         most = [int(fate.open.sum()) for fate in fates]
         for fate, share in zip(fates, shares(account.unsure, most, most), strict=True):
-            fate.ends["unsure"] = fate.claim(np.flatnonzero(fate.open)[:share])
+            fate.ends["crowded"] += fate.claim(np.flatnonzero(fate.open)[:share])
 
     def _to(self, account: Ingest) -> list[Fate]:
         """Return what became of the streams that went to a CI."""
@@ -687,10 +686,13 @@ class BeforeCi:
             before = self._just_before(before, fates, left)
             spans.insert(0, (fates, before.start_ns))
         # What an ICMP error quotes is that one.
-        left -= self._spread(fates, before, before.since_ns, left, evidence, refused=True)
+        quoted = self._spread(fates, before, before.since_ns, left, evidence, quoted=True)
+        left -= quoted
+        if quoted and before.cause == "network":
+            evidence.append(f"{QUOTED}{quoted:,} of them came back")
         for those, since_ns in spans:
             left -= self._spread(those, before, since_ns, left, evidence)
-        if left and before.cause != "unknown":  # of no stream, as those without a MsgId
+        if left:  # of no stream, as those without a MsgId
             span = before.start_ns, before.end_ns
             hop = LOST_AT[before.cause]
             self.losses.append(Loss(before.cause, hop, left, *span, "medium", evidence=evidence))
@@ -722,17 +724,17 @@ class BeforeCi:
         number: int,
         evidence: list[str],
         *,
-        refused: bool = False,
+        quoted: bool = False,
     ) -> int:
         """Tell up to so many messages of some streams lost before CI; return how many were.
 
         Args:
-            refused: only those that an ICMP error quotes.
+            quoted: only those that an ICMP error quotes.
         """
         may = [fate.open & self._within(fate, before, since_ns) for fate in fates]
-        if refused:
-            closed = self._case.unreachable.closed
-            may = [own & closed[fate.stream.rows] for own, fate in zip(may, fates, strict=True)]
+        if quoted:
+            errors = self._case.unreachable.closed | self._case.unreachable.refused
+            may = [own & errors[fate.stream.rows] for own, fate in zip(may, fates, strict=True)]
         windows = [np.flatnonzero(own) for own in may]
         most = [len(inside) for inside in windows]
         parts = shares(number, most, most)
@@ -745,10 +747,7 @@ class BeforeCi:
             others = np.setdiff1d(inside, sure)
             chosen = np.union1d(sure, _spread_evenly(others, share - len(sure)))
             fate.claim(chosen)
-            if before.cause == "unknown":
-                fate.ends["uncounted"] += share
-            else:
-                self.losses.append(fate.loss(before.cause, chosen, evidence, among=inside))
+            self.losses.append(fate.loss(before.cause, chosen, evidence, among=inside))
         return sum(parts)
 
     def outnumbered(self, account: Ingest) -> None:
@@ -807,10 +806,4 @@ def _evidence(account: Ingest, before: Before) -> list[str]:
         of = f"{before.lost:,} of {len(account.rows):,} datagrams"
         return [f"/edoras/host: {of} dropped in its socket (the kernel's counter)"]
     of = f"{account.taken:,} of {account.taken + account.lost + account.waiting:,} datagrams sent to it"
-    evidence = [f"0x884: CI took {of}", f"{before.lost:,} of them lost between two of its counts"]
-    if account.unsure:
-        evidence.append(
-            "the capture begins amid commands, of which its first counts may have some or not: up to "
-            f"{account.unsure:,} more may be lost, told as not captured"
-        )
-    return evidence
+    return [f"0x884: CI took {of}", f"{before.lost:,} of them lost between two of its counts"]

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import Confidence
 
 IngestKind = Literal["network", "socket", "down", "restart", "ci_stopped", "port_closed"]
-AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled", "sbn_socket"]
+AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled"]
 LossKind = PipeKind | IngestKind | AppKind | Literal["after", "unknown", "fragments"]
 """Over a limit or out of a full pipe; behind cFS; on the way to CI; in CI's socket; while cFS or CI was down;
 while the application was, or after it was started again and passed nothing on; while an SBN peer was away, or
@@ -66,6 +66,12 @@ class Among:
     stream: Stream
     rows: NDArray[np.intp]
     missing: NDArray[np.int64] | None = None
+
+    @property
+    def times_ns(self) -> tuple[int, int]:
+        """When the first was, and the last; where they are missing, what came before and behind."""
+        times, last = self.stream.time_ns, int(self.rows[-1]) + (self.missing is not None)
+        return int(times[self.rows[0]]), int(times[min(last, len(times) - 1)])
 
 
 @dataclass(slots=True)
@@ -134,8 +140,6 @@ End = Literal[
     "queued",
     "crowded",
     "late",
-    "unsure",
-    "uncounted",
     "passed_on",
     "superseded",
     "unaccounted",
@@ -150,9 +154,7 @@ End = Literal[
 """How messages into cFS end that are in no loss.
 
 At CI: ``queued`` may wait in its socket, ``crowded`` only if that holds more than usual, or it may have read
-them just before it went down; ``late`` were sent
-after its last count; of ``unsure`` its first counts do not tell whether it read them; ``uncounted`` are not
-in its first count, and nothing tells why.
+them just before it went down, or before its first count; ``late`` were sent after its last count.
 
 On the bus: ``earlier`` may be some that its first count had already; ``shared`` is the most that may be among
 those that a counter has of several traffics together, and ``elsewhere`` those that did not come out and may
@@ -303,8 +305,7 @@ def follow(case: Case, stream: Stream) -> Fate:
 
 def regroup(case: Case, fate: Fate) -> None:
     """Mark what may have given way as well, once it is told what was lost before it could be taken."""
-    rows = np.flatnonzero(fate.open | fate.arrived)
-    fate.newer[rows] |= _newer(case, fate.hops, fate.open[rows], fate.stream.time_ns[rows])
+    fate.newer |= _newer(case, fate.hops, fate.open, fate.stream.time_ns)
 
 
 def _newer(
@@ -318,12 +319,22 @@ def _newer(
     out = np.zeros(len(times), bool)
     if not _keep_newest(hops):
         return out
-    came = np.flatnonzero(~absent)
-    behind = np.searchsorted(came, np.flatnonzero(absent))
-    rows, behind = np.flatnonzero(absent)[behind < len(came)], behind[behind < len(came)]
-    first = np.where(behind > 0, came[behind - 1] + 1, 0)
-    next_ns = times[came[behind]]
-    out[rows] = (next_ns - times[first] <= 2 * WAITS_NS) | (next_ns - times[rows] <= _BURST_NS)
+    came = np.flatnonzero(np.logical_or.reduce([hop.arrived for hop in hops]))
+    rows = np.flatnonzero(absent)
+    behind = np.searchsorted(came, rows)
+    rows, behind = rows[behind < len(came)], behind[behind < len(came)]
+    _, first = np.unique(behind, return_index=True)
+    first_ns = times[rows[np.repeat(first, np.diff(np.append(first, len(rows))))]]
+    next_ns, out_ns = times[came[behind]], np.full(len(times), np.iinfo(np.int64).max)
+    for hop in hops:
+        out_ns[hop.in_rows] = hop.out.time_ns[hop.out_rows]
+    # CI may have read together what was sent at other times: then little lies between what came out.
+    apart_ns = out_ns[came[behind]] - out_ns[came[behind - 1]]
+    out[rows] = (
+        ((behind > 0) & (apart_ns >= 0) & (apart_ns <= 2 * WAITS_NS))
+        | (next_ns - first_ns <= 2 * WAITS_NS)
+        | (next_ns - times[rows] <= _BURST_NS)
+    )
     left_ns = np.sort(np.concatenate([hop.out.time_ns for hop in hops]))
     for system, owner in case.timeline.subjects:
         sleeps = owner.kind == "app" and owner.name in executive_services.SCHEDULERS

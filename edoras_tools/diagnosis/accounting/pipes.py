@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping  # noqa: TC003  _TICKS is annotated with it
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import TYPE_CHECKING, Final
 
@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.accounting.closed import Outage
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind, ReportedLoss
+    from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Span, Stream
     from edoras_tools.diagnosis.verdict import Confidence
 
@@ -378,6 +379,16 @@ class _Candidate:
         return self.stream.link.label if self.stream else "", self.msg_id, self.pipe
 
 
+def _not_seen(item: _Candidate, hop: Hop) -> _Candidate:
+    """Return a candidate less what is seen not to go out: between the first that did and the last."""
+    times, out_ns = hop.into.time_ns, hop.out.time_ns
+    beyond = hop.absent & ((times < out_ns[0]) | (times > out_ns[-1]))
+    spans = [
+        replace(span, count=int(beyond[span.first : span.last + 1].sum()), missing=0) for span in item.spans
+    ]
+    return replace(item, spans=[span for span in spans if span.count], queue=None)
+
+
 class Leftover:
     """Shares out what counters have left.
 
@@ -583,7 +594,9 @@ class Leftover:
     def _suspects(self, instance: int) -> Iterator[_Candidate]:
         case = self._case
         application, output = queues.application_pipe(case.profile), queues.telemetry_pipe(case.profile)
-        leaving = {stream.msg_id for stream in case.streams if stream.link.only_from_cfs}
+        leaving = [stream for stream in case.streams if stream.link.only_from_cfs]
+        followed = {id(hop.into): hop for hop in map(case.upstream, leaving) if hop}
+        msg_ids = {stream.msg_id for stream in leaving}
         for stream in case.streams:
             if stream.is_housekeeping and not stream.link.only_to_cfs:
                 continue
@@ -591,10 +604,11 @@ class Leftover:
             if stream.link.only_to_cfs and not (fate and fate.seen):
                 if most_at_once(times, application.round_ns) > application.usual_limit:
                     yield self._candidate(stream, APP)
-            elif stream.link.peers and stream.msg_id in leaving and case.goes_to(stream, instance):
+            elif stream.link.peers and stream.msg_id in msg_ids and case.goes_to(stream, instance):
                 over = most_at_once(times, output.round_ns) > output.limit(stream.msg_id)
                 if over and case.owner(stream) != instance:
-                    yield self._candidate(stream, telemetry_output.PIPE)
+                    item, hop = self._candidate(stream, telemetry_output.PIPE), followed.get(id(stream))
+                    yield item if hop is None else _not_seen(item, hop)
 
     def _pipe(self, stream: Stream) -> str:
         """Return the pipe that traffic goes into: an application's, Telemetry Output's or an SBN peer's."""

@@ -223,6 +223,7 @@ class Network:
                 alive_ns = int(rows.time_ns[said[0]])
                 changes = self._changes(rows, heard, alive_ns, end_ns, _farewells(rows, sent))
                 changes = _believed(changes, rows.time_ns[app])
+                changes = _greeted(changes, rows, sent, app)
                 self.connections[peer, observer] = Connection(
                     peer[0], observer[0], changes, rows.time_ns[app], _restarts(rows, heard, sent, changes)
                 )
@@ -329,6 +330,29 @@ def _believed(changes: list[PeerChange], sent_ns: Integers) -> list[PeerChange]:
     return out
 
 
+def _greeted(changes: list[PeerChange], rows: Rows, sent: Places, app: Places) -> list[PeerChange]:
+    """Add time-outs that no silence shows: the observer kept back messages, and then subscribed anew.
+
+    It may not have read what it was sent meanwhile.
+    """
+    out, app_ns = list(changes), rows.time_ns[app]
+    for when in rows.time_ns[sent[rows.sbn_msg_type[sent] == sbn.MsgType.SUB]].tolist():
+        place, later = bisect_right(out, when, key=_TIME), int(np.searchsorted(app_ns, when))
+        if (
+            0 < later < len(app)
+            and place
+            and out[place - 1].state == "connected"
+            and rows.missing[app[later]]
+        ):
+            last_ns = int(app_ns[later - 1])
+            if out[place - 1].time_ns < last_ns < when - _STILL_NS:
+                lost = PeerChange(
+                    last_ns + 1, "timed_out", "it was sent nothing until the observer subscribed anew"
+                )
+                out[place:place] = [lost, PeerChange(when, "connected", "the observer subscribed anew")]
+    return out
+
+
 def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]) -> list[PeerRestart]:
     """Return the restarts of a peer: it was silent for long while it was sent to, and then subscribed anew.
 
@@ -340,29 +364,33 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
         return []
     kinds, times, sent_ns = rows.sbn_msg_type[heard], rows.time_ns[heard], rows.time_ns[sent]
     usual_ns = int(np.quantile(steps, 0.95))
-    long_ns = max(_SHORT_NS, _FACTOR * usual_ns)
-    subscribes = times[kinds == sbn.MsgType.SUB]
+    subs = np.flatnonzero(kinds == sbn.MsgType.SUB)
+    subscribes = times[subs]
     # All that it asks for at once is one time; one that repeats does so every few seconds.
     begins = int((np.diff(subscribes, prepend=0) > SECOND // 4).sum())
     repeats = begins > 2 + len(changes) + (times[-1] - times[0]) // _RARE_NS
     answers = times[kinds == sbn.MsgType.PROTO]
     app_ns = sent_ns[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
     answering = 2 * len(answers) >= len(app_ns)
+    # What one that answers does not answer shows a shorter silence, too.
+    long_ns = max(_SHORT_NS // 4, 2 * usual_ns) if answering else max(_SHORT_NS, _FACTOR * usual_ns)
     found = []
     for place in np.flatnonzero(steps > long_ns).tolist():
         start_ns, end_ns = times[place : place + 2].tolist()
         followed = any(start_ns <= item.time_ns < end_ns for item in changes)
-        asked = int(((app_ns > start_ns + usual_ns) & (app_ns < end_ns)).sum())
-        if followed or not asked or kinds[place + 1] != sbn.MsgType.SUB:
+        read_ns = int(answers[answers <= start_ns].max(initial=0)) if answering else start_ns
+        unread_ns = read_ns if answering else start_ns + usual_ns
+        asked = int(((app_ns > unread_ns) & (app_ns < end_ns)).sum())
+        anew = subs[(subscribes >= end_ns) & (subscribes < end_ns + SECOND // 4)]
+        if followed or not asked or not len(anew):
             continue
         if repeats:
             until_ns = end_ns + _STILL_NS
-            later = int(((sent_ns > end_ns) & (sent_ns < until_ns)).sum())
-            answered = int(((answers > end_ns) & (answers < until_ns + _ANSWERS_NS)).sum())
-            if not answering or answered > later + asked // 2:
+            later, answered = (int(((own > end_ns) & (own < until_ns)).sum()) for own in (sent_ns, answers))
+            all_read = answered > later + asked // 2 or len(answers) + asked > len(sent_ns)
+            if not answering or all_read:
                 continue
-        around = int(heard[place]), int(heard[place + 1])
-        read_ns = int(answers[answers <= start_ns].max(initial=0)) if answering else start_ns
+        around = int(heard[place]), int(heard[anew[0]])
         found.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))
     return found
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from edoras_tools.cfs import sbn
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.software_bus import NAME
 from edoras_tools.diagnosis.accounting.budget import limit
@@ -49,10 +48,6 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
         "disabled": (
             "Telemetry Output was not to send them",
             f"enable Telemetry Output as soon as it runs: {case.inject(ENABLE_OUTPUT)}",
-        ),
-        "sbn_socket": (
-            "more came at once than SBN reads",
-            f"send at most {sbn.DATAGRAMS_PER_WAKE} datagrams in {case.profile.sbn_wake_ns // 10**6} ms",
         ),
     }
     for loss in case.losses:

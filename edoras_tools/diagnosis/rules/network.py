@@ -128,11 +128,13 @@ def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
         for last_ns, dead_ns, back_ns, (last, first), read_ns in connection.restarts:
             sent = connection.sent_ns[(connection.sent_ns > read_ns) & (connection.sent_ns < back_ns)]
             lost = int((sent > dead_ns).sum())
+            reached = "reached nobody" if lost else "may have reached nobody"
+            number = plural(lost or len(sent), "message")
             yield verdict(
                 Severity.ERROR if lost else Severity.WARNING,
                 f"SBN peer {connection.peer} was started again: nothing came from it from {case.at(last_ns)} "
                 f"to {case.at(back_ns)}, then it subscribed anew. {connection.observer} did not notice, and "
-                f"{plural(lost, 'message')} that it sent reached nobody",
+                f"{number} that it sent {reached}",
                 f"packet {case.rows.number[last]} is its last, packet {case.rows.number[first]} its SUB",
                 f"{len(sent) - lost:,} more may have been heard, until {case.at(dead_ns)}",
                 place=("sbn", f"SBN peer {connection.peer}"),
@@ -552,6 +554,9 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             + (_CRASH if rows.streamed[members].any() else ""),
             said,
         )
+        if NO_MSG_ID in carried[1:] or len(carried) > 1:  # subscriptions are no messages
+            messages = int((rows.msg_id[members] != NO_MSG_ID).sum())
+            refused = replace(refused, lost=messages, of=messages)
         one = len(carried) == 1 and carried[0] != NO_MSG_ID
         yield replace(refused, msg_id=carried[0]) if one else refused
 

@@ -11,6 +11,7 @@ from edoras_tools.cfs import command_ingest, queues, telemetry_output
 from edoras_tools.cfs.commands import ENABLE_OUTPUT
 from edoras_tools.cfs.executive_services import STARTS
 from edoras_tools.cfs.names import MSG_ID_NAMES
+from edoras_tools.diagnosis.accounting.ingest import QUOTED
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKET
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
 from edoras_tools.diagnosis.advice import (
@@ -329,28 +330,14 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
             relay = loss.hop.startswith(RELAY_HOP)
             why = "they did not come out" if relay else "CI did not read them, and it can read so many"
             uplink = "look at the uplink: a capture on the cFS host shows which of them arrive there"
+            if any(line.startswith(QUOTED) for line in loss.evidence):
+                uplink = "look at the route to that host, and at firewalls on the way: ICMP errors came back"
             yield loss_verdict(
                 case,
                 loss,
                 f"{lost_at(case, loss, 'commands')}: {why}",
                 link=loss.stream.link.label if loss.stream else "ci",
                 remedy="look at its log and its queue" if relay else uplink,
-            )
-    for fate in case.commands.fates.values():
-        if number := fate.ends["uncounted"]:
-            stream = fate.stream
-            start_ns = int(stream.time_ns[0])
-            counted = (item.first_ns for item in case.ingests_at(stream.receiver))
-            yield warning(
-                f"{number:,} of {len(stream):,} commands on {case.name(stream.msg_id)} are not "
-                "accounted for: CI's first count has fewer than were sent before it",
-                "lost on the way, or read by a CI that started again since: no count tells",
-                msg_id=stream.msg_id,
-                place=("ci", command_ingest.NAME),
-                of=len(stream),
-                span=(start_ns, max(start_ns, *counted)),
-                remedy="capture from before the commands, and have Telemetry Output enabled first",
-                confidence="medium",
             )
     for account in case.ingests:
         if account.not_captured:
