@@ -40,7 +40,7 @@ end
 
 -- Make a function that adds some slots of a layout, without a loop: (node, tvb, offset, the datagram's bytes).
 local function adder(layout, slots)
-	local text = {"local add, put, cut, text, mark, fields, names = ...", "", "return function(node, tvb, at, s)", "local range"}
+	local text = {"local add, put, turn, cut, text, mark, fields, names = ...", "", "return function(node, tvb, at, s)", "local range"}
 	local fields, names, before = {}, {}, {}
 	for index, slot in ipairs(slots) do
 		fields[index], names[index] = slot.record.field, slot.names
@@ -54,17 +54,19 @@ local function adder(layout, slots)
 			)
 		elseif slot.special then
 			text[#text + 1] = format(
-				"mark(put(node, field%d, range), range:bitfield(%d, %d), names[%d])",
+				"mark(%s(node, field%d, range), range:bitfield(%d, %d), names[%d])", slot.turned and "turn" or "put",
 				index, slot.special[1], slot.special[2], index
 			)
 		else
-			text[#text + 1] = format("put(node, field%d, range)", index)
+			text[#text + 1] = format("%s(node, field%d, range)", slot.turned and "turn" or "put", index)
 		end
 		before = slot
 	end
 	text[#text + 1] = "end"
 	local function readable(...) return utf8_text(D.text(...)) end
-	return load(table.concat(text, "\n"))(add, layout.little and add_le or add, cut, readable, mark, fields, names)
+	local put, turn = add, add_le
+	if layout.little then put, turn = turn, put end
+	return load(table.concat(text, "\n"))(add, put, turn, cut, readable, mark, fields, names)
 end
 
 for _, layout in pairs(D.layouts) do

@@ -37,7 +37,7 @@ LAYOUT_FILE: Final = "structs.yaml"
 """The layout file of a folder that 'edoras structs' wrote."""
 _LARGEST: Final = 1 << 24
 _TYPE: Final = re.compile(
-    r"(?P<name>[A-Za-z_]\w*)(?P<dims>(?:\[\w*\])*)(?::(?P<bits>\d+))?(?P<hex>\s+hex)?"
+    r"(?P<name>[A-Za-z_]\w*)(?P<dims>(?:\[\w*\])*)(?::(?P<bits>\d+))?(?P<hex>\s+hex)?(?:\s+(?P<order>big|little))?"
     r"(?:\s*@\s*(?P<offset>\w+)(?:\.(?P<bit>\d+))?)?",
     re.ASCII,
 )
@@ -416,6 +416,7 @@ class _Reader:
             if wrong:
                 self._mistake(where, f"{raw!r}: {rule}")
                 return None
+        about["order"] = match["order"] or ""
         member = Member(name, kind, offset, dims, bits, bit, 16 if match["hex"] else 10, **about)
         one = member.dims[-1] if member.text else size
         return Wanted(member, one, alignment, match["offset"] is not None)
@@ -526,4 +527,9 @@ def _member_text(member: Member) -> str:
 def type_text(member: Member) -> str:
     """Return a member's type as in a layout file, without its offset."""
     dims = "".join(f"[{size or ''}]" for size in member.dims)
-    return f"{member.type}{dims}" + f":{member.bits}" * bool(member.bits) + " hex" * (member.base == 16)
+    return (
+        f"{member.type}{dims}"
+        + f":{member.bits}" * bool(member.bits)
+        + " hex" * (member.base == 16)
+        + f" {member.order}" * bool(member.order)
+    )

@@ -155,6 +155,7 @@ class Member:
         polynomial: coefficients by rising power, which make a value of the number; nothing: they are one.
         yellow: values that give no reason for attention; None for no such limits.
         red: values that are not an alarm.
+        order: of its bytes; empty where it is that of its layout.
     """
 
     name: str
@@ -169,6 +170,7 @@ class Member:
     polynomial: tuple[float, ...] = ()
     yellow: Range | None = None
     red: Range | None = None
+    order: ByteOrder | Literal[""] = ""
 
     @property
     def text(self) -> bool:
@@ -307,7 +309,7 @@ class StructLayout:
         structs: by name, all that these use among them.
         enums: by name.
         bindings: the struct of each packet.
-        byte_order: of every number.
+        byte_order: of every number whose member says no other.
         package: ROS package of the messages.
         origin: the file it was read from, for messages.
         entries: of a dictionary, in the order of their keys; these have no cFE header. Else None.
@@ -322,6 +324,10 @@ class StructLayout:
     origin: str = ""
     entries: LayoutEntries | None = None
     notes: tuple[str, ...] = ()
+
+    def is_little(self, member: Member) -> bool:
+        """Tell whether the number of a member has its lowest byte first."""
+        return (member.order or self.byte_order) == "little"
 
     def enumeration(self, member: Member) -> Enumeration | None:
         """Return the enumeration that a member is of, or None."""

@@ -237,24 +237,24 @@ class StructPlan:
             self._bits(member, basic, at)
             self._leaf(path, member, at, at + (member.bit + member.bits + 7) // 8)
         else:
-            self._basic(basic, at, count)
+            self._basic(basic, at, count, "little" if self._layout.is_little(member) else "big")
             self._leaf(path, member, at, at + size * count)
 
     def _leaf(self, path: tuple[str | int, ...], member: Member, start: int, end: int) -> None:
         self.leaves.append(StructLeaf(path, member, start, end))
 
-    def _basic(self, basic: Basic, at: int, count: int) -> None:
+    def _basic(self, basic: Basic, at: int, count: int, order: str) -> None:
         if basic.kind is BasicKind.BOOL:
             for index in range(count):
                 source = HEAD.itemsize + at + index * basic.size
                 target = self._room(1, 1)
                 self._block.bits.append(Bits(source, target, basic.size, 8 * basic.size, 0, 1, truth=True))
         elif count:
-            self._copy(HEAD.itemsize + at, basic.size * count, basic.size, self._layout.byte_order)
+            self._copy(HEAD.itemsize + at, basic.size * count, basic.size, order)
 
     def _bits(self, member: Member, basic: Basic, at: int) -> None:
         size = (member.bit + member.bits + 7) // 8
-        little = self._layout.byte_order == "little"
+        little = self._layout.is_little(member)
         shift = member.bit if little else 8 * size - member.bit - member.bits
         into = _SIZES[PRIMITIVES[primitive(basic)]]
         place = HEAD.itemsize + at, self._room(into, into), size, member.bits, shift, into

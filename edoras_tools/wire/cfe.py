@@ -392,27 +392,6 @@ def length_of(packet: bytes) -> int:
     return (packet[4] << 8 | packet[5]) + ccsds.LENGTH_BIAS
 
 
-def whole_packet(packet: bytes) -> bytes:
-    """Return as many bytes as the length field states, padded with zeros if the buffer is shorter."""
-    size = length_of(packet)
-    return packet if len(packet) == size else packet[:size].ljust(size, b"\0")
-
-
 def function_code_of(packet: bytes) -> int:
     """Return the function code of a command: 7 bits behind the primary header."""
     return packet[6] & 0x7F
-
-
-def with_sequence_count(packet: bytes, count: int) -> bytes:
-    """Return the packet with an unsegmented sequence word, as cFE stamps it.
-
-    Args:
-        packet: at least a primary header.
-        count: 0 to 16383.
-    """
-    return packet[:2] + (ccsds.UNSEGMENTED << 14 | count).to_bytes(2, "big") + packet[4:]
-
-
-def with_length(packet: bytes, size: int) -> bytes:
-    """Return the packet with a length field for ``size`` bytes in all; nothing is added or cut."""
-    return packet[:4] + (size - ccsds.LENGTH_BIAS).to_bytes(2, "big") + packet[6:]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from math import prod
-from typing import Final
+from typing import Final, Literal
 
 from edoras_tools.addons.databases.documents import SheetError
 from edoras_tools.structs.messages import unique
@@ -123,13 +123,17 @@ class Placement:
     def open(self, name: str, item: DataType) -> str:
         """Add a list to the end of the packet; return why its elements are not shown, or nothing."""
         whole = item.bits == 8 * item.alignment if item.scalar else item.bits % 8 == 0
-        if not whole or self._bit % 8 or item.doubt or item.variable or item.order not in {None, self._order}:
+        if not whole or self._bit % 8 or item.doubt or item.variable:
             self.rest(BASIC["byte"], name)
             return (
                 item.doubt or "its elements are not alike, or of other than whole bytes; it is shown as bytes"
             )
-        self.rest(item.kind, name, item.dims, item.like)
+        self.rest(item.kind, name, item.dims, replace(item.like, order=self._own_order(item)))
         return ""
+
+    def _own_order(self, item: DataType) -> ByteOrder | Literal[""]:
+        """Return the byte order of a number where it is not that of the whole."""
+        return item.order if item.order and item.order != self._order else ""
 
     def rest(
         self, kind: Basic | str, name: str = "rest", dims: tuple[int, ...] = (), like: Member | None = None
@@ -153,8 +157,8 @@ class Placement:
         if item.dims and not item.whole_bits:
             return ""
         why = item.doubt
-        if not why and item.order not in {None, self._order}:
-            why = f"its {item.order}-endian number is beside {self._order}-endian ones"
+        if not why and self._own_order(item) and (at % 8 or item.bits != 8 * item.alignment):
+            why = f"its {item.order}-endian bits are beside {self._order}-endian numbers"
         member = self._member(unique(name, self._names), item, at, sound=not why)
         if member is None:
             return f"{why or 'it does not begin and end with a byte'}; it is left out"
@@ -167,8 +171,9 @@ class Placement:
     def _member(self, name: str, item: DataType, at: int, *, sound: bool) -> Member | None:
         """Return a member at a bit: as what it is where it is ``sound``, else as bytes; None: as neither."""
         byte, bit = divmod(at, 8)
-        member = replace(item.like, name=name, type=item.kind, offset=byte, dims=item.dims)
-        start = self._start(item, bit) if sound and not item.dims else None
+        order = self._own_order(item)
+        member = replace(item.like, name=name, type=item.kind, offset=byte, dims=item.dims, order=order)
+        start = self._start(item, bit) if sound and not item.dims and not order else None
         if sound and not bit and item.bits % 8 == 0 and (not item.scalar or item.bits == 8 * item.alignment):
             return member
         if start is not None:

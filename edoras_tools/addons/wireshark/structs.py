@@ -79,8 +79,7 @@ def _fields(bound: Bound, leaf: StructLeaf) -> Iterator[dict[str, Any]]:
     elif basic.kind in _WHOLE and step in {1, 2, 4, 8}:
         kind = f"{_WHOLE[basic.kind]}{8 * step}"
         if member.bits:
-            little = bound.layout.byte_order == "little"
-            shift = member.bit if little else 8 * step - member.bit - member.bits
+            shift = member.bit if bound.layout.is_little(member) else 8 * step - member.bit - member.bits
             mask = ((1 << member.bits) - 1) << shift
         if basic.kind is BasicKind.BOOL:
             values = {0: "false", 1: "true"}
@@ -95,6 +94,7 @@ def _fields(bound: Bound, leaf: StructLeaf) -> Iterator[dict[str, Any]]:
             "start": start,
             "size": step,
             "kind": kind,
+            "turned": (bool(member.order) and member.order != bound.layout.byte_order) or None,
             "mask": mask,
             "hex": (member.base == 16 and "int" in kind) or None,
             "names": dict(values) if "int" in kind and values else None,

@@ -240,7 +240,7 @@ def _members(layout: StructLayout, struct: Struct, prefix: str, *, whole: bool) 
             return tuple(items), False
         items += _padding(member.offset - at)
         if member.bits:
-            field = _bit_fields(unit, prefix, little=layout.byte_order == "little")
+            field = _bit_fields(unit, prefix, little=layout.is_little(member))
             items.append(field)
             at = member.offset + field.bits // 8
             continue
@@ -286,7 +286,7 @@ def _bit_fields(unit: Sequence[MessagePart], prefix: str, *, little: bool) -> Pa
 def _elements(layout: StructLayout, member: Member, name: str) -> tuple[Items, bool]:
     """Return the items of a member, one for each element of an array."""
     names = [f"{name}[{place}]" for place in range(member.count)] if member.array else [name]
-    basic, little = layout.basic(member), layout.byte_order == "little"
+    basic, little = layout.basic(member), layout.is_little(member)
     if basic is None:
         struct = layout.structs[str(member.type)]
         inner = [_members(layout, struct, f"{item}.", whole=False) for item in names]

@@ -179,3 +179,9 @@ def robot_datagram(values: Mapping[str, Any]) -> bytes | None:
                 {f"{name}_{axis}": number for name in names for axis, number in values[name].items()}
             )
     return None
+
+
+def whole_packet(packet: bytes) -> bytes:
+    """Return as many bytes as the length field states, padded with zeros if the buffer is shorter."""
+    size = cfe.length_of(packet)
+    return packet if len(packet) == size else packet[:size].ljust(size, b"\0")

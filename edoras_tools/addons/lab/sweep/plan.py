@@ -18,8 +18,7 @@ from edoras_tools.pipelines.sending.options import CAP_HZ, Receiver, SendOptions
 from edoras_tools.pipelines.sending.topics import Encoder
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.units import SECOND
-from edoras_tools.wire import cfe
-from edoras_tools.wire.cfe import with_length
+from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.envelope import DEFAULT
 
 if TYPE_CHECKING:
@@ -287,3 +286,8 @@ def echo(msg_id: int, headers: cfe.Headers = cfe.STANDARD) -> tuple[bytes, bytes
         cfe.emit_command(command, telemetry_output.ADD_PACKET, add, headers=headers),
         cfe.emit_command(command, telemetry_output.REMOVE_PACKET, struct.pack("<I", msg_id), headers=headers),
     )
+
+
+def with_length(packet: bytes, size: int) -> bytes:
+    """Return the packet with a length field for ``size`` bytes in all; nothing is added or cut."""
+    return packet[:4] + (size - ccsds.LENGTH_BIAS).to_bytes(2, "big") + packet[6:]

@@ -147,6 +147,47 @@ def test_a_c_struct_is_read_as_a_compiler_lays_it_out(order, definition, tmp_pat
     assert path == [1.5, 2.5, 3.5, 4.5]
 
 
+MIXED = """
+byte_order: little
+bind: {0x0890: Mixed, "0x1890/2": Order}
+structs:
+  Point: {packed: true, members: {at: "float32[2] big", label: "char[3]"}}
+  Mixed:
+    packed: true
+    members: {a: uint16, b: uint16 big, names: "char[2][4]", grid: "int16[2][3] big",
+      points: "Point[2]", c: float64 big}
+  Order: {packed: true, members: {x: int32 big, y: int32, z: "uint16[2] big"}}
+"""
+
+
+def test_byte_orders_of_fields_nested_arrays_and_texts(definition, tmp_path):
+    """Three readers give what Python's ``struct`` wrote: ours, the independent one, and XTCE that we read."""
+    (tmp_path / "own.yaml").write_text(MIXED)
+    bench = Settings(structs=[tmp_path / "own.yaml"]).workbench()
+    text = describe_packets(bench).text
+    (tmp_path / "again.xml").write_bytes(text)
+    again = Settings(structs=[tmp_path / "again.xml"]).workbench().columns.context
+    points = [(1.5, -2.5, b"ab"), (0.25, 8.0, b"xy")]
+    body = struct.pack("<H", 258) + struct.pack(">H", 772) + b"one\0fou\0" + struct.pack(">6h", *range(-3, 3))
+    body += b"".join(struct.pack(">2f3s", *item) for item in points) + struct.pack(">d", math.pi)
+    theirs = parsed(definition(text), cfe.emit_telemetry(0x0890, body))
+    flat_names = [f"Mixed_points_{place}__at_{axis}_" for place in (0, 1) for axis in (0, 1)]
+    assert [theirs[name] for name in ("Mixed_a", "Mixed_b", "Mixed_c")] == [258, 772, math.pi]
+    assert [theirs[f"Mixed_grid_{place}_"] for place in range(6)] == [*range(-3, 3)]
+    assert [theirs[f"Mixed_names_{place}_"] for place in (0, 1)] == ["one", "fou"]
+    assert [theirs[name] for name in flat_names] == [1.5, -2.5, 0.25, 8.0]
+    for context in (bench.columns.context, again):
+        bound = context.structs.find(0x0890, None, len(body))
+        values = context.structs.types.decode(bound.type, bound.encode_one(body, (0, 0x0890, 0, 0, 0)))
+        assert (values["a"], values["b"], values["c"]) == (258, 772, math.pi)
+        assert [*values["grid"]] == [*range(-3, 3)]
+        assert [*values["names"]] == ["one", "fou"]
+        sent = struct.pack(">i", -5) + struct.pack("<i", 6) + struct.pack(">2H", 7, 8)
+        bound = context.structs.find(0x1890, 2, len(sent))
+        values = context.structs.types.decode(bound.type, bound.encode_one(sent, (0, 0x1890, 0, 2, 0)))
+        assert (values["x"], values["y"], [*values["z"]]) == (-5, 6, [7, 8])
+
+
 def test_units_calibrations_and_limits(definition, tmp_path):
     """The reader calibrates; limits are where XTCE has them."""
     (tmp_path / "own.yaml").write_text(

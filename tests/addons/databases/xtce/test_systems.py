@@ -21,7 +21,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.structs import cfe as cfe_structs
 from edoras_tools.structs.bindings import Bindings
-from edoras_tools.structs.files import dumps, load_together, parse_layout
+from edoras_tools.structs.files import dumps, load_together, parse_layout, type_text
 from edoras_tools.wire import cfe
 
 TYPES = """<IntegerParameterType name="u3"><IntegerDataEncoding sizeInBits="3"/></IntegerParameterType>
@@ -236,6 +236,7 @@ def test_what_we_wrote_is_read_as_it_was(name, headers):
 
 
 SCALARS = ("uint8", "int16", "uint32", "int64", "float32", "float64", "Mode", "char[5]", "uint16[3]")
+SCALARS += ("uint16 big", "float64 little", "Mode big", "int32[2] little")
 MEMBER = st.fixed_dictionaries(
     {"type": st.sampled_from(SCALARS)},
     optional={
@@ -301,15 +302,25 @@ def test_structs_of_another_byte_order_than_cfe_are_read(tmp_path):
     )
 
 
-def test_numbers_of_the_rarer_byte_order_are_bytes():
-    little = '<IntegerParameterType name="l16"><IntegerDataEncoding sizeInBits="16" '
+@pytest.mark.parametrize(
+    ("bits", "members", "note"),
+    [
+        (16, ["uint16 little"], []),
+        (32, ["uint32 little"], []),
+        (24, ["byte[3]"], ["l: its little-endian bits are beside big-endian numbers; it is shown as bytes"]),
+    ],
+)
+def test_numbers_of_the_rarer_byte_order_have_their_own(bits, members, note):
+    little = f'<IntegerParameterType name="l16"><IntegerDataEncoding sizeInBits="{bits}" '
     little += 'byteOrder="leastSignificantByteFirst"/></IntegerParameterType>'
     data = system(container("A", "tlm", [("id/apid", 0x90)], "a", "b", "l"))
     data = data.replace(b"</ParameterTypeSet>", little.encode() + b"</ParameterTypeSet>")
     data = data.replace(b"</ParameterSet>", b'<Parameter name="l" parameterTypeRef="l16"/></ParameterSet>')
     layout = read_system(data, "s")
-    (note,) = layout.notes
-    assert note.endswith("/S/A.l: its little-endian number is beside big-endian ones; it is shown as bytes")
+    assert [type_text(item) for item in layout.structs["A"].members[-1:]] == members
+    assert [line.partition("S/A.")[2] for line in layout.notes] == note
+    again = parse_layout(dumps(layout).encode(), "again")
+    assert again.structs == layout.structs
 
 
 def test_files_that_are_none(tmp_path, call):

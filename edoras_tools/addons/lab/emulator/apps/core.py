@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.lab.emulator.cfs import EMULATOR_VERSION
 from edoras_tools.addons.lab.emulator.core_apps import CORE
-from edoras_tools.addons.lab.emulator.messages import command_length
+from edoras_tools.addons.lab.emulator.messages import command_length, whole_packet
 from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
 from edoras_tools.cfs import (
     event_services,
@@ -22,7 +22,7 @@ from edoras_tools.cfs.executive_services import ENDING_COMMANDS
 from edoras_tools.cfs.names import COMMANDS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of, whole_packet
+from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -10,13 +10,19 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.lab.emulator.messages import FixedStruct, bus_id, command_length, pose_stamped
+from edoras_tools.addons.lab.emulator.messages import (
+    FixedStruct,
+    bus_id,
+    command_length,
+    pose_stamped,
+    whole_packet,
+)
 from edoras_tools.addons.lab.emulator.scheduler import Receive, SleepUntil, Work
 from edoras_tools.cfs.event_services import EventText, EventType
 from edoras_tools.cfs.profile import GENERATOR_MSG_ID
 from edoras_tools.units import MICROSECOND, SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.cfe import function_code_of, whole_packet
+from edoras_tools.wire.cfe import function_code_of
 from edoras_tools.wire.msg_id import VERSION_1
 
 if TYPE_CHECKING:

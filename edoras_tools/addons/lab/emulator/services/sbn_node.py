@@ -9,7 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.lab.emulator.messages import bus_id, from_link, headers_of, link_id, to_link
+from edoras_tools.addons.lab.emulator.messages import (
+    bus_id,
+    from_link,
+    headers_of,
+    link_id,
+    to_link,
+    whole_packet,
+)
 from edoras_tools.addons.lab.emulator.services.events import Event
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.model import Peer
@@ -27,7 +34,7 @@ from edoras_tools.sessions.sbn.events import (
 from edoras_tools.sessions.sbn.habits import STOCK
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.cfe import length_of, whole_packet
+from edoras_tools.wire.cfe import length_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -22,8 +22,8 @@ from edoras_tools.cfs.software_bus import (
 )
 from edoras_tools.errors import ConfigError
 from edoras_tools.sessions.sequence import MODULUS
-from edoras_tools.wire import cfe
-from edoras_tools.wire.cfe import length_of, msg_id_of, with_sequence_count
+from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire.cfe import length_of, msg_id_of
 
 if TYPE_CHECKING:
     from edoras_tools.addons.lab.emulator.account import ArrivalAccount
@@ -213,3 +213,13 @@ class SoftwareBus:
 
 def _event(event_id: int, **values: object) -> Event:
     return Event.of(EVENTS[event_id], **values)
+
+
+def with_sequence_count(packet: bytes, count: int) -> bytes:
+    """Return the packet with an unsegmented sequence word, as cFE stamps it.
+
+    Args:
+        packet: at least a primary header.
+        count: 0 to 16383.
+    """
+    return packet[:2] + (ccsds.UNSEGMENTED << 14 | count).to_bytes(2, "big") + packet[4:]

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from ipaddress import AddressValueError, IPv4Address
 from typing import TYPE_CHECKING
 
-from edoras_tools.addons.lab.emulator.messages import bus_id
+from edoras_tools.addons.lab.emulator.messages import bus_id, whole_packet
 from edoras_tools.addons.lab.emulator.services.events import Event
 from edoras_tools.cfs import software_bus
 from edoras_tools.cfs import telemetry_output as facts
 from edoras_tools.wire import cfe
-from edoras_tools.wire.cfe import function_code_of, whole_packet
+from edoras_tools.wire.cfe import function_code_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -4,10 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edoras_tools.addons.lab.emulator.messages import whole_packet
 from edoras_tools.addons.lab.emulator.services.command_ingest import CommandIngest
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.wire import cfe
-from edoras_tools.wire.cfe import whole_packet
 
 TWIST = cfe.emit_command(0x1827, 1, bytes(range(1, 69)), sequence_flags=0, with_checksum=False)
 

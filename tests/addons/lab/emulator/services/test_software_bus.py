@@ -6,11 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from edoras_tools.addons.lab.emulator.messages import whole_packet
 from edoras_tools.addons.lab.emulator.services.software_bus import Publication, SoftwareBus
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.errors import ConfigError
 from edoras_tools.wire import cfe
-from edoras_tools.wire.cfe import length_of, msg_id_of, whole_packet
+from edoras_tools.wire.cfe import length_of, msg_id_of
 
 
 def command(msg_id: int = 0x1827) -> bytes:
