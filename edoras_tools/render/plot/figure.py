@@ -120,13 +120,13 @@ class Panel:
     @property
     def legend(self) -> list[tuple[str, PlotLine]]:
         """What each look means; many grey lines of one recording are one entry."""
-        grey: dict[int, list[PlotLine]] = {}
+        entries = []
         for line in self.lines:
-            if line.colour < 0:
-                grey.setdefault(line.recording, []).append(line)
-        entries = [(line.label, line) for line in self.lines if line.colour >= 0]
-        named = ((f"cFS itself: {len(lines)} topics", lines) for lines in grey.values())
-        return entries + [(text if lines[1:] else lines[0].label, lines[0]) for text, lines in named]
+            alike = [item for item in self.lines if line.colour < 0 and item.look == line.look]
+            if len(alike) < 2 or alike[0] is line:
+                text = f"cFS itself: {len(alike)} topics" if len(alike) > 1 else line.label
+                entries.append((text, line))
+        return entries
 
     @property
     def ends(self) -> tuple[float, float]:

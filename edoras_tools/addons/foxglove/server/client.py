@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
+
+    SharedFrames = tuple[memoryview, NDArray[np.int64], NDArray[np.int64]]
+    """Frames with messages, their ends, and the bytes of the first 0, 1, 2, ... messages; see ``_Piece``."""
     from websockets.typing import Subprotocol
 
     from edoras_tools.addons.foxglove.server.page import HttpAnswer
@@ -184,8 +187,12 @@ class FoxgloveClient:
         """Return whether it has subscribed to a topic."""
         return bool(self._subscription[place] >= 0)
 
-    def give(self, records: Records) -> None:
-        """Queue messages of the topics that it subscribed to; if not all fit, the latest."""
+    def give(self, records: Records, shared: dict[tuple[bytes, int], SharedFrames] | None = None) -> None:
+        """Queue messages of the topics that it subscribed to; if not all fit, the latest.
+
+        Args:
+            shared: the frames of these records that other clients were given: most subscribe alike.
+        """
         subscription = self._subscription[records.channel_id]
         rows = np.flatnonzero(subscription >= 0)
         if not len(rows) or not self.connected:
@@ -194,12 +201,15 @@ class FoxgloveClient:
         count = self._fitting(length)
         self.dropped += len(rows) - count
         if count:
-            rows, length = rows[-count:], length[-count:]
-            frames, ends = protocol.message_frames(records, rows, subscription[rows])
-            sizes = np.concatenate([[0], np.cumsum(length)])
-            self._queue.append(_Piece(frames.data, ends, sizes))
+            shared = {} if shared is None else shared
+            key = subscription.tobytes(), count
+            if key not in shared:
+                rows, length = rows[-count:], length[-count:]
+                frames, ends = protocol.message_frames(records, rows, subscription[rows])
+                shared[key] = frames.data, ends, np.concatenate([[0], np.cumsum(length)])
+            self._queue.append(_Piece(*shared[key]))
             self._waiting += count
-            self._waiting_bytes += int(sizes[-1])
+            self._waiting_bytes += int(shared[key][2][-1])
 
     def tell(self, answer: dict[str, Any] | bytes) -> None:
         """Queue an answer, as text or binary message."""

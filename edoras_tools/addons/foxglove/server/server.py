@@ -33,7 +33,7 @@ from edoras_tools.model import Endpoint
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from edoras_tools.addons.foxglove.server.client import FoxgloveClient
+    from edoras_tools.addons.foxglove.server.client import FoxgloveClient, SharedFrames
     from edoras_tools.addons.foxglove.server.requests import PlaybackState, Player, Publisher
     from edoras_tools.io.topics.rows import Records
     from edoras_tools.io.topics.streams import Topic
@@ -212,7 +212,8 @@ class FoxgloveServer:
         counts = np.bincount(records.channel_id)
         with self._lock:
             self._counts[: len(counts)] += counts
-        self._each(lambda client: client.give(records))
+        shared: dict[tuple[bytes, int], SharedFrames] = {}
+        self._each(lambda client: client.give(records, shared))
 
     def tell_time(self, time_ns: int) -> None:
         """Send a time for the clients' clocks, ns since 1970."""

@@ -165,6 +165,25 @@ def test_one_message_may_always_wait():
     assert (wire.client.summary()["waiting"], wire.client.dropped) == (1, 1)
 
 
+def test_clients_that_subscribe_alike_share_frames_and_others_have_their_own():
+    wires = [Wire().open() for _ in range(3)]
+    for wire, places in zip(wires, [(0, 1), (0, 1), (1,)], strict=True):
+        wire.subscribe(*places)
+    made, shared = records([0, 1, 2, 1], 9), {}
+    for wire in wires:
+        wire.client.give(made, shared)
+    assert len(shared) == 2
+    for wire in wires:
+        wire.take(1 << 30)
+    first, second, other = (
+        [bytes(item.data) for item in wire.received if item.data[0] == 1] for wire in wires
+    )
+    assert first == second
+    assert [data[1] for data in first] == [10, 11, 11]
+    assert other == first[1:]
+    assert [wire.client.summary()["sent"] for wire in wires] == [3, 3, 2]
+
+
 def test_the_latest_time_waits_and_no_other():
     wire = Wire().open()
     for time_ns in range(100):
