@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-CONFIDENCE: Final = 0.95
+MEAN_CONFIDENCE: Final = 0.95
 """With which intervals hold what they say."""
 
 
@@ -62,7 +62,7 @@ def _t_within(value: float, freedom: int) -> float:
 
 
 def mean_interval(values: Sequence[float], step: float = 0.0) -> MeanInterval:
-    """Return where the mean of all possible runs lies, with ``CONFIDENCE``; one value is its own.
+    """Return where the mean of all possible runs lies, with ``MEAN_CONFIDENCE``; one value is its own.
 
     Args:
         values: one of each run, at least one.
@@ -72,5 +72,5 @@ def mean_interval(values: Sequence[float], step: float = 0.0) -> MeanInterval:
     if count < 2:
         return MeanInterval(mean, mean, mean)
     deviation = sqrt(variance(values) + step * step / 12)
-    half = t_quantile((1 + CONFIDENCE) / 2, count - 1) * deviation / sqrt(count)
+    half = t_quantile((1 + MEAN_CONFIDENCE) / 2, count - 1) * deviation / sqrt(count)
     return MeanInterval(mean, mean - half, mean + half)

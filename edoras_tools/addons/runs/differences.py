@@ -34,7 +34,7 @@ from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckResult
 from edoras_tools.addons.runs.limits import MODEL_WORTH, field_limit
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.accounts import latency_ms
-from edoras_tools.intervals import CONFIDENCE, MeanInterval, t_quantile
+from edoras_tools.intervals import MEAN_CONFIDENCE, MeanInterval, t_quantile
 from edoras_tools.io.formats.text import json_value
 from edoras_tools.mission import Mission
 from edoras_tools.render import units
@@ -499,5 +499,5 @@ def difference_interval(before: Sequence[float], after: Sequence[float], step: f
     if not whole:
         return MeanInterval(mean, mean, mean)
     below = sum(part**2 / (len(item) - 1) for part, item in zip(parts, (before, after), strict=True))
-    half = t_quantile((1 + CONFIDENCE) / 2, max(1, int(whole**2 / below))) * sqrt(whole)
+    half = t_quantile((1 + MEAN_CONFIDENCE) / 2, max(1, int(whole**2 / below))) * sqrt(whole)
     return MeanInterval(mean, mean - half, mean + half)

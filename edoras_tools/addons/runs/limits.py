@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.addons.runs.check import TO_END
 from edoras_tools.addons.runs.expectations import LOSS_KEYS, Unit
-from edoras_tools.intervals import CONFIDENCE, MeanInterval
+from edoras_tools.intervals import MEAN_CONFIDENCE, MeanInterval
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -190,7 +190,7 @@ def _rounded(value: float, how: Callable[[float], int]) -> float:
 
 
 def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> MeanInterval:
-    """Return where nearly all runs lie: ``_CONTENT`` of them, with ``CONFIDENCE``.
+    """Return where nearly all runs lie: ``_CONTENT`` of them, with ``MEAN_CONFIDENCE``.
 
     Args:
         values: one of each run, at least one.
@@ -203,7 +203,7 @@ def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> 
     deviation = math.sqrt((seen + freedom * spread * spread) / total)
     normal = NormalDist()
     part = 2 / (9 * total)
-    chi_square = total * (1 - part + normal.inv_cdf(1 - CONFIDENCE) * math.sqrt(part)) ** 3
+    chi_square = total * (1 - part + normal.inv_cdf(1 - MEAN_CONFIDENCE) * math.sqrt(part)) ** 3
     half = normal.inv_cdf((1 + _CONTENT) / 2) * math.sqrt((1 + 1 / count) * total / chi_square) * deviation
     mean = fmean(values)
     return MeanInterval(mean, mean - half, mean + half)
