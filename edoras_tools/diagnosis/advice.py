@@ -361,7 +361,10 @@ def _at_application(case: Case, loss: Loss) -> Advice:
         arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id), lost or loss.lost, waiting
     )
     why += f" ({case.origin(*names)}{', and fits what was lost' if fits else ''})"
-    senders = len(np.unique(case.rows.source[stream.rows]))
+    source = case.rows.source[stream.rows]
+    ends = (np.unique(items, return_index=True)[1] for items in (source, source[::-1]))
+    begun, left = map(np.sort, ends)  # those that send at once, not one after the other
+    senders = int((np.arange(1, len(begun) + 1) - np.searchsorted(len(source) - 1 - left[::-1], begun)).max())
     slower = f"send at most {_safe(clean):g} Hz"
     if senders > 1:
         slower += f" in all, {_safe(clean / senders):g} Hz each of {plural(senders, 'sender')}"

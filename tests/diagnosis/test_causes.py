@@ -57,7 +57,7 @@ def test_senders_one_after_the_other_are_not_two_at_once(lab):
     ]
     found = lab.examine(moved)
     assert told(found, "app_pipe_limit")
-    assert not any("senders" in item.reason for item in told(found, "app_pipe_limit"))
+    assert not any("senders" in item.reason + item.remedy for item in told(found, "app_pipe_limit"))
 
 
 def test_a_relay_that_doubles_is_named(lab):

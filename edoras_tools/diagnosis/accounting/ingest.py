@@ -405,9 +405,8 @@ class _Counted:
 
     def _surely_sent(self, time_ns: int) -> int:
         """Return how many were sent until a time; before the capture as after its start, negative."""
-        start_ns = self._case.start_ns
-        sent = int(self._sent_until(start_ns + abs(time_ns - start_ns)))
-        return sent if time_ns >= start_ns else -sent
+        ahead_ns = time_ns - self._case.start_ns
+        return int(np.sign(ahead_ns) * self._sent_until(self._case.start_ns + abs(ahead_ns)))
 
     def _emptied(self, part: slice) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return until when each sample's CI surely had read all there was, and where it read all it can.

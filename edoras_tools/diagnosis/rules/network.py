@@ -128,13 +128,12 @@ def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
         for last_ns, dead_ns, back_ns, (last, first), read_ns in connection.restarts:
             sent = connection.sent_ns[(connection.sent_ns > read_ns) & (connection.sent_ns < back_ns)]
             lost = int((sent > dead_ns).sum())
-            reached = "reached nobody" if lost else "may have reached nobody"
-            number = plural(lost or len(sent), "message")
+            reached = "reached" if lost else "may have reached"
             yield verdict(
                 Severity.ERROR if lost else Severity.WARNING,
                 f"SBN peer {connection.peer} was started again: nothing came from it from {case.at(last_ns)} "
                 f"to {case.at(back_ns)}, then it subscribed anew. {connection.observer} did not notice, and "
-                f"{number} that it sent {reached}",
+                f"{plural(lost or len(sent), 'message')} that it sent {reached} nobody",
                 f"packet {case.rows.number[last]} is its last, packet {case.rows.number[first]} its SUB",
                 f"{len(sent) - lost:,} more may have been heard, until {case.at(dead_ns)}",
                 place=("sbn", f"SBN peer {connection.peer}"),
