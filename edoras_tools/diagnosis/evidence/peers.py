@@ -346,9 +346,7 @@ def _greeted(changes: list[PeerChange], rows: Rows, sent: Places, app: Places) -
         ):
             last_ns = int(app_ns[later - 1])
             if out[place - 1].time_ns < last_ns < when - _STILL_NS:
-                lost = PeerChange(
-                    last_ns + 1, "timed_out", "it was sent nothing until the observer subscribed anew"
-                )
+                lost = PeerChange(last_ns + 1, "timed_out", "the observer sent it nothing any more")
                 out[place:place] = [lost, PeerChange(when, "connected", "the observer subscribed anew")]
     return out
 
@@ -373,7 +371,7 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
     app_ns = sent_ns[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
     answering = 2 * len(answers) >= len(app_ns)
     # What one that answers does not answer shows a shorter silence, too.
-    long_ns = max(_SHORT_NS // 4, 2 * usual_ns) if answering else max(_SHORT_NS, _FACTOR * usual_ns)
+    long_ns = max(_SHORT_NS // 3, 2 * usual_ns) if answering else max(_SHORT_NS, _FACTOR * usual_ns)
     found = []
     for place in np.flatnonzero(steps > long_ns).tolist():
         start_ns, end_ns = times[place : place + 2].tolist()
@@ -385,10 +383,12 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
         if followed or not asked or not len(anew):
             continue
         if repeats:
-            until_ns = end_ns + _STILL_NS
-            later, answered = (int(((own > end_ns) & (own < until_ns)).sum()) for own in (sent_ns, answers))
-            all_read = answered > later + asked // 2 or len(answers) + asked > len(sent_ns)
-            if not answering or all_read:
+            beyond = [
+                ((answers > end_ns) & (answers < until)).sum()
+                - ((sent_ns > end_ns) & (sent_ns < until)).sum()
+                for until in (end_ns + _ANSWERS_NS, end_ns + _STILL_NS)
+            ]
+            if not answering or max(beyond) > asked // 2 or len(answers) + asked > len(sent_ns):
                 continue
         around = int(heard[place]), int(heard[anew[0]])
         found.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))
