@@ -6,12 +6,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from rewriting import Udp, write
 
-from edoras_tools.cfs.time_services import EPOCH_S, START_S
+from edoras_tools.cfs.time_services import START_S
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.io.formats.cfe.reader import reset_times
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.resets import RESETS
 from edoras_tools.links.table import STORED
+from edoras_tools.wire.cfe import EPOCH_S
 from edoras_tools.wire.cfe_file import EXCEPTION, RESET_COMMAND, RESET_ENTRY
 
 SIZE = RESET_ENTRY.size
