@@ -131,6 +131,7 @@ def _three_panes(
     *keys: str | int,
     capture: str = "f_sbn_disconnect",
     missions: Sequence[str] = _ROVERS,
+    until: str = "",
 ) -> str:
     """Draw the three-pane view after some keys.
 
@@ -139,6 +140,7 @@ def _three_panes(
         keys: ``<key>`` to be pressed, a text to be written, or a byte whose field is to be chosen.
         capture: whose packets.
         missions: that are named.
+        until: a word that is there once all is shown.
     """
     settings, path = _bench(capture, missions)
     app = Viewer(open_files([path]), settings.workbench(), ViewOptions(Selection(), settings))
@@ -160,7 +162,7 @@ def _three_panes(
                     field.insert_text_at_cursor(key)
                 await app.workers.wait_for_complete()
                 await pilot.pause(0.1)
-            while app.store.settled < app.store.packets:
+            while app.store.settled < app.store.packets or until not in app.export_screenshot():
                 await pilot.pause(0.02)
             before, after = "", without_fonts(app.export_screenshot())
             while before != after:
@@ -180,6 +182,12 @@ def tui() -> str:
 def tui_filter() -> str:
     """Draw what is wrong with a filter."""
     return _three_panes((100, 16), "<f>", "msg_id == 0x82a and liner.x > 0.1", "<enter>")
+
+
+def tui_room() -> str:
+    """Draw the control room."""
+    judged = "1,763"  # datagrams of links
+    return _three_panes((110, 44), "<d>", "<z>", capture="a_rover", missions=["rover_ground"], until=judged)
 
 
 def tui_routes() -> str:
@@ -221,6 +229,7 @@ PICTURES: Final[dict[str, Callable[[], str]]] = {
     "balance": balance,
     "tui": tui,
     "tui_filter": tui_filter,
+    "tui_room": tui_room,
     "tui_routes": tui_routes,
     "tui_rates": tui_rates,
     "tui_sequence": tui_sequence,

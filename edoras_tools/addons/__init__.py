@@ -281,7 +281,7 @@ ADDONS: Final = (
         },
         adds={
             "middleware": {"foxglove": ":FOXGLOVE"},
-            "parts": {"foxglove": "serving", "display": "cli"},
+            "parts": {"foxglove": "serving", "display": "cli", "monitor": "serving:monitor"},
         },
         extra="live",
     ),

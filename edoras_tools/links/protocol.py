@@ -290,6 +290,10 @@ class LinkProtocol(Link):
         form = list(self.forms.values())[kind] if 0 <= kind < len(self.forms) else None
         return form.headers[-1].name.upper() if form else ""
 
+    def kind_name(self, decoded: Decoded) -> str:
+        """Return what a datagram without a MsgId is, without its numbers; empty where it is unreadable."""
+        return decoded.layers[-1].title if decoded.layers else ""
+
     def topics(self, space: TopicSpace) -> OwnTopics | None:
         """Return what makes messages of its datagrams; None where routes and structs say all of them.
 

@@ -106,8 +106,8 @@ class RateCounts:
         return PlotLine(label, recording, (edges[1:] + edges[:-1]) / 2, rates, self.total)
 
 
-def bar_seconds(span: tuple[float, float]) -> float:
-    """Return the seconds over which a rate is the mean: a round number, at most 100 in a span."""
-    least = max((span[1] - span[0]) / _BARS, _FINEST)
+def bar_seconds(span: tuple[float, float], most: int = _BARS) -> float:
+    """Return the seconds over which a rate is the mean: a round number, at most so many in a span."""
+    least = max((span[1] - span[0]) / most, _FINEST)
     unit = 10.0 ** math.floor(math.log10(least) + 1e-9)
     return next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= least * (1 - 1e-9))

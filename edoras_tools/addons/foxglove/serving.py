@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 from edoras_tools.addons.foxglove.server.origins import OriginCheck
 from edoras_tools.addons.foxglove.server.requests import Publisher
 from edoras_tools.addons.foxglove.server.server import HERE, ServerOptions
-from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, RecordedSink, ServedSink
+from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, LinkMonitor, RecordedSink, ServedSink
 from edoras_tools.io.net.address import is_loopback
 from edoras_tools.pipelines.capture.record import CaptureReport, Target, pour, record
 from edoras_tools.pipelines.reading import Limits, reading
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
 
-__all__ = ["Publisher", "attach", "attach_player", "live", "usual_address"]
+__all__ = ["Publisher", "attach", "attach_player", "live", "monitor", "usual_address"]
 
 LEVELS: Final = {finding: max(item.severity - Level.NOTE, 0) for finding, item in EXPLANATIONS.items()}
 """The level of each finding in ``diagnostic_msgs/msg/DiagnosticStatus``; notes are OK."""
@@ -82,6 +82,16 @@ def attach(
     if info.kind == "live" and (info.name in {"lo", "any"} or not is_loopback(here.address)):
         bench.columns.context.framings.pop(here.port, None)  # its page's traffic is no link's
     return sink
+
+
+def monitor(bench: Workbench, info: SourceInfo, statistics: SourceStatistics, *, live: bool) -> LinkMonitor:
+    """Return what judges and counts a link as the page of the server shows it, without a server.
+
+    Args:
+        statistics: of the source, for losses of the capture itself.
+        live: see ``LinkMonitor``.
+    """
+    return LinkMonitor(bench.columns.context, bench.types, info.name, LEVELS, statistics, live=live)
 
 
 def attach_player(

@@ -102,5 +102,9 @@ class PublishSubscribeLink(LinkProtocol):
         """Return what the submessages are, and of which topics."""
         return self.part("reader:rtps_summary")(decoded)
 
+    def kind_name(self, decoded: Decoded) -> str:
+        """Return what the submessages are, each kind once, and of which topics."""
+        return self.part("reader:rtps_kind")(decoded)
+
 
 RTPS: Final = PublishSubscribeLink()

@@ -41,7 +41,7 @@ from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.wire.cdr import CDR_BE, CDR_LE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -302,9 +302,8 @@ def submessage_places(
     return owner[parts.row[mask]], parts.start[mask]
 
 
-def rtps_summary(decoded: Decoded) -> str:
-    """Return what the submessages are, and of which topics or built-in endpoints."""
-    texts: list[str] = []
+def named_layers(decoded: Decoded) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield what the submessages are, of which topics or built-in endpoints, and their values."""
     for layer in decoded.layers:
         values = layer.values()
         if "submessage_id" not in values:
@@ -313,17 +312,31 @@ def rtps_summary(decoded: Decoded) -> str:
         if name in {"INFO_TS", "INFO_DST", "INFO_SRC", "PAD"}:
             continue
         of = values.get("topic") or BUILT_IN.get(values.get("writer_id", b""), "")
+        yield f"{name} {of}".strip(), values
+
+
+def rtps_summary(decoded: Decoded) -> str:
+    """Return what the submessages are, and of which topics or built-in endpoints."""
+    texts: list[str] = []
+    for name, values in named_layers(decoded):
         numbers = [values[item] for item in ("writer_sn", "first_sn", "last_sn", "base_sn") if item in values]
-        text = " ".join([name, *([of] if of else []), "..".join(map(str, numbers))]).strip()
+        text = f"{name} {'..'.join(map(str, numbers))}".strip()
         if "status" in values:
             text += f" {values['status']}"
         if values.get("missing"):
             text += f" missing {_numbers_text(values['missing'])}"
         texts.append(text)
+    return _listed(texts) or str(decoded.stop or "")
+
+
+def rtps_kind(decoded: Decoded) -> str:
+    """Return what the submessages are, each kind once; empty where there is none."""
+    return _listed(list(dict.fromkeys(name for name, _ in named_layers(decoded))))
+
+
+def _listed(texts: list[str]) -> str:
     more = len(texts) - _MOST_TOLD
-    return ", ".join(texts[:_MOST_TOLD]) + (f", ... {more} more" if more > 0 else "") or str(
-        decoded.stop or ""
-    )
+    return ", ".join(texts[:_MOST_TOLD]) + (f", ... {more} more" if more > 0 else "")
 
 
 class UserSubmessages(NamedTuple):

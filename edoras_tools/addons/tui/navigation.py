@@ -1,4 +1,4 @@
-"""Ways to find packets of the list, and to keep them: search, packet number, marks, save."""
+"""Ways to find packets of the list, and to keep them: search, number, marks, filters, copies, save."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from textual import on, work
 from textual.binding import Binding
 from textual.worker import get_current_worker
 
-from edoras_tools.addons.tui.data import messages
 from edoras_tools.addons.tui.data.search import matcher, next_number
+from edoras_tools.addons.tui.lists.drawings import Drawing
+from edoras_tools.addons.tui.lists.lines import Lines
 from edoras_tools.addons.tui.panes import Panes
-from edoras_tools.addons.tui.prompts import Prompt
+from edoras_tools.addons.tui.prompts import Prompt, Sheet
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.errors import EdorasError
@@ -25,13 +26,11 @@ from edoras_tools.pipelines.capture.record import Target, check_output, open_sin
 from edoras_tools.pipelines.recorder import PushedSource
 from edoras_tools.render.capture.packet_list import COLUMNS
 from edoras_tools.render.severity import Level
-from edoras_tools.render.terminal.text import clean
+from edoras_tools.render.terminal.text import clean, clip
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from textual.message import Message
+    from collections.abc import Callable, Sequence
 
     from edoras_tools.addons.tui.data.store import Part
     from edoras_tools.model import Decoded
@@ -72,7 +71,7 @@ def _constant(value: Any, text: str) -> str:
 
 
 class Navigation(Panes):
-    """The panes, with search, go to packet, marks, and save."""
+    """The panes, with search, go to packet, marks, filters for what is selected, copies, and save."""
 
     BINDINGS: ClassVar[list[Any]] = [
         Binding("n", "again(False)", "Next found", show=False),
@@ -82,6 +81,14 @@ class Navigation(Panes):
         Binding("colon", "number", "Go to", show=False),
         Binding("W", "save", "Save", show=False),
         Binding("c", "columns", "Columns", show=False),
+        Binding("y", "copy", "Copy", show=False),
+        Binding("C", "conversation", "Conversation", show=False),
+        Binding("ctrl+t", "reference", "Time reference", show=False),
+        Binding("M", "filter_marks", "Marked only", show=False),
+        Binding("equals_sign", "filter_selected('')", "Filter for the value", show=False),
+        Binding("ampersand", "filter_selected('and ')", "And the value", show=False),
+        Binding("vertical_line", "filter_selected('or ')", "Or the value", show=False),
+        Binding("exclamation_mark", "filter_selected('and not ')", "Not the value", show=False),
     ]
     _searched = ""
 
@@ -102,9 +109,8 @@ class Navigation(Panes):
 
     def action_columns(self) -> None:
         """Ask for the columns of the list; a field that is selected among the layers is added."""
-        row = self.layers.field if self.layers.has_focus else None
-        filtered = filter_of(self.decoded, row) if self.decoded and row else ""
-        names = [*self.packets.columns, *filtered.split()[:1]]
+        selected = self._selected_filter() if self.layers.has_focus else ""
+        names = [*self.packets.columns, *selected.split()[:1]]
         self.prompt.ask(
             "columns", "Columns", f"{' '.join(COLUMNS)}, and fields", " ".join(dict.fromkeys(names))
         )
@@ -128,9 +134,9 @@ class Navigation(Panes):
         try:
             count = save_packets(self.store.parts(), path, self._source.info, self._bench, selection)
         except EdorasError as error:
-            self._post(messages.Notice(clean(str(error)), Level.WARNING))
+            self._later(self._notice, clean(str(error)), Level.WARNING)
         else:
-            self._post(messages.Notice(f"{clean(str(path))}: {plural(count, 'packet')}"))
+            self._later(self._notice, f"{clean(str(path))}: {plural(count, 'packet')}")
 
     @on(Prompt.Given)
     def _answer(self, event: Prompt.Given) -> None:
@@ -168,18 +174,15 @@ class Navigation(Panes):
         test = matcher(text, self._decoding, self.store.begin_ns)
         number = next_number(self.store.parts(), test, row, back=back, given_up=lambda: worker.is_cancelled)
         if not worker.is_cancelled:
-            self._post(messages.Found(text, number))
+            self._later(self._go_to_match, text, number)
 
-    @on(messages.Found)
-    def _on_match(self, event: messages.Found) -> None:
-        row = None if event.number is None else self.store.find_number(event.number)
+    def _go_to_match(self, text: str, number: int | None) -> None:
+        row = None if number is None else self.store.find_number(number)
         if row is None:
-            self._notice(f"no packet shown contains {clean(event.text)}", Level.WARNING)
+            self._notice(f"no packet shown contains {clean(text)}", Level.WARNING)
             return
         wrapped = self.store.place(row) <= self.store.place(self.packets.cursor)
-        self._notice(
-            f"found {clean(event.text)}{' · from the other end' if wrapped else ''} · n next, N previous"
-        )
+        self._notice(f"found {clean(text)}{' · from the other end' if wrapped else ''} · n next, N previous")
         self.packets.go(row, centre=True)
 
     def action_mark(self) -> None:
@@ -218,10 +221,105 @@ class Navigation(Panes):
         block, index = self.store.locate(self.packets.cursor)
         return int(block.batch.number[index])
 
-    def _post(self, message: Message) -> None:
-        """Post a message from a thread; do nothing once the app has ended."""
+    def _later(self, call: Callable[..., object], *arguments: Any) -> None:
+        """Call something in the thread that draws, from another one; do nothing once the app has ended."""
         with suppress(RuntimeError):
-            self.post_message(message)
+            self.call_later(call, *arguments)
+
+    # What is selected: a field, or a line that leads to packets
+
+    def _selected_filter(self) -> str:
+        """Return the filter for what is selected; empty if it is no value."""
+        if self.focused is self.routes:
+            return self.routes.filter
+        if isinstance(self.focused, Drawing):
+            return self.focused.filter
+        row = self.layers.field
+        return filter_of(self.decoded, row) if self.decoded and row else ""
+
+    def action_filter_marks(self) -> None:
+        """Filter for the marked packets."""
+        if not self.packets.marks:
+            self._notice("no packet is marked; m marks one")
+            return
+        self._filter_for(f"number in {{{', '.join(map(str, sorted(self.packets.marks)))}}}")
+
+    def action_filter_selected(self, joined: str) -> None:
+        """Write a filter for what is selected, joined to the one that is there; Enter applies it.
+
+        Args:
+            joined: ``and ``, ``or ``, ``and not ``; empty: instead of what is there.
+        """
+        text = self._selected_filter()
+        if not text:
+            self._notice("select a field with a value first")
+            return
+        line = self.filter_line.input
+        line.value = joined_filter(line.value.strip() if joined else "", joined, text)
+        line.cursor_position = len(line.value)
+        line.focus()
+
+    def _filter_for(self, text: str) -> None:
+        self.filter_line.accept(text, self.store.begin_ns)
+        self.packets.focus()
+
+    def action_conversation(self) -> None:
+        """Filter for what the two ends of the packet under the cursor say to each other."""
+        if self.decoded is None:
+            return
+        both = self.decoded.datagram.source, self.decoded.datagram.destination
+        ends = ", ".join(f'"{end}"' if ":" in end.address else str(end) for end in dict.fromkeys(both))
+        self._filter_for(f"source in {{{ends}}} and destination in {{{ends}}}")
+
+    def action_reference(self) -> None:
+        """Count the times from the packet under the cursor on; again: no longer."""
+        number = self._at_cursor
+        if not number:
+            return
+        if self.packets.references.pop(number, None) is None:
+            self.packets.references[number] = self.store.time_ns(self.packets.cursor)
+        self.packets.forget()
+        self._notice(f"times count from packet {number:,} on" * (number in self.packets.references))
+
+    def action_copy(self) -> None:
+        """Ask which text of what is selected to copy to the terminal's clipboard."""
+        texts = {key: item for key, item in self._copies().items() if item[1]}
+        rows = [(key, f"{name:<7} {clip(clean(text), 56)}") for key, (name, text) in texts.items()]
+        if texts:
+            self.push_screen(Sheet("Copy", rows, {key: text for key, (_, text) in texts.items()}), self._copy)
+
+    def _copies(self) -> dict[str, tuple[str, str]]:
+        pane = self.focused if isinstance(self.focused, Lines) else self.packets
+        texts = {"=": ("filter", self._selected_filter())}
+        if pane.rows() and pane not in {self.layers, self.hex_pane}:
+            texts["l"] = ("line", pane.draw(pane.cursor, pane.room).text.strip())
+        row, name = self.layers.field, self.layers.field_name
+        if self.decoded is not None and row is not None and (pane is self.packets or "l" not in texts):
+            payload = self.decoded.datagram.payload
+            octets = payload[row.start : row.end] if row.end > row.start else payload
+            texts |= {"v": ("value", row.value), "f": ("field", f"{name}: {row.value}" * bool(row.value))}
+            texts["x"] = ("hex", octets.hex(" "))
+        return texts
+
+    def _copy(self, text: str | None) -> None:
+        if text:
+            self.copy_to_clipboard(text)
+            self._notice(f"copied: {clip(clean(text), 60)}")
+
+
+def joined_filter(before: str, joined: str, text: str) -> str:
+    """Return two filters as one.
+
+    Args:
+        joined: ``and ``, ``or `` or ``and not ``, what is between them.
+    """
+    if " or " in text:
+        text = f"({text})"
+    if not before:
+        return joined.removeprefix("and ").removeprefix("or ") + text
+    if " or " in before and joined != "or ":
+        before = f"({before})"
+    return f"{before} {joined}{text}"
 
 
 def save_packets(

@@ -5,28 +5,25 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from rich.table import Table
 from rich.text import Text
-from textual import on
 from textual.app import App, ComposeResult
 from textual.binding import Binding
-from textual.containers import Horizontal, Vertical, VerticalScroll
-from textual.screen import ModalScreen
+from textual.containers import Horizontal, Vertical
 from textual.widgets import ContentSwitcher, Footer, Static
 
 from edoras_tools.addons.tui import theme as themes
-from edoras_tools.addons.tui.data import messages
 from edoras_tools.addons.tui.data.store import Store
+from edoras_tools.addons.tui.lists.drawings import Drawing, RateGraph
 from edoras_tools.addons.tui.lists.hex_pane import WIDE, HexPane
 from edoras_tools.addons.tui.lists.layers import Layers
 from edoras_tools.addons.tui.lists.lines import HeaderLine, Lines
 from edoras_tools.addons.tui.lists.packets import Packets
-from edoras_tools.addons.tui.lists.rate_graph import Drawing, RateGraph
 from edoras_tools.addons.tui.lists.routes import Routes
 from edoras_tools.addons.tui.lists.sequence_view import SequenceView
-from edoras_tools.addons.tui.prompts import FilterLine, Prompt
+from edoras_tools.addons.tui.prompts import FilterLine, Prompt, Sheet
 from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Limits
@@ -50,14 +47,16 @@ KEYS: Final = (
         ("PgUp PgDn ^u ^d", "a page, half a page"),
         ("Home End g G", "first, last; at the end, new packets are followed"),
         ("Tab", "next pane; a click does the same"),
-        ("Enter", "to the layers; in routes: filter; in the sequence: go to the packet"),
+        ("Enter", "to the layers; in the sequence: go to the packet; in other views: filter"),
         ("← → h l", "layers: close, open; bytes: move"),
         ("* -", "layers: open all, close all"),
     ),
     (
         "Finding",
-        ("f", "filter: ↑ ↓ choose a completion, Tab accepts it, Enter applies, Esc cancels"),
-        ("=", "make a filter from the selected field"),
+        ("f", "filter: ↑ ↓ completions or earlier filters, Tab accepts, Enter applies, Esc cancels"),
+        ("=", "filter for the selected value; Enter applies it"),
+        ("& | !", "that filter and, or, and not the selected value"),
+        ("C", "conversation: what the two ends of the packet say to each other"),
         ("/", "search: text, bytes (0x0b0c), or a comparison"),
         ("n N", "next match, previous match"),
         (":", "go to a packet by its number"),
@@ -67,45 +66,40 @@ KEYS: Final = (
     ),
     (
         "Viewing",
-        ("r", "routes and their rates"),
+        ("d", "control room: what was lost and what to do, hops, routes, events"),
+        ("r", "routes of the packets in the list, and their rates"),
+        ("e", "findings of the packets in the list"),
+        ("i", "sums of the packets in the list, and of all"),
         ("s S", "sequence diagram of SBN, of all links"),
-        ("R", "graph of the rates of the packets in the list"),
+        ("R p", "graph of the rates of the packets in the list, of the selected field"),
         ("o O", "sort the list, or the routes, by the next column, the other way round"),
         ("Esc", "back to the packet"),
         ("t", "trace: the way of the packet's message through cFS, hop by hop"),
         ("u", "time: since the start, since the previous line, UTC, epoch"),
+        ("^t", "time counts from this packet on; again: no longer"),
         ("c", "columns of the list: any of its own, and any field; the selected one is added"),
         ("b", "bytes of the UDP payload, or the whole frame"),
         ("z", "only this pane; all panes again"),
         ("< >", "more space below, more space for the list"),
         ("T", "dark or light theme"),
+        ("y", "copy the selected value, field, bytes, line, or its filter"),
         ("w", "open in Wireshark, at the same packet"),
         ("W", "save the packets of the list to a file"),
         ("q ^c", "quit"),
     ),
 )
 """Groups of keys: a title, then each key with what it does."""
-
-
-class Help(ModalScreen[None]):
-    """All keys, shown over the view; Escape, q, ? or Enter close it."""
-
-    BINDINGS: ClassVar[list[Any]] = [
-        Binding("escape,q,question_mark,enter,space", "dismiss", "Close", show=False)
-    ]
-
-    def compose(self) -> ComposeResult:
-        """Make the table."""
-        table = Table.grid(padding=(0, 2))
-        table.add_column(no_wrap=True)
-        table.add_column()
-        for head, *keys in KEYS:
-            table.add_row(Text(head, "bold"), "")
-            for names, explanation in keys:
-                table.add_row(Text(f"  {names}", "cyan"), Text(explanation))
-        box = VerticalScroll(Static(table))
-        box.border_title = "Keys"
-        yield box
+VIEWS: Final = {
+    "room": ("Control room", "Enter shows the packets · Esc back"),
+    "routes": ("Routes", "Enter filters · o O sort · Esc back"),
+    "findings": ("Findings", "Enter filters · Esc back"),
+    "sums": ("Sums", "Enter filters · Esc back"),
+    "sequence": ("SBN conversation", "Enter goes to the packet · Esc back"),
+    "rates": ("Rates", "z fills the screen · Esc back"),
+    "graph": ("Graph", "z fills the screen · Esc back"),
+    "trace": ("Trace", "z fills the screen · Esc back"),
+}
+"""Title of each view of the lower half, and its keys."""
 
 
 LIMIT: Final = 1 << 30
@@ -158,7 +152,12 @@ class Panes(App[None]):
         routes: the routes and their rates.
         sequence: the conversation.
         rates: the graph of rates.
+        graph: the graph of a field.
         trace: the way of one message.
+        room: the control room.
+        findings: the findings.
+        sums: the sums.
+        zoomed: id of the pane that is shown alone; empty if all are.
         prompt: asks for a search text or a packet number.
     """
 
@@ -185,6 +184,7 @@ class Panes(App[None]):
         self._source = source
         self._bench = bench
         self._decoding = bench.columns.context
+        self.zoomed = ""
         self._said = ("", Level.NOTE)
         self._said_until = 0.0
         self._every_link = False
@@ -194,7 +194,8 @@ class Panes(App[None]):
         self.packets = Packets(self.store, self._decoding, choice.time_format, verbose=choice.verbose)
         self.layers, self.hex_pane = Layers(), HexPane()
         self.routes, self.sequence = Routes(self.ledger, live=self.live), SequenceView()
-        self.rates, self.trace = RateGraph("rates"), Drawing("trace")
+        self.rates, self.graph, self.trace = RateGraph("rates"), RateGraph("graph"), Drawing("trace")
+        self.room, self.findings, self.sums = Drawing("room"), Drawing("findings"), Drawing("sums")
         self.prompt = Prompt()
         self._lower = ContentSwitcher(initial="packet", id="lower")
         self._title_left, self._title_right = Static(classes="left"), Static(classes="right")
@@ -212,16 +213,11 @@ class Panes(App[None]):
             with Horizontal(id="packet"):
                 yield self.layers
                 yield self.hex_pane
-            with Vertical(id="routes-view"):
-                yield HeaderLine("routes")
-                yield self.routes
-            with Vertical(id="sequence-view"):
-                yield HeaderLine("sequence")
-                yield self.sequence
-            with Vertical(id="rates-view"):
-                yield self.rates
-            with Vertical(id="trace-view"):
-                yield self.trace
+            for name in VIEWS:
+                with Vertical(id=f"{name}-view", classes="view"):
+                    if name in {"routes", "sequence"}:
+                        yield HeaderLine(name)
+                    yield getattr(self, name)
         yield self.prompt
         with Horizontal(id="status"):
             yield self._status_left
@@ -245,7 +241,8 @@ class Panes(App[None]):
 
     def action_help(self) -> None:
         """Show the list of keys."""
-        self.push_screen(Help())
+        rows = [row for head, *keys in KEYS for row in (("", head), *keys)]
+        self.push_screen(Sheet("Keys", rows))
 
     def action_follow(self) -> None:
         """Start or stop following new packets."""
@@ -268,11 +265,15 @@ class Panes(App[None]):
         self._refresh_title()
 
     def action_zoom(self) -> None:
-        """Show the focused pane alone, or all panes."""
-        if self.screen.maximized is not None:
-            self.screen.minimize()
-        elif isinstance(self.focused, Lines):
-            self.screen.maximize(self.focused, container=False)
+        """Show the focused pane alone, with its titles, or all panes."""
+        pane = self.focused.id if isinstance(self.focused, Lines) else None
+        self._zoom("" if self.zoomed else pane or "")
+
+    def _zoom(self, pane: str) -> None:
+        self.zoomed = pane
+        half = pane if pane in {"", "packets"} else "lower"
+        for name in ("packets", "lower", "layers", "hex-pane"):
+            self.screen.set_class(name in {pane, half}, f"-zoom-{name}")
 
     def action_theme(self) -> None:
         """Switch between the dark and the light theme."""
@@ -288,11 +289,8 @@ class Panes(App[None]):
 
     @property
     def _view(self) -> str:
-        return str(self._lower.current)
-
-    @on(messages.Notice)
-    def _on_notice(self, event: messages.Notice) -> None:
-        self._notice(event.text, event.severity)
+        """Name of what the lower half shows: one of ``VIEWS``, or ``packet``."""
+        return str(self._lower.current).removesuffix("-view")
 
     def _notice(self, text: str, severity: Level = Level.NOTE) -> None:
         """Show a notice for a while, or until a field is selected."""
@@ -301,7 +299,7 @@ class Panes(App[None]):
         self._refresh_status()
 
     def _refresh_figures(self) -> None:
-        if self.live or self._view == "routes-view":
+        if self.live or self._view == "routes":
             self.routes.update_rates(time.monotonic())
         self._refresh_status()
 
@@ -314,7 +312,8 @@ class Panes(App[None]):
 
     def _refresh_status(self) -> None:
         text, severity = self._said if time.monotonic() < self._said_until else ("", Level.NOTE)
-        status = Text(text, "" if severity is Level.NOTE else severity.style)
+        name = clean(Path(self._source.info.name).name)
+        status = Text(text, "" if severity is Level.NOTE else severity.style) if text else Text(name, "dim")
         row = self.layers.field
         if not text and row is not None and row.end > row.start:
             span = f"{row.start}" if row.end == row.start + 1 else f"{row.start}-{row.end - 1}"
@@ -331,8 +330,8 @@ class Panes(App[None]):
         right = Text()
         if self.packets.marks:
             right.append(f"◆ {len(self.packets.marks)}  ", "yellow")
-        if statistics.kernel_drops:
-            right.append(f"{statistics.kernel_drops:,} dropped  ", Level.ERROR.style)
+        if (drops := statistics.kernel_drops) is not None:
+            right.append(f"{drops:,} dropped  ", Level.ERROR.style if drops else "")
         if self.store.forgotten:
             right.append(f"{self.store.forgotten:,} oldest removed  ")
         if self.reading and not self.live and statistics.total_bytes:
@@ -349,14 +348,10 @@ class Panes(App[None]):
 
     def _refresh_title(self) -> None:
         title, right = Text(""), Text("")
-        if self._view == "routes-view":
-            title, right = Text("Routes"), Text("Enter filters · o O sort · Esc back")
-        elif self._view == "sequence-view":
-            title = Text("Conversation of all links" if self._every_link else "SBN conversation")
-            right = Text("Enter goes to the packet · Esc back")
-        elif self._view in {"rates-view", "trace-view"}:
-            title = Text(self._view.removesuffix("-view").capitalize())
-            right = Text("z fills the screen · Esc back")
+        if self._view in VIEWS:
+            title, right = map(Text, VIEWS[self._view])
+            if self._view == "sequence" and self._every_link:
+                title = Text("Conversation of all links")
         elif self.decoded is not None:
             title, right = _packet_title(self.decoded), Text(self.hex_pane.title)
         title.no_wrap, title.overflow = True, "ellipsis"

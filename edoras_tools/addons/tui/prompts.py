@@ -1,4 +1,4 @@
-"""The filter line at the top, and the line that asks for a search text or a packet number."""
+"""The filter line at the top, the line that asks for a search text or a number, and the menu of copies."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import re
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
+from rich.table import Table
 from rich.text import Text
 from textual.binding import Binding
-from textual.containers import Horizontal, Vertical
+from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.message import Message
+from textual.screen import ModalScreen
 from textual.widgets import Input, Static
 
 from edoras_tools.decode.filters.filter import Where
@@ -19,9 +21,10 @@ from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean, wrap
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from textual.app import ComposeResult
+    from textual.events import Key
 
     from edoras_tools.decode.context import Context
 
@@ -110,6 +113,8 @@ class FilterLine(Vertical):
     Posts ``Applied`` with a valid filter; None lets all packets pass.
 
     Attributes:
+        applied: the filter that the list shows.
+        history: filters that were written, the latest last.
         input: the text field.
         count: how many packets pass.
         completions: what the last word can become.
@@ -126,14 +131,17 @@ class FilterLine(Vertical):
     def __init__(self, context: Context) -> None:
         super().__init__(id="filter-line")
         self._decoding = context
+        self.applied = ""
+        self.history: list[str] = []
         self.completions = Completions(context)
-        self.input: Input = _Line(
+        self.input = _Line(
             placeholder="msg_id == 0x827 and pose.position.x > 1",
             completions=self.completions,
             id="filter",
             compact=True,
             select_on_focus=False,
         )
+        self.input.history = self.history
         self.count = Static(id="filter-count")
         self.wrong = Static(id="filter-wrong")
 
@@ -147,8 +155,15 @@ class FilterLine(Vertical):
         yield self.wrong
 
     def show_count(self, text: str) -> None:
-        """Show how many packets pass."""
-        self.count.update(text)
+        """Show how many packets pass; or that another filter was written, which is not applied."""
+        pending = self.input.value.strip() != self.applied.strip()
+        self.count.update("Enter applies" if pending else text)
+
+    def restore(self) -> None:
+        """Show the filter that is applied; what was written instead goes to the history."""
+        self._keep(self.input.value)
+        self.input.value = self.applied
+        self._show(None)
 
     def compile(self, text: str, begin_ns: int | None) -> Where | None:
         """Compile a filter; None lets all packets pass.
@@ -168,8 +183,14 @@ class FilterLine(Vertical):
             return False
         self._show(None)
         self.completions.hide()
+        self._keep(text)
+        self.applied = text
         self.post_message(self.Applied(where))
         return True
+
+    def _keep(self, text: str) -> None:
+        if text.strip():
+            self.history[:] = [*(item for item in self.history if item != text), text]
 
     def on_input_changed(self, event: Input.Changed) -> None:
         """Colour the line: green for a valid filter, red for one with an error."""
@@ -183,7 +204,7 @@ class FilterLine(Vertical):
             self.input.set_class(False, "-wrong")
             self.input.set_class(bool(event.value.strip()), "-right")
         self.wrong.display = False
-        if self.input.has_focus and self.input.cursor_at_end:
+        if self.input.has_focus and self.input.cursor_at_end and event.value not in self.history:
             self.completions.offer(event.value)
 
     def on_descendant_blur(self) -> None:
@@ -265,13 +286,56 @@ class Prompt(Horizontal):
         self.post_message(self.Given(self._kind, event.value))
 
 
+class Sheet(ModalScreen[str]):
+    """A table of keys over the view; Escape, q, ? or Enter close it, and so does a key that has an answer.
+
+    Args:
+        title: of the table.
+        rows: keys, and what they do; a heading has no keys.
+        answers: what is returned, by key.
+    """
+
+    BINDINGS: ClassVar[list[Any]] = [
+        Binding("escape,q,question_mark,enter,space", "dismiss", "Close", show=False)
+    ]
+
+    def __init__(self, title: str, rows: Iterable[tuple[str, str]], answers: Mapping[str, str] = {}) -> None:
+        super().__init__()
+        self._title, self._rows, self._answers = title, rows, answers
+
+    def compose(self) -> ComposeResult:
+        """Make the table."""
+        table = Table.grid(padding=(0, 2))
+        table.add_column(no_wrap=True)
+        for keys, text in self._rows:
+            table.add_row(
+                Text(f"  {keys}", "cyan") if keys else Text(text, "bold"), Text(text if keys else "")
+            )
+        box = VerticalScroll(Static(table))
+        box.border_title = self._title
+        yield box
+
+    def on_key(self, event: Key) -> None:
+        """Return the answer of a key."""
+        if (answer := self._answers.get(event.character or "")) is not None:
+            event.stop()
+            self.dismiss(answer)
+
+
 class _Line(Input):
-    """A line of text: Tab accepts a completion, Up and Down choose one; else Down and Escape leave the line.
+    """A line of text: Tab accepts a completion, Up and Down choose one, else an earlier text.
+
+    Down behind the latest text, and Escape, leave the line.
 
     Args:
         completions: what is offered; None for nothing.
         options: of ``Input``.
+
+    Attributes:
+        history: earlier texts, the latest last.
     """
+
+    history: Sequence[str] = ()
 
     BINDINGS: ClassVar[list[Any]] = [
         Binding("enter", "submit", "OK"),
@@ -284,6 +348,11 @@ class _Line(Input):
     def __init__(self, *, completions: Completions | None = None, **options: Any) -> None:
         super().__init__(**options)
         self._completions = completions
+        self._back, self._draft = 0, ""
+
+    def on_focus(self) -> None:
+        """Begin at the latest of the earlier texts again."""
+        self._back = 0
 
     @property
     def _offered(self) -> Completions | None:
@@ -298,11 +367,18 @@ class _Line(Input):
             self._leave()
 
     def action_choose(self, by: int) -> None:
-        """Choose another completion; without one, Down goes back to the list."""
+        """Choose another completion; without one, an earlier text, or go back to the list."""
+        back = self._back - by
         if self._offered:
             self._offered.move(by)
-        elif by > 0:
+        elif back < 0:
             self._leave()
+        elif back <= len(self.history):
+            if not self._back:
+                self._draft = self.value
+            self._back = back
+            self.value = self.history[-back] if back else self._draft
+            self.cursor_position = len(self.value)
 
     def action_leave(self) -> None:
         """Offer nothing any more; if nothing is offered, go back to the list."""

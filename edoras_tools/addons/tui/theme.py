@@ -121,7 +121,7 @@ HexPane {
     & > .hex-pane--byte { background: $foreground; color: $background; text-style: bold; }
 }
 HexPane.-wide { width: 76; }
-#routes-view, #sequence-view, #rates-view, #trace-view { height: 1fr; }
+.view { height: 1fr; }
 #routes-heads, #sequence-heads { color: $secondary; }
 
 #prompt {
@@ -136,12 +136,17 @@ HexPane.-wide { width: 76; }
 }
 Footer { background: $panel; }
 
-Help { align: center middle; background: $background 60%; }
-Help > VerticalScroll {
+Screen.-zoom-packets .bar, Screen.-zoom-packets #lower { display: none; }
+Screen.-zoom-lower Packets, Screen.-zoom-lower #packets-heads { display: none; }
+Screen.-zoom-layers HexPane, Screen.-zoom-hex-pane Layers { display: none; }
+Screen.-zoom-hex-pane HexPane { width: 1fr; }
+
+Sheet { align: center middle; background: $background 60%; }
+Sheet > VerticalScroll {
     width: 76; max-width: 96%; height: auto; max-height: 94%;
     background: $surface; border: round $primary; padding: 0 2;
     border-title-color: $primary; border-title-style: bold;
     scrollbar-size-vertical: 1;
 }
-Help Static { height: auto; }
+Sheet Static { height: auto; }
 """

@@ -6,7 +6,7 @@ import asyncio
 import threading
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 from textual import on, work
@@ -15,29 +15,35 @@ from textual.widgets import Input
 from textual.worker import get_current_worker
 
 from edoras_tools import doors
-from edoras_tools.addons.tui.data import messages
-from edoras_tools.addons.tui.data.feed import Feed, FilterThread
-from edoras_tools.addons.tui.data.rates import rate_figure
+from edoras_tools.addons.tui.data.feed import Feed, FilterThread, WatchThread
+from edoras_tools.addons.tui.data.figures import field_figure, rate_figure
 from edoras_tools.addons.tui.data.sort import sort_order
+from edoras_tools.addons.tui.lists.control_room import room_rows
+from edoras_tools.addons.tui.lists.drawings import Drawing, finding_rows, sum_rows
 from edoras_tools.addons.tui.lists.hex_pane import HexPane
 from edoras_tools.addons.tui.lists.lines import Lines
-from edoras_tools.addons.tui.navigation import Navigation, filter_of
-from edoras_tools.addons.tui.panes import ViewOptions
+from edoras_tools.addons.tui.lists.routes import Routes
+from edoras_tools.addons.tui.navigation import Navigation
+from edoras_tools.addons.tui.panes import VIEWS, ViewOptions
 from edoras_tools.addons.tui.prompts import FilterLine
 from edoras_tools.decode.filters.rows import ColumnRows
+from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.errors import EdorasError
 from edoras_tools.io.outputs import ENDING
 from edoras_tools.links.table import among
 from edoras_tools.pipelines.capture.conversation import Conversation
+from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.render.severity import Level
+from edoras_tools.render.terminal.text import clean
 
 if TYPE_CHECKING:
     import subprocess
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
+    from rich.text import Text
 
-    from edoras_tools.addons.tui.data.store import Part
+    from edoras_tools.addons.tui.data.store import PacketBlock, Part
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.io import Source
     from edoras_tools.pipelines.workbench import Settings, Workbench
@@ -54,6 +60,8 @@ def open_in_wireshark(parts: Sequence[Part], row: int, settings: Settings) -> su
 
 
 __all__ = ["ViewOptions", "Viewer"]
+_BUILT: Final = {"rates", "graph", "sequence"}
+"""Views that a thread works out from the packets of the list."""
 
 
 class Viewer(Navigation):
@@ -70,6 +78,7 @@ class Viewer(Navigation):
         Binding("f", "filter", "Filter"),
         Binding("slash", "search", "Find", key_display="/"),
         Binding("m", "mark", "Mark"),
+        Binding("d", "view('room')", "Doctor"),
         Binding("r", "view('routes')", "Routes"),
         Binding("s", "view('sequence')", "Sequence"),
         Binding("w", "wireshark", "Wireshark"),
@@ -79,11 +88,12 @@ class Viewer(Navigation):
         Binding("t", "view('trace')", "Trace", show=False),
         Binding("S", "view('sequence', True)", "Sequence of all links", show=False),
         Binding("R", "view('rates')", "Rates", show=False),
+        Binding("p", "graph", "Graph", show=False),
+        Binding("e", "view('findings')", "Findings", show=False),
+        Binding("i", "view('sums')", "Sums", show=False),
         Binding("o", "sort", "Sort", show=False),
         Binding("O", "sort(True)", "Other way round", show=False),
         Binding("escape", "leave", "Back", show=False),
-        Binding("M", "filter_marks", "Marked only", show=False),
-        Binding("equals_sign", "filter_field", "Filter for the field", show=False),
     ]
 
     def __init__(self, source: Source, bench: Workbench, choice: ViewOptions) -> None:
@@ -93,17 +103,19 @@ class Viewer(Navigation):
         self._where: Where | None = None
         self._wanted: int | None = None
         self._drawn = 0, 0
+        self._field = ""
+        self._watch: WatchThread | None = None
         self._wireshark: list[subprocess.Popen[bytes]] = []
         bench.dissector.detail = True
         self._filter_thread = FilterThread(
-            lambda where, block, rows: self._post(messages.FilterAnswer(where, block, rows))
+            lambda where, block, rows: self._later(self._take_answer, where, block, rows)
         )
         self._feed = Feed(
             source,
             bench,
             replace(choice.selection, where=""),
-            deliver=lambda block: self._post(messages.Arrived(block)),
-            ended=lambda why, failed: self._post(messages.Ended(why, failed=failed)),
+            deliver=lambda block: self._later(self._take, block),
+            ended=lambda why, failed: self._later(self._end, why, failed),
             limits=choice.limits,
             size=0 if self.live else choice.limit,
         )
@@ -125,17 +137,19 @@ class Viewer(Navigation):
         """Stop the threads; a live source is read up to what has already arrived."""
         self._feed.stop()
         self._filter_thread.stop()
+        if self._watch is not None:
+            self._watch.stop()
         for process in self._wireshark:
             # Wireshark may still run: with a return code, Popen does not warn about that.
             process.returncode = process.poll() or 0
 
-    # Messages of the threads
+    # What the threads call
 
-    @on(messages.Arrived)
-    def _take(self, event: messages.Arrived) -> None:
-        block = event.block
+    def _take(self, block: PacketBlock) -> None:
         first = not self.store.packets
         self.ledger.add(block.batch, block.columns)
+        if self._watch is not None:
+            self._watch.put(block)
         dropped = self.store.append(block)
         if self.store.filtered:
             self._filter_thread.put(block)
@@ -143,20 +157,22 @@ class Viewer(Navigation):
             self.packets.forget()
         self._more_rows(dropped)
 
-    @on(messages.FilterAnswer)
-    def _take_answer(self, event: messages.FilterAnswer) -> None:
-        if event.where is not self._where:
+    def _take_answer(self, where: Where, block: PacketBlock, rows: NDArray[np.int64]) -> None:
+        if where is not self._where:
             return
-        self.store.settle(event.block, event.rows)
+        if len(rows):
+            self.routes.ledger.add(block.batch.take(rows), block.columns.take(rows))
+        self.store.settle(block, rows)
         self._more_rows(0)
 
-    @on(messages.Ended)
-    def _end(self, event: messages.Ended) -> None:
+    def _end(self, why: str, failed: bool) -> None:
         self.reading = False
-        self.failure = event.why if event.failed else ""
+        self.failure = why if failed else ""
         self.packets.empty = "no packet"
-        if event.why:
-            self._notice(event.why, Level.WARNING)
+        if self._watch is not None:
+            self._watch.put(None)
+        if why:
+            self._notice(why, Level.WARNING)
         self._refresh_status()
 
     def _more_rows(self, dropped: int) -> None:
@@ -195,13 +211,12 @@ class Viewer(Navigation):
         given_up = lambda: worker.is_cancelled  # noqa: E731
         order = sort_order(self.store.parts(), column, self._decoding, reverse=reverse, given_up=given_up)
         if order is not None and not worker.is_cancelled:
-            self._post(messages.Sorted(column, order, forgotten))
+            self._later(self._take_order, column, order, forgotten)
 
-    @on(messages.Sorted)
-    def _take_order(self, event: messages.Sorted) -> None:
-        rows = self.store.forgotten, event.column
-        if rows == (event.forgotten, self.packets.sorted_by) and len(event.order) <= len(self.store):
-            self._reorder(event.order)
+    def _take_order(self, column: str, order: NDArray[np.int64], forgotten: int) -> None:
+        same = (self.store.forgotten, self.packets.sorted_by) == (forgotten, column)
+        if same and len(order) <= len(self.store):
+            self._reorder(order)
 
     def _reorder(self, order: NDArray[np.int64] | None) -> None:
         self._wanted = self._number or None
@@ -270,6 +285,8 @@ class Viewer(Navigation):
         self._where = event.where
         self._wanted = self._number or None
         self.packets.empty = "no packet passes the filter"
+        listed = Ledger(self._bench.mission, structs=self._decoding.structs)
+        self.routes.count(listed if event.where else self.ledger)
         self.store.restart(filtered=event.where is not None)
         self._filter_thread.begin(event.where, self.store.blocks)
         self.packets.forget()
@@ -280,43 +297,19 @@ class Viewer(Navigation):
         """Edit the filter."""
         self.filter_line.input.focus()
 
-    def action_filter_marks(self) -> None:
-        """Filter for the marked packets."""
-        if not self.packets.marks:
-            self._notice("no packet is marked; m marks one")
-            return
-        self._filter_for(f"number in {{{', '.join(map(str, sorted(self.packets.marks)))}}}")
-
-    def action_filter_field(self) -> None:
-        """Add the selected field to the filter line; Enter applies it."""
-        row = self.layers.field
-        text = filter_of(self.decoded, row) if self.decoded and row else ""
-        if not text:
-            self._notice("select a field with a value first")
-            return
-        line = self.filter_line.input
-        line.value = f"{line.value} and {text}" if line.value.strip() else text
-        line.cursor_position = len(line.value)
-        line.focus()
-
-    def _filter_for(self, text: str) -> None:
-        self.filter_line.accept(text, self.store.begin_ns)
-        self.packets.focus()
-
     # The lower half
 
     def action_view(self, name: str, every: bool = False) -> None:
-        """Show the packet, the routes, the conversation, the rates or the way of the message."""
-        switcher = self._lower
-        pane = name if name == "packet" else f"{name}-view"
-        if switcher.current == pane and (name != "sequence" or every == self._every_link):
+        """Show the packet, or one of ``VIEWS``; again: go back."""
+        if self._view == name and (name != "sequence" or every == self._every_link):
             self.action_leave()
             return
-        switcher.current = pane
+        if name == "room" and not self._begin_watch():
+            return
+        self._lower.current = name if name == "packet" else f"{name}-view"
         self._every_link = every
-        if name != "packet":
-            views = {"routes": self.routes, "sequence": self.sequence, "rates": self.rates}
-            views.get(name, self.trace).focus()
+        if name in VIEWS:
+            getattr(self, name).focus()
         self._refresh_figures()
         self._update_lower()
         self._refresh_title()
@@ -327,16 +320,49 @@ class Viewer(Navigation):
 
     def action_leave(self) -> None:
         """Go back: from one pane to all, from another view to the packet, to the list."""
-        if self.screen.maximized is not None:
-            self.screen.minimize()
-        self._lower.current = "packet"
+        writing = self.filter_line.input.has_focus or self.prompt.input.has_focus
+        self.filter_line.restore()
         self.prompt.display = False
+        if self.zoomed:
+            self._zoom("")
+        elif not writing:
+            self._lower.current = "packet"
         self.packets.focus()
         self._refresh_title()
 
-    @on(Lines.Chosen, "#routes")
-    def _choose_route(self) -> None:
-        self._filter_for(self.routes.filter)
+    def action_graph(self) -> None:
+        """Show the graph of the selected field."""
+        name, _, _ = self._selected_filter().partition(" ")
+        if self._view == "graph" and name in {"", self._field}:
+            self.action_leave()
+        elif name:
+            self._field = name
+            self.graph.empty = f"no number in {name} of the packets of the list"
+            self.graph.plot(None)
+            self._lower.current = "packet"
+            self.action_view("graph")
+        else:
+            self._notice("select a field with a value first")
+
+    def _begin_watch(self) -> bool:
+        """Begin to judge all packets that are kept, unless that has begun; return whether it has."""
+        source = self._source
+        if self._watch is None:
+            try:
+                monitor = doors.part("monitor")(self._bench, source.info, source.statistics, live=self.live)
+            except EdorasError as error:
+                self._notice(str(error), Level.WARNING)
+                return False
+            self._watch = WatchThread(monitor, self.store.blocks)
+            if not self.reading:
+                self._watch.put(None)
+            self._watch.start()
+        return True
+
+    @on(Lines.Chosen)
+    def _choose_row(self, event: Lines.Chosen) -> None:
+        if isinstance(event.lines, Drawing | Routes) and event.lines.filter:
+            self._filter_for(event.lines.filter)
 
     @on(Lines.Chosen, "#sequence")
     def _choose_run(self) -> None:
@@ -346,29 +372,68 @@ class Viewer(Navigation):
 
     def _update_lower(self) -> None:
         """Make what the lower half shows of the packets of the list anew."""
-        if self._view == "sequence-view":
-            self._build_conversation(self._every_link)
-        elif self._view == "rates-view":
-            self._build_rates()
+        listed = self.routes.ledger
+        if self._view == "room":
+            self._show_room()
+        elif self._view == "findings":
+            self.findings.show(lambda width: finding_rows(listed.findings, width))
+        elif self._view == "sums":
+            facts = [self._source.info.name, *self.ledger.notes]
+            self.sums.show(lambda _: sum_rows(self.ledger, listed, facts))
+        elif self._view in _BUILT:
+            self._build(self._view, self._every_link)
 
     def _refresh_figures(self) -> None:
         super()._refresh_figures()
         self._sort_again()
-        if self._view == "rates-view" and (self.store.packets, len(self.store)) != self._drawn:
-            self._build_rates()
+        drawn, self._drawn = self._drawn, (self.store.packets, len(self.store))
+        if self._view == "room" or (drawn != self._drawn and self._view != "sequence"):
+            self._update_lower()
+        for process in [item for item in self._wireshark if item.poll() is not None]:
+            self._wireshark.remove(process)
+            if process.returncode:
+                self._notice(f"Wireshark ended with exit code {process.returncode}", Level.WARNING)
 
-    @work(thread=True, exclusive=True, group="rates")
-    def _build_rates(self) -> None:
-        worker = get_current_worker()
-        self._drawn = self.store.packets, len(self.store)
-        parts, begin_ns = self.store.parts(), self.store.begin_ns or 0
-        figure = rate_figure(parts, self._decoding, begin_ns, lambda: worker.is_cancelled)
+    def _show_room(self) -> None:
+        assert self._watch is not None
+        state = self._watch.state()
+        self.room.show(lambda width: room_rows(state, width, self.console, live=self.live and self.reading))
+
+    @work(thread=True, exclusive=True, group="view")
+    def _build(self, view: str, every: bool) -> None:
+        """Work out what a view shows, and show it."""
+        worker, parts, begin_ns = get_current_worker(), self.store.parts(), self.store.begin_ns or 0
+        given_up = lambda: worker.is_cancelled  # noqa: E731
+        result: Any = None
+        match view:
+            case "rates":
+                result = rate_figure(parts, self._decoding, begin_ns, given_up, max(20, self.size.width - 10))
+            case "graph":
+                try:
+                    result = field_figure(parts, self._decoding, self._field, begin_ns, given_up)
+                except WhereError as error:
+                    self._later(self._notice, clean(error.why), Level.WARNING)
+            case "sequence":
+                conversation = Conversation(self._decoding)
+                for block, _, selection in parts:
+                    rows = np.asarray(selection)
+                    if not every:
+                        rows = rows[among(block.columns.link[rows], lambda link: link.peers)]
+                    if len(rows) and not worker.is_cancelled:
+                        conversation.add(
+                            ColumnRows(self._decoding, begin_ns, block.batch, block.columns, rows)
+                        )
+                result = conversation.messages()
         if not worker.is_cancelled:
-            self._post(messages.RatesReady(figure))
+            self._later(self._show_result, view, result)
 
-    @on(messages.RatesReady)
-    def _show_rates(self, event: messages.RatesReady) -> None:
-        self.rates.plot(event.figure)
+    def _show_result(self, view: str, result: Any) -> None:
+        if view == "sequence":
+            self.sequence.empty = "no SBN among the packets shown; S shows all links"
+            self.sequence.show(result)
+        else:
+            (self.rates if view == "rates" else self.graph).plot(result)
+        self._refresh_title()
 
     @work(thread=True, exclusive=True, group="trace")
     def _follow(self, number: int) -> None:
@@ -378,37 +443,14 @@ class Viewer(Navigation):
         try:
             ladder = doors.part("trace")(self._decoding, blocks, number, zero_ns, lambda: worker.is_cancelled)
         except EdorasError as error:
-            self._post(messages.TraceReady(str(error)))
+            self._later(self._show_trace, str(error))
         else:
             if ladder is not None:
-                self._post(messages.TraceReady(ladder))
+                self._later(self._show_trace, ladder)
 
-    @on(messages.TraceReady)
-    def _show_trace(self, event: messages.TraceReady) -> None:
-        self.trace.empty = event.ladder if isinstance(event.ladder, str) else ""
-        self.trace.show(None if isinstance(event.ladder, str) else event.ladder)
-
-    @work(thread=True, exclusive=True, group="sequence")
-    def _build_conversation(self, every: bool) -> None:
-        worker = get_current_worker()
-        conversation = Conversation(self._decoding)
-        begin_ns = self.store.begin_ns or 0
-        for block, _, selection in self.store.parts():
-            if worker.is_cancelled:
-                return
-            rows = np.asarray(selection)
-            if not every:
-                rows = rows[among(block.columns.link[rows], lambda link: link.peers)]
-            if len(rows):
-                conversation.add(ColumnRows(self._decoding, begin_ns, block.batch, block.columns, rows))
-        self._post(messages.ConversationReady(conversation.messages()))
-
-    @on(messages.ConversationReady)
-    def _show_sequence(self, event: messages.ConversationReady) -> None:
-        view = self.sequence
-        view.empty = "no SBN among the packets shown; S shows all links"
-        view.show(event.runs)
-        self._refresh_title()
+    def _show_trace(self, ladder: Callable[[int], list[Text]] | str) -> None:
+        self.trace.empty = ladder if isinstance(ladder, str) else ""
+        self.trace.show(None if isinstance(ladder, str) else ladder)
 
     def action_wireshark(self) -> None:
         """Open what the list shows in Wireshark."""
@@ -423,6 +465,6 @@ class Viewer(Navigation):
         try:
             self._wireshark.append(open_in_wireshark(self.store.parts(), row, self._choice.settings))
         except EdorasError as error:
-            self._post(messages.Notice(str(error), Level.WARNING))
+            self._later(self._notice, str(error), Level.WARNING)
         else:
-            self._post(messages.Notice(f"Wireshark opens at packet {row + 1:,} of those shown"))
+            self._later(self._notice, f"Wireshark opens at packet {row + 1:,} of those shown")

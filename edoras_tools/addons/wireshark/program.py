@@ -46,7 +46,8 @@ OLDEST: Final = (3, 6)
 _READS: Final = frozenset({"pcap", "pcapng"})
 _COMPRESSED: Final = ".zst"
 """A suffix that not every Wireshark reads."""
-_THEN_REMOVE: Final = '"$@"; rm -rf "$0"'
+_DISPLAYS: Final = ("DISPLAY", "WAYLAND_DISPLAY")
+_THEN_REMOVE: Final = '"$@"; code=$?; rm -rf "$0"; exit $code'
 """A shell script: Wireshark may run longer than this process, and needs its files until it ends."""
 
 
@@ -217,9 +218,11 @@ def open_packets(batches: Iterable[PacketBatch], row: int, settings: Settings) -
         The process, which removes the file when Wireshark ends.
 
     Raises:
-        EdorasError: Wireshark is not installed, or the file cannot be written.
+        EdorasError: Wireshark is not installed, there is no display, or the file cannot be written.
     """
     path = find_program("wireshark")
+    if sys.platform not in {"darwin", "win32"} and not any(map(os.environ.get, _DISPLAYS)):
+        raise CaptureError("Wireshark needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set")
     text, _ = dissector(settings)
     folder = Path(tempfile.mkdtemp(prefix="edoras-"))
     try:

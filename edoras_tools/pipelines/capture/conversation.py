@@ -12,14 +12,18 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from edoras_tools.cfs.names import command_name
+from edoras_tools.decode.stack import Dissector
 from edoras_tools.links import table
 from edoras_tools.links.table import among
-from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding, Peer
+from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Endpoint, Finding, Link, Peer
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.render.capture.sequence import SequenceMessage
+from edoras_tools.wire.arrays.order import numbered
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES, MsgType
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
@@ -111,14 +115,14 @@ class Conversation:
     """
 
     def __init__(self, context: Context) -> None:
-        self._context = context
+        self._context, self._dissector = context, Dissector(context, detail=False)
         self._streams: dict[_Stream, list[_Run]] = {}
         self.begin_ns = 0
 
     def add(self, rows: ColumnRows) -> None:
         """Add the packets of a batch."""
         self.begin_ns = rows.begin_ns
-        code, first = _alike(rows)
+        first, code = _alike(rows)
         streams = [self._stream(rows, row) for row in first.tolist()]
         number = {stream: index for index, stream in enumerate(dict.fromkeys(streams))}
         code = np.array([number[stream] for stream in streams], np.int64)[code]
@@ -132,19 +136,13 @@ class Conversation:
 
     def messages(self) -> list[SequenceMessage]:
         """Return all runs in order of their start; SBN peers are named by their identity if it is known."""
-        messages = [
-            SequenceMessage(
-                self._name(stream.source),
-                self._name(stream.destination),
-                stream.label,
-                run.count,
-                run.first_ns - self.begin_ns,
-                run.last_ns - self.begin_ns,
-                Finding(run.findings).labels,
-            )
-            for stream, runs in self._streams.items()
-            for run in runs
-        ]
+        messages, begin_ns = [], self.begin_ns
+        for stream, runs in self._streams.items():
+            parties = self._name(stream.source), self._name(stream.destination)
+            for run in runs:
+                ends = run.first_ns - begin_ns, run.last_ns - begin_ns
+                labels = Finding(run.findings).labels
+                messages.append(SequenceMessage(*parties, stream.label, run.count, *ends, labels))
         return sorted(messages, key=lambda message: message.first_ns)
 
     def _follow(self, stream: _Stream, times: NDArray[np.int64], findings: NDArray[np.uint32]) -> None:
@@ -173,7 +171,7 @@ class Conversation:
         index = int(rows.indices()[row])
         datagram = rows.batch[index]
         columns, link = rows.columns, table.link(rows.columns.link[index])
-        label = self._label(rows, row, index)
+        label = self._label(rows, row, index, link)
         source, destination = datagram.source, datagram.destination
         if link.peers:
             sender = Peer(int(columns.spacecraft_id[index]), int(columns.processor_id[index]))
@@ -184,11 +182,13 @@ class Conversation:
             return _Stream(f"{link.name} {source.address}", f"Ground {destination.address}", label)
         return _Stream(str(source), str(destination), label)
 
-    def _label(self, rows: ColumnRows, row: int, index: int) -> str:
+    def _label(self, rows: ColumnRows, row: int, index: int, link: Link) -> str:
         columns = rows.columns
         kind, msg_id = int(columns.sbn_msg_type[index]), int(columns.msg_id[index])
         if msg_id == NO_MSG_ID:
-            return MSG_TYPE_NAMES.get(kind, f"type 0x{kind:02x}") if kind >= 0 else "unreadable"
+            if kind >= 0 or link == OTHER:
+                return "of no link" if kind < 0 else MSG_TYPE_NAMES.get(kind, f"type 0x{kind:02x}")
+            return table.protocol(link).kind_name(self._dissector.dissect(rows.batch[index])) or "unreadable"
         route, code = int(rows.routes()[row]), int(columns.function_code[index])
         context = self._context.of(int(columns.spacecraft[index]))
         standard = context.msg_ids.standard(msg_id)
@@ -197,10 +197,9 @@ class Conversation:
         return " ".join(["APP"] * (kind == MsgType.APP) + [word for word in words if word])
 
 
-def _alike(rows: ColumnRows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Number the packets by everything that names their stream; return the numbers, and one row of each."""
+def _alike(rows: ColumnRows) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Number the packets by everything that names their stream; return one row of each, and the numbers."""
     link = rows.column("link")
-    with_peers = among(link, lambda item: item.peers)
     to_cfs = among(link, lambda item: item.only_to_cfs)
     from_cfs = among(link, lambda item: item.only_from_cfs)
     keys: list[NDArray[Any]] = [
@@ -208,19 +207,30 @@ def _alike(rows: ColumnRows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         rows.column("sbn_msg_type"),
         rows.column("msg_id"),
         rows.column("function_code"),
-        np.where(with_peers, rows.column("processor_id"), 0),
-        np.where(with_peers, rows.column("spacecraft_id"), 0),
+        rows.column("processor_id"),
+        rows.column("spacecraft_id"),
         rows.datagram("ip_version"),
         rows.datagram("source_address"),
         np.where(to_cfs | from_cfs, 0, rows.datagram("source_port")),
         rows.datagram("destination_address"),
         np.where(from_cfs, 0, rows.datagram("destination_port")),
     ]
-    code, first = np.zeros(len(rows), np.int64), np.zeros(0, np.int64)
-    for key in keys:
-        _, part = np.unique(key, return_inverse=True)
-        _, first, code = np.unique(
-            code * len(rows) + part.reshape(-1), return_index=True, return_inverse=True
-        )
-        code = code.reshape(-1)
-    return code, first
+    return numbered(*keys, *_own_kinds(rows))
+
+
+def _own_kinds(rows: ColumnRows) -> Iterator[NDArray[np.int64]]:
+    """Number the datagrams without a MsgId by which of their link's headers they have, and its own texts."""
+    links = np.where(rows.column("msg_id") == NO_MSG_ID, rows.column("link"), 0)
+    for reader in table.links():
+        if not (links == reader).any():
+            continue
+        kinds = np.zeros(len(rows), np.int64)
+        for place, layout in enumerate(reader.layouts):
+            kinds[reader.places(layout, rows)[0]] |= 1 << place % 62
+        yield kinds
+        for field in reader.fields():
+            series = field.series(rows)
+            if series.table is not None:
+                texts = np.zeros(len(rows), np.int64)
+                texts[series.owner] = series.values + 1
+                yield texts

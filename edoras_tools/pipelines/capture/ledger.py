@@ -152,12 +152,7 @@ class Account:
 
 
 _UNSAID: Final = {"link", "spacecraft", "sequences", "findings", "codes", "pauses", "paused_ns", "pausing"}
-_PLAIN: Final = [
-    item.name
-    for item in fields(Account)
-    if item.name
-    not in {"link", "spacecraft", "sequences", "findings", "codes", "pauses", "paused_ns", "pausing"}
-]
+_PLAIN: Final = [item.name for item in fields(Account) if item.name not in _UNSAID]
 """The numbers of an account; of a recording that says them there is one spacecraft."""
 _TOTALS: Final = "datagrams", "start_ns", "end_ns", "behind", "behind_ns"
 
@@ -424,13 +419,9 @@ class Ledger:
         ]
 
     def _account(self, columns: Columns, kind: int, row: int) -> Account:
-        key = (
-            int(columns.link[row]),
-            int(columns.processor_id[row]),
-            int(columns.msg_id[row]),
-            kind,
-            int(columns.spacecraft[row]),
-        )
+        parts = columns.link, columns.processor_id, columns.msg_id, columns.spacecraft
+        link, processor_id, msg_id, spacecraft = (int(item[row]) for item in parts)
+        key = link, processor_id, msg_id, kind, spacecraft
         if key not in self.accounts:
             self.several = self.several or key[-1] != FIRST_SPACECRAFT
             self.accounts[key] = Account(table.link(key[0]), *key[1:], int(columns.route[row]))
@@ -517,6 +508,7 @@ class Ledger:
         own = self._own(account)
         if route is None and len(own) == 1:
             (route,) = own.values()
+        topics = {topic: account.codes[item.key.function_code or 0] for topic, item in own.items()}
         name = message_name(self.mission.msg_ids.standard(account.msg_id))
         name = name or ", ".join(item.name for item in own.values() if item is not route)
         if account.msg_id == NO_MSG_ID and account.link != OTHER:
@@ -539,11 +531,7 @@ class Ledger:
             "bytes_min": account.bytes_min,
             "bytes_max": account.bytes_max,
             "findings": {label: account.findings[label] for label in _LABELS if label in account.findings},
-            **(
-                {"topics": {topic: account.codes[item.key.function_code or 0] for topic, item in own.items()}}
-                if len(own) > 1
-                else {}
-            ),
+            **({"topics": topics} if len(topics) > 1 else {}),
         }
 
 

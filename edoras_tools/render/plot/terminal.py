@@ -31,11 +31,11 @@ def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0) -> li
     """Draw a plot.
 
     Args:
-        width: columns of the terminal; at least 40 are used, at most 160.
+        width: columns of the terminal; at least 40 are used, at most 160 unless ``rows`` says the height.
         colour: whether lines can be told apart by colour; if not, each has its own panel.
         rows: lines of each panel; 0 for the usual ones.
     """
-    width = max(_NARROWEST, min(width, _WIDEST))
+    width = max(_NARROWEST, width if rows else min(width, _WIDEST))
     colour = colour or any(line.sign for panel in figure.panels for line in panel.lines)
     panels = [part for panel in figure.panels for part in (_parts if colour else _split)(panel)]
     margin = max(len(text) for panel in panels for _, text in _levels(panel))

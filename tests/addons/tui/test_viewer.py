@@ -10,7 +10,7 @@ from effort import LONG, every
 from places import ROOT
 from textual.events import MouseScrollDown
 
-from edoras_tools.addons.tui.panes import Help
+from edoras_tools.addons.tui.prompts import Sheet
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.sbn import SBN
 from edoras_tools.pipelines.selection import Selection
@@ -541,11 +541,11 @@ def test_the_way_of_the_packet_is_followed(drive):
         await hands.go(189)
         await hands.press("t")
         assert app._lower.current == "trace-view"
-        await hands.until(lambda: len(app.trace._lines) > 1, "its way")
+        await hands.until(lambda: len(app.trace._rows) > 1, "its way")
         await hands.until(lambda: "0x082a" in "".join(hands.lines(app.trace)[:1]), "drawn in its size")
         assert "packet 189" in "\n".join(hands.lines(app.trace))
         await hands.press("escape", "g", "t")  # SBN's own: no message of a link
-        await hands.until(lambda: len(app.trace._lines) == 1 and "examined" not in app.trace.empty, "why not")
+        await hands.until(lambda: len(app.trace._rows) == 1 and "examined" not in app.trace.empty, "why not")
         await hands.press("escape")
         assert app._lower.current == "packet"
 
@@ -637,9 +637,9 @@ def test_panes_grow_and_shrink(drive):
         await hands.press("greater_than_sign", "greater_than_sign")
         await hands.until(lambda: app.packets.size.height > before, "more room")
         await hands.press("z")
-        assert app.screen.maximized is app.packets
+        assert app.zoomed == "packets"
         await hands.press("escape")
-        assert app.screen.maximized is None
+        assert not app.zoomed
         await hands.press("T")
         assert app.theme == "edoras-light"
 
@@ -672,9 +672,9 @@ def test_the_theme_is_that_of_the_terminal(drive, monkeypatch, colours, theme):
 def test_help_comes_and_goes(drive):
     async def script(hands):
         await hands.press("question_mark")
-        assert isinstance(hands.app.screen, Help)
+        assert isinstance(hands.app.screen, Sheet)
         await hands.press("escape")
-        assert not isinstance(hands.app.screen, Help)
+        assert not isinstance(hands.app.screen, Sheet)
 
     drive(script)
 

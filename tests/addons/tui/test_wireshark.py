@@ -14,6 +14,8 @@ PRETENDER = """#!{python}
 import shutil, sys
 if "--version" in sys.argv:
     print("Wireshark 4.0.17 with Lua 5.2.4")
+elif __import__("os").path.exists("{folder}/fails"):
+    sys.exit(3)
 else:
     shutil.copy(sys.argv[sys.argv.index("-r") + 1], "{folder}/seen.pcapng")
     open("{folder}/done", "w").write("\\n".join(sys.argv[1:]))
@@ -27,6 +29,7 @@ def pretender(tmp_path, monkeypatch):
     program.parent.mkdir()
     program.write_text(PRETENDER.format(python=sys.executable, folder=tmp_path))
     program.chmod(0o755)
+    monkeypatch.setenv("DISPLAY", ":99")
     monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
     return tmp_path
 
@@ -55,6 +58,21 @@ def test_wireshark_gets_what_is_shown_and_goes_to_the_packet(drive, pretender):
     assert blocks((pretender / "seen.pcapng").read_bytes()).count(6) == 57
     folder = os.path.dirname(arguments[arguments.index("-r") + 1])  # noqa: PTH120  a name, no file
     until(lambda: not os.path.exists(folder), "the files are gone")  # noqa: PTH110
+
+
+def test_wireshark_without_a_display_is_one_line(drive, pretender, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+
+    async def script(hands):
+        await hands.press("w")
+        await hands.until(lambda: "Wireshark needs a display" in hands.status, "the reason")
+        monkeypatch.setenv("DISPLAY", ":99")
+        (pretender / "fails").touch()
+        await hands.press("w")
+        await hands.until(lambda: "Wireshark ended with exit code 3" in hands.status, "it ended at once")
+
+    drive(script, size=(120, 30))
 
 
 def test_absent_is_said(monkeypatch):

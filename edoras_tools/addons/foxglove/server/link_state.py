@@ -19,7 +19,7 @@ from edoras_tools.model import NO_MSG_ID, Columns, PacketBatch, SourceStatistics
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -60,10 +60,14 @@ class LinkState:
 
     Args:
         statistics: of the source, for losses of the capture itself; None: it has no such counter.
+
+    Attributes:
+        clock: monotonic, in s.
     """
 
     def __init__(self, mission: Mission, types: TypeStore, statistics: SourceStatistics | None) -> None:
         self._mission, self._types, self._statistics = mission, types, statistics
+        self.clock: Callable[[], float] = time.monotonic
         self._lock = threading.Lock()
         self._routes: dict[tuple[int, int, int], dict[str, Any]] = {}
         self._last: dict[tuple[int, int, int], _LastPacket] = {}
@@ -95,12 +99,17 @@ class LinkState:
         entries.sort(key=itemgetter("time_ns"))
         last = self._last_packets(batch, columns)
         with self._lock:
-            self._heard, self._time_ns = time.monotonic(), int(batch.time_ns[-1])
+            self._heard, self._time_ns = self.clock(), int(batch.time_ns[-1])
             self._last.update(last)
             for entry in entries:
                 self._add_event(entry)
             if len(counts):
                 self._count(counts, statuses)
+
+    def finish(self, counts: Messages) -> None:
+        """Count the messages of a last second that is not whole; rates are of whole ones."""
+        with self._lock:
+            self._count(counts, None)
 
     def summary(self) -> dict[str, Any]:
         """Return routes by topic, events by their last time, newest first, and sums.
@@ -108,7 +117,7 @@ class LinkState:
         Rates are those of the last second. ``age_s`` is the time since the last packet of a route.
         """
         with self._lock:
-            silent = None if self._heard < 0 else time.monotonic() - self._heard
+            silent = None if self._heard < 0 else self.clock() - self._heard
             since_ns = self._time_ns - _STALE_NS
             if silent is not None and silent * SECOND > _STALE_NS:
                 since_ns = self._time_ns
@@ -179,7 +188,7 @@ class LinkState:
         if len(self._events) > _MOST_EVENTS:
             del self._events[next(iter(self._events))]
 
-    def _count(self, counts: Messages, statuses: Mapping[str, Mapping[str, Any]]) -> None:
+    def _count(self, counts: Messages, statuses: Mapping[str, Mapping[str, Any]] | None) -> None:
         for place, head in enumerate(counts.heads(slice(0, len(counts)))):
             start = int(counts.offset[place])
             topic = bytes(counts.data[start : start + int(counts.length[place])]).rstrip(b"\0").decode()
@@ -190,8 +199,10 @@ class LinkState:
             row = self._routes.setdefault(key, _route(*key, topic))
             for name in _SUMS:
                 row[name] += int(head[name])
-            row["rate_hz"], row["bytes_per_s"] = float(head["rate_hz"]), int(head["bytes"])
             row["largest"] = max(row["largest"], int(head["largest"]))
+            if statuses is None:
+                continue
+            row["rate_hz"], row["bytes_per_s"] = float(head["rate_hz"]), int(head["bytes"])
             row["time_ns"] = int(counts.log_time[place])
             status: Mapping[str, Any] = {}
             for name in (row["topic"], row["msg_id"] or "no MsgId"):  # structs have their own topics
@@ -206,5 +217,7 @@ def _route(spacecraft: int, link: int, msg_id: int, topic: str) -> dict[str, Any
         "msg_id": f"0x{msg_id:04x}" if msg_id != NO_MSG_ID else None,
         "topic": topic if topic.startswith("/") and link >= 0 else None,
         "name": (message_name(msg_id) if msg_id != NO_MSG_ID else "") or None,
-        **dict.fromkeys((*_SUMS, "largest"), 0),
+        **dict.fromkeys((*_SUMS, "largest", "time_ns", "bytes_per_s", "level"), 0),
+        "rate_hz": 0.0,
+        "message": "",
     }

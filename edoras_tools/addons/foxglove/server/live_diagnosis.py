@@ -3,7 +3,8 @@
 Rules:
 
 1. Whoever writes batches never waits for a judgement: what comes meanwhile waits in a queue.
-2. Judging takes at most a fortieth of the time, however much was taken, and none while nobody asks.
+2. Judging takes at most a fortieth of the time, however much was taken, and none while nobody asks, or
+   nothing came.
 3. Where the queue grows beyond its limit, all is judged from there on, and ``since_ns`` says so.
 """
 
@@ -18,7 +19,9 @@ from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.case import Capture
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity
+from edoras_tools.links.table import link_of_label
 from edoras_tools.pipelines.capture.flushing import ROW_BYTES, compact, join
+from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -27,11 +30,13 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.examination import Diagnosis, Examination
     from edoras_tools.diagnosis.ledger import Row
     from edoras_tools.diagnosis.summary import Problem
-    from edoras_tools.model import Columns, PacketBatch, SourceStatistics
+    from edoras_tools.model import Columns, Link, PacketBatch, SourceStatistics
 
 _EVERY_S: Final = 1.0
 _PAUSE: Final = 39
 """Times as long as it judged, it pauses."""
+_SHORT_PAUSE: Final = 3
+"""The same, where adding waits."""
 _ASKED_S: Final = 10.0
 """So long after the last question it goes on."""
 _MOST_WAITING: Final = 64 << 20
@@ -48,9 +53,16 @@ class LiveDiagnosis:
     Args:
         begin: makes an examination.
         statistics: of the source, for losses of the capture itself.
+
+    Attributes:
+        waits: whoever adds batches waits for a judgement, instead of rules 1 and 3, and judging takes up to a
+            quarter of the time: for one user who looks, and no server.
     """
 
+    waits = False
+
     def __init__(self, begin: Callable[[], Examination], statistics: SourceStatistics | None = None) -> None:
+        self._news = True
         self._begin, self._statistics = begin, statistics
         self._examination = self._fresh()
         self._judging, self._state = threading.Lock(), threading.Lock()
@@ -61,6 +73,7 @@ class LiveDiagnosis:
         self._last_question = 0.0
         self._since_ns: int | None = None
         self._latest: dict[str, Any] | None = None
+        self._before: tuple[int, Mapping[Any, int]] = 0, {}
 
     def add(self, batch: PacketBatch, columns: Columns) -> None:
         """Take a batch of at least one row; it is not changed afterwards."""
@@ -69,7 +82,7 @@ class LiveDiagnosis:
             self._queue.append(part)
             self._queue_bytes += len(part[0].data) + ROW_BYTES * len(batch)
             enough = self._queue_bytes >= _TOGETHER
-        if enough and self._judging.acquire(blocking=False):
+        if enough and self._judging.acquire(blocking=self.waits):
             try:
                 self._take_queue()
             finally:
@@ -107,11 +120,27 @@ class LiveDiagnosis:
             began = time.thread_time()
             with self._judging:
                 self._take_queue()
-                diagnosis = self._examination.diagnose(self._capture())
-            latest = {"since_ns": self._since_ns, **_page_values(diagnosis)} if diagnosis.datagrams else None
-            with self._state:
-                self._latest = latest
-            pause = max(_EVERY_S, _PAUSE * (time.thread_time() - began))
+                came, self._news = self._news, False
+                diagnosis = self._examination.diagnose(self._capture()) if came else None
+            if diagnosis is not None and diagnosis.datagrams:
+                latest = {"since_ns": self._since_ns, **_page_values(diagnosis)}
+                self._add_rates(latest)
+                with self._state:
+                    self._latest = latest
+            factor = _SHORT_PAUSE if self.waits else _PAUSE
+            pause = max(_EVERY_S, factor * (time.thread_time() - began))
+
+    def _add_rates(self, latest: dict[str, Any]) -> None:
+        """Say how many a second came out of each hop since the judgement before."""
+        until_ns, before = self._before
+        passed, outs = (latest["until_ns"] - until_ns) / SECOND, {}
+        for flow in latest["flows"]:
+            way = flow["spacecraft"], flow["link"], *(hop["hop"] for hop in flow["hops"])
+            for place, hop in enumerate(flow["hops"]):
+                outs[key := (*way, place)] = hop["out"]
+                known = key in before and passed > 0
+                hop["rate_hz"] = max(0.0, (hop["out"] - before[key]) / passed) if known else None
+        self._before = latest["until_ns"], outs
 
     def _take_queue(self) -> None:
         """Take what waited, as one batch."""
@@ -123,6 +152,7 @@ class LiveDiagnosis:
             self._examination = self._fresh()
             self._since_ns = int(parts[0][0].time_ns[0])
         if parts:
+            self._news = True
             self._examination.add(*join(parts))
 
     def _capture(self) -> Capture:
@@ -202,9 +232,20 @@ def _flows(ways: Iterable[WaySum], topics: Mapping[int, str]) -> list[dict[str, 
         names = [topics.get(first.route) or first.topic or first.name for first, *_ in members]
         columns = zip(*members, strict=True)
         rows = [_hop(hop, rows) for hop, rows in zip(hops, columns, strict=True)]
-        names = sorted(filter(None, names))
-        flows.append({"spacecraft": spacecraft, "link": link, "names": names, "hops": rows})
+        ends = _ends(link_of_label(link), hops[0]) if link else ("", "")  # rows of a shared counter have none
+        said = {"spacecraft": spacecraft, "link": link, "names": sorted(filter(None, names)), "ends": ends}
+        flows.append({**said, "hops": rows})
     return sorted(flows, key=lambda item: (-sum(hop["lost"] for hop in item["hops"]), item["link"]))
+
+
+def _ends(link: Link, first: str) -> tuple[str, str]:
+    """Return who stands before the first hop and behind the last one, as far as the link says."""
+    if link.only_to_cfs:
+        return "ground", ""
+    if link.only_from_cfs:
+        return "", "ground"
+    peer = f"{link.name} peer" if link.peers else ""
+    return ("", peer) if first.startswith(link.name) else (peer, "")
 
 
 def _hop(hop: str, rows: Iterable[Row]) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.cdr import ENCAPSULATION
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -48,6 +48,8 @@ _LEVELS: Final = {"warning": WARN, "error": ERROR}
 _MOST: Final = 256
 """Garbage may contain any number of MsgIds; those above this number share one status."""
 _BITS: Final = 32
+_ALL: Final = 0.95
+"""Where more than this share comes through, the rates before and behind are one."""
 
 
 class Diagnostics:
@@ -194,6 +196,146 @@ class Diagnostics:
         }
 
 
+class LinkMonitor:
+    """What is shown of a link while it runs: its topics, its state, and what the doctor says.
+
+    Topics, types and messages are those of a recording, plus ``/diagnostics`` and ``/tf``; those of DDS come
+    once they are announced.
+
+    Args:
+        context: of the decoder; the routes of its mission become topics.
+        name: of the source.
+        levels: the level of each finding in the diagnostics: 0 OK, 1 warning, 2 error.
+        statistics: the source's, for losses of the capture itself.
+        offer: offers another topic to clients, and returns its place; by default it has the next one, and
+            whoever adds batches waits for judgements.
+        live: whether time goes on when nothing comes; else ages are those at the end of a capture.
+
+    Attributes:
+        topics: those that are there from the start.
+        definitions: the complete texts of types that ``types`` has not.
+
+    Raises:
+        RouteError: a route's type is unknown.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        types: TypeStore,
+        name: str,
+        levels: Mapping[Finding, int],
+        statistics: SourceStatistics | None,
+        offer: Callable[[Topic], int] | None = None,
+        *,
+        live: bool = True,
+    ) -> None:
+        self._context, self._types, self._name = context, types, name
+        self._levels, self._counted = levels, statistics
+        self._alone, self._add = offer is None, offer or (lambda _: len(self._places))
+        self._live = live
+        self._begin()
+        bound = self._streams.structs.all
+        own = [DIAGNOSTICS, FAULTS]
+        if all(topic.name != TRANSFORMS.name for topic in self._streams.topics):
+            own.append(TRANSFORMS)
+        own += [Topic(item.topic, item.type, item.metadata) for item in bound]
+        self.topics = [*self._streams.topics, *own]
+        self.definitions = {
+            **self._streams.definitions,
+            **{item.type: self._streams.structs.text(item.type) or "" for item in bound},
+        }
+        self._places = {topic.name: place for place, topic in enumerate(self.topics)}
+
+    def place(self, topic: Topic) -> int:
+        """Return the place of a topic; of one that only the content names, after it is offered."""
+        if topic.name not in self._places:
+            self._places[topic.name] = self._add(topic)
+        return self._places[topic.name]
+
+    def offer(self) -> None:
+        """Offer the topics that content has named so far."""
+        self._streams.offer()
+
+    def add(
+        self, batch: PacketBatch, columns: Columns, wanted: Callable[[int], bool] = lambda _: False
+    ) -> list[Messages]:
+        """Add a batch of at least one row; return its messages.
+
+        Args:
+            wanted: whether anybody receives the topic of a place: whole datagrams, which are the first topic
+                and the most expensive, and ``/tf`` are only made for them.
+        """
+        self.offer()
+        streams = self._streams.messages(
+            batch, columns, datagrams=wanted(0), transforms=wanted(self._places[TRANSFORMS.name])
+        )
+        own: dict[int, list[Messages]] = {}
+        for item in streams:
+            if isinstance(item.channel_id, int):
+                own.setdefault(item.channel_id, []).append(item)
+        self._doctor.add(batch, columns)
+        diagnostics = self._places[DIAGNOSTICS.name]
+        if wanted(diagnostics):
+            self._diagnostics.judgement = self._doctor.ask()
+        streams.append(self._diagnostics.messages(batch, columns, diagnostics))
+        logs = {name: own.get(place) for name, place in self._places.items() if name.endswith(EVENTS_TOPIC)}
+        events = {name.removesuffix(EVENTS_TOPIC): items for name, items in logs.items() if items}
+        counts = own[self._places[STATISTICS_TOPIC]][-1]
+        self._link.add(batch, columns, counts, events, self._diagnostics.latest)
+        return streams
+
+    def finish(self) -> None:
+        """Count what came in the last second, which no other follows."""
+        self._link.finish(self._streams.finish())
+
+    def state(self) -> dict[str, Any]:
+        """Return what people are shown: ``LinkState.summary``, with the doctor's figures at the routes.
+
+        ``passed_hz`` of a route is how much of its rate goes on, where that is less; ``sent_hz``, where it is
+        seen as it comes out, how much was published.
+        """
+        state, doctor = self._link.summary(), self._doctor.ask()
+        fates = {_route_key(item): item for item in (doctor or {}).get("routes", ())}
+        for item in state["routes"]:
+            fate = fates.get(_route_key(item))
+            item["lost"] = fate["lost"] + fate["unaccounted"] if fate else item["gaps"]
+            item["uncertain"] = fate["uncertain"] if fate else 0
+            item["sent_hz"] = item["passed_hz"] = None
+            share = fate["out"] / fate["in"] if fate and fate["in"] else 1.0
+            if fate and 0 < share <= _ALL and item["rate_hz"]:
+                seen_sent = abs(fate["in"] - item["count"]) < abs(fate["out"] - item["count"])
+                name, factor = ("passed_hz", share) if seen_sent else ("sent_hz", 1 / share)
+                item[name] = item["rate_hz"] * factor
+        return {**state, "doctor": doctor}
+
+    def restart(self) -> None:
+        """Begin again, because the following messages have other times."""
+        self._doctor.close()
+        self._begin()
+
+    def close(self) -> None:
+        """Judge no more."""
+        self._doctor.close()
+
+    def _begin(self) -> None:
+        context, counted = self._context, self._counted
+        self._streams = Streams(
+            context.mission, self._types, counted, structs=context.structs, add=self.place, transforms=True
+        )
+        self._streams.endpoints = context.endpoints
+        self._link = LinkState(context.mission, self._types, counted)
+        if not self._live:
+            self._link.clock = lambda: 0.0
+        self._diagnostics = Diagnostics(context.mission, self._types, self._name, self._levels, counted)
+        self._doctor = LiveDiagnosis(partial(Examination, context), counted)
+        self._doctor.waits = self._alone
+
+
+def _route_key(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    return row["spacecraft"], row["link"], row["msg_id"]
+
+
 class ServedSink(Sink):
     """What is shown, or played, over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
 
@@ -259,16 +401,14 @@ class RecordedSink(ServedSink):
 class FoxgloveSink(ServedSink):
     """Serves batches over the Foxglove WebSocket protocol: a ``Sink`` that clients cannot delay.
 
-    Topics, types and messages are those of a recording, plus ``/diagnostics`` and ``/tf``. All are
-    offered from the start, also those that a recording has only with their first message, and those of DDS
-    once they are announced: who subscribes to what is offered misses nothing. Whole datagrams and ``/tf`` are
-    only made for clients that subscribed.
+    The topics are those of ``LinkMonitor``. All are offered from the start, also those that a recording has
+    only with their first message: who subscribes to what is offered misses nothing.
 
     Args:
-        context: of the decoder; the routes of its mission become topics.
+        context: see ``LinkMonitor``.
         info: of the source; gives the server its name.
-        levels: the level of each finding in the diagnostics: 0 OK, 1 warning, 2 error.
-        statistics: the source's, for losses of the capture itself.
+        levels: see ``LinkMonitor``.
+        statistics: see ``LinkMonitor``.
 
     Raises:
         CaptureError: the address cannot be used.
@@ -286,56 +426,25 @@ class FoxgloveSink(ServedSink):
         levels: Mapping[Finding, int] | None = None,
         statistics: SourceStatistics | None = None,
     ) -> None:
-        self._context, self._types, self._info = context, types, info
-        self._levels, self._counted = levels or {}, statistics
-        self._begin()
-        bound = [Topic(item.topic, item.type, item.metadata) for item in self._streams.structs.all]
-        own = [DIAGNOSTICS, FAULTS]
-        if all(topic.name != TRANSFORMS.name for topic in self._streams.topics):
-            own.append(TRANSFORMS)
-        topics = [*self._streams.topics, *own, *bound]
-        self._places = {topic.name: place for place, topic in enumerate(topics)}
-        definitions = {
-            **self._streams.definitions,
-            **{item.type: types.definition(item.type) for item in (DIAGNOSTICS, FAULTS, TRANSFORMS)},
-            **{item.type: self._streams.structs.text(item.type) or "" for item in self._streams.structs.all},
-        }
+        def offer(topic: Topic) -> int:
+            return self.server.add(topic)
+
+        self._monitor = LinkMonitor(context, types, info.name, levels or {}, statistics, offer)
+        definitions = self._monitor.definitions
         self.server = FoxgloveServer(
             f"edoras: {info.name}",
-            topics,
+            self._monitor.topics,
             lambda name: definitions[name] if name in definitions else types.definition(name),
             options,
         )
-        self._streams.offer()
-        self.server.link_state = self._link_state
+        self._monitor.offer()
+        self.server.link_state = self._monitor.state
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Send a batch to clients."""
         if not len(batch):
             return
-        self._streams.offer()
-        # Whole datagrams are the first topic, and the most expensive.
-        streams = self._streams.messages(
-            batch,
-            columns,
-            datagrams=self.server.has_subscribers(0),
-            transforms=self.server.has_subscribers(self._places[TRANSFORMS.name]),
-        )
-        own: dict[int, list[Messages]] = {}
-        for item in streams:
-            if isinstance(item.channel_id, int):
-                own.setdefault(item.channel_id, []).append(item)
-        self._doctor.add(batch, columns)
-        if self.server.has_subscribers(self._places[DIAGNOSTICS.name]):
-            self._diagnostics.judgement = self._doctor.ask()
-        streams.append(self._diagnostics.messages(batch, columns, self._places[DIAGNOSTICS.name]))
-        counts = own[self._places[STATISTICS_TOPIC]]
-        events = {
-            name.removesuffix(EVENTS_TOPIC): own[place]
-            for name, place in self._places.items()
-            if name.endswith(EVENTS_TOPIC) and place in own
-        }
-        self._link.add(batch, columns, counts[-1], events, self._diagnostics.latest)
+        streams = self._monitor.add(batch, columns, self.server.has_subscribers)
         if self.server.clients:
             self.server.publish(lay_out(streams, len(batch)))
             self.show_time(int(batch.time_ns[-1]))
@@ -343,34 +452,14 @@ class FoxgloveSink(ServedSink):
     def write_faults(self, faults: Sequence[Fault]) -> None:
         """Send injected faults, with times in ns since 1970."""
         if self.server.clients:
-            self.server.publish(lay_out([fault_messages(faults, self._places[FAULTS.name])], len(faults)))
+            place = self._monitor.place(FAULTS)
+            self.server.publish(lay_out([fault_messages(faults, place)], len(faults)))
 
     def restart(self) -> None:
         """Reset the statistics, because the following messages have other times."""
-        self._doctor.close()
-        self._begin()
+        self._monitor.restart()
 
     def close(self, statistics: SourceStatistics) -> None:
         """Close all clients, and judge no more."""
         super().close(statistics)
-        self._doctor.close()
-
-    def _link_state(self) -> dict[str, Any]:
-        """Return what the server's page shows; there are new states after a jump."""
-        return {**self._link.summary(), "doctor": self._doctor.ask()}
-
-    def _offer(self, topic: Topic) -> int:
-        """Return the place of a topic; of one that only the content names, after it is offered to clients."""
-        if topic.name not in self._places:
-            self._places[topic.name] = self.server.add(topic)
-        return self._places[topic.name]
-
-    def _begin(self) -> None:
-        context, counted = self._context, self._counted
-        self._streams = Streams(
-            context.mission, self._types, counted, structs=context.structs, add=self._offer, transforms=True
-        )
-        self._streams.endpoints = context.endpoints
-        self._link = LinkState(context.mission, self._types, counted)
-        self._diagnostics = Diagnostics(context.mission, self._types, self._info.name, self._levels, counted)
-        self._doctor = LiveDiagnosis(partial(Examination, context), counted)
+        self._monitor.close()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -65,6 +65,43 @@ class FilterThread(threading.Thread):
             where, block = task
             if where is self._current:
                 self._settled(where, block, np.flatnonzero(where.mask(block.batch, block.columns)))
+
+
+class WatchThread(threading.Thread):
+    """Hands blocks to the monitor of a link, in the order in which they are put.
+
+    Args:
+        monitor: what ``doors.part("monitor")`` returned.
+        blocks: those that are there already.
+
+    Attributes:
+        state: returns the state of the link so far.
+    """
+
+    def __init__(self, monitor: Any, blocks: Iterable[PacketBlock]) -> None:
+        super().__init__(name="monitor", daemon=True)
+        self._monitor, self._stopping = monitor, threading.Event()
+        self._blocks: queue.SimpleQueue[PacketBlock | None] = queue.SimpleQueue()
+        self.state = monitor.state
+        for block in blocks:
+            self.put(block)
+
+    def put(self, block: PacketBlock | None) -> None:
+        """Add a block; None behind the last one."""
+        self._blocks.put(block)
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._stopping.set()
+        self._blocks.put(None)
+
+    def run(self) -> None:
+        """Hand blocks on until stopped."""
+        while (block := self._blocks.get()) is not None and not self._stopping.is_set():
+            self._monitor.add(block.batch, block.columns)
+        self._monitor.finish()
+        self._stopping.wait()
+        self._monitor.close()
 
 
 class Feed(threading.Thread):

@@ -9,6 +9,7 @@ import numpy as np
 from edoras_tools.decode.filters.filter import fields
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
+from edoras_tools.wire.arrays.order import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -89,19 +90,14 @@ def _values(rows: ColumnRows, several: Sequence[FilterField]) -> tuple[NDArray[A
 
 def _names(rows: ColumnRows, _: Sequence[FilterField]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """Return what the list shows as topic: that of the route, else the name of the MsgId."""
-    own = {number: rows.context.of(number) for number in np.unique(rows.column("spacecraft")).tolist()}
     columns = rows.routes(), rows.column("msg_id"), rows.column("spacecraft")
-    pairs = np.stack([column.astype(np.int64) for column in columns])
-    pairs_found, places = np.unique(pairs, axis=1, return_inverse=True)
-    names = np.array(
-        [
-            ""
-            if msg_id == NO_MSG_ID
-            else own[number].mission.routes[route].topic
-            if route != NO_ROUTE
-            else rows.context.name(msg_id)
-            for route, msg_id, number in pairs_found.T.tolist()
-        ],
-        str,
-    )[places]
+    first, which = numbered(*columns)
+    kinds = zip(*(column[first].tolist() for column in columns), strict=True)
+    names = np.array([_name(rows.context, *kind) for kind in kinds], str)[which]
     return names, names != ""
+
+
+def _name(context: Context, route: int, msg_id: int, spacecraft: int) -> str:
+    if msg_id != NO_MSG_ID and route != NO_ROUTE:
+        return context.of(spacecraft).mission.routes[route].topic
+    return context.name(msg_id) if msg_id != NO_MSG_ID else ""

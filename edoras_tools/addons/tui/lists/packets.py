@@ -46,6 +46,7 @@ class Packets(Lines):
 
     Attributes:
         marks: numbers of the packets that are marked.
+        references: times of the packets that relative times count from, ns since 1970, by number.
         follow: stay at the end when packets arrive; set when the user goes to the end, cleared when the user
             leaves it.
         empty: text to show when there are no packets.
@@ -69,6 +70,7 @@ class Packets(Lines):
     ) -> None:
         super().__init__(id="packets")
         self.marks: set[int] = set()
+        self.references: dict[int, int] = {}
         self.follow = False
         self.empty = ""
         self._store = store
@@ -80,6 +82,7 @@ class Packets(Lines):
         self.reverse = False
         self._added: Sequence[Column] = ()
         self._view = self._make_view(80)
+        self._views: dict[int, PacketList] = {}
         self.drawn: LRUCache[tuple[int, int], Strip] = LRUCache(_KEPT)
 
     @property
@@ -105,7 +108,7 @@ class Packets(Lines):
 
     def forget(self) -> None:
         """Redraw every line, for another filter or time format."""
-        self._view = self._make_view(self.room)
+        self._view, self._views = self._make_view(self.room), {}
         self.drawn.clear()
         self.refresh()
         self.refresh_header()
@@ -159,11 +162,21 @@ class Packets(Lines):
                     np.array([index]),
                 )
                 values = [texts[0] for texts in column_texts(one, self._added, clean)]
-            line = strip_of(self._view.line(line_of(decoded), previous, values), self.app.console)
+            view = self._counting_from(number)
+            line = strip_of(view.line(line_of(decoded), previous, values), self.app.console)
             self.drawn[key] = line
-        marked = number in self.marks
-        style = self.get_component_rich_style("packets--mark", partial=True) if marked else Style.null()
-        return Strip([Segment("◆ " if marked else "  ", style), *line], _GUTTER + line.cell_length)
+        mark = ("◆" if number in self.marks else "") + ("⌖" if number in self.references else "")
+        style = self.get_component_rich_style("packets--mark", partial=True) if mark else Style.null()
+        return Strip([Segment(f"{mark:<{_GUTTER}}", style), *line], _GUTTER + line.cell_length)
+
+    def _counting_from(self, number: int) -> PacketList:
+        """Return the view whose times count from the last reference up to a packet."""
+        at = max((item for item in self.references if item <= number), default=None)
+        if at is None:
+            return self._view
+        if at not in self._views:
+            self._views[at] = self._make_view(self.room, self.references[at])
+        return self._views[at]
 
     def row_style(self, row: int) -> str:
         """Return the style of a line: cursor, mark, error or warning."""
@@ -182,14 +195,14 @@ class Packets(Lines):
         self.forget()
         self.go(self.cursor)
 
-    def _make_view(self, width: int) -> PacketList:
+    def _make_view(self, width: int, begin_ns: int | None = None) -> PacketList:
         return PacketList(
             width - _GUTTER,
             colour=True,
             time_format=self._time_format,
             names=MSG_ID_NAMES,
             verbose=self._verbose,
-            begin_ns=self._store.begin_ns,
+            begin_ns=begin_ns or self._store.begin_ns,
             columns=[name for name in self.columns if name in COLUMNS],
             added=[(column[0], is_number(column)) for column in self._added],
         )

@@ -66,6 +66,9 @@ class Routes(Lines):
 
     Args:
         live: whether packets arrive live, so that there is a current rate.
+
+    Attributes:
+        ledger: whose routes they are.
     """
 
     BINDINGS: ClassVar[list[Any]] = [
@@ -75,7 +78,7 @@ class Routes(Lines):
 
     def __init__(self, ledger: Ledger, *, live: bool) -> None:
         super().__init__(id="routes")
-        self._ledger = ledger
+        self.ledger = ledger
         self._columns = [column for column in _COLUMNS if live or column.title != "Now"]
         self._sorted = ""
         self._reverse = False
@@ -84,13 +87,17 @@ class Routes(Lines):
         self._rows: list[dict[str, Any]] = []
         self._lines: list[list[Segment]] = [[]]
 
+    def count(self, ledger: Ledger) -> None:
+        """Show the routes of another ledger."""
+        self.ledger, self._rates = ledger, Rates()
+
     def update_rates(self, now: float) -> None:
         """Update counts and rates.
 
         Args:
             now: monotonic time in s.
         """
-        self._counted = self._ledger.routes()
+        self._counted = self.ledger.routes()
         rates = self._rates.add(now, {_key(row): row["count"] for row in self._counted})
         for row in self._counted:
             row[_RATE] = rates[_key(row)]

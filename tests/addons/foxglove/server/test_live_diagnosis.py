@@ -73,7 +73,7 @@ def test_its_figures_are_those_of_the_doctor(diagnosis, capture, types):
     assert problem["messages"]
     assert {lost["msg_id"] for lost in problem["messages"]} == {"0x1827"}
     flow = state["flows"][0]
-    assert flow["names"] == ["/cmd_vel"]
+    assert (flow["names"], flow["ends"]) == (["/cmd_vel"], ("ground", ""))
     assert [(hop["hop"], hop["in"], hop["lost"], hop["out"]) for hop in flow["hops"]] == [
         ("CI", 600, 0, 600),
         ("software bus", 600, 92, 508),
@@ -83,6 +83,21 @@ def test_its_figures_are_those_of_the_doctor(diagnosis, capture, types):
     (route,) = [each for each in state["routes"] if each["msg_id"] == "0x1827"]
     assert (route["in"], route["out"], route["lost"]) == (600, 508, LOST)
     assert route["spacecraft"] == 1
+
+
+def test_rates_are_those_since_the_judgement_before(diagnosis, capture):
+    item = diagnosis(capture("a_rover", "rover_ground"))
+    rates = []
+    for seconds, outs in ((10, (50, 40)), (14, (70, 42)), (14, (80, 50)), (15, (80, 60, 1))):
+        hops = [{"hop": name, "out": out} for name, out in zip(("CI", "bus", "bus"), outs, strict=False)]
+        item._add_rates(
+            {"until_ns": seconds * 10**9, "flows": [{"spacecraft": 1, "link": "ci", "hops": hops}]}
+        )
+        rates.append([hop["rate_hz"] for hop in hops])
+    assert rates == [[None, None], [5, 0.5], [None, None], [None, None, None]]
+    hops = [{"hop": "CI", "out": 81}, {"hop": "bus", "out": 64}, {"hop": "bus", "out": 1}]
+    item._add_rates({"until_ns": 17 * 10**9, "flows": [{"spacecraft": 1, "link": "ci", "hops": hops}]})
+    assert [hop["rate_hz"] for hop in hops] == [0.5, 2, 0]
 
 
 def test_who_writes_does_not_wait_for_it(diagnosis, capture, types):
@@ -127,6 +142,15 @@ def test_it_judges_only_while_somebody_asks(diagnosis, capture, monkeypatch):
     item.close()
     assert item.ask()["lost"] == LOST, "what it judged stays"
     assert not item._thread.is_alive()
+
+
+def test_what_several_links_share_is_a_flow_without_ends():
+    shared = Row(
+        route=-1, link="", msg_id=None, instance="1", hop="application", came=9, out=5, lost={"?": 4}
+    )
+    (flow,) = live_diagnosis._flows([WaySum((shared,))], {})
+    assert (flow["link"], flow["ends"], flow["names"]) == ("", ("", ""), [])
+    assert (flow["hops"][0]["in"], flow["hops"][0]["lost"]) == (9, 4)
 
 
 def test_runs_of_one_cfs_are_one_route_and_spacecraft_are_two():

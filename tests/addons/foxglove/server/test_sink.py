@@ -11,6 +11,7 @@ import foxglove_client as peer
 import merging
 import numpy as np
 import pytest
+import waiting
 from mcap.reader import make_reader
 from others import IDL, TOPICS, read_bag, studio_message, write_bag, write_studio
 from places import ROOT
@@ -19,7 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from edoras_tools.addons.foxglove.player import PlaybackOptions, RecordingPlayer, open_recording
 from edoras_tools.addons.foxglove.server import live_diagnosis
 from edoras_tools.addons.foxglove.server.server import ServerOptions
-from edoras_tools.addons.foxglove.server.sink import FoxgloveSink
+from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, LinkMonitor
 from edoras_tools.addons.foxglove.serving import attach, attach_player
 from edoras_tools.decode import Context
 from edoras_tools.diagnosis.examination import Examination
@@ -112,6 +113,27 @@ def test_what_is_served_is_what_a_recording_holds(serve, capture, types, tmp_pat
     expected = [item for item in expected if item[:2] != ("/edoras/link_statistics", ending)]
     assert [item for item in client.messages if item.topic != "/diagnostics"] == expected
     assert len(client.on("/cmd_vel")) == 600
+
+
+def test_what_is_watched_without_a_server_has_the_doctors_figures_at_its_routes(capture, types):
+    rover = capture("a_rover", "rover_ground")
+    watched = LinkMonitor(Context(rover.mission, types), types, "a", {}, None, live=False)
+    for batch, columns in rover.pairs:
+        watched.add(batch, columns)
+    watched.finish()
+    whole = sum(map(len, rover.batches))
+    waiting.until(lambda: (watched.state()["doctor"] or {}).get("lost"))
+    state = watched.state()
+    watched.close()
+    rows = {item["topic"] or item["name"]: item for item in state["routes"]}
+    assert state["silent_s"] == 0, "of a file"
+    assert sum(item["count"] for item in state["routes"]) == whole, "the last second too"
+    row = rows["/cmd_vel"]
+    assert (row["count"], row["lost"], row["uncertain"]) == (600, 92, 0)
+    assert (row["rate_hz"], row["sent_hz"]) == (7.0, None)
+    assert row["passed_hz"] == pytest.approx(7 * 508 / 600)
+    assert rows["ES_HK"]["passed_hz"] is None
+    assert sum(item["lost"] for item in state["routes"]) == state["doctor"]["lost"]
 
 
 @pytest.mark.long
@@ -307,7 +329,7 @@ def shown(path):
             sink.write(rows.batch, rows.columns)
             examination.add(rows.batch, rows.columns)
     sink.close(SourceStatistics())
-    return sink._link.summary(), live_diagnosis._page_values(examination.diagnose())
+    return sink._monitor._link.summary(), live_diagnosis._page_values(examination.diagnose())
 
 
 def test_the_page_shows_each_of_two_rovers_by_itself(rovers):

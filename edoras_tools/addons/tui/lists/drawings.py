@@ -1,0 +1,161 @@
+"""What is drawn below the list: graphs, the way of a packet, findings, sums; some lines lead to packets."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from rich.text import Text
+
+from edoras_tools.addons.tui.lists.lines import Lines, strip_of
+from edoras_tools.model import Link
+from edoras_tools.render import units
+from edoras_tools.render.plot.terminal import plot_lines
+from edoras_tools.render.severity import explain
+from edoras_tools.render.terminal import palette
+from edoras_tools.render.terminal.text import wrap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from textual.strip import Strip
+
+    from edoras_tools.pipelines.capture.ledger import Ledger
+    from edoras_tools.render.plot.figure import Figure
+
+_SUMS: Final = ("packets", "bytes", "from", "to", "time", "packets/s", "bytes/s", "bytes, mean")
+_AROUND: Final = 6
+"""Lines of a graph besides its field: heading, legend, axis."""
+
+
+class DrawnRow(NamedTuple):
+    """A line of a drawing, and the filter for the packets that it is about; empty if it leads to none."""
+
+    text: Text
+    filter: str = ""
+
+
+class Drawing(Lines):
+    """A drawing that fills its pane; a line that leads to packets can be chosen.
+
+    Attributes:
+        empty: shown while there is no drawing.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(id=name)
+        self.empty = "no packet"
+        self._draw: Callable[[int], Sequence[Text | DrawnRow]] | None = None
+        self._rows: list[DrawnRow] = []
+
+    def show(self, draw: Callable[[int], Sequence[Text | DrawnRow]] | None) -> None:
+        """Show a drawing, which is made for a width; the cursor stays on what leads to the same packets."""
+        self._draw = draw
+        self._lay_out()
+
+    @property
+    def filter(self) -> str:
+        """The filter of the line under the cursor."""
+        return self._rows[self.cursor].filter if self.cursor < len(self._rows) else ""
+
+    def rows(self) -> int:
+        """Return how many lines there are."""
+        return len(self._rows)
+
+    def draw(self, row: int, width: int) -> Strip:
+        """Return a line."""
+        return strip_of(self._rows[row].text, self.app.console).crop(0, width)
+
+    def row_style(self, row: int) -> str:
+        """Return the cursor's style for the lines about what is chosen; no style where nothing can be."""
+        chosen = self.filter if row < len(self._rows) else ""
+        same = row == self.cursor or (chosen and self._rows[row].filter == chosen)
+        return "lines--cursor" if same and any(item.filter for item in self._rows) else ""
+
+    def watch_cursor(self, before: int, after: int) -> None:
+        """Redraw, as what is chosen may take several lines."""
+        self.refresh()
+        super().watch_cursor(before, after)
+
+    def on_resize(self) -> None:
+        """Draw it in another size."""
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        chosen = self.filter
+        drawn = self._draw(self.room) if self._draw else [Text(f"  {self.empty}", palette.DIM)]
+        self._rows = [item if isinstance(item, DrawnRow) else DrawnRow(item) for item in drawn]
+        if chosen and self.filter != chosen:
+            places = (place for place, row in enumerate(self._rows) if row.filter == chosen)
+            self.cursor = next(places, self.cursor)
+        self.recount()
+
+
+class RateGraph(Drawing):
+    """A graph over time, as high as its pane."""
+
+    _figure: Figure | None = None
+
+    def plot(self, figure: Figure | None) -> None:
+        """Show a graph."""
+        self._figure = figure
+        self.show(self._plotted if figure else None)
+
+    def _plotted(self, width: int) -> list[Text]:
+        assert self._figure is not None
+        return plot_lines(self._figure, width, colour=True, rows=max(3, self.page - _AROUND))
+
+
+def hanging(mark: Text, text: str, width: int, filter_text: str = "", style: str = "") -> Iterator[DrawnRow]:
+    """Yield a text behind a mark as lines of at most ``width`` cells, the further ones indented as far."""
+    room = max(8, width - mark.cell_len)
+    for place, line in enumerate(wrap(text, room)):
+        before = Text(" " * mark.cell_len) if place else mark
+        yield DrawnRow(Text.assemble(before, (line, style)), filter_text)
+
+
+def finding_rows(counts: Mapping[str, int], width: int) -> list[DrawnRow]:
+    """Return the lines of findings, the most severe first: how many packets have each, and what it means.
+
+    Args:
+        counts: how many, by label.
+    """
+    rows: list[DrawnRow] = []
+    for label, count in sorted(counts.items(), key=lambda item: (-explain(item[0]).severity, -item[1])):
+        told = explain(label)
+        mark = Text.assemble((f" {told.severity.mark} {count:>7,}  ", told.severity.style), f"{label:<20} ")
+        rows += hanging(mark, told.meaning, width - 1, f"findings == {label}", palette.DIM)
+    return rows or [DrawnRow(Text(" no packet of the list has a finding", palette.DIM))]
+
+
+def sum_rows(every: Ledger, listed: Ledger, facts: Sequence[str]) -> list[DrawnRow]:
+    """Return the lines of sums, of all packets and of those of the list.
+
+    Args:
+        facts: about the source, a line each.
+    """
+    rows = [DrawnRow(Text(f" {fact}")) for fact in facts]
+    rows.append(DrawnRow(Text(f" {'':<14}{'all':>26}  {'in the list':>26}", palette.STRONG)))
+    for name, left, right in zip(_SUMS, _sum_texts(every), _sum_texts(listed), strict=True):
+        rows.append(DrawnRow(Text.assemble((f" {name:<14}", palette.DIM), f"{left:>26}  {right:>26}")))
+    counts, some = (Counter[Link](), Counter[Link]())
+    for ledger, by_link in ((every, counts), (listed, some)):
+        for account in ledger.accounts.values():
+            by_link[account.link] += account.count
+    for link, count in counts.items():
+        text = Text.assemble((f" {link.name:<14}", link.colour), f"{count:>26,}  {some[link]:>26,}")
+        rows.append(DrawnRow(text, f"link == {link.label}"))
+    return rows
+
+
+def _sum_texts(ledger: Ledger) -> list[str]:
+    """Return the texts of ``_SUMS``."""
+    if not (count := ledger.datagrams):
+        return ["0", *[units.NONE] * (len(_SUMS) - 1)]
+    seconds, size = (
+        (ledger.end_ns - ledger.start_ns) / 1e9,
+        sum(item.bytes for item in ledger.accounts.values()),
+    )
+    rates = [f"{value / seconds:,.1f}" if seconds else units.NONE for value in (count, size)]
+    times = [units.utc(item, digits=3) for item in (ledger.start_ns, ledger.end_ns)]
+    return [f"{count:,}", f"{size:,}", *times, f"{seconds:,.3f} s", *rates, f"{size / count:,.1f}"]
