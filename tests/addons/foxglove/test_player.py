@@ -124,7 +124,7 @@ class Deck:
         peer.wait(lambda: all(self.wanted(topic) for topic in topics or WANTED))
 
     def wanted(self, topic):
-        names = [item.name for item in self.sink._streams.topics]
+        names = [item.name for item in self.sink._monitor.topics]
         return self.sink.server.has_subscribers(names.index(topic))
 
     def stop(self):
