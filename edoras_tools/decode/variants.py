@@ -32,7 +32,7 @@ from edoras_tools.links.table import accepted
 from edoras_tools.model import NO_ROUTE, PacketBatch
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import by_value, distinct_rows
+from edoras_tools.wire.arrays.order import by_value, distinct, distinct_rows, quantiles
 from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
 from edoras_tools.wire.msg_id import VERSION_1
@@ -179,9 +179,9 @@ class Variants:
             time = replace(stated, byte_order=stated.byte_order or order, ticks=stated.ticks or ticks)
             words = time.layout(headers.telemetry).columns(sample.head, headers.start)
             seconds, subseconds = (words[name].astype(np.int64) for name in ("seconds", "subseconds"))
-            low, middle, high = np.quantile(sample.time_ns - time.ns(seconds, subseconds), (0.05, 0.5, 0.95))
+            low, middle, high = quantiles(sample.time_ns - time.ns(seconds, subseconds), 0.05, 0.5, 0.95)
             whole = subseconds.max() < (time.ticks or cfe.USUAL_TICKS)
-            if whole and (ticks is None or np.unique(subseconds).size > _TIMED // 2):
+            if whole and (ticks is None or len(distinct(subseconds)) > _TIMED // 2):
                 spreads.append((high - low, middle, time))
         spread, middle, time = min(spreads, key=itemgetter(0), default=(np.inf, 0, stated))
         if spread > SECOND or any(item[0] * _NEAR < spread and item[2] != time for item in spreads):
