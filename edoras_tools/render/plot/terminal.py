@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _STYLES: Final = ("cyan", "yellow", "magenta", "green", "bright_blue", "red")
 _ROWS, _ROWS_BENEATH = 10, 5
-_WIDEST, _NARROWEST = 160, 40
+WIDEST, _NARROWEST = 160, 40
 _BLANK: Final = 0x2800
 _DOTS: Final = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], np.uint8)
 """The bit of each dot of a Braille character: four rows, from the top, of two."""
@@ -35,7 +35,7 @@ def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0) -> li
         colour: whether lines can be told apart by colour; if not, each has its own panel.
         rows: lines of each panel; 0 for the usual ones.
     """
-    width = max(_NARROWEST, width if rows else min(width, _WIDEST))
+    width = max(_NARROWEST, width if rows else min(width, WIDEST))
     colour = colour or any(line.sign for panel in figure.panels for line in panel.lines)
     panels = [part for panel in figure.panels for part in (_parts if colour else _split)(panel)]
     margin = max(len(text) for panel in panels for _, text in _levels(panel))
