@@ -348,7 +348,7 @@ def constants(path):
     return yaml.safe_load(path.read_text())
 
 
-@pytest.mark.quick("and SBN")
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 def test_any_number_of_processes_says_the_same(call, rovers, tmp_path, monkeypatch):
     whole, _ = rovers
