@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 
 _STYLES: Final = ("cyan", "yellow", "magenta", "green", "bright_blue", "red")
 _ROWS, _ROWS_BENEATH = 10, 5
-WIDEST, _NARROWEST = 160, 40
+_WIDEST, _NARROWEST = 160, 40
 _BLANK: Final = 0x2800
 _DOTS: Final = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], np.uint8)
 """The bit of each dot of a Braille character: four rows, from the top, of two."""
 
 
-def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0) -> list[Text]:
+def plot_lines(figure: Figure, width: int, *, colour: bool, rows: int = 0, most: int = _WIDEST) -> list[Text]:
     """Draw a plot.
 
     Args:
-        width: columns of the terminal; at least 40 are used, at most 160 unless ``rows`` says the height.
+        width: columns of the terminal; at least 40 are used, at most ``most``.
         colour: whether lines can be told apart by colour; if not, each has its own panel.
         rows: lines of each panel; 0 for the usual ones.
     """
-    width = max(_NARROWEST, width if rows else min(width, WIDEST))
+    width = max(_NARROWEST, min(width, most))
     colour = colour or any(line.sign for panel in figure.panels for line in panel.lines)
     panels = [part for panel in figure.panels for part in (_parts if colour else _split)(panel)]
     margin = max(len(text) for panel in panels for _, text in _levels(panel))

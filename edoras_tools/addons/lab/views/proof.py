@@ -11,7 +11,7 @@ from rich.text import Text
 from edoras_tools.addons.lab.proof.model import HOSTS
 from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
 from edoras_tools.render.plot.svg import plot_svg
-from edoras_tools.render.plot.terminal import WIDEST, plot_lines
+from edoras_tools.render.plot.terminal import plot_lines
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import Column, build
@@ -53,7 +53,7 @@ def proof_view(proof: CaptureProof, zero_ns: int, width: int) -> RenderableType:
     ]
     if proof.rows:
         parts.append(build(_COLUMNS, [row.as_json() for row in proof.rows], width))
-        parts += plot_lines(_figure(proof, zero_ns, ""), min(width, WIDEST), colour=True, rows=_ROWS)
+        parts += plot_lines(_figure(proof, zero_ns, ""), width, colour=True, rows=_ROWS)
     return Group(*parts, *(Text(text, style) for text, style in _sentences(proof)))
 
 

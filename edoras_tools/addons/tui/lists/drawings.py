@@ -103,7 +103,7 @@ class RateGraph(Drawing):
 
     def _plotted(self, width: int) -> list[Text]:
         assert self._figure is not None
-        return plot_lines(self._figure, width, colour=True, rows=max(3, self.page - _AROUND))
+        return plot_lines(self._figure, width, colour=True, rows=max(3, self.page - _AROUND), most=width)
 
 
 def hanging(mark: Text, text: str, width: int, filter_text: str = "", style: str = "") -> Iterator[DrawnRow]:
